@@ -1,8 +1,9 @@
-"""Two installations of Kempe side by side, in one run: `python benchmarks/compare.py BEFORE AFTER [-o FILE]`.
+"""Two installations of Kempe side by side, in one run:
+`python benchmarks/compare.py BEFORE AFTER [-o FILE]`.
 
-BEFORE and AFTER are Python interpreters of environments with Kempe installed. Everything is measured in processes of
-their own, of the two in turn, and the least of each is compared: what else runs only adds. Prints a table in
-Markdown, and writes it to FILE.
+BEFORE and AFTER are Python interpreters of environments with Kempe installed. Everything is
+measured in processes of their own, of the two in turn, and the least of each is compared: what else
+runs only adds. Prints a table in Markdown, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -25,9 +26,16 @@ VERBS = {
     "fk": "r = kempe.load('puma560'); r.fk(r.mid, 'tool')",
     "ik": "r = kempe.load('puma560'); r.ik(r.fk(r.mid, 'tool'), 'tool')",
     "ik_all": "r = kempe.load('puma560'); r.ik_all(r.fk(r.mid, 'tool'), 'tool')",
-    "ik_all, six general axes": "r = kempe.load('jaco2'); f = r.frame_names[-1]; r.ik_all(r.fk(r.mid, f), f)",
-    "ik of tasks": "r = kempe.load('puma560'); r.ik([kempe.tasks.Position('tool', r.fk(r.mid, 'tool')[:3, 3])])",
-    "ik_sweep": "r = kempe.load('panda'); f = r.frame_names[-1]; r.inverse.sweep(r.fk(r.mid, f), f)",
+    "ik_all, six general axes": (
+        "r = kempe.load('jaco2'); f = r.frame_names[-1]; r.ik_all(r.fk(r.mid, f), f)"
+    ),
+    "ik of tasks": (
+        "r = kempe.load('puma560'); r.ik([kempe.tasks.Position('tool', r.fk(r.mid, 'tool')[:3, "
+        "3])])"
+    ),
+    "ik_sweep": (
+        "r = kempe.load('panda'); f = r.frame_names[-1]; r.inverse.sweep(r.fk(r.mid, f), f)"
+    ),
     "assemble": "r = kempe.load('jansen'); r.assemble({'O': 1.0})",
     "assembly_modes": "r = kempe.load('jansen'); r.assembly_modes({'O': 1.0})",
     "mobility": "r = kempe.load('bennett'); r.mobility()",
@@ -139,7 +147,10 @@ import {module}
 print(time.perf_counter() - start)
 """
 
-FIRST = "import kempe\nr = kempe.load('puma560'); X = r.fk(r.mid, 'tool'); r.ik(X, 'tool'); r.ik_all(X, 'tool')"
+FIRST = (
+    "import kempe\nr = kempe.load('puma560'); X = r.fk(r.mid, 'tool'); r.ik(X, 'tool'); "
+    "r.ik_all(X, 'tool')"
+)
 COMMAND = ["ik", "puma560", "--frame", "tool", "--target", "0.5,0.2,0.1,0,90,0", "--deg"]
 
 
@@ -154,22 +165,32 @@ class Cost:
 
 def process(python: str, *arguments: str, cache: str | None = None) -> Cost:
     """A process and what it took. Errors: what it wrote to standard error, as `RuntimeError`."""
-    env = {name: value for name, value in os.environ.items() if not name.startswith(("KEMPE_", "PYTHON"))}
+    env = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("KEMPE_", "PYTHON"))
+    }
     env |= {"KEMPE_QUIET": "1"} | ({"KEMPE_CACHE_DIR": cache} if cache else {})
     with tempfile.TemporaryFile() as reported, tempfile.TemporaryFile() as said:
-        child = subprocess.Popen([python, *arguments], stdout=reported, stderr=said, env=env, cwd=tempfile.gettempdir())
+        child = subprocess.Popen(
+            [python, *arguments], stdout=reported, stderr=said, env=env, cwd=tempfile.gettempdir()
+        )
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
         reported.seek(0), said.seek(0)
         if child.returncode:
             raise RuntimeError(said.read().decode())
-        return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, reported.read().decode())
+        return Cost(
+            used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, reported.read().decode()
+        )
 
 
 Row = tuple[str, str, float, float]
 
 
-def in_turn(pythons: list[str], code: str, rounds: int = ROUNDS, cold: bool = False) -> tuple[Cost, Cost]:
+def in_turn(
+    pythons: list[str], code: str, rounds: int = ROUNDS, cold: bool = False
+) -> tuple[Cost, Cost]:
     """The process of least cost, of each of the two in turn."""
     found: tuple[list[Cost], list[Cost]] = [], []
     for _ in range(rounds):
@@ -195,18 +216,28 @@ def rows(pythons: list[str]) -> Iterator[Row]:
     yield "environment with Kempe and what it needs", "MB", *sizes
     for name, first in (("numpy", "pass"), ("kempe, beyond numpy", "import numpy, numpy.typing")):
         module = name.partition(",")[0]
-        yield f"import {name}, seconds by the clock", "s", *printed(pythons, IMPORT.format(first=first, module=module))
+        yield (
+            f"import {name}, seconds by the clock",
+            "s",
+            *printed(pythons, IMPORT.format(first=first, module=module)),
+        )
     for name, code in VERBS.items():
         before, after = in_turn(pythons, f"import kempe\n{code}", COLD_ROUNDS, cold=True)
         yield f"first answer on a fresh machine: {name}", "s", before.seconds, after.seconds
     for name in ("ik", "trace", "mobility"):
         before, after = in_turn(pythons, f"import kempe\n{VERBS[name]}")
         yield f"first answer of a later process: {name}", "s", before.seconds, after.seconds
-    before, after = in_turn(pythons, f"from kempe.cli import main\nimport sys\nsys.argv[1:] = {COMMAND!r}\nmain()")
+    before, after = in_turn(
+        pythons, f"from kempe.cli import main\nimport sys\nsys.argv[1:] = {COMMAND!r}\nmain()"
+    )
     yield f"`kempe {' '.join(COMMAND[:2])} ...`, whole process", "s", before.seconds, after.seconds
     before, after = in_turn(pythons, FIRST)
     yield "memory of a process that did fk, ik, ik_all", "MB", before.memory, after.memory
-    for code, what in ((SINGLE, "one call"), (WARM, "later calls"), (BATCH, "batch, one thread, per item")):
+    for code, what in (
+        (SINGLE, "one call"),
+        (WARM, "later calls"),
+        (BATCH, "batch, one thread, per item"),
+    ):
         answers: tuple[list[dict[str, float]], ...] = [], []
         for _ in range(ROUNDS):
             for found, python in zip(answers, pythons, strict=True):
@@ -218,7 +249,9 @@ def rows(pythons: list[str]) -> Iterator[Row]:
 def environment(python: str) -> float:
     """Megabytes of an environment."""
     folder = Path(process(python, "-c", "import sys; print(sys.prefix)").printed.strip())
-    return sum(p.stat(follow_symlinks=False).st_size for p in folder.rglob("*") if p.is_file()) / 1e6
+    return (
+        sum(p.stat(follow_symlinks=False).st_size for p in folder.rglob("*") if p.is_file()) / 1e6
+    )
 
 
 VERSIONS = """
@@ -242,7 +275,10 @@ def versions(python: str) -> str:
 def processor() -> str:
     """The name of the processor."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
+    return next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
+        "unknown",
+    )
 
 
 def main() -> None:
@@ -255,17 +291,26 @@ def main() -> None:
     given = parser.parse_args()
     pythons = [given.before, given.after]
     lines = [
-        f"# Before and after: {given.title}", "",
-        "Written by `python benchmarks/compare.py BEFORE AFTER`: two installations in one run, numbers in processes "
-        "of their own, of the two in turn, the least of each. Seconds are processor time of whole processes.", "",
-        f"Machine: {processor()}, {len(os.sched_getaffinity(0))} processors.", "",
-        f"- before: {versions(given.before)}", f"- after: {versions(given.after)}", "",
-        "| | unit | before | after | after / before |", "|---|---|--:|--:|--:|",
-    ]  # fmt: skip
+        f"# Before and after: {given.title}",
+        "",
+        "Written by `python benchmarks/compare.py BEFORE AFTER`: two installations in one run, "
+        "numbers in processes of their own, of the two in turn, the least of each. Seconds are "
+        "processor time of whole processes.",
+        "",
+        f"Machine: {processor()}, {len(os.sched_getaffinity(0))} processors.",
+        "",
+        f"- before: {versions(given.before)}",
+        f"- after: {versions(given.after)}",
+        "",
+        "| | unit | before | after | after / before |",
+        "|---|---|--:|--:|--:|",
+    ]
     print("\n".join(lines), flush=True)
     for what, unit, before, after in rows(pythons):
         digits = 0 if unit == "MB" else 3
-        lines.append(f"| {what} | {unit} | {before:.{digits}f} | {after:.{digits}f} | {after / before:.2f} |")
+        lines.append(
+            f"| {what} | {unit} | {before:.{digits}f} | {after:.{digits}f} | {after / before:.2f} |"
+        )
         print(lines[-1], flush=True)
         if given.out is not None:  # what is there so far survives an interrupt
             given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")

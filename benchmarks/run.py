@@ -1,9 +1,11 @@
-"""Measure Kempe beside the kinematics libraries that are installed, and write results.md beside this file.
+"""Measure Kempe beside the kinematics libraries that are installed, and write results.md beside
+this file.
 
     python benchmarks/run.py
     python benchmarks/run.py --only numeric --targets 10000 --out numeric.md
 
-It takes about ten minutes. The file is written after each section, so an interruption keeps what is done.
+It takes about ten minutes. The file is written after each section, so an interruption keeps what is
+done.
 """
 
 from __future__ import annotations
@@ -27,10 +29,21 @@ def say(text: str) -> None:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", action="append", metavar="SECTION", help=f"one of {', '.join(SECTIONS)}; repeatable")
-    parser.add_argument("--peer", action="append", metavar="NAME", help="a library to compare with; repeatable")
-    parser.add_argument("--targets", type=int, metavar="N", help="targets of each robot, numeric and whole_body")
-    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="file to write (results.md if all is run)")
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="SECTION",
+        help=f"one of {', '.join(SECTIONS)}; repeatable",
+    )
+    parser.add_argument(
+        "--peer", action="append", metavar="NAME", help="a library to compare with; repeatable"
+    )
+    parser.add_argument(
+        "--targets", type=int, metavar="N", help="targets of each robot, numeric and whole_body"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="file to write (results.md if all is run)"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON in place of tables")
     return parser.parse_args()
 
@@ -51,7 +64,10 @@ def main() -> int:
         say(str(error))
         return 2
     except KeyboardInterrupt:
-        say(f"interrupted after {len(tables)} sections" + (f"; {out} holds them" if tables and out else ""))
+        say(
+            f"interrupted after {len(tables)} sections"
+            + (f"; {out} holds them" if tables and out else "")
+        )
         return 130
     if given.json:
         print(json.dumps({"machine": peers.machine(), "tables": [t.data() for t in tables]}))

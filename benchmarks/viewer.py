@@ -1,7 +1,9 @@
-"""Server-side time of the viewer: from an event to the last message handed to viser, without a browser.
+"""Server-side time of the viewer: from an event to the last message handed to viser, without a
+browser.
 
-``python benchmarks/viewer.py`` prints medians and 90th percentiles in milliseconds: of a slider of a humanoid (Talos of
-example-robot-data where that is installed), of a target of a UR5 with its other solutions as ghosts, and of loops.
+``python benchmarks/viewer.py`` prints medians and 90th percentiles in milliseconds: of a slider of
+a humanoid (Talos of example-robot-data where that is installed), of a target of a UR5 with its
+other solutions as ghosts, and of loops.
 """
 
 from __future__ import annotations
@@ -68,11 +70,18 @@ def main() -> None:
     rows = []
     for file in sorted(Path(sys.prefix).glob(DATA)):
         page = page_of(kempe.load(file, package_dirs=[file.parents[4]]))
-        rows.append((f"Talos, {len(page.session.sliders)} sliders, {len(page.nodes.drawn.shapes)} meshes: a slider",
-                     *timed(page, slider(page, 5))))  # fmt: skip
+        rows.append(
+            (
+                f"Talos, {len(page.session.sliders)} sliders, {len(page.nodes.drawn.shapes)} "
+                "meshes: a slider",
+                *timed(page, slider(page, 5)),
+            )
+        )
     page = page_of(kempe.load("ur5"), [0.3, -1.2, 1.5, -0.6, -1.4, 0.2])
     page.session.solve()
-    rows.append((f"UR5, {len(page.session.solutions)} ghosts: a target", *timed(page, target(page))))
+    rows.append(
+        (f"UR5, {len(page.session.solutions)} ghosts: a target", *timed(page, target(page)))
+    )
     for name in ("four_bar", "delta_uu", "stewart_sps"):
         page = page_of(kempe.load(name))
         rows.append((f"{name}: a slider", *timed(page, slider(page, 0))))

@@ -37,10 +37,14 @@ add_module_names = False
 python_use_unqualified_type_names = True
 
 _LITERAL = re.compile(r"(``[^`]+``|`[^`]+`)")
-_GLOSSARY = Path(__file__).with_name("glossary.md").read_text(encoding="utf-8").partition("{glossary}\n")[2]
+_GLOSSARY = (
+    Path(__file__).with_name("glossary.md").read_text(encoding="utf-8").partition("{glossary}\n")[2]
+)
 _TERMS = {t.lower(): t for t in re.findall(r"^\w.*", _GLOSSARY, re.MULTILINE) if len(t) > 7}
 """Terms that docstrings link to: short ones are ordinary words, too."""
-_TERM = re.compile(rf"(?<![\w-])({'|'.join(sorted(_TERMS, key=len, reverse=True))})s?(?![\w-])", re.IGNORECASE)
+_TERM = re.compile(
+    rf"(?<![\w-])({'|'.join(sorted(_TERMS, key=len, reverse=True))})s?(?![\w-])", re.IGNORECASE
+)
 
 
 def _linked(text, seen):
@@ -57,7 +61,9 @@ def _linked(text, seen):
 
 
 def _plain(app, what, name, obj, options, lines):
-    """Docstrings are plain text with code in backticks: other characters mean nothing to reStructuredText."""
+    """Docstrings are plain text with code in backticks: other characters mean nothing to
+    reStructuredText.
+    """
     seen = set()
     lines[:] = [
         "".join(

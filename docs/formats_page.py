@@ -1,4 +1,6 @@
-"""Writes docs/formats.md from the table of formats: `python docs/formats_page.py`. A test fails where it is stale."""
+"""Writes docs/formats.md from the table of formats: `python docs/formats_page.py`. A test fails
+where it is stale.
+"""
 
 from __future__ import annotations
 
@@ -67,24 +69,37 @@ Denavit-Hartenberg tables and screw axes are given [in Python](howto_describe.md
 def page() -> str:
     """The page as Markdown."""
     rows = FORMATS.values()
-    formats = table(("format", "`format=`", "endings", "read", "written"), map(format_row, FORMATS, rows))
-    general = (
-        f"\nA text of which neither tells the format is read as {DEFAULT.title}. Files in a format that is not read\n"
-        f"are refused, and the message names those that are: {named(read_by(), 'and')}. What is written ends in"
-        f" {endings_written()}.\n"
+    formats = table(
+        ("format", "`format=`", "endings", "read", "written"), map(format_row, FORMATS, rows)
     )
-    cannot = table(("format", "what it lacks", "instead"),
-                   ((f.title, what, instead) for f in rows for what, instead in f.cannot.items()))  # fmt: skip
-    loses = table(("format", "left out or replaced"), ((f.title, what) for f in rows for what in f.loses))
+    general = (
+        f"\nA text of which neither tells the format is read as {DEFAULT.title}. Files in a format "
+        "that is not read\nare refused, and the message names those that are: "
+        f"{named(read_by(), 'and')}. What is written ends in {endings_written()}.\n"
+    )
+    cannot = table(
+        ("format", "what it lacks", "instead"),
+        ((f.title, what, instead) for f in rows for what, instead in f.cannot.items()),
+    )
+    loses = table(
+        ("format", "left out or replaced"), ((f.title, what) for f in rows for what in f.loses)
+    )
     options = dict.fromkeys(option for f in rows for option in f.options if option != "beside")
-    taken = table(("option", "read with it"), ((f"`{o}`", named(read_by(o), "and")) for o in options))
+    taken = table(
+        ("option", "read with it"), ((f"`{o}`", named(read_by(o), "and")) for o in options)
+    )
     return f"{HEAD}{formats}{general}{EXAMPLE}{CANNOT}{cannot}{LOSES}{loses}{OPTIONS}{taken}"
 
 
 def format_row(name: str, f: Format) -> list[str]:
     """Names and endings of a format, and whether it is read and written."""
     endings = ", ".join(f"`{ending}`" for ending in f.endings)
-    return [f.title, f"`{name}`" if f.read else "–", endings, *("yes" if x else "–" for x in (f.read, f.write))]
+    return [
+        f.title,
+        f"`{name}`" if f.read else "–",
+        endings,
+        *("yes" if x else "–" for x in (f.read, f.write)),
+    ]
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -34,8 +34,10 @@ def page() -> str:
         group = "With loops" if system.structure.closures else "Open chains and trees"
         title = f"{group}, {'in the plane' if system.dim == 2 else 'in space'}"
         groups.setdefault(title, []).append(row(name, system))
-    parts = [f"## {title}\n\n| | model | DoF | |\n| --- | --- | --- | --- |\n{''.join(rows)}"
-             for title, rows in sorted(groups.items())]  # fmt: skip
+    parts = [
+        f"## {title}\n\n| | model | DoF | |\n| --- | --- | --- | --- |\n{''.join(rows)}"
+        for title, rows in sorted(groups.items())
+    ]
     return HEAD + "\n".join(parts)
 
 
@@ -47,7 +49,9 @@ def row(name: str, system: kempe.System) -> str:
         dof += f" (count: {found.gruebler})"
     if found.idle:
         dof += f", {found.idle} idle"
-    return f"| ![{name}](_static/gallery/{name}.png) | `{name}` | {dof} | {library.describe(name)} |\n"
+    return (
+        f"| ![{name}](_static/gallery/{name}.png) | `{name}` | {dof} | {library.describe(name)} |\n"
+    )
 
 
 def draw(folder: Path = PICTURES) -> list[Path]:
@@ -59,7 +63,9 @@ def draw(folder: Path = PICTURES) -> list[Path]:
             continue
         system = kempe.load(name)
         held = system.structure.closures or system.mechanism.constraints
-        axes = () if system.nq else "all"  # what has nothing that moves may have nothing else to show
+        axes = (
+            () if system.nq else "all"
+        )  # what has nothing that moves may have nothing else to show
         figure = system.plot(None if held else system.mid, labels=(), axes=axes).figure
         figure.set_size_inches(2.4, 2.4 * figure.get_figheight() / figure.get_figwidth())
         figure.savefig(path, dpi=75)

@@ -1,4 +1,6 @@
-"""Writes docs/joints.md from the table of joint types: `python docs/joints_page.py`. A test fails where it is stale."""
+"""Writes docs/joints.md from the table of joint types: `python docs/joints_page.py`. A test fails
+where it is stale.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,8 @@ def page() -> str:
     head = ("type", "options", "primitives", "coordinates", "velocities")
     coordinates = table(head, map(coordinate_row, examples()))
     particles = table(
-        ("type", *counts, "coordinates"), (particle_row(t()) for t in TYPES.values() if is_for_particles(t()))
+        ("type", *counts, "coordinates"),
+        (particle_row(t()) for t in TYPES.values() if is_for_particles(t())),
     )
     products = table(("type", "DoF", "constraints", *head[2:]), map(product_row, SHOWN))
     return f"{HEAD}{freedoms}{COORDINATES}{coordinates}{NOTES}{particles}{PRODUCTS}{products}"
@@ -113,7 +116,13 @@ def coordinate_row(kind: JointType) -> list[str]:
     coordinates = names(kind.coordinates())
     velocities = names(kind.velocities())
     same = velocities == coordinates
-    return [f"`{kind.type_name}`", options, kind.decomposition, coordinates, "the same" if same else velocities]
+    return [
+        f"`{kind.type_name}`",
+        options,
+        kind.decomposition,
+        coordinates,
+        "the same" if same else velocities,
+    ]
 
 
 def product_row(words: str) -> list[str]:
@@ -129,8 +138,14 @@ def particle_row(kind: JointType) -> list[str]:
 
 
 def in_the_plane(kind: JointType, particle: bool) -> list[str]:
-    """Degrees of freedom and constraints in the plane, or dashes where the joint does not exist there."""
-    return [str(kind.dof(2, particle)), str(kind.constraints(2, particle))] if kind.planar else ["–", "–"]
+    """Degrees of freedom and constraints in the plane, or dashes where the joint does not exist
+    there.
+    """
+    return (
+        [str(kind.dof(2, particle)), str(kind.constraints(2, particle))]
+        if kind.planar
+        else ["–", "–"]
+    )
 
 
 def names(coordinates: tuple[str, ...]) -> str:

@@ -1,8 +1,10 @@
-"""Draws docs/_static/map.svg, the folders of the package and their imports: `python docs/map_page.py`.
+"""Draws docs/_static/map.svg, the folders of the package and their imports:
+`python docs/map_page.py`.
 
-A test fails where the picture is stale. Bands are packages, the uppermost imports from all others; boxes are their
-folders. What is drawn is found in the sources: a box stands right of all that it imports, and an arrow leads to what it
-imports directly, unless it gets there by other arrows, too. Imports inside functions are left out.
+A test fails where the picture is stale. Bands are packages, the uppermost imports from all others;
+boxes are their folders. What is drawn is found in the sources: a box stands right of all that it
+imports, and an arrow leads to what it imports directly, unless it gets there by other arrows, too.
+Imports inside functions are left out.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ DOWN = 44
 """Sizes of a box, the left margin, and the distances of boxes [px]."""
 BELOW = "shared"
 ABOVE = "on top"
-"""Names of the boxes of modules that lie in no folder: those that import from no folder of the package, and others."""
+"""Names of the boxes of modules that lie in no folder: those that import from no folder of the
+package, and others."""
 
 Arrows = dict[str, set[str]]
 
@@ -37,12 +40,18 @@ def modules() -> dict[str, Path]:
 def imported(path: Path) -> tuple[str, ...]:
     """Dotted names below `kempe` that a module imports at its top, type checking left out."""
     body = ast.parse(path.read_text(encoding="utf-8")).body
-    nodes = [n for n in body if isinstance(n, ast.ImportFrom) and (n.module or "").split(".")[0] == "kempe"]
+    nodes = [
+        n
+        for n in body
+        if isinstance(n, ast.ImportFrom) and (n.module or "").split(".")[0] == "kempe"
+    ]
     return tuple(f"{n.module}.{a.name}".removeprefix("kempe.") for n in nodes for a in n.names)
 
 
 def arrows(box_of: dict[str, str]) -> Arrows:
-    """For each box of modules the other boxes that it imports from; `box_of` gives the box by module."""
+    """For each box of modules the other boxes that it imports from; `box_of` gives the box by
+    module.
+    """
     found: Arrows = {box: set() for box in box_of.values()}
     for module, box in box_of.items():
         for name in imported(modules()[module]):
@@ -69,7 +78,9 @@ def direct(found: Arrows) -> Arrows:
     reached: Arrows = {}
     for box in sorted(found, key=lambda b: level[b]):
         reached[box] = found[box].union(*(reached[b] for b in found[box]))
-    return {box: {b for b in to if not any(b in reached[c] for c in to)} for box, to in found.items()}
+    return {
+        box: {b for b in to if not any(b in reached[c] for c in to)} for box, to in found.items()
+    }
 
 
 def placed(box_of: dict[str, str]) -> dict[str, str]:
@@ -78,13 +89,19 @@ def placed(box_of: dict[str, str]) -> dict[str, str]:
         return dict.fromkeys(box_of, "modules")
     own = {m: set(imported(modules()[m])) for m, box in box_of.items() if not box}
     above = {m for m, box in box_of.items() if box}
-    while more := {m for m in own.keys() - above if any(f"{n}.".startswith(f"{a}.") for n in own[m] for a in above)}:
+    while more := {
+        m
+        for m in own.keys() - above
+        if any(f"{n}.".startswith(f"{a}.") for n in own[m] for a in above)
+    }:
         above |= more
     return {m: box or (ABOVE if m in above else BELOW) for m, box in box_of.items()}
 
 
 def bands() -> list[tuple[str, dict[str, str]]]:
-    """The packages from the top down, each with the boxes of their modules; last the single modules that they use."""
+    """The packages from the top down, each with the boxes of their modules; last the single modules
+    that they use.
+    """
     packages: dict[str, dict[str, str]] = {}
     alone: dict[str, str] = {}
     for module in modules():
@@ -97,7 +114,12 @@ def bands() -> list[tuple[str, dict[str, str]]]:
             alone[module] = module
     level = levels(arrows({m: p for p, box_of in packages.items() if "/" not in p for m in box_of}))
     order = sorted(packages, key=lambda p: (-level[p.split("/")[0]], "/" not in p, p))
-    shared = {name.split(".")[0] for box_of in packages.values() for m in box_of for name in imported(modules()[m])}
+    shared = {
+        name.split(".")[0]
+        for box_of in packages.values()
+        for m in box_of
+        for name in imported(modules()[m])
+    }
     alone = {m: m for m in alone if m in shared}
     return [*((p, placed(packages[p])) for p in order), ("single modules", alone)]
 
@@ -108,10 +130,16 @@ def band(name: str, box_of: dict[str, str], top: int) -> tuple[list[str], int]:
     level = levels(found)
     straight = direct(found)
     columns = [sorted(b for b in found if level[b] == k) for k in range(max(level.values()) + 1)]
-    at = {b: (LEFT + k * ACROSS, top + 12 + i * DOWN) for k, c in enumerate(columns) for i, b in enumerate(c)}
+    at = {
+        b: (LEFT + k * ACROSS, top + 12 + i * DOWN)
+        for k, c in enumerate(columns)
+        for i, b in enumerate(c)
+    }
     bottom = top + 12 + max(map(len, columns)) * DOWN
-    lines = [f'<rect class="band" x="0" y="{top}" width="980" height="{bottom - top}"/>',
-             f'<text class="name" x="12" y="{top + 33}">{name}</text>']  # fmt: skip
+    lines = [
+        f'<rect class="band" x="0" y="{top}" width="980" height="{bottom - top}"/>',
+        f'<text class="name" x="12" y="{top + 33}">{name}</text>',
+    ]
     for box in sorted(found):
         for to in sorted(straight[box]):
             (x1, y1) = at[box]
@@ -123,7 +151,9 @@ def band(name: str, box_of: dict[str, str], top: int) -> tuple[list[str], int]:
             lines.append(f'<path d="M{a},{y1} C{a - 20},{y1} {b + 20},{y2} {b},{y2}"/>')
     for box, (x, y) in sorted(at.items()):
         count = sum(b == box for b in box_of.values())
-        lines.append(f'<rect class="box" x="{x}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="4"/>')
+        lines.append(
+            f'<rect class="box" x="{x}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="4"/>'
+        )
         lines.append(f'<text x="{x + WIDTH // 2}" y="{y + 15}">{box}</text>')
         if name != "single modules":
             text = "1 module" if count == 1 else f"{count} modules"
@@ -139,18 +169,26 @@ def picture() -> str:
         lines, top = band(name, box_of, top)
         body += lines
     style = (
-        ".band{fill:#f3f5f7} .box{fill:#fff;stroke:#57606a} path{fill:none;stroke:#0969da;marker-end:url(#head)} "
-        "text{font:12px sans-serif;text-anchor:middle;fill:#1f2328} .name{font-weight:bold;text-anchor:start} "
+        ".band{fill:#f3f5f7} .box{fill:#fff;stroke:#57606a} "
+        "path{fill:none;stroke:#0969da;marker-end:url(#head)} text{font:12px "
+        "sans-serif;text-anchor:middle;fill:#1f2328} .name{font-weight:bold;text-anchor:start} "
         ".count{font-size:10px;fill:#57606a}"
     )
     head = (
-        '<marker id="head" viewBox="0 0 6 6" refX="4" refY="3" markerWidth="6" markerHeight="6" orient="auto">'
-        '<path d="M0,0 L6,3 L0,6 z" style="fill:#0969da;stroke:none;marker-end:none"/></marker>'
+        '<marker id="head" viewBox="0 0 6 6" refX="4" refY="3" markerWidth="6" markerHeight="6" '
+        'orient="auto"><path d="M0,0 L6,3 L0,6 z" '
+        'style="fill:#0969da;stroke:none;marker-end:none"/></marker>'
     )
-    return "\n".join([
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 980 {top}" width="980" height="{top}">',
-        f"<style>{style}</style>", f"<defs>{head}</defs>", *body, "</svg>\n",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 980 {top}" width="980" '
+            f'height="{top}">',
+            f"<style>{style}</style>",
+            f"<defs>{head}</defs>",
+            *body,
+            "</svg>\n",
+        ]
+    )
 
 
 if __name__ == "__main__":

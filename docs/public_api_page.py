@@ -1,7 +1,8 @@
-"""Writes docs/public_api.txt, every public name with its signature: `python docs/public_api_page.py`.
+"""Writes docs/public_api.txt, every public name with its signature:
+`python docs/public_api_page.py`.
 
-Public are the names in `kempe.__all__`, those of the modules among them, and the members of the classes among them and
-of the answers and namespaces that their methods are annotated to return.
+Public are the names in `kempe.__all__`, those of the modules among them, and the members of the
+classes among them and of the answers and namespaces that their methods are annotated to return.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ def signature(name: str, thing: Any) -> str:
         function = thing.fget if isinstance(thing, property) else thing.func
         return f"{name}: {inspect.signature(function).return_annotation}"
     if inspect.isclass(thing) and issubclass(thing, (Exception, enum.Enum)):
-        return f"{name}({thing.__base__.__name__})"  # signatures of these depend on Python's version
+        return (
+            f"{name}({thing.__base__.__name__})"  # signatures of these depend on Python's version
+        )
     if callable(thing):
         text = re.sub(r"ForwardRef\((.*?)\)", r"\1", str(inspect.signature(thing)))
         return name + text.replace("'", "")
@@ -36,8 +39,14 @@ def signature(name: str, thing: Any) -> str:
 
 def members(cls: type) -> Iterator[tuple[str, Any]]:
     """Public members of a class with what they are; fields without a default by their annotation."""
-    fields = {n: a for base in reversed(cls.__mro__) for n, a in base.__dict__.get("__annotations__", {}).items()}
-    foreign = {n for base in cls.__mro__ if not base.__module__.startswith("kempe") for n in dir(base)}
+    fields = {
+        n: a
+        for base in reversed(cls.__mro__)
+        for n, a in base.__dict__.get("__annotations__", {}).items()
+    }
+    foreign = {
+        n for base in cls.__mro__ if not base.__module__.startswith("kempe") for n in dir(base)
+    }
     for name in sorted({*dir(cls), *fields} - foreign):
         if not name.startswith("_"):
             yield name, inspect.getattr_static(cls, name, fields.get(name))
@@ -50,9 +59,10 @@ def returned(cls: type) -> Iterator[type]:
         text = Path(inspect.getfile(module)).read_text(encoding="utf-8")
         imported = {
             alias.asname or alias.name: (node.module, alias.name)
-            for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom) and node.module
+            for node in ast.walk(ast.parse(text))
+            if isinstance(node, ast.ImportFrom) and node.module
             for alias in node.names
-        }  # fmt: skip
+        }
         for _, thing in members(base):
             function = getattr(thing, "fget", None) or getattr(thing, "func", None) or thing
             annotation = getattr(function, "__annotations__", {}).get("return", "")
@@ -71,8 +81,14 @@ def page() -> str:
         thing = getattr(kempe, name)
         if isinstance(thing, ModuleType):
             rows = [(n, getattr(thing, n)) for n in sorted(getattr(thing, "__all__", vars(thing)))]
-            own = [(n, x) for n, x in rows if not n.startswith("_") and not isinstance(x, ModuleType)]
-            lines += [f"kempe.{name}", *(f"    {signature(n, x)}" for n, x in own if is_ours(x)), ""]
+            own = [
+                (n, x) for n, x in rows if not n.startswith("_") and not isinstance(x, ModuleType)
+            ]
+            lines += [
+                f"kempe.{name}",
+                *(f"    {signature(n, x)}" for n, x in own if is_ours(x)),
+                "",
+            ]
         elif inspect.isclass(thing):
             classes.append(thing)
         else:
@@ -91,7 +107,11 @@ def is_ours(thing: Any) -> bool:
 
 def described(name: str, thing: Any) -> str:
     """A line about a member: its signature, or the annotation of a field."""
-    return f"{name}: {thing}" if isinstance(thing, str) else signature(name, getattr(thing, "__func__", thing))
+    return (
+        f"{name}: {thing}"
+        if isinstance(thing, str)
+        else signature(name, getattr(thing, "__func__", thing))
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Writes docs/trust.md from docs/claims.toml: `python docs/trust_page.py`.
 
-A test fails where the page is stale, where a claim does not stand on its page, and where it names no hunt.
+A test fails where the page is stale, where a claim does not stand on its page, and where it names
+no hunt.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ reason is that it changes nothing: so most kills are of the tests as they were b
 
 
 class Claim(NamedTuple):
-    """A general sentence of a page, in one line, and the tests that hunt it (`tests/path/test_file.py::test_name`)."""
+    """A general sentence of a page, in one line, and the tests that hunt it
+    (`tests/path/test_file.py::test_name`).
+    """
 
     page: str
     sentence: str
@@ -67,11 +70,17 @@ def claims() -> list[Claim]:
 def tests_of(path: Path) -> dict[str, ast.FunctionDef]:
     """The tests of a file by name."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return {n.name: n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")}
+    return {
+        n.name: n
+        for n in tree.body
+        if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")
+    }
 
 
 def kind(test: str) -> str:
-    """What a test is: a hunt, a property, a battery; empty if it is none of these or does not exist."""
+    """What a test is: a hunt, a property, a battery; empty if it is none of these or does not
+    exist.
+    """
     file, _, name = test.partition("::")
     path = ROOT / file
     found = tests_of(path).get(name) if path.is_file() else None
@@ -90,7 +99,11 @@ def page() -> str:
     lines = ["| page | sentence | tested by |\n", "|---|---|---|\n"]
     for claim in claims():
         path = ROOT / claim.page
-        name = path.name if path.stem == "README" else f"[{path.stem}]({path.relative_to(DOCS).as_posix()})"
+        name = (
+            path.name
+            if path.stem == "README"
+            else f"[{path.stem}]({path.relative_to(DOCS).as_posix()})"
+        )
         said = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", claim.sentence).replace("|", "\\|")
         tests = "<br>".join(f"`{t.removeprefix('tests/')}` ({kind(t)})" for t in claim.tests)
         lines.append(f"| {name} | {said} | {tests} |\n")
@@ -104,14 +117,23 @@ def mutants() -> str:
         return ""
     found = json.loads(path.read_text(encoding="utf-8"))
     areas = {**found["areas"]}
-    areas["all"] = {head: sum(row[head] for row in areas.values()) for head in next(iter(areas.values()))}
-    lines = ["| area | " + " | ".join(areas["all"]) + " | share killed |\n", "|---" * (len(areas["all"]) + 2) + "|\n"]
+    areas["all"] = {
+        head: sum(row[head] for row in areas.values()) for head in next(iter(areas.values()))
+    }
+    lines = [
+        "| area | " + " | ".join(areas["all"]) + " | share killed |\n",
+        "|---" * (len(areas["all"]) + 2) + "|\n",
+    ]
     for name, row in areas.items():
         share = f"{100 * row['killed'] / max(1, row['drawn']):.1f} %"
         lines.append(f"| {name} | " + " | ".join(map(str, row.values())) + f" | {share} |\n")
     lines += ["\n| survived | change | reason |\n", "|---|---|---|\n"]
     for s in found["survivors"]:
-        cells = (f"`{s['module']}` {s['function']}", f"`` {s['before']} `` → `` {s['after']} ``", s["reason"])
+        cells = (
+            f"`{s['module']}` {s['function']}",
+            f"`` {s['before']} `` → `` {s['after']} ``",
+            s["reason"],
+        )
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     return MUTANTS.format(seed=found["seed"], count=areas["all"]["drawn"]) + "".join(lines)
 

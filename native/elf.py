@@ -6,7 +6,8 @@ import struct
 
 
 def sizes(code: bytes, names: list[str]) -> list[int]:
-    """Bytes of machine code of each of these functions; 0 where the object is not in the format of Linux (ELF, 64 bit).
+    """Bytes of machine code of each of these functions; 0 where the object is not in the format of
+    Linux (ELF, 64 bit).
 
     Source: System V application binary interface, chapter 4.
     """

@@ -1,9 +1,11 @@
-"""Compile modules of kernels to one object for one family of processors: `python emit.py VARIANT OBJECT MODULE ...`.
+"""Compile modules of kernels to one object for one family of processors:
+`python emit.py VARIANT OBJECT MODULE ...`.
 
-A process of its own, for Numba fixes the processor when it is imported: NUMBA_CPU_NAME and NUMBA_CPU_FEATURES say
-which. Numba's compiler makes LLVM's intermediate code of each kernel, linked with all its helpers and optimised, but no
-machine code and no wrappers; all of it becomes one module, of which LLVM makes one position-independent object. What
-the C layer needs to know is written beside it, as JSON.
+A process of its own, for Numba fixes the processor when it is imported: NUMBA_CPU_NAME and
+NUMBA_CPU_FEATURES say which. Numba's compiler makes LLVM's intermediate code of each kernel, linked
+with all its helpers and optimised, but no machine code and no wrappers; all of it becomes one
+module, of which LLVM makes one position-independent object. What the C layer needs to know is
+written beside it, as JSON.
 """
 
 from __future__ import annotations
@@ -35,10 +37,33 @@ from kempe.kernels.base._link import CodeOnly
 from kempe.kernels.base.declare import Entry
 
 OUTSIDE = {
-    "NRT_MemInfo_alloc_aligned", "NRT_MemInfo_call_dtor", "NRT_Free",  # in layer.c
-    "sin", "cos", "tan", "atan2", "hypot", "pow", "log10", "sqrt", "fabs", "memset", "memcpy", "memmove",
-    "exp", "log", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-}  # fmt: skip
+    "NRT_MemInfo_alloc_aligned",
+    "NRT_MemInfo_call_dtor",
+    "NRT_Free",  # in layer.c
+    "sin",
+    "cos",
+    "tan",
+    "atan2",
+    "hypot",
+    "pow",
+    "log10",
+    "sqrt",
+    "fabs",
+    "memset",
+    "memcpy",
+    "memmove",
+    "exp",
+    "log",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+}
 """Functions that kernels may call and that are not compiled with them."""
 
 
@@ -85,11 +110,17 @@ class Emitter:
         """The dispatcher of a kernel whose code is added. Errors: `Refused`."""
         names = list(inspect.signature(entry.function).parameters)
         if len(names) != len(entry.takes):
-            raise Refused(f"{entry.name} declares {len(entry.takes)} arguments, but has {len(names)}")
+            raise Refused(
+                f"{entry.name} declares {len(entry.takes)} arguments, but has {len(names)}"
+            )
         dispatcher = numba.njit(
-            fastmath=_jit.FLAGS, error_model="numpy", nogil=entry.nogil,
-            no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=EntryCompiler,
-        )(entry.function)  # fmt: skip
+            fastmath=_jit.FLAGS,
+            error_model="numpy",
+            nogil=entry.nogil,
+            no_cpython_wrapper=True,
+            no_cfunc_wrapper=True,
+            pipeline_class=EntryCompiler,
+        )(entry.function)
         dispatcher.compile(_jit.signature_of(entry))
         dispatcher.disable_compile()
         (result,) = dispatcher.overloads.values()
@@ -98,10 +129,17 @@ class Emitter:
             raise Refused(f"{entry.name} refers to an object of this process by its address")
         self._link(module, result.fndesc.llvm_func_name, f"kempe_{entry.name}_{self.variant}")
         now = time.perf_counter()
-        self.rows.append({
-            "name": entry.name, "label": entry.name.replace("__", "."), "names": names, "returns": entry.returns,
-            "takes": [asdict(taken) for taken in entry.takes], "nogil": entry.nogil, "seconds": now - self.since,
-        })  # fmt: skip
+        self.rows.append(
+            {
+                "name": entry.name,
+                "label": entry.name.replace("__", "."),
+                "names": names,
+                "returns": entry.returns,
+                "takes": [asdict(taken) for taken in entry.takes],
+                "nogil": entry.nogil,
+                "seconds": now - self.since,
+            }
+        )
         self.since = now
         return dispatcher
 
@@ -138,10 +176,19 @@ class Emitter:
                 value.linkage = "internal"
         passes = llvm.create_new_module_pass_manager()
         passes.add_global_dead_code_eliminate_pass()
-        passes.run(self.whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3)))
-        left = {f.name for f in self.whole.functions if f.is_declaration and not f.name.startswith("llvm.")}
+        passes.run(
+            self.whole,
+            llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3)),
+        )
+        left = {
+            f.name
+            for f in self.whole.functions
+            if f.is_declaration and not f.name.startswith("llvm.")
+        }
         if left - OUTSIDE:
-            raise Refused(f"kernels call what they do not bring: {', '.join(sorted(left - OUTSIDE))}")
+            raise Refused(
+                f"kernels call what they do not bring: {', '.join(sorted(left - OUTSIDE))}"
+            )
         return machine.emit_object(self.whole)
 
 
@@ -151,7 +198,9 @@ def main(variant: str, out: str, *modules: str) -> None:
     gc.disable()  # the compiler's many objects live on: to walk them takes a tenth of its time
     emitter = Emitter(variant)
     wanted = {f"kempe.kernels.{name}" for name in modules}
-    _jit.compile_entry = lambda entry: emitter.add(entry) if entry.function.__module__ in wanted else entry.function
+    _jit.compile_entry = lambda entry: (
+        emitter.add(entry) if entry.function.__module__ in wanted else entry.function
+    )
     for name in modules:
         emitter.since = time.perf_counter()
         importlib.import_module(f"kempe.kernels.{name}")
@@ -159,14 +208,23 @@ def main(variant: str, out: str, *modules: str) -> None:
     code = emitter.object()
     Path(out).write_bytes(code)
     rows = emitter.rows
-    for row, size in zip(rows, sizes(code, [f"kempe_{row['name']}_{variant}" for row in rows]), strict=True):
+    for row, size in zip(
+        rows, sizes(code, [f"kempe_{row['name']}_{variant}" for row in rows]), strict=True
+    ):
         row["bytes"] = size
-    about = {"compile": compiled - start, "emit": time.perf_counter() - compiled, "bytes": len(code), "kernels": rows}
+    about = {
+        "compile": compiled - start,
+        "emit": time.perf_counter() - compiled,
+        "bytes": len(code),
+        "kernels": rows,
+    }
     Path(out).with_suffix(".json").write_text(json.dumps(about))
 
 
 def end_with_the_parent() -> None:
-    """End this process when the one that started it is gone: then standard input, where it is a pipe, is at its end."""
+    """End this process when the one that started it is gone: then standard input, where it is a
+    pipe, is at its end.
+    """
     if stat.S_ISFIFO(os.fstat(0).st_mode):
         sys.stdin.read()
         os._exit(1)

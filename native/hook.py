@@ -1,4 +1,6 @@
-"""The step of hatchling's build that puts the library of compiled kernels into a wheel, or into a checkout."""
+"""The step of hatchling's build that puts the library of compiled kernels into a wheel, or into a
+checkout.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ import library
 
 
 class KernelsHook(BuildHookInterface):
-    """Builds the library of kernels, a checkout's in place; one that is there and fits its sources is taken."""
+    """Builds the library of kernels, a checkout's in place; one that is there and fits its sources
+    is taken.
+    """
 
     def dependencies(self) -> list[str]:
         """What the build needs besides what pyproject.toml says: a C compiler, where there is none."""
@@ -28,7 +32,9 @@ class KernelsHook(BuildHookInterface):
         """Build the library. Errors: `library.BuildError`, whose sentence says what is missing."""
         self.scratch = ""
         if fits := library.is_current():
-            self.app.display_info("kernels: the library that is there fits the sources, and is taken")
+            self.app.display_info(
+                "kernels: the library that is there fits the sources, and is taken"
+            )
         if version == "editable":
             if not fits:
                 library.build(library.KERNELS)
@@ -36,7 +42,9 @@ class KernelsHook(BuildHookInterface):
         built = library.KERNELS / library.library_name() if fits else self._built_apart()
         build_data["force_include"][str(built)] = f"kempe/kernels/{built.name}"
         build_data["force_include"][str(_licence_of_numba())] = "kempe/kernels/LICENSE.numba"
-        build_data["force_include"][str(Path(self.root, "docs", "lecture.md"))] = "kempe/library/lecture.md"  # the tour
+        build_data["force_include"][str(Path(self.root, "docs", "lecture.md"))] = (
+            "kempe/library/lecture.md"  # the tour
+        )
         build_data["pure_python"] = False
         build_data["tag"] = f"cp311-abi3-{_platform_tag()}"
 
@@ -59,7 +67,9 @@ def _licence_of_numba() -> Path:
     for file in metadata.files("numba") or ():
         if file.name == "LICENSE":
             return Path(str(file.locate()))
-    raise library.BuildError("the package numba came without its file LICENSE, which a wheel must hold")
+    raise library.BuildError(
+        "the package numba came without its file LICENSE, which a wheel must hold"
+    )
 
 
 def _platform_tag() -> str:

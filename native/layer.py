@@ -1,4 +1,6 @@
-"""The C source of the layer between Python and the compiled kernels: layer.c, then one function a kernel."""
+"""The C source of the layer between Python and the compiled kernels: layer.c, then one function a
+kernel.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-ENTRY = {"f": ("double", "NPY_DOUBLE", "float64"), "i": ("int64_t", "NPY_INT64", "int64"), "b": ("uint8_t", "", "")}
+ENTRY = {
+    "f": ("double", "NPY_DOUBLE", "float64"),
+    "i": ("int64_t", "NPY_INT64", "int64"),
+    "b": ("uint8_t", "", ""),
+}
 NUMBERS = {
-    "f": "double x{0} = PyFloat_AsDouble(a[{0}]); if (x{0} == -1.0 && PyErr_Occurred()) return NULL;",
+    "f": (
+        "double x{0} = PyFloat_AsDouble(a[{0}]); if (x{0} == -1.0 && PyErr_Occurred()) return NULL;"
+    ),
     "i": "int64_t x{0} = as_int64(a[{0}]); if (x{0} == -1 && PyErr_Occurred()) return NULL;",
     "b": "int x{0} = PyObject_IsTrue(a[{0}]); if (x{0} < 0) return NULL;",
 }
@@ -20,25 +28,34 @@ def is_array(taken: dict[str, Any]) -> bool:
     return "shape" in taken
 
 
-def source(kernels: list[dict[str, Any]], variants: dict[str, int], sources: str, builder: str) -> str:
+def source(
+    kernels: list[dict[str, Any]], variants: dict[str, int], sources: str, builder: str
+) -> str:
     """The whole C source.
 
-    kernels: name, label, names and what they take, as `emit` writes them. variants: the level of the processor that
-    each needs, the best first. sources, builder: digests of the sources of the kernels and of the builder.
+    kernels: name, label, names and what they take, as `emit` writes them. variants: the level of
+    the processor that each needs, the best first. sources, builder: digests of the sources of the
+    kernels and of the builder.
     """
     parts = [(Path(__file__).parent / "layer.c").read_text()]
     for kernel in kernels:
         parts += [*prototypes(kernel, variants), *function(kernel)]
-    return "\n".join([*parts, *table(kernels), *choice(kernels, variants), module(sources, builder), ""])
+    return "\n".join(
+        [*parts, *table(kernels), *choice(kernels, variants), module(sources, builder), ""]
+    )
 
 
 def parameters(kernel: dict[str, Any]) -> str:
-    """Parameters of a kernel as Numba calls it: a place for the result and for an error, then each array as its owner
-    (none), its object (none), number of entries, their size, the data, lengths and strides of the axes."""
+    """Parameters of a kernel as Numba calls it: a place for the result and for an error, then each
+    array as its owner (none), its object (none), number of entries, their size, the data, lengths
+    and strides of the axes.
+    """
     out = ["int64_t *", "void **"]
     for taken in kernel["takes"]:
         if is_array(taken):
-            out += ["void *", "void *", "int64_t", "int64_t", "void *"] + ["int64_t"] * 2 * len(taken["shape"])
+            out += ["void *", "void *", "int64_t", "int64_t", "void *"] + ["int64_t"] * 2 * len(
+                taken["shape"]
+            )
         else:
             out.append(ENTRY[taken["entry"]][0])
     return ", ".join(out)
@@ -58,11 +75,15 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
     arrays = [i for i, taken in enumerate(takes) if is_array(taken)]
     names = ", ".join(f'"{n}"' for n in kernel["names"])
     yield f"static const char *const names_{name}[] = {{{names}}};"
-    yield f'static const Called called_{name} = {{"{kernel["label"]}", {len(takes)}, names_{name}}};'
+    yield (
+        f'static const Called called_{name} = {{"{kernel["label"]}", {len(takes)}, names_{name}}};'
+    )
     yield f"static PyObject *enter_{name}(PyObject *self, PyObject *const *a, Py_ssize_t n) {{"
     yield f"    const Called *called = &called_{name}; Given g[{len(arrays)}]; (void)self;"
     yield f"    if (n != {len(takes)}) return wrong_count(called, n);"
-    for i, taken in enumerate(takes):  # first of all: to read a number may run code that changes arrays
+    for i, taken in enumerate(
+        takes
+    ):  # first of all: to read a number may run code that changes arrays
         if not is_array(taken):
             yield f"    {NUMBERS[taken['entry']].format(i)}"
     handed = ["&result", "&error"]
@@ -73,7 +94,10 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
         k = arrays.index(i)
         axes = len(taken["shape"])
         _, number, word = ENTRY[taken["entry"]]
-        kind = f"a {'writable, ' if taken['written'] else ''}C-contiguous {word} array with {axes} axes"
+        kind = (
+            f"a {'writable, ' if taken['written'] else ''}C-contiguous {word} array with {axes} "
+            "axes"
+        )
         yield f"    if (!fits(a[{i}], {number}, {axes}, {int(taken['written'])}, g + {k}))"
         yield f'        return wrong_kind(called, {i}, "{kind}");'
         handed += ["NULL", "NULL", f"(int64_t)(g[{k}].size / 8)", "8", f"g[{k}].data"]
@@ -82,15 +106,26 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
     yield "    int64_t result = 0; void *error = NULL; int32_t status;"
     yield f"    if (guard && !guard_in(g, {len(arrays)})) return PyErr_NoMemory();"
     call = f"status = chosen_{name}({', '.join(handed)});"
-    yield f"    Py_BEGIN_ALLOW_THREADS {call} Py_END_ALLOW_THREADS" if kernel["nogil"] else f"    {call}"
+    yield (
+        f"    Py_BEGIN_ALLOW_THREADS {call} Py_END_ALLOW_THREADS"
+        if kernel["nogil"]
+        else f"    {call}"
+    )
     yield f"    if (guard) guard_out(g, {len(arrays)});"
-    yield "    if (status && status != NONE) return PyErr_NoMemory(); /* no room for scratch: nothing else can fail */"
+    yield (
+        "    if (status && status != NONE) return PyErr_NoMemory(); /* no room for scratch: "
+        "nothing else can fail */"
+    )
     yield f"    return {'PyLong_FromLongLong(result)' if kernel['returns'] else 'none()'};\n}}"
 
 
 def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
     """Checks of the lengths of axes against numbers and against each other."""
-    axes = [(k, i, j, length) for k, i in enumerate(arrays) for j, length in enumerate(takes[i]["shape"])]
+    axes = [
+        (k, i, j, length)
+        for k, i in enumerate(arrays)
+        for j, length in enumerate(takes[i]["shape"])
+    ]
     known: dict[str, str] = {}
     for k, _, j, length in axes:
         if isinstance(length, str) and length.isalpha():
@@ -106,7 +141,9 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
             if letter == "_" or known.get(letter) == here:
                 continue
             if letter not in known:
-                raise ValueError(f"argument {i}: length {length!r}, but no axis has the length {letter!r}")
+                raise ValueError(
+                    f"argument {i}: length {length!r}, but no axis has the length {letter!r}"
+                )
             expected = known[letter] + (f" + {more}" if more else "")
             if either:
                 also = f" && {here} != {either}"
@@ -126,12 +163,17 @@ def table(kernels: list[dict[str, Any]]) -> Iterator[str]:
     yield '    {"variant", variant, METH_NOARGS, "The variant that runs."},'
     for kernel in kernels:
         name = kernel["name"]
-        yield f'    {{"{name}", (PyCFunction)(void (*)(void))enter_{name}, METH_FASTCALL, "{declaration(kernel)}"}},'
+        yield (
+            f'    {{"{name}", (PyCFunction)(void (*)(void))enter_{name}, METH_FASTCALL, '
+            f'"{declaration(kernel)}"}},'
+        )
     yield "    {NULL, NULL, 0, NULL}};"
 
 
 def declaration(kernel: dict[str, Any]) -> str:
-    """The declaration of a kernel in one line: "module.function(name: kind[lengths], ...)", "!" for what is written."""
+    """The declaration of a kernel in one line: "module.function(name: kind[lengths], ...)", "!" for
+    what is written.
+    """
     parts = []
     for name, taken in zip(kernel["names"], kernel["takes"], strict=True):
         lengths = f"[{', '.join(map(str, taken['shape']))}]" if is_array(taken) else ""
@@ -148,7 +190,9 @@ def choice(kernels: list[dict[str, Any]], variants: dict[str, int]) -> Iterator[
     yield "static void choose(int which) {\n    running = which;\n    switch (which) {"
     for k, v in enumerate(variants):
         yield f"    case {k}:"
-        yield from (f"        chosen_{kernel['name']} = kempe_{kernel['name']}_{v};" for kernel in kernels)
+        yield from (
+            f"        chosen_{kernel['name']} = kempe_{kernel['name']}_{v};" for kernel in kernels
+        )
         yield "        break;"
     yield "    }\n}"
 
@@ -156,6 +200,6 @@ def choice(kernels: list[dict[str, Any]], variants: dict[str, int]) -> Iterator[
 def module(sources: str, builder: str) -> str:
     """The functions of the module itself, and the module."""
     text = (Path(__file__).parent / "module.c").read_text()
-    return text.replace('"@SOURCES@"', "\n        ".join(f'"{line}\\n"' for line in sources.splitlines())).replace(
-        "@BUILDER@", builder
-    )
+    return text.replace(
+        '"@SOURCES@"', "\n        ".join(f'"{line}\\n"' for line in sources.splitlines())
+    ).replace("@BUILDER@", builder)

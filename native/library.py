@@ -1,10 +1,13 @@
-"""Build the library of compiled kernels: `python native/library.py [FOLDER]`, by default where it is looked for.
+"""Build the library of compiled kernels: `python native/library.py [FOLDER]`, by default where it
+is looked for.
 
-Kernels are compiled by Numba, once for each variant, in two processes at a time (emit.py); the C layer is written from
-their declarations (layer.py), and a C compiler makes one library of all of it, for the stable ABI of Python 3.11.
+Kernels are compiled by Numba, once for each variant, in two processes at a time (emit.py); the C
+layer is written from their declarations (layer.py), and a C compiler makes one library of all of
+it, for the stable ABI of Python 3.11.
 
-The environment variable KEMPE_BUILD says for which processors: nothing for this one, "release" for all of this
-platform, or names of variants ("v2,v3"). CC names a C compiler; without one the package ziglang serves.
+The environment variable KEMPE_BUILD says for which processors: nothing for this one, "release" for
+all of this platform, or names of variants ("v2,v3"). CC names a C compiler; without one the package
+ziglang serves.
 """
 
 from __future__ import annotations
@@ -44,7 +47,9 @@ WINDOWS = "x86_64-w64-windows-gnu"
 
 
 class Variant(NamedTuple):
-    """A family of processors: LLVM's name and settings, what is found by, and the level that layer.c looks for."""
+    """A family of processors: LLVM's name and settings, what is found by, and the level that
+    layer.c looks for.
+    """
 
     cpu: str
     settings: str
@@ -53,7 +58,9 @@ class Variant(NamedTuple):
 
 
 X86 = {
-    "v4": Variant("x86-64-v4", "+avx512f,-prefer-256-bit", "avx512f avx512bw avx512cd avx512dq avx512vl", 4),
+    "v4": Variant(
+        "x86-64-v4", "+avx512f,-prefer-256-bit", "avx512f avx512bw avx512cd avx512dq avx512vl", 4
+    ),
     "v3": Variant("x86-64-v3", "", "avx2 bmi bmi2 f16c fma lzcnt movbe", 3),
     "v2": Variant("x86-64-v2", "", "cx16 popcnt sse4.2", 2),
 }
@@ -89,7 +96,9 @@ def requested() -> list[str]:
     if value:
         names = [name.strip() for name in value.split(",")]
         if not set(names) <= set(known):
-            raise BuildError(f"{VARIABLE} is {value!r}; allowed: 'release', or names among {', '.join(known)}")
+            raise BuildError(
+                f"{VARIABLE} is {value!r}; allowed: 'release', or names among {', '.join(known)}"
+            )
         return [name for name in known if name in names]
     import llvmlite.binding as llvm
 
@@ -100,7 +109,8 @@ def requested() -> list[str]:
     raise BuildError("this processor is older than x86-64-v2 (SSE 4.2), which kernels need")
 
 
-# ---------------------------------------------------------------------------------------------- what is compiled
+# ----------------------------------------------------------------------------------------------
+# what is compiled
 
 
 def _file(name: str) -> Path:
@@ -125,12 +135,17 @@ def needed(name: str) -> frozenset[str]:
         for node in ast.walk(ast.parse(_source(module))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("kempe.kernels"):
                 inside = (node.module or "").removeprefix("kempe.kernels").removeprefix(".")
-                queue += [inside, *(f"{inside}.{alias.name}".removeprefix(".") for alias in node.names)]
+                queue += [
+                    inside,
+                    *(f"{inside}.{alias.name}".removeprefix(".") for alias in node.names),
+                ]
     return frozenset(found)
 
 
 def shares() -> list[list[str]]:
-    """The modules that have kernels, one list a process: what shares helpers together, and about equally long."""
+    """The modules that have kernels, one list a process: what shares helpers together, and about
+    equally long.
+    """
     paths = [path for path in sorted(KERNELS.rglob("*.py")) if "\n@kernel(" in path.read_text()]
     modules = [".".join(path.relative_to(KERNELS).with_suffix("").parts) for path in paths]
     lines = {name: len(_source(name).splitlines()) for module in modules for name in needed(module)}
@@ -147,14 +162,18 @@ def shares() -> list[list[str]]:
     return lists
 
 
-def emit(variant: str, modules: list[str], out: Path, running: list[subprocess.Popen]) -> dict[str, Any]:
+def emit(
+    variant: str, modules: list[str], out: Path, running: list[subprocess.Popen]
+) -> dict[str, Any]:
     """The object of one process, and what is known of its kernels."""
     cpu, settings, *_ = variants()[variant]
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "KEMPE_"))}
     env |= {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": settings, "PYTHONHASHSEED": "0"}
     command = [sys.executable, str(HERE / "emit.py"), variant, str(out), *modules]
     with out.with_suffix(".log").open("w+") as log:
-        process = subprocess.Popen(command, env=env, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True)
+        process = subprocess.Popen(
+            command, env=env, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True
+        )
         running.append(process)
         with process:
             code = process.wait()
@@ -164,7 +183,8 @@ def emit(variant: str, modules: list[str], out: Path, running: list[subprocess.P
     return json.loads(out.with_suffix(".json").read_text())
 
 
-# ---------------------------------------------------------------------------------------------- the C compiler
+# ---------------------------------------------------------------------------------------------- the
+# C compiler
 
 
 def _zig() -> list[str]:
@@ -173,7 +193,9 @@ def _zig() -> list[str]:
 
 
 def compiler() -> list[str]:
-    """The command of a C compiler: the system's; for what is released on Linux, or where there is none, Zig's."""
+    """The command of a C compiler: the system's; for what is released on Linux, or where there is
+    none, Zig's.
+    """
     if sys.platform == "linux" and is_release():
         return [*_zig(), "-target", f"{platform.machine()}-linux-gnu.{GLIBC}"]
     if sys.platform != "win32":  # there it would be a compiler with another command line
@@ -195,13 +217,16 @@ def headers() -> Path:
     """The folder of Python's headers. Errors: `BuildError` where these or a compiler are missing."""
     program, *_ = command = compiler()
     if "ziglang" in command and find_spec("ziglang") is None:
-        raise BuildError("there is no C compiler: install one, or the package ziglang (pip install ziglang)")
+        raise BuildError(
+            "there is no C compiler: install one, or the package ziglang (pip install ziglang)"
+        )
     if shutil.which(program) is None:
         raise BuildError(f"there is no program {program!r}, which CC names as the C compiler")
     include = Path(sysconfig.get_path("include"))
     if not (include / "Python.h").is_file():
         raise BuildError(
-            f"{include} has no Python.h: the headers of Python are missing (Debian and Ubuntu have them in python3-dev)"
+            f"{include} has no Python.h: the headers of Python are missing (Debian and Ubuntu have "
+            "them in python3-dev)"
         )
     return include
 
@@ -209,21 +234,41 @@ def headers() -> Path:
 def _link(sources: list[Path], out: Path) -> None:
     import numpy
 
-    command = [*compiler(), "-O2", "-shared", "-fvisibility=hidden", "-I", str(headers()), "-I", numpy.get_include()]
+    command = [
+        *compiler(),
+        "-O2",
+        "-shared",
+        "-fvisibility=hidden",
+        "-I",
+        str(headers()),
+        "-I",
+        numpy.get_include(),
+    ]
     command += [str(path) for path in sources]
     if sys.platform == "win32":
         command += ["-L", str(Path(sys.base_prefix) / "libs"), "-lpython3"]
     elif sys.platform == "darwin":
-        command += ["-fPIC", "-lm", f"-mmacosx-version-min={MACOS}", "-Wl,-undefined,dynamic_lookup", "-Wl,-x"]
+        command += [
+            "-fPIC",
+            "-lm",
+            f"-mmacosx-version-min={MACOS}",
+            "-Wl,-undefined,dynamic_lookup",
+            "-Wl,-x",
+        ]
     else:
         command += ["-fPIC", "-lm", "-Wl,--gc-sections", "-Wl,-z,now", "-s"]
-    caches = {name: str(out.parent / "zig") for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")}
-    done = subprocess.run([*command, "-o", str(out)], capture_output=True, text=True, env={**caches, **os.environ})
+    caches = {
+        name: str(out.parent / "zig") for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")
+    }
+    done = subprocess.run(
+        [*command, "-o", str(out)], capture_output=True, text=True, env={**caches, **os.environ}
+    )
     if done.returncode:
         raise BuildError(f"{' '.join(command[:3])} ... failed:\n{done.stderr.strip()}")
 
 
-# ---------------------------------------------------------------------------------------------- all of it
+# ---------------------------------------------------------------------------------------------- all
+# of it
 
 
 def library_name() -> str:
@@ -242,14 +287,22 @@ def sources() -> str:
 
 
 def is_current() -> bool:
-    """Whether the checkout has a library of its sources, by this builder, for what is required; none for a release."""
+    """Whether the checkout has a library of its sources, by this builder, for what is required;
+    none for a release.
+    """
     if is_release():
         return False
-    code = "from kempe.kernels import _native as n; print(n.BUILDER, *n.VARIANTS); print(n.SOURCES, end='')"
+    code = (
+        "from kempe.kernels import _native as n; print(n.BUILDER, *n.VARIANTS); print(n.SOURCES, "
+        "end='')"
+    )
     paths = [str(HERE.parent / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
-    return done.returncode == 0 and done.stdout == f"{' '.join([builder(), *requested()])}\n{sources()}"
+    return (
+        done.returncode == 0
+        and done.stdout == f"{' '.join([builder(), *requested()])}\n{sources()}"
+    )
 
 
 def builder() -> str:
@@ -268,7 +321,9 @@ def say(text: str) -> None:
 def build(folder: Path) -> Path:
     """The library, written to `folder`. Errors: `BuildError`."""
     if platform.python_implementation() != "CPython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
-        raise BuildError("the library needs CPython with its stable ABI: not PyPy, not yet a free-threaded build")
+        raise BuildError(
+            "the library needs CPython with its stable ABI: not PyPy, not yet a free-threaded build"
+        )
     start = time.perf_counter()
     names = requested()
     before = sources()
@@ -279,14 +334,18 @@ def build(folder: Path) -> Path:
         for row in kernels:
             say(f"  {row['label']:38}{row['seconds']:6.1f} s {row['bytes']:8} bytes")
         if sources() != before:
-            raise BuildError("the sources of the kernels changed while they were compiled; build again")
+            raise BuildError(
+                "the sources of the kernels changed while they were compiled; build again"
+            )
         size = linked.stat().st_size
         spent = time.perf_counter() - start
         folder.mkdir(parents=True, exist_ok=True)
         fresh = folder / f"{library_name()}.{os.getpid()}"
         try:
             shutil.copyfile(linked, fresh)
-            os.replace(fresh, folder / library_name())  # a process that has the old one open keeps it
+            os.replace(
+                fresh, folder / library_name()
+            )  # a process that has the old one open keeps it
         finally:
             fresh.unlink(missing_ok=True)
     say(f"kernels: {len(kernels)} in {size / 1e6:.2f} MB, {spent:.0f} s")
@@ -307,7 +366,9 @@ def compiled(names: list[str], work: Path, sources: str) -> tuple[Path, list[dic
             for process in running:
                 process.kill()
             raise
-    first = [report["kernels"] for job, report in zip(jobs, reports, strict=True) if job[0] == names[0]]
+    first = [
+        report["kernels"] for job, report in zip(jobs, reports, strict=True) if job[0] == names[0]
+    ]
     kernels = sorted(sum(first, []), key=lambda row: row["name"])
     levels = {name: variants()[name].level for name in names}
     (work / "native.c").write_text(source(kernels, levels, sources, builder()))

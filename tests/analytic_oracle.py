@@ -1,6 +1,8 @@
-"""Inverse solutions without Kempe: exponentials in numpy, Newton's method from thousands of starts, closed forms.
+"""Inverse solutions without Kempe: exponentials in numpy, Newton's method from thousands of starts,
+closed forms.
 
-`Model` is a chain as lines; `isolated` finds its isolated solutions for a target. Nothing here calls the package.
+`Model` is a chain as lines; `isolated` finds its isolated solutions for a target. Nothing here
+calls the package.
 """
 
 from __future__ import annotations
@@ -25,9 +27,11 @@ Step = tuple  # ("X", pose) or ("R" or "P", axis, coordinate, multiplier, offset
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A chain as lines in ground axes where all of its angles and lengths are zero (Brockett, 1984).
+    """A chain as lines in ground axes where all of its angles and lengths are zero (Brockett,
+    1984).
 
-    `index`, `multiplier` and `offset` (n,) say how coordinates drive it: theta = multiplier * q[index] + offset.
+    `index`, `multiplier` and `offset` (n,) say how coordinates drive it: theta = multiplier *
+    q[index] + offset.
     """
 
     kinds: np.ndarray
@@ -67,7 +71,9 @@ class Model:
         return X.reshape(*theta.shape[:-1], 4, 4)
 
     def jacobian(self, theta) -> np.ndarray:
-        """Jacobians (..., 6, n), linear part first, in axes of the ground at the tip, by the joints' own motions."""
+        """Jacobians (..., 6, n), linear part first, in axes of the ground at the tip, by the
+        joints' own motions.
+        """
         theta = np.asarray(theta, dtype=float)
         _, p, h, o = self._sweep(theta.reshape(-1, self.n))
         return self._columns(p, h, o).reshape(*theta.shape[:-1], 6, self.n)
@@ -106,11 +112,15 @@ class Model:
         return theta
 
     def apart(self, a, b) -> np.ndarray:
-        """Largest difference (...) of angles modulo a turn, and of lengths, of (..., n) and (..., n)."""
+        """Largest difference (...) of angles modulo a turn, and of lengths, of (..., n) and (...,
+        n).
+        """
         return np.abs(self.wrapped(np.asarray(a) - np.asarray(b))).max(axis=-1, initial=0.0)
 
     def held(self, values: dict[str, float]) -> Model:
-        """The chain that remains when coordinates are held: later lines move with the joint, which then is none."""
+        """The chain that remains when coordinates are held: later lines move with the joint, which
+        then is none.
+        """
         if not values:
             return self
         theta = self.theta([values.get(n, 0.0) for n in self.names])
@@ -125,8 +135,13 @@ class Model:
                 continue
             one = replace(self, home=np.eye(4), **{k: getattr(self, k)[[i]] for k in PER_JOINT})
             X = X @ one.pose(theta[[i]])
-        return replace(self, axes=np.array(axes), points=np.array(points), home=X @ self.home,
-                       **{k: getattr(self, k)[keep] for k in PER_JOINT if k not in ("axes", "points")})  # fmt: skip
+        return replace(
+            self,
+            axes=np.array(axes),
+            points=np.array(points),
+            home=X @ self.home,
+            **{k: getattr(self, k)[keep] for k in PER_JOINT if k not in ("axes", "points")},
+        )
 
     def condition(self, theta, task: str = "pose", axis=(0, 0, 1)) -> np.ndarray:
         """Smallest singular value (...) of the Jacobian of the task, lengths in units of `size`."""
@@ -134,13 +149,19 @@ class Model:
         J = self.jacobian(theta)
         J[..., :3, :] /= self.size
         J = J * np.where(self.kinds == SLIDE, self.size, 1.0)
-        rows = _rows(J.reshape(-1, 6, self.n), self.pose(theta).reshape(-1, 4, 4)[:, :3, :3], task, axis)
+        rows = _rows(
+            J.reshape(-1, 6, self.n), self.pose(theta).reshape(-1, 4, 4)[:, :3, :3], task, axis
+        )
         return np.linalg.svd(rows, compute_uv=False)[:, -1].reshape(theta.shape[:-1])
 
-    def curvature(self, theta, task: str = "pose", axis=(0, 0, 1), step: float = 1e-4) -> np.ndarray:
-        """How fast the smallest singular value (...) grows along its own motion, by central differences.
+    def curvature(
+        self, theta, task: str = "pose", axis=(0, 0, 1), step: float = 1e-4
+    ) -> np.ndarray:
+        """How fast the smallest singular value (...) grows along its own motion, by central
+        differences.
 
-        Along that motion, near a fold, the error is half of it times the square of the distance to the fold.
+        Along that motion, near a fold, the error is half of it times the square of the distance to
+        the fold.
         """
         theta = np.asarray(theta, dtype=float)
         scale = np.where(self.kinds == SLIDE, self.size, 1.0)
@@ -149,12 +170,16 @@ class Model:
             J = self.jacobian(points)
             J[..., :3, :] /= self.size
             R = self.pose(points).reshape(-1, 4, 4)[:, :3, :3]
-            return _rows((J * scale).reshape(-1, 6, self.n), R, task, axis).reshape(*theta.shape[:-1], -1, self.n)
+            return _rows((J * scale).reshape(-1, 6, self.n), R, task, axis).reshape(
+                *theta.shape[:-1], -1, self.n
+            )
 
         u, _, vt = np.linalg.svd(rows(theta))
         left = u[..., :, vt.shape[-1] - 1]
         right = vt[..., -1, :]
-        change = (rows(theta + step * scale * right) - rows(theta - step * scale * right)) / (2.0 * step)
+        change = (rows(theta + step * scale * right) - rows(theta - step * scale * right)) / (
+            2.0 * step
+        )
         return np.abs(np.einsum("...i,...ij,...j->...", left, change, right))
 
 
@@ -164,7 +189,9 @@ def skew(v) -> np.ndarray:
 
 
 def from_steps(steps: Iterable[Step], names: Sequence[str]) -> Model:
-    """Model of a product of constant poses and motions; `names` are the coordinates in the order of q."""
+    """Model of a product of constant poses and motions; `names` are the coordinates in the order of
+    q.
+    """
     X = np.eye(4)
     rows = []
     for step in steps:
@@ -172,16 +199,30 @@ def from_steps(steps: Iterable[Step], names: Sequence[str]) -> Model:
             X = X @ np.asarray(step[1], dtype=float)
             continue
         letter, axis, name, multiplier, offset = step
-        u = np.asarray({"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}.get(axis, axis), dtype=float)
+        u = np.asarray(
+            {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}.get(axis, axis), dtype=float
+        )
         h = X[:3, :3] @ (u / np.linalg.norm(u))
         rows.append((letter == "P", h, X[:3, 3], names.index(name), multiplier, offset))
     kinds, axes, points, index, multiplier, offset = (np.array(c) for c in zip(*rows, strict=True))
-    return Model(kinds.astype(int), axes, points, X, index.astype(int), multiplier.astype(float), offset.astype(float),
-                 tuple(names))  # fmt: skip
+    return Model(
+        kinds.astype(int),
+        axes,
+        points,
+        X,
+        index.astype(int),
+        multiplier.astype(float),
+        offset.astype(float),
+        tuple(names),
+    )
 
 
-def dh_steps(rows: Iterable[dict[str, Any]], convention: str = "standard", base=None, tool=None) -> list[Step]:
-    """Steps of a Denavit-Hartenberg table, as the books write its matrices; joints are q1, q2, ... unless named."""
+def dh_steps(
+    rows: Iterable[dict[str, Any]], convention: str = "standard", base=None, tool=None
+) -> list[Step]:
+    """Steps of a Denavit-Hartenberg table, as the books write its matrices; joints are q1, q2, ...
+    unless named.
+    """
     out: list[Step] = [("X", np.eye(4) if base is None else base)]
     for i, row in enumerate(rows, 1):
         kind = row.get("type", "revolute")
@@ -189,21 +230,28 @@ def dh_steps(rows: Iterable[dict[str, Any]], convention: str = "standard", base=
         z = reference.turn("z", row.get("theta", 0.0)) @ reference.slide("z", row.get("d", 0.0))
         x = reference.slide("x", row.get("a", 0.0)) @ reference.turn("x", row.get("alpha", 0.0))
         move = ("R" if kind == "revolute" else "P", "z", name, 1.0, 0.0)
-        out += [move, ("X", z), ("X", x)] if convention == "standard" else [("X", x), move, ("X", z)]
+        out += (
+            [move, ("X", z), ("X", x)] if convention == "standard" else [("X", x), move, ("X", z)]
+        )
     return [*out, ("X", np.eye(4) if tool is None else tool)]
 
 
 PRIMITIVES = {
-    "revolute": [("R", None, "")], "prismatic": [("P", None, "")],
-    "cylindrical": [("R", "z", ".rz"), ("P", "z", ".z")], "universal": [("R", "x", ".rx"), ("R", "y", ".ry")],
+    "revolute": [("R", None, "")],
+    "prismatic": [("P", None, "")],
+    "cylindrical": [("R", "z", ".rz"), ("P", "z", ".z")],
+    "universal": [("R", "x", ".rx"), ("R", "y", ".ry")],
     "spherical": [("R", "z", ".rz"), ("R", "y", ".ry"), ("R", "x", ".rx")],
     "translation": [("P", "x", ".x"), ("P", "y", ".y"), ("P", "z", ".z")],
     "planar": [("P", "x", ".x"), ("P", "y", ".y"), ("R", "z", ".rz")],
-}  # fmt: skip
-"""Joints as products of turns and slides, as DESIGN.md states them; the first two about their own axis."""
+}
+"""Joints as products of turns and slides, as DESIGN.md states them; the first two about their own
+axis."""
 
 
-def joint_steps(kind: str, name: str, at, rpy, axis, multiplier: float = 1.0, offset: float = 0.0) -> list[Step]:
+def joint_steps(
+    kind: str, name: str, at, rpy, axis, multiplier: float = 1.0, offset: float = 0.0
+) -> list[Step]:
     """Steps of a joint placed as in URDF; coordinates 'name' or 'name.rx', ..."""
     out: list[Step] = [("X", reference.placement(at, rpy))]
     for letter, own, suffix in PRIMITIVES[kind]:
@@ -213,22 +261,31 @@ def joint_steps(kind: str, name: str, at, rpy, axis, multiplier: float = 1.0, of
 
 def library_steps(name: str, frame: str) -> list[Step]:
     """Steps of a shipped chain, from its TOML text by a reader of our own."""
-    data = tomllib.loads((resources.files("kempe.library") / f"{name}.toml").read_text(encoding="utf-8"))
+    data = tomllib.loads(
+        (resources.files("kempe.library") / f"{name}.toml").read_text(encoding="utf-8")
+    )
     space = {"pi": math.pi, "sqrt": math.sqrt, "__builtins__": {}} | data.get("parameters", {})
 
     def number(x) -> float:
         return float(eval(x, space)) if isinstance(x, str) else float(x)
 
     def pose(table) -> np.ndarray:
-        return reference.placement([number(x) for x in table.get("at", (0, 0, 0))],
-                                   [number(x) for x in table.get("rpy", (0, 0, 0))])  # fmt: skip
+        return reference.placement(
+            [number(x) for x in table.get("at", (0, 0, 0))],
+            [number(x) for x in table.get("rpy", (0, 0, 0))],
+        )
 
     if "dh" in data:
         table = data["dh"]
-        rows = [{k: number(v) if k in ("a", "alpha", "d", "theta") else v for k, v in r.items()} for r in table["rows"]]
+        rows = [
+            {k: number(v) if k in ("a", "alpha", "d", "theta") else v for k, v in r.items()}
+            for r in table["rows"]
+        ]
         for row in rows:
             row.pop("limits", None)
-        steps = dh_steps(rows, table["convention"], pose(table.get("base", {})), pose(table.get("tool", {})))
+        steps = dh_steps(
+            rows, table["convention"], pose(table.get("base", {})), pose(table.get("tool", {}))
+        )
         for extra in data.get("frame", []) if frame != "tool" else []:
             if extra["name"] == frame:
                 steps[-1] = ("X", pose(extra))
@@ -239,7 +296,13 @@ def library_steps(name: str, frame: str) -> list[Step]:
     parent = {j["child"]: j for j in data["joint"]}
     while body in parent:
         j = parent[body]
-        move = ("R" if j["type"] == "revolute" else "P", tuple(j.get("axis", (0, 0, 1))), j["name"], 1.0, 0.0)
+        move = (
+            "R" if j["type"] == "revolute" else "P",
+            tuple(j.get("axis", (0, 0, 1))),
+            j["name"],
+            1.0,
+            0.0,
+        )
         steps = [("X", pose(j)), move, *steps]
         body = j["parent"]
     return steps
@@ -254,7 +317,9 @@ def rotation_log(R) -> np.ndarray:
 
 
 def error(X, target, task: str = "pose", axis=(0, 0, 1)) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of position [m] and of angle [rad], each (...), of poses; zero where the task does not ask for them."""
+    """Errors of position [m] and of angle [rad], each (...), of poses; zero where the task does not
+    ask for them.
+    """
     X, target = np.broadcast_arrays(X, target)
     position = np.linalg.norm(X[..., :3, 3] - target[..., :3, 3], axis=-1)
     A = X[..., :3, :3]
@@ -265,10 +330,15 @@ def error(X, target, task: str = "pose", axis=(0, 0, 1)) -> tuple[np.ndarray, np
         angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), (u * v).sum(-1))
     else:
         D = np.swapaxes(A, -1, -2) @ B
-        w = np.stack([D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]], -1)
+        w = np.stack(
+            [D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]],
+            -1,
+        )
         angle = np.arctan2(np.linalg.norm(w, axis=-1), np.trace(D, axis1=-2, axis2=-1) - 1.0)
     zero = np.zeros_like(position)
-    return (zero if task in ("orientation", "direction") else position), (zero if task == "position" else angle)
+    return (zero if task in ("orientation", "direction") else position), (
+        zero if task == "position" else angle
+    )
 
 
 def _rows(J, R, task, axis):
@@ -300,8 +370,17 @@ def _residual(model: Model, R, p, target, task, axis):
 # ---------------------------------------------------------------- Newton from many starts
 
 
-def newton(model: Model, target, theta, task: str = "pose", axis=(0, 0, 1), steps: int = 40, tol: float = 1e-12):
-    """Where damped Gauss-Newton (Levenberg, 1944) leads from `theta` (N, n), and whether it solves the task (N,).
+def newton(
+    model: Model,
+    target,
+    theta,
+    task: str = "pose",
+    axis=(0, 0, 1),
+    steps: int = 40,
+    tol: float = 1e-12,
+):
+    """Where damped Gauss-Newton (Levenberg, 1944) leads from `theta` (N, n), and whether it solves
+    the task (N,).
 
     `target` is one pose (4, 4), or one for each start (N, 4, 4).
     """
@@ -319,9 +398,13 @@ def newton(model: Model, target, theta, task: str = "pose", axis=(0, 0, 1), step
         J[:, :3] /= model.size
         J = _rows(J * scale, R, task, axis)
         A = np.swapaxes(J, 1, 2) @ J
-        A[:, range(model.n), range(model.n)] += damping[live, None] * np.minimum(1.0, cost)[:, None] + 1e-15
+        A[:, range(model.n), range(model.n)] += (
+            damping[live, None] * np.minimum(1.0, cost)[:, None] + 1e-15
+        )
         step = np.linalg.solve(A, np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
-        turn = np.abs(step[:, model.kinds == TURN]).max(1, initial=1e-300)  # a slide may go far at once
+        turn = np.abs(step[:, model.kinds == TURN]).max(
+            1, initial=1e-300
+        )  # a slide may go far at once
         step *= np.minimum(1.0, 1.0 / turn)[:, None]
         trial = theta[live] + step * scale
         R2, p2, h2, o2 = model._sweep(trial)
@@ -350,7 +433,9 @@ def newton(model: Model, target, theta, task: str = "pose", axis=(0, 0, 1), step
 
 
 def clusters(model: Model, theta, near: float = 1e-5) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct solutions (k, n) among `theta` (N, n), angles in (-pi, pi], and how often each occurs (k,)."""
+    """Distinct solutions (k, n) among `theta` (N, n), angles in (-pi, pi], and how often each
+    occurs (k,).
+    """
     found: list[np.ndarray] = []
     hits: list[int] = []
     rest = model.wrapped(theta)
@@ -360,24 +445,36 @@ def clusters(model: Model, theta, near: float = 1e-5) -> tuple[np.ndarray, np.nd
         hits.append(int(same.sum()))
         rest = rest[~same]
     order = sorted(range(len(found)), key=lambda i: tuple(found[i]))
-    return np.array([found[i] for i in order]).reshape(-1, model.n), np.array([hits[i] for i in order], dtype=int)
+    return np.array([found[i] for i in order]).reshape(-1, model.n), np.array(
+        [hits[i] for i in order], dtype=int
+    )
 
 
 def starts(model: Model, number: int, rng: np.random.Generator) -> np.ndarray:
-    """Random angles in a turn, and lengths of all magnitudes from a tenth to a hundred sizes of the chain."""
+    """Random angles in a turn, and lengths of all magnitudes from a tenth to a hundred sizes of the
+    chain.
+    """
     u = rng.uniform(-np.pi, np.pi, (number, model.n))
     far = np.sign(u) * 10.0 ** rng.uniform(-1.0, 2.0, u.shape)
     return np.where(model.kinds == SLIDE, far * model.size, u)
 
 
 def isolated(
-    model: Model, target, task: str = "pose", axis=(0, 0, 1), seed: int = 0, batch: int = 800, rounds: int = 10,
-    known=None, singular: float = 1e-7,
-) -> np.ndarray:  # fmt: skip
+    model: Model,
+    target,
+    task: str = "pose",
+    axis=(0, 0, 1),
+    seed: int = 0,
+    batch: int = 800,
+    rounds: int = 10,
+    known=None,
+    singular: float = 1e-7,
+) -> np.ndarray:
     """The isolated solutions (k, n) found, as theta, angles in (-pi, pi].
 
-    Batches of random starts go on until each solution has been hit at least five times, so that one of the usual size
-    of basin is missed with a probability below 1 % (Good, 1953). Points on curves of solutions are left out.
+    Batches of random starts go on until each solution has been hit at least five times, so that one
+    of the usual size of basin is missed with a probability below 1 % (Good, 1953). Points on curves
+    of solutions are left out.
     """
     rng = np.random.default_rng(seed)
     pool = np.empty((0, model.n))
@@ -397,8 +494,11 @@ def isolated(
     return clusters(model, pool)[0]
 
 
-def singular_configuration(model: Model, rng: np.random.Generator, task: str = "pose") -> tuple[np.ndarray, np.ndarray]:
-    """A random theta (n,) where a square Jacobian is singular, to rounding, and a direction (n,) that leaves it.
+def singular_configuration(
+    model: Model, rng: np.random.Generator, task: str = "pose"
+) -> tuple[np.ndarray, np.ndarray]:
+    """A random theta (n,) where a square Jacobian is singular, to rounding, and a direction (n,)
+    that leaves it.
 
     The determinant changes its sign along a random line; bisection finds where.
     """
@@ -444,7 +544,11 @@ def two_link(x: float, y: float, l1: float, l2: float) -> list[tuple[float, floa
     return sorted(out)
 
 
-def three_link(x: float, y: float, phi: float, l1: float, l2: float, l3: float) -> list[tuple[float, float, float]]:
-    """The solutions of a planar arm with three turns for a pose of its tip: those of two links to its last joint."""
+def three_link(
+    x: float, y: float, phi: float, l1: float, l2: float, l3: float
+) -> list[tuple[float, float, float]]:
+    """The solutions of a planar arm with three turns for a pose of its tip: those of two links to
+    its last joint.
+    """
     wrist = two_link(x - l3 * math.cos(phi), y - l3 * math.sin(phi), l1, l2)
     return [(a, b, phi - a - b) for a, b in wrist]

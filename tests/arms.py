@@ -1,7 +1,8 @@
-"""Serial arms of every class, each as a `kempe.System` and as lines in numpy (`analytic_oracle.Model`).
+"""Serial arms of every class, each as a `kempe.System` and as lines in numpy
+(`analytic_oracle.Model`).
 
-`ARMS` is the table for any test: published robots, random ones, calibrated ones, all joint types. `COUNTS` holds how
-many solutions random poses have, by the oracle.
+`ARMS` is the table for any test: published robots, random ones, calibrated ones, all joint types.
+`COUNTS` holds how many solutions random poses have, by the oracle.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ FREE = (-math.inf, math.inf)
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint placed as in URDF. `follow` = (multiplier, offset) lets it follow a motor beside the chain."""
+    """A joint placed as in URDF. `follow` = (multiplier, offset) lets it follow a motor beside the
+    chain.
+    """
 
     kind: str = "revolute"
     at: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -42,10 +45,11 @@ class Joint:
 class Arm:
     """A chain from the ground to `frame`.
 
-    `task` is what a target of it asks for by default, `axis` the tool's for tasks that ask for a direction; `classes`
-    are words by which tests pick arms; `bound` is the largest number of isolated solutions known for its class (16 for
-    six turns: Lee and Liang, 1988; 8 for a spherical wrist or three parallel axes: Pieper, 1968). `held` names
-    coordinates to hold where the chain is redundant.
+    `task` is what a target of it asks for by default, `axis` the tool's for tasks that ask for a
+    direction; `classes` are words by which tests pick arms; `bound` is the largest number of
+    isolated solutions known for its class (16 for six turns: Lee and Liang, 1988; 8 for a spherical
+    wrist or three parallel axes: Pieper, 1968). `held` names coordinates to hold where the chain is
+    redundant.
     """
 
     name: str
@@ -85,20 +89,38 @@ class Arm:
 # ---------------------------------------------------------------- makers
 
 
-def table(name: str, rows, classes: str, bound: int, convention="standard", base=None, tool=None, **more) -> Arm:
+def table(
+    name: str, rows, classes: str, bound: int, convention="standard", base=None, tool=None, **more
+) -> Arm:
     """Arm of a Denavit-Hartenberg table; rows are (a, alpha, d, theta[, type[, limits]])."""
     keys = ("a", "alpha", "d", "theta", "type", "limits")
     dicts = [dict(zip(keys, r, strict=False)) for r in rows]
-    steps = oracle.dh_steps(({k: v for k, v in r.items() if k != "limits"} for r in dicts), convention, base, tool)
-    return Arm(name, lambda: from_dh(dicts, convention, name, _floats(base), _floats(tool)), tuple(steps),
-               tuple(classes.split()), bound, **more)  # fmt: skip
+    steps = oracle.dh_steps(
+        ({k: v for k, v in r.items() if k != "limits"} for r in dicts), convention, base, tool
+    )
+    return Arm(
+        name,
+        lambda: from_dh(dicts, convention, name, _floats(base), _floats(tool)),
+        tuple(steps),
+        tuple(classes.split()),
+        bound,
+        **more,
+    )
 
 
 def _floats(X):
     return None if X is None else np.asarray(X, dtype=float)
 
 
-def joints(name: str, rows: list[Joint], classes: str, bound: int, tool=((0, 0, 0), (0, 0, 0)), dim=3, **more) -> Arm:
+def joints(
+    name: str,
+    rows: list[Joint],
+    classes: str,
+    bound: int,
+    tool=((0, 0, 0), (0, 0, 0)),
+    dim=3,
+    **more,
+) -> Arm:
     """Arm of joints placed as in URDF, named j1, j2, ..."""
 
     def build() -> kempe.Mechanism:
@@ -108,12 +130,29 @@ def joints(name: str, rows: list[Joint], classes: str, bound: int, tool=((0, 0, 
             body = m.body(f"b{i}")
             turn = {"angle": r.rpy[2]} if dim == 2 else {"rpy": r.rpy}
             axis = {} if r.axis == (0.0, 0.0, 1.0) else {"axis": r.axis}
-            m.joint(f"j{i}", r.kind, last, body, at=r.at[:dim], limits=r.limits, **turn, **axis, **r.options)
+            m.joint(
+                f"j{i}",
+                r.kind,
+                last,
+                body,
+                at=r.at[:dim],
+                limits=r.limits,
+                **turn,
+                **axis,
+                **r.options,
+            )
             if r.follow:
-                m.joint(f"motor{i}", "revolute", m.ground, m.body(f"rotor{i}"), at=(1.0, 0.1 * i, 0.0))
+                m.joint(
+                    f"motor{i}", "revolute", m.ground, m.body(f"rotor{i}"), at=(1.0, 0.1 * i, 0.0)
+                )
                 m.couple(f"j{i}", {f"motor{i}": r.follow[0]}, r.follow[1])
             last = body
-        m.frame("tool", last, at=tool[0][:dim], **({"angle": tool[1][2]} if dim == 2 else {"rpy": tool[1]}))
+        m.frame(
+            "tool",
+            last,
+            at=tool[0][:dim],
+            **({"angle": tool[1][2]} if dim == 2 else {"rpy": tool[1]}),
+        )
         return m
 
     steps: list = []
@@ -126,12 +165,20 @@ def joints(name: str, rows: list[Joint], classes: str, bound: int, tool=((0, 0, 
 
 def shipped(name: str, frame: str, classes: str, bound: int, **more) -> Arm:
     """An arm of the library."""
-    return Arm(name, lambda: kempe.read(name), tuple(oracle.library_steps(name, frame)), tuple(classes.split()), bound,
-               frame=frame, **more)  # fmt: skip
+    return Arm(
+        name,
+        lambda: kempe.read(name),
+        tuple(oracle.library_steps(name, frame)),
+        tuple(classes.split()),
+        bound,
+        frame=frame,
+        **more,
+    )
 
 
 def placed(name: str, frames, kinds, tool, classes: str, bound: int, order=None, **more) -> Arm:
-    """Arm of joints about z of `frames` (n, 4, 4), each seen from the one before, and a tool (4, 4).
+    """Arm of joints about z of `frames` (n, 4, 4), each seen from the one before, and a tool (4,
+    4).
 
     `order` is that in which the joints are declared.
     """
@@ -143,7 +190,9 @@ def placed(name: str, frames, kinds, tool, classes: str, bound: int, order=None,
         bodies = {i: m.body(f"b{i + 1}") for i in reversed(range(count))} if order else {}
         bodies = {-1: m.ground} | {i: bodies.get(i) or m.body(f"b{i + 1}") for i in range(count)}
         for i in order or range(count):
-            m.joint(f"j{i + 1}", kinds[i], bodies[i - 1], bodies[i], at=placement_of_pose(frames[i]))
+            m.joint(
+                f"j{i + 1}", kinds[i], bodies[i - 1], bodies[i], at=placement_of_pose(frames[i])
+            )
         m.frame("tool", bodies[count - 1], at=placement_of_pose(tool))
         return m
 
@@ -154,7 +203,9 @@ def placed(name: str, frames, kinds, tool, classes: str, bound: int, order=None,
 
 
 def frames_of(model: oracle.Model) -> tuple[np.ndarray, np.ndarray]:
-    """Frames (n, 4, 4) with z along the lines of a model, each seen from the one before, and the tool."""
+    """Frames (n, 4, 4) with z along the lines of a model, each seen from the one before, and the
+    tool.
+    """
     out = []
     before = np.eye(4)
     for h, o in zip(model.axes, model.points, strict=True):
@@ -168,25 +219,39 @@ def frames_of(model: oracle.Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def regauged(arm: Arm, seed: int) -> tuple[Arm, np.ndarray, np.ndarray, np.ndarray]:
-    """The same lines described in another way, and what that changes: arm, base (4, 4), tool (4, 4), signs (n,).
+    """The same lines described in another way, and what that changes: arm, base (4, 4), tool (4,
+    4), signs (n,).
 
-    Frames are shifted along and turned about their joint's axis, some axes are turned over, the arm stands elsewhere
-    and holds a tool, joints are declared in another order under other names. With theta of the arm, the new one has
-    signs * theta at base @ X @ tool.
+    Frames are shifted along and turned about their joint's axis, some axes are turned over, the arm
+    stands elsewhere and holds a tool, joints are declared in another order under other names. With
+    theta of the arm, the new one has signs * theta at base @ X @ tool.
     """
     rng = np.random.default_rng([seed, 55])
     m = arm.model
     frames, tip = frames_of(m)
     signs = rng.choice([-1.0, 1.0], m.n)
-    base, tool = (reference.placement(rng.uniform(-1, 1, 3), rng.uniform(-PI, PI, 3)).astype(float) for _ in range(2))
+    base, tool = (
+        reference.placement(rng.uniform(-1, 1, 3), rng.uniform(-PI, PI, 3)).astype(float)
+        for _ in range(2)
+    )
     before = base
     out = []
     for X, sign in zip(frames, signs, strict=True):
-        own = reference.placement((0, 0, rng.uniform(-1, 1)), (0 if sign > 0 else PI, 0, rng.uniform(-PI, PI)))
+        own = reference.placement(
+            (0, 0, rng.uniform(-1, 1)), (0 if sign > 0 else PI, 0, rng.uniform(-PI, PI))
+        )
         out.append(before @ X @ own.astype(float))
         before = np.linalg.inv(own.astype(float))
     order = [int(i) for i in rng.permutation(m.n)]
-    new = placed(f"regauged_{arm}", out, m.kinds, before @ tip @ tool, " ".join(arm.classes), arm.bound, order=order)
+    new = placed(
+        f"regauged_{arm}",
+        out,
+        m.kinds,
+        before @ tip @ tool,
+        " ".join(arm.classes),
+        arm.bound,
+        order=order,
+    )
     return new, base, tool, signs
 
 
@@ -194,8 +259,13 @@ def mirrored(arm: Arm, name: str) -> Arm:
     """The chain walked from its tip to its base: what was a wrist becomes a shoulder."""
     m = arm.model
     home = np.linalg.inv(m.home)
-    back = replace(m, kinds=m.kinds[::-1], axes=-(m.axes @ home[:3, :3].T)[::-1], home=home,
-                   points=(m.points @ home[:3, :3].T + home[:3, 3])[::-1])  # fmt: skip
+    back = replace(
+        m,
+        kinds=m.kinds[::-1],
+        axes=-(m.axes @ home[:3, :3].T)[::-1],
+        home=home,
+        points=(m.points @ home[:3, :3].T + home[:3, 3])[::-1],
+    )
     return placed(name, *_swap(frames_of(back), back.kinds), "mirrored 6R", arm.bound)
 
 
@@ -203,11 +273,17 @@ def _swap(pair, kinds):
     return pair[0], kinds, pair[1]
 
 
-def random_arm(seed: int, kinds: str = "RRRRRR", name: str | None = None, classes: str = "", **more) -> Arm:
+def random_arm(
+    seed: int, kinds: str = "RRRRRR", name: str | None = None, classes: str = "", **more
+) -> Arm:
     """Joints at random placements of some decimetres; `kinds` has a letter for each, R or P."""
     rng = np.random.default_rng([seed, len(kinds)])
     rows = [
-        Joint("revolute" if k == "R" else "prismatic", tuple(rng.uniform(-0.4, 0.4, 3)), tuple(rng.uniform(-PI, PI, 3)))
+        Joint(
+            "revolute" if k == "R" else "prismatic",
+            tuple(rng.uniform(-0.4, 0.4, 3)),
+            tuple(rng.uniform(-PI, PI, 3)),
+        )
         for k in kinds
     ]
     tool = (tuple(rng.uniform(-0.3, 0.3, 3)), tuple(rng.uniform(-PI, PI, 3)))
@@ -215,7 +291,9 @@ def random_arm(seed: int, kinds: str = "RRRRRR", name: str | None = None, classe
 
 
 def with_geometry(name: str, parallel=(), intersecting=(), seed: int = 0, bound: int = 16) -> Arm:
-    """A random standard table of six turns; some consecutive axes (counted from 1) are parallel or concurrent."""
+    """A random standard table of six turns; some consecutive axes (counted from 1) are parallel or
+    concurrent.
+    """
     rng = np.random.default_rng([seed, 77])
     rows = []
     for _ in range(6):
@@ -239,15 +317,31 @@ def calibrated(name: str, rows, size: float, seed: int) -> Arm:
 
 
 def hollow(name: str, angle: float, offsets: bool) -> Arm:
-    """Spherical wrist whose consecutive axes meet at `angle`: a hollow wrist, as on painting robots."""
+    """Spherical wrist whose consecutive axes meet at `angle`: a hollow wrist, as on painting
+    robots.
+    """
     a1, a3, d3 = (0.25, 0.1, 0.05) if offsets else (0.0, 0.0, 0.0)
-    rows = [(a1, -H, 0.5, 0), (0.7, 0, 0, 0), (a3, -H, d3, 0), (0, angle, 0.8, 0), (0, -angle, 0, 0), (0, 0, 0.15, 0)]
+    rows = [
+        (a1, -H, 0.5, 0),
+        (0.7, 0, 0, 0),
+        (a3, -H, d3, 0),
+        (0, angle, 0.8, 0),
+        (0, -angle, 0, 0),
+        (0, 0, 0.15, 0),
+    ]
     return table(name, rows, "spherical 6R hollow", 8)
 
 
 # ---------------------------------------------------------------- figures
 
-PUMA = [(0, H, 0, 0), (0.4318, 0, 0, 0), (0.0203, NEG, 0.15005, 0), (0, H, 0.4318, 0), (0, NEG, 0, 0), (0, 0, 0, 0)]
+PUMA = [
+    (0, H, 0, 0),
+    (0.4318, 0, 0, 0),
+    (0.0203, NEG, 0.15005, 0),
+    (0, H, 0.4318, 0),
+    (0, NEG, 0, 0),
+    (0, 0, 0, 0),
+]
 UR10E = [(0, H, 0.1807, 0), (-0.6127, 0, 0, 0), (-0.57155, 0, 0, 0), (0, H, 0.17415, 0), (0, NEG, 0.11985, 0),
          (0, 0, 0.11655, 0)]  # fmt: skip
 S3 = 0.0741 / math.sqrt(3)
@@ -257,8 +351,16 @@ TM5 = [(0, NEG, 0.1451, 0), (0.429, 0, 0, NEG), (0.4115, 0, 0, 0), (0, H, -0.122
        (0, 0, 0.1144, 0)]  # fmt: skip
 """Techman TM5-900: the maker's table."""
 ONE = math.radians(1.0)
-MANSEUR = [(0.3, H, 0, 0), (1.0, ONE, 0, 0), (0, H, 0.2, 0), (1.5, ONE, 0, 0), (0, H, 0, 0), (0, ONE, 0, 0)]
-"""R. Manseur and K. L. Doty, "A robot manipulator with 16 real inverse kinematic solution sets", IJRR 8(5), 1989."""
+MANSEUR = [
+    (0.3, H, 0, 0),
+    (1.0, ONE, 0, 0),
+    (0, H, 0.2, 0),
+    (1.5, ONE, 0, 0),
+    (0, H, 0, 0),
+    (0, ONE, 0, 0),
+]
+"""R. Manseur and K. L. Doty, "A robot manipulator with 16 real inverse kinematic solution sets",
+IJRR 8(5), 1989."""
 PIPER = [
     Joint(at=(0, 0, 0.123)), Joint(rpy=(H, -0.10095, -PI)), Joint(at=(0.28503, 0, 0), rpy=(0, 0, -1.759)),
     Joint(at=(-0.021984, -0.25075, 0), rpy=(H, 0, 0)), Joint(rpy=(NEG, 0, 0)),
@@ -283,7 +385,11 @@ STANFORD = [(0, NEG, 0.412, 0), (0, H, 0.154, 0), (0, 0, 0, 0, "prismatic"), (0,
 Z = (0.0, 0.0, 1.0)
 X_AXIS = (1.0, 0.0, 0.0)
 Y_AXIS = (0.0, 1.0, 0.0)
-GANTRY = [Joint("prismatic", axis=X_AXIS), Joint("prismatic", axis=Y_AXIS), Joint("prismatic", axis=Z)]
+GANTRY = [
+    Joint("prismatic", axis=X_AXIS),
+    Joint("prismatic", axis=Y_AXIS),
+    Joint("prismatic", axis=Z),
+]
 ROLL = [Joint(at=(0, 0, -0.2)), Joint(rpy=(H, 0, 0)), Joint(at=(0, 0, 0), rpy=(NEG, 0, 0))]
 
 
@@ -301,7 +407,14 @@ def makers() -> Iterator[Arm]:
 def _spherical() -> Iterator[Arm]:
     yield shipped("puma560", "tool", "spherical 6R", 8)
     yield shipped("irb6640", "tool0", "spherical 6R", 8)
-    plain = [(0, H, 0.3, 0), (0.5, 0, 0, 0), (0, H, 0, H), (0, NEG, 0.4, 0), (0, H, 0, 0), (0, 0, 0.1, 0)]
+    plain = [
+        (0, H, 0.3, 0),
+        (0.5, 0, 0, 0),
+        (0, H, 0, H),
+        (0, NEG, 0.4, 0),
+        (0, H, 0, 0),
+        (0, 0, 0.1, 0),
+    ]
     yield table("anthropomorphic6", plain, "spherical 6R", 8)
     lateral = reference.placement((0.11, -0.07, 0.2), (0.4, -0.9, 1.3))
     yield table("puma_lateral_tool", PUMA, "spherical 6R", 8, tool=lateral)
@@ -319,7 +432,9 @@ def _parallel() -> Iterator[Arm]:
     for i in (1, 2, 3, 4):
         yield with_geometry(f"parallel{i}{i + 1}{i + 2}", parallel=(i, i + 1, i + 2), seed=i)
     for i in (2, 3):
-        yield with_geometry(f"concurrent{i}{i + 1}{i + 2}", intersecting=(i, i + 1, i + 2), seed=10 + i)
+        yield with_geometry(
+            f"concurrent{i}{i + 1}{i + 2}", intersecting=(i, i + 1, i + 2), seed=10 + i
+        )
 
 
 def _general() -> Iterator[Arm]:
@@ -340,14 +455,31 @@ def _general() -> Iterator[Arm]:
 def _prismatic() -> Iterator[Arm]:
     yield shipped("cobra600", "tool", "scara prismatic 4", 2)
     arms = [(0.4, 0, 0.3, 0), (0.35, 0, 0, 0)]
-    yield table("scara_rrrp", [*arms, (0, 0, 0, 0), (0, 0, 0.1, 0, "prismatic")], "scara prismatic 4", 2)
-    yield table("scara_prrr", [(0, 0, 0.1, 0, "prismatic"), *arms, (0, PI, 0.05, 0)], "scara prismatic 4", 2)
+    yield table(
+        "scara_rrrp", [*arms, (0, 0, 0, 0), (0, 0, 0.1, 0, "prismatic")], "scara prismatic 4", 2
+    )
+    yield table(
+        "scara_prrr", [(0, 0, 0.1, 0, "prismatic"), *arms, (0, PI, 0.05, 0)], "scara prismatic 4", 2
+    )
     yield table("stanford", STANFORD, "prismatic spherical 6", 8)
-    yield joints("gantry6", [*GANTRY, *ROLL], "prismatic spherical 6", 2, tool=((0.05, 0, -0.1), (0, 0, 0.3)))
+    yield joints(
+        "gantry6", [*GANTRY, *ROLL], "prismatic spherical 6", 2, tool=((0.05, 0, -0.1), (0, 0, 0.3))
+    )
     column = [Joint(), Joint("prismatic", at=(0, 0, 0.4)), Joint("prismatic", axis=X_AXIS), *ROLL]
-    yield joints("cylindrical6", column, "prismatic spherical 6", 4, tool=((0.05, 0.02, -0.1), (0, 0, 0.3)))
-    yield joints("cartesian", GANTRY, "prismatic few", 1, tool=((0.1, 0.2, 0.3), (0.1, 0.2, 0.3)), task="position")
-    yield joints("cartesian_pose", GANTRY, "prismatic few", 1, tool=((0.1, 0.2, 0.3), (0.1, 0.2, 0.3)))
+    yield joints(
+        "cylindrical6", column, "prismatic spherical 6", 4, tool=((0.05, 0.02, -0.1), (0, 0, 0.3))
+    )
+    yield joints(
+        "cartesian",
+        GANTRY,
+        "prismatic few",
+        1,
+        tool=((0.1, 0.2, 0.3), (0.1, 0.2, 0.3)),
+        task="position",
+    )
+    yield joints(
+        "cartesian_pose", GANTRY, "prismatic few", 1, tool=((0.1, 0.2, 0.3), (0.1, 0.2, 0.3))
+    )
     rail = [Joint("prismatic", axis=X_AXIS), *(Joint(at=j.at, rpy=j.rpy) for j in XARM5)]
     yield joints("rail_xarm5", rail, "prismatic 6", 16)
     for k in range(6):
@@ -359,7 +491,9 @@ def _prismatic() -> Iterator[Arm]:
 def _few() -> Iterator[Arm]:
     flat2 = [Joint(), Joint(at=(0.5, 0, 0))]
     flat3 = [*flat2, Joint(at=(0.4, 0, 0))]
-    yield joints("planar2", flat2, "few planar", 2, tool=((0.4, 0, 0), (0, 0, 0)), dim=2, task="position")
+    yield joints(
+        "planar2", flat2, "few planar", 2, tool=((0.4, 0, 0), (0, 0, 0)), dim=2, task="position"
+    )
     yield joints("planar3", flat3, "few planar", 2, tool=((0.2, 0, 0), (0, 0, 0.3)), dim=2)
     yield joints("flat2", flat2, "few", 2, tool=((0.4, 0, 0), (0, 0, 0)), task="position")
     yield joints("flat3", flat3, "few", 2, tool=((0.2, 0, 0), (0, 0, 0.3)))
@@ -367,16 +501,34 @@ def _few() -> Iterator[Arm]:
     yield table("anthropomorphic3", elbow, "few three", 4, task="position")
     cuspidal = [(1.0, NEG, 0, 0), (2.0, H, 1.0, 0), (1.5, 0, 0, 0)]
     yield table("orthogonal3_cuspidal", cuspidal, "few three", 4, task="position")
-    yield table("orthogonal3", [(1.0, NEG, 0, 0), (0.7, H, 0.2, 0), (1.2, 0, 0, 0)], "few three", 4, task="position")
+    yield table(
+        "orthogonal3",
+        [(1.0, NEG, 0, 0), (0.7, H, 0.2, 0), (1.2, 0, 0, 0)],
+        "few three",
+        4,
+        task="position",
+    )
     yield random_arm(5, "RRR", task="position", classes="few three")
     yield random_arm(6, "RPR", task="position", classes="few three")
-    yield joints("wrist3", [Joint(), Joint(rpy=(H, 0, 0)), Joint(rpy=(NEG, 0, 0))], "few wrist", 2, task="orientation")
+    yield joints(
+        "wrist3",
+        [Joint(), Joint(rpy=(H, 0, 0)), Joint(rpy=(NEG, 0, 0))],
+        "few wrist",
+        2,
+        task="orientation",
+    )
     yield table("palletiser4", [*elbow, (0.1, 0, 0, 0)], "few", 2)
     yield random_arm(7, "RRRR", classes="few")
     yield shipped("youbot", "tool", "five", 4)
-    yield replace(shipped("youbot", "tool", "five axis", 8, task="position_axis", axis=X_AXIS), name="youbot_axis")
+    yield replace(
+        shipped("youbot", "tool", "five axis", 8, task="position_axis", axis=X_AXIS),
+        name="youbot_axis",
+    )
     yield shipped("so101", "tool", "five", 4)
-    yield replace(shipped("so101", "tool", "five axis", 8, task="position_axis", axis=X_AXIS), name="so101_axis")
+    yield replace(
+        shipped("so101", "tool", "five axis", 8, task="position_axis", axis=X_AXIS),
+        name="so101_axis",
+    )
     yield joints("xarm5", XARM5, "five", 4)
     yield random_arm(8, "RRRRR", classes="five")
     yield random_arm(9, "RRRRR", name="random5_axis", task="position_axis", classes="five axis")
@@ -402,13 +554,23 @@ def _unusual() -> Iterator[Arm]:
     table_ = [Joint("planar"), Joint(at=(0, 0, 0.3), rpy=(H, 0, 0)), Joint(at=(0.3, 0, 0), rpy=(0.8, 0, 0)),
               Joint(at=(0.25, 0, 0.1), rpy=(H, 0.3, 0))]  # fmt: skip
     yield joints("mobile_base", table_, "types prismatic 6", 16, tool=((0.1, 0.0, 0.1), (0, 0, 0)))
-    ball = [Joint(), Joint(at=(0, 0, 0.3), rpy=(H, 0, 0)), Joint(at=(0.4, 0, 0)),
-            Joint("spherical", at=(0.35, 0, 0), options={"angles": True})]  # fmt: skip
+    ball = [
+        Joint(),
+        Joint(at=(0, 0, 0.3), rpy=(H, 0, 0)),
+        Joint(at=(0.4, 0, 0)),
+        Joint("spherical", at=(0.35, 0, 0), options={"angles": True}),
+    ]
     yield joints("ball_wrist", ball, "types spherical 6R", 8, tool=((0.1, 0, 0.05), (0, 0, 0)))
-    geared = [Joint(at=r.at, rpy=r.rpy, axis=r.axis, follow=f) for r, f in zip(
-        PIPER, [None, (2.0, 0.3), (-0.5, 0.1), None, (-1.0, 0.0), (3.0, -1.0)], strict=True)]  # fmt: skip
+    geared = [
+        Joint(at=r.at, rpy=r.rpy, axis=r.axis, follow=f)
+        for r, f in zip(
+            PIPER, [None, (2.0, 0.3), (-0.5, 0.1), None, (-1.0, 0.0), (3.0, -1.0)], strict=True
+        )
+    ]
     yield joints("geared_piper", geared, "mimic 6R", 16)
-    turned = [Joint(at=r.at, rpy=r.rpy, axis=(0, 0, -1.0 if i % 2 else 1.0)) for i, r in enumerate(M1013)]
+    turned = [
+        Joint(at=r.at, rpy=r.rpy, axis=(0, 0, -1.0 if i % 2 else 1.0)) for i, r in enumerate(M1013)
+    ]
     yield joints("negative_axes", turned, "offset 6R", 16, tool=((0.03, 0, 0.05), (0, 0, 0)))
     wide = [(-5 * PI, 5 * PI), (-1.0, 7.0), (-4 * PI, -2 * PI), FREE, (0.5, 0.8), (-PI, PI)]
     rows = [(*r, "revolute", w) for r, w in zip(PUMA, wide, strict=True)]
@@ -426,9 +588,14 @@ def arms() -> dict[str, Arm]:
 
 
 def names(*words: str, without: tuple[str, ...] = ()) -> list[str]:
-    """Names of the arms whose classes have one of the words (all arms where none is given), and none of `without`."""
-    return [n for n, a in arms().items()
-            if (not words or set(words) & set(a.classes)) and not set(without) & set(a.classes)]  # fmt: skip
+    """Names of the arms whose classes have one of the words (all arms where none is given), and
+    none of `without`.
+    """
+    return [
+        n
+        for n, a in arms().items()
+        if (not words or set(words) & set(a.classes)) and not set(without) & set(a.classes)
+    ]
 
 
 SEED = 2026
@@ -528,5 +695,6 @@ COUNTS: dict[str, tuple[tuple[int, int], ...]] = {
     "negative_axes": ((0, 8), (1, 8), (2, 8), (3, 8), (4, 8)),
     "puma_wide_limits": ((0, 8), (1, 8), (2, 8), (3, 8), (4, 8)),
 }
-"""Of configurations `arm.random(SEED, 40)`: (number of the row, how many isolated solutions its pose has), with the
-`held` coordinates held; rows whose solutions are near a singularity or near each other are left out."""
+"""Of configurations `arm.random(SEED, 40)`: (number of the row, how many isolated solutions its
+pose has), with the `held` coordinates held; rows whose solutions are near a singularity or near
+each other are left out."""

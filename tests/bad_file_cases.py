@@ -1,4 +1,6 @@
-"""Broken and unusual files: what each is, what is in it, and what Kempe must say (or that it must load)."""
+"""Broken and unusual files: what each is, what is in it, and what Kempe must say (or that it must
+load).
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,11 @@ LINKS = '<link name="base"/>\n<link name="arm"/>\n<link name="hand"/>\n'
 
 @dataclass(frozen=True)
 class Case:
-    """`says`: pieces that the message must have, in any order; `line`: the first problem's line; None: it must load.
+    """`says`: pieces that the message must have, in any order; `line`: the first problem's line;
+    None: it must load.
 
-    `note` is what a loadable file must be remarked on with, `holds` what must be true of its mechanism m.
+    `note` is what a loadable file must be remarked on with, `holds` what must be true of its
+    mechanism m.
     """
 
     title: str
@@ -29,7 +33,9 @@ class Case:
 
 
 def robot(*lines: str, links: str = LINKS) -> str:
-    """A URDF text; the given lines come after the opening tag and the three links, on lines 5, 6, ..."""
+    """A URDF text; the given lines come after the opening tag and the three links, on lines 5, 6,
+    ...
+    """
     return f'<robot name="r">\n{links}' + "".join(f"{line}\n" for line in lines) + "</robot>\n"
 
 
@@ -71,7 +77,8 @@ URDF_CASES = [
     ),
     Case(
         "entities that double ten times each (billion laughs)",
-        '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>\n' + robot('<link name="&b;"/>'),
+        '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>\n'
+        + robot('<link name="&b;"/>'),
         ("DTD", "remove it"),
         1,
     ),
@@ -204,7 +211,11 @@ URDF_CASES = [
         1,
         any_encoding=False,
     ),
-    Case("UTF-8 names with accents", robot(joint("épaule"), WRIST), holds=lambda m: "épaule" in m.joints),
+    Case(
+        "UTF-8 names with accents",
+        robot(joint("épaule"), WRIST),
+        holds=lambda m: "épaule" in m.joints,
+    ),
     Case(
         "a child link that does not exist",
         robot(SHOULDER, joint("wrist", parent="arm", child="hnad")),
@@ -327,7 +338,12 @@ URDF_CASES = [
         ("no robot in this file", "without a <link>"),
         1,
     ),
-    Case("a link without a name", robot(SHOULDER, WRIST, "<link/>"), ("a link has no name", "needs a name"), 7),
+    Case(
+        "a link without a name",
+        robot(SHOULDER, WRIST, "<link/>"),
+        ("a link has no name", "needs a name"),
+        7,
+    ),
     Case(
         "a joint with an empty name",
         robot(joint(""), WRIST),
@@ -354,7 +370,11 @@ URDF_CASES = [
     ),
     Case(
         "an element of another program whose name holds a known one",
-        robot(joint(), WRIST, links=LINKS.replace('"arm"/>', '"arm"><self_collision_checking/></link>')),
+        robot(
+            joint(),
+            WRIST,
+            links=LINKS.replace('"arm"/>', '"arm"><self_collision_checking/></link>'),
+        ),
     ),
     Case(
         "an element that Kempe does not know",
@@ -375,7 +395,11 @@ URDF_CASES = [
             WRIST,
             '<drake:joint name="x" type="ball"><parent link="arm"/><child link="hand"/></drake:joint>',
         ),
-        ("the prefix of <drake:joint> hides it", "parent link='arm', child link='hand'", "or remove it"),
+        (
+            "the prefix of <drake:joint> hides it",
+            "parent link='arm', child link='hand'",
+            "or remove it",
+        ),
         7,
     ),
     Case(
@@ -482,10 +506,19 @@ def toml(*lines: str) -> str:
     return TOML_HEAD + "".join(f"{line}\n" for line in lines)
 
 
-def toml_joint(name: str, *more: str, kind: str = "revolute", parent: str = "ground", child: str = "a") -> str:
+def toml_joint(
+    name: str, *more: str, kind: str = "revolute", parent: str = "ground", child: str = "a"
+) -> str:
     """A [[joint]]: its header, then name, type, parent, child, and more, one a line."""
     return "\n".join(
-        ["[[joint]]", f'name = "{name}"', f'type = "{kind}"', f'parent = "{parent}"', f'child = "{child}"', *more]
+        [
+            "[[joint]]",
+            f'name = "{name}"',
+            f'type = "{kind}"',
+            f'parent = "{parent}"',
+            f'child = "{child}"',
+            *more,
+        ]
     )
 
 
@@ -496,34 +529,73 @@ ROD = '[[constraint]]\nname = "R"\ntype = "distance"\nparent = "ground"\nchild =
 TOML_CASES = [
     Case("a file that is not TOML", toml("[[joint"), ("this is not TOML", "see the caret"), 8),
     Case("a text that ends too soon", toml('x = "ab')[:-1], ("this is not TOML", "truncated"), 8),
-    Case("a list that ends too soon", toml("notes = [1, 2")[:-1], ("this is not TOML", "truncated"), 8),
-    Case("a comma for the decimal point", toml("[parameters]", "l1 = 1,5"), ("not TOML", "decimals take a point"), 9),
-    Case("no line that says the format", 'name = "m"\n', ("no line 'format = 1'", "starts with it")),
+    Case(
+        "a list that ends too soon",
+        toml("notes = [1, 2")[:-1],
+        ("this is not TOML", "truncated"),
+        8,
+    ),
+    Case(
+        "a comma for the decimal point",
+        toml("[parameters]", "l1 = 1,5"),
+        ("not TOML", "decimals take a point"),
+        9,
+    ),
+    Case(
+        "no line that says the format", 'name = "m"\n', ("no line 'format = 1'", "starts with it")
+    ),
     Case("another format", "format = 7\n", ("format is 7", "reads format 1"), 1),
-    Case("an unknown table", toml("[[joints]]"), ("unknown key 'joints'", "did you mean 'joint'"), 8),
-    Case("single brackets", 'format = 1\n[body]\nname = "a"\n', ("'body' is not a list of tables", "[[body]]"), 2),
+    Case(
+        "an unknown table", toml("[[joints]]"), ("unknown key 'joints'", "did you mean 'joint'"), 8
+    ),
+    Case(
+        "single brackets",
+        'format = 1\n[body]\nname = "a"\n',
+        ("'body' is not a list of tables", "[[body]]"),
+        2,
+    ),
     Case(
         "an unknown key",
         toml(A, "limts = [0, 1]", B),
         ("joint 'A'", "unknown key 'limts'", "did you mean 'limits'"),
         13,
     ),
-    Case("a missing key", toml("[[joint]]", 'name = "A"'), ("joint 'A'", "'type' is missing", "parent, child"), 8),
+    Case(
+        "a missing key",
+        toml("[[joint]]", 'name = "A"'),
+        ("joint 'A'", "'type' is missing", "parent, child"),
+        8,
+    ),
     Case(
         "not a number in a placement",
         toml(toml_joint("A", "at = [nan, 0]"), B),
         ("joint 'A'", "at is nan", "finite"),
         13,
     ),
-    Case("a wrong count", toml(toml_joint("A", "at = [1]"), B), ("joint 'A'", "at has 1 number", "2 or 3"), 13),
+    Case(
+        "a wrong count",
+        toml(toml_joint("A", "at = [1]"), B),
+        ("joint 'A'", "at has 1 number", "2 or 3"),
+        13,
+    ),
     Case(
         "an axis of zeros",
         toml(toml_joint("A", "axis = [0, 0, 0]"), B),
         ("joint 'A'", "axis is 0.0 0.0 0.0", "not zero"),
         13,
     ),
-    Case("swapped limits", toml(toml_joint("A", "limits = [1, -1]"), B), ("joint 'A'", "lower limit 1 is above"), 13),
-    Case("two bodies of one name", toml("[[body]]", 'name = "a"'), ("body 'a'", "another body", "file.toml:4"), 8),
+    Case(
+        "swapped limits",
+        toml(toml_joint("A", "limits = [1, -1]"), B),
+        ("joint 'A'", "lower limit 1 is above"),
+        13,
+    ),
+    Case(
+        "two bodies of one name",
+        toml("[[body]]", 'name = "a"'),
+        ("body 'a'", "another body", "file.toml:4"),
+        8,
+    ),
     Case("two joints of one name", toml(A, A), ("joint 'A'", "another joint", "file.toml:8"), 13),
     Case(
         "a missing body",
@@ -537,14 +609,24 @@ TOML_CASES = [
         ("joint 'A'", "connects body 'a' to itself", "two bodies"),
         8,
     ),
-    Case("an unknown joint type", toml(toml_joint("A", kind="revolut")), ("unknown joint type 'revolut'",), 10),
+    Case(
+        "an unknown joint type",
+        toml(toml_joint("A", kind="revolut")),
+        ("unknown joint type 'revolut'",),
+        10,
+    ),
     Case(
         "a joint that leaves the plane",
         toml(toml_joint("A", kind="spherical")),
         ("joint 'A'", "does not exist in the plane", "planar systems take"),
         8,
     ),
-    Case("an unknown parameter", toml(toml_joint("A", 'at = ["l1", 0]')), ("joint 'A'", "no parameter 'l1'"), 13),
+    Case(
+        "an unknown parameter",
+        toml(toml_joint("A", 'at = ["l1", 0]')),
+        ("joint 'A'", "no parameter 'l1'"),
+        13,
+    ),
     Case(
         "an expression that calls something else",
         toml(toml_joint("A", "at = [\"__import__('os')\", 0]")),
@@ -553,7 +635,16 @@ TOML_CASES = [
     ),
     Case(
         "coordinates that follow each other",
-        toml(A, B, "[[coupling]]", 'of = "A"', "sources = {B = 1}", "[[coupling]]", 'of = "B"', "sources = {A = 1}"),
+        toml(
+            A,
+            B,
+            "[[coupling]]",
+            'of = "A"',
+            "sources = {B = 1}",
+            "[[coupling]]",
+            'of = "B"',
+            "sources = {A = 1}",
+        ),
         ("it follows itself: A -> B -> A",),
         18,
     ),
@@ -569,19 +660,51 @@ TOML_CASES = [
         toml(A, B, toml_joint("C", "at = [1, 0]", child="b")),
         holds=lambda m: len(m.build().structure.closures) == 1,
     ),
-    Case("a rod", toml(A, B, ROD, "length = 1.5"), holds=lambda m: m.constraints["R"].of.value == 1.5),
-    Case("a rod without a length", toml(A, B, ROD), ("constraint 'R'", "no length", "length of the rod"), 18),
-    Case("a rod of length zero", toml(A, B, ROD, "length = 0"), ("constraint 'R'", "length is 0", "above zero"), 23),
-    Case("a length that is negative", toml(A, B, ROD, "length = -1"), ("length is -1", "above zero"), 23),
-    Case("a length that is not a number", toml(A, B, ROD, "length = nan"), ("length is nan", "finite"), 23),
-    Case("a length that is a list", toml(A, B, ROD, "length = [1]"), ("length is [1]", "must be a number"), 23),
+    Case(
+        "a rod", toml(A, B, ROD, "length = 1.5"), holds=lambda m: m.constraints["R"].of.value == 1.5
+    ),
+    Case(
+        "a rod without a length",
+        toml(A, B, ROD),
+        ("constraint 'R'", "no length", "length of the rod"),
+        18,
+    ),
+    Case(
+        "a rod of length zero",
+        toml(A, B, ROD, "length = 0"),
+        ("constraint 'R'", "length is 0", "above zero"),
+        23,
+    ),
+    Case(
+        "a length that is negative",
+        toml(A, B, ROD, "length = -1"),
+        ("length is -1", "above zero"),
+        23,
+    ),
+    Case(
+        "a length that is not a number",
+        toml(A, B, ROD, "length = nan"),
+        ("length is nan", "finite"),
+        23,
+    ),
+    Case(
+        "a length that is a list",
+        toml(A, B, ROD, "length = [1]"),
+        ("length is [1]", "must be a number"),
+        23,
+    ),
     Case(
         "a length that comes out negative",
         toml("[parameters]", "l = 1", A, B, ROD, 'length = "l - 2"'),
         ("its length is -1 (length = l - 2)", "above zero"),
         25,
     ),
-    Case("a length in unknown parameters", toml(A, B, ROD, 'length = "l"'), ("length is l", "no parameter 'l'"), 23),
+    Case(
+        "a length in unknown parameters",
+        toml(A, B, ROD, 'length = "l"'),
+        ("length is l", "no parameter 'l'"),
+        23,
+    ),
     Case(
         "an unknown type of constraint",
         toml(A, B, ROD.replace("distance", "distanc")),
@@ -594,9 +717,24 @@ TOML_CASES = [
         ("constraint 'R'", "child is 'bb', which is no body", "did you mean 'b'"),
         22,
     ),
-    Case("a constraint from a body to itself", toml(A, B, ROD.replace('"b"', '"ground"')), ("to itself", "two"), 18),
-    Case("a constraint of a joint's name", toml(A, B, ROD.replace('"R"', '"A"')), ("another joint", "file.toml:8"), 18),
-    Case("a plane in the plane", toml(A, B, ROD.replace("distance", "point_on_plane")), ("does not exist in the",), 18),
+    Case(
+        "a constraint from a body to itself",
+        toml(A, B, ROD.replace('"b"', '"ground"')),
+        ("to itself", "two"),
+        18,
+    ),
+    Case(
+        "a constraint of a joint's name",
+        toml(A, B, ROD.replace('"R"', '"A"')),
+        ("another joint", "file.toml:8"),
+        18,
+    ),
+    Case(
+        "a plane in the plane",
+        toml(A, B, ROD.replace("distance", "point_on_plane")),
+        ("does not exist in the",),
+        18,
+    ),
     Case(
         "a line that leaves the plane",
         toml(A, B, ROD.replace("distance", "point_on_line")),
@@ -609,12 +747,36 @@ TOML_CASES = [
         ("constraint 'R'", "point_on_line takes no length"),
         24,
     ),
-    Case("an unknown key of a constraint", toml(A, B, ROD, "lenght = 1"), ("unknown key 'lenght'", "'length'"), 23),
-    Case("bodies that only a rod holds", toml(A, ROD, "length = 1"), ("no joints lead from 'ground' to 'b'",), 6),
-    Case("a posture of a missing joint", toml(A, B, "[postures]", "home = {AA = 1}"), ("'AA' is no coordinate",), 19),
-    Case("an integer of 100 digits", toml("[parameters]", "l = 1" + "0" * 100), ("more than 64 bits",), 9),
+    Case(
+        "an unknown key of a constraint",
+        toml(A, B, ROD, "lenght = 1"),
+        ("unknown key 'lenght'", "'length'"),
+        23,
+    ),
+    Case(
+        "bodies that only a rod holds",
+        toml(A, ROD, "length = 1"),
+        ("no joints lead from 'ground' to 'b'",),
+        6,
+    ),
+    Case(
+        "a posture of a missing joint",
+        toml(A, B, "[postures]", "home = {AA = 1}"),
+        ("'AA' is no coordinate",),
+        19,
+    ),
+    Case(
+        "an integer of 100 digits",
+        toml("[parameters]", "l = 1" + "0" * 100),
+        ("more than 64 bits",),
+        9,
+    ),
     Case("a date", toml("[parameters]", "l = 1979-05-27"), ("is a date", "quotes"), 9),
-    Case("brackets nested 5 000 deep", toml("notes = " + "[" * 5000 + "]" * 5000), ("nested too deep",)),
+    Case(
+        "brackets nested 5 000 deep",
+        toml("notes = " + "[" * 5000 + "]" * 5000),
+        ("nested too deep",),
+    ),
     Case("an empty file", "", ("empty", "URDF or TOML"), any_encoding=False),
     Case(
         "Latin-1 bytes",

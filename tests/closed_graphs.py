@@ -1,8 +1,8 @@
 """Random mechanisms with loops that are closed by construction, at known values of all coordinates.
 
-Poses are those of `reference`: the frame on the child of each joint that closes a loop is put where the values of its
-coordinates want it. The same mechanism can be built with other joints cut, and with each joint taken apart into
-elementary ones with bodies between them.
+Poses are those of `reference`: the frame on the child of each joint that closes a loop is put where
+the values of its coordinates want it. The same mechanism can be built with other joints cut, and
+with each joint taken apart into elementary ones with bodies between them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class Link:
-    """A joint of a closed mechanism: its frames F and M on the two bodies, and values of its coordinates.
+    """A joint of a closed mechanism: its frames F and M on the two bodies, and values of its
+    coordinates.
 
     A slide along z in the plane goes along `axis`, a direction (2,) in the axes of F.
     """
@@ -49,7 +50,9 @@ class Closed:
     links: tuple[Link, ...]
 
     def system(self, cut: frozenset[str] = frozenset(), apart: bool = False) -> System:
-        """The system with the joints `cut` marked; `apart`: each joint as a chain of elementary ones."""
+        """The system with the joints `cut` marked; `apart`: each joint as a chain of elementary
+        ones.
+        """
         m = Mechanism("closed", self.dim)
         for body in self.bodies:
             m.body(body)
@@ -57,7 +60,14 @@ class Closed:
             if apart:
                 _chain(m, link, link.name in cut)
             else:
-                m.joint(link.name, link.kind, link.parent, link.child, cut=link.name in cut, **_places(m, link))
+                m.joint(
+                    link.name,
+                    link.kind,
+                    link.parent,
+                    link.child,
+                    cut=link.name in cut,
+                    **_places(m, link),
+                )
         return m.build()
 
     def values(self, system: System, apart: bool = False) -> np.ndarray:
@@ -71,31 +81,51 @@ class Closed:
                     size = 4 if p.kind == Q else 1
                     own = link.values[p.coordinate : p.coordinate + size]
                     if p.kind == Q:
-                        known |= {f"{name}.{c}": x for c, x in zip(("qw", "qx", "qy", "qz"), own, strict=True)}
+                        known |= {
+                            f"{name}.{c}": x
+                            for c, x in zip(("qw", "qx", "qy", "qz"), own, strict=True)
+                        }
                     else:
                         known[name] = p.multiplier * own[0]
             else:
-                known |= {f"{link.name}.{n}" if n else link.name: x for n, x in zip(names, link.values, strict=True)}
+                known |= {
+                    f"{link.name}.{n}" if n else link.name: x
+                    for n, x in zip(names, link.values, strict=True)
+                }
         return system.q(known)
 
     def open_by(self, system: System, q: np.ndarray) -> float:
-        """How far (entries of poses) any joint is open at q, by poses that `reference` computes along the tree."""
+        """How far (entries of poses) any joint is open at q, by poses that `reference` computes
+        along the tree.
+        """
         joints = {link.name: link for link in self.links}
         at = system.q_dict(q)
         motions = {}
         for name, link in joints.items():
             names = [f"{name}.{n}" if n else name for n in link.kind.layout(self.dim)[0]]
-            motions[name] = pose_of(link.kind.layout(self.dim)[1], [at[n] for n in names], self.dim, link.axis)
+            motions[name] = pose_of(
+                link.kind.layout(self.dim)[1], [at[n] for n in names], self.dim, link.axis
+            )
         tree = system.structure
-        steps = [(joints[n].F, motions[n], joints[n].M, back)
-                 for n, back in zip(tree.parent_joints, tree.topology.reversed_, strict=True)]  # fmt: skip
-        poses = dict(zip(system.body_names, reference.tree_poses(system.parent, steps), strict=True))
-        gaps = [np.abs(poses[k.parent] @ k.F @ motions[k.name] - poses[k.child] @ k.M).max() for k in self.links]
+        steps = [
+            (joints[n].F, motions[n], joints[n].M, back)
+            for n, back in zip(tree.parent_joints, tree.topology.reversed_, strict=True)
+        ]
+        poses = dict(
+            zip(system.body_names, reference.tree_poses(system.parent, steps), strict=True)
+        )
+        gaps = [
+            np.abs(poses[k.parent] @ k.F @ motions[k.name] - poses[k.child] @ k.M).max()
+            for k in self.links
+        ]
         return float(max(gaps))
 
 
 def pose_of(
-    primitives: Sequence[Primitive], values: Sequence[float], dim: int = 3, axis: tuple[float, float] | None = None
+    primitives: Sequence[Primitive],
+    values: Sequence[float],
+    dim: int = 3,
+    axis: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """X_FM of primitives, multiplied out by the reference."""
     X = np.eye(4, dtype=np.longdouble)
@@ -116,17 +146,25 @@ def pose_of(
 def from_table(rng: np.random.Generator, dim: int) -> JointType:
     """A random type of the table of joints with random options."""
     kinds = [t for t in TYPES.values() if dim == 3 or t.planar]
-    options = variants(kind := kinds[int(rng.integers(len(kinds)))], round(float(rng.uniform(-1, 1)), 2))
+    options = variants(
+        kind := kinds[int(rng.integers(len(kinds)))], round(float(rng.uniform(-1, 1)), 2)
+    )
     return kind(**options[int(rng.integers(len(options)))])
 
 
 def closed(
-    rng: np.random.Generator, dim: int, bodies: int, kinds: list[JointType], backwards: bool | None = None,
+    rng: np.random.Generator,
+    dim: int,
+    bodies: int,
+    kinds: list[JointType],
+    backwards: bool | None = None,
     ring: bool = False,
-) -> Closed:  # fmt: skip
-    """A closed mechanism whose joints have these kinds in turn: those of a tree first, then those that close loops.
+) -> Closed:
+    """A closed mechanism whose joints have these kinds in turn: those of a tree first, then those
+    that close loops.
 
-    `backwards`: joints go from the outer body to the inner one; by chance where None. `ring`: the tree is one chain.
+    `backwards`: joints go from the outer body to the inner one; by chance where None. `ring`: the
+    tree is one chain.
     """
     names = tuple(f"b{i}" for i in range(bodies))
     poses = {"ground": np.eye(4, dtype=np.longdouble)}
@@ -175,8 +213,13 @@ def random_closed(rng: np.random.Generator, own: float = 0.4) -> Closed:
     for k in range(bodies + loops):
         where = rng.random()
         product = where < 0.5 * own
-        kinds.append(joint_type(random_product(rng, dim)) if product else
-                     random_type(rng, f"own{k}", dim) if where < own else from_table(rng, dim))  # fmt: skip
+        kinds.append(
+            joint_type(random_product(rng, dim))
+            if product
+            else random_type(rng, f"own{k}", dim)
+            if where < own
+            else from_table(rng, dim)
+        )
     return closed(rng, dim, bodies, kinds)
 
 
@@ -224,7 +267,9 @@ def _firsts(primitives: Sequence[Primitive]) -> dict[int, Primitive]:
 
 
 def _chain(m: Mechanism, link: Link, cut: bool) -> None:
-    """A joint as a chain of elementary ones through bodies of their own; those that share a coordinate are geared."""
+    """A joint as a chain of elementary ones through bodies of their own; those that share a
+    coordinate are geared.
+    """
     primitives = link.kind.layout(m.dim)[1]
     if not primitives:
         m.joint(link.name, "fixed", link.parent, link.child, cut=cut, **_places(m, link))
@@ -236,7 +281,9 @@ def _chain(m: Mechanism, link: Link, cut: bool) -> None:
         there = link.child if last else m.body(f"{link.name}/{k}").name
         F = link.F if k == 0 else np.eye(4)
         M = link.M if last else np.eye(4)
-        one = Link(f"{link.name}:{k}", link.kind, here, there, F, M, link.values, _along(m.dim, link, p))
+        one = Link(
+            f"{link.name}:{k}", link.kind, here, there, F, M, link.values, _along(m.dim, link, p)
+        )
         places: dict[str, Any] = _places(m, one)
         if m.dim == 3:
             places = {"at": _placement(F @ _turned(p)), "child_at": _placement(M @ _turned(p))}
@@ -257,4 +304,7 @@ def _turned(p: Primitive) -> np.ndarray:
     """The pose whose z is the axis of a primitive."""
     if p.kind == Q or p.axis == "z":
         return np.eye(4)
-    return np.asarray(reference.turn("y", np.pi / 2) if p.axis == "x" else reference.turn("x", -np.pi / 2), dtype=float)
+    return np.asarray(
+        reference.turn("y", np.pi / 2) if p.axis == "x" else reference.turn("x", -np.pi / 2),
+        dtype=float,
+    )

@@ -10,7 +10,8 @@ import typer.testing
 from kempe.cli import app
 
 typer.testing._get_command = functools.cache(typer.main.get_command)
-"""The command is made of its functions once: that takes longer than most of what it is tested with."""
+"""The command is made of its functions once: that takes longer than most of what it is tested
+with."""
 
 
 class Result:

@@ -9,7 +9,9 @@ import types
 from collections.abc import Callable, Iterator
 
 os.environ.setdefault("KEMPE_QUIET", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is loaded: the suite runs a process for each core
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # read when NumPy is loaded: the suite runs a process for each core
 
 import hunts
 import numpy as np
@@ -21,16 +23,25 @@ FAR = 1e6
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Options of the hunts: `--hunt-seed 7 --hunt-times 100` runs them on other cases, and on more of them."""
-    parser.addoption("--hunt-seed", type=int, default=20261122, help="seed of the hunts for counter-examples")
-    parser.addoption("--hunt-times", type=float, help="factor on the number of their cases (slow: 1, others: 0.25)")
+    """Options of the hunts: `--hunt-seed 7 --hunt-times 100` runs them on other cases, and on more
+    of them.
+    """
+    parser.addoption(
+        "--hunt-seed", type=int, default=20261122, help="seed of the hunts for counter-examples"
+    )
+    parser.addoption(
+        "--hunt-times",
+        type=float,
+        help="factor on the number of their cases (slow: 1, others: 0.25)",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Properties take the factor that hunts take; modules of tests read it when they are imported.
 
-    While tests are collected nothing is garbage, and there are so many objects that looking for it takes most of the
-    time: the collector begins with the first test, and leaves alone what was there before.
+    While tests are collected nothing is garbage, and there are so many objects that looking for it
+    takes most of the time: the collector begins with the first test, and leaves alone what was
+    there before.
     """
     gc.disable()
     hunts.TIMES = config.getoption("--hunt-times") or hunts.QUICK
@@ -83,12 +94,16 @@ def hunt(request: pytest.FixtureRequest) -> hunts.Hunt:
 
 @pytest.fixture(scope="session", autouse=True)
 def usual_time_limits_are_far() -> Iterator[None]:
-    """Limits that are for people, of half a minute and more, never end a test: it may run on a busy machine."""
+    """Limits that are for people, of half a minute and more, never end a test: it may run on a busy
+    machine.
+    """
     from kempe.solvers.common import arguments, clock
     from kempe.solvers.one_frame import inverse
 
     def far(limit: float | None) -> float:
-        return arguments.deadline(limit) + (FAR if limit is not None and limit >= clock.SHORT else 0.0)
+        return arguments.deadline(limit) + (
+            FAR if limit is not None and limit >= clock.SHORT else 0.0
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (clock, inverse):
@@ -98,7 +113,9 @@ def usual_time_limits_are_far() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def solved_as_marked() -> Iterator[None]:
-    """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes one."""
+    """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes
+    one.
+    """
     from kempe.kinematics import closure_rows
     from kempe.kinematics.tasks import packed
     from kempe.solvers.assembly import assembler
@@ -111,7 +128,9 @@ def solved_as_marked() -> Iterator[None]:
 
 @pytest.fixture
 def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], itertools.count[int]]:
-    """A clock whose time is up at look number n, counted from 0: ``looks(n)``, which gives what counts them."""
+    """A clock whose time is up at look number n, counted from 0: ``looks(n)``, which gives what
+    counts them.
+    """
     from kempe.solvers.analytic.plans import question
     from kempe.solvers.common import clock
     from kempe.solvers.one_frame import multi_start

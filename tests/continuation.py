@@ -1,7 +1,9 @@
-"""Isolated solutions of special targets, from targets nearby that are not special, by Newton's method in numpy.
+"""Isolated solutions of special targets, from targets nearby that are not special, by Newton's
+method in numpy.
 
-A solution of a generic target a little aside is followed to the special one; where it is nearly singular there, its
-twin across the fold is looked for as well. So solutions are known that an answer has to have.
+A solution of a generic target a little aside is followed to the special one; where it is nearly
+singular there, its twin across the fold is looked for as well. So solutions are known that an
+answer has to have.
 """
 
 from __future__ import annotations
@@ -12,19 +14,23 @@ import numpy as np
 from arms import Arm
 
 ISOLATED = 1e-5
-"""Smallest singular value of a solution that is judged: nearer to singular ones it may lie on a curve, or merge."""
+"""Smallest singular value of a solution that is judged: nearer to singular ones it may lie on a
+curve, or merge."""
 
 EXACT = 1e-12
 """Error of a solution, lengths in units of the chain's size."""
 
 NUDGE = 1e-11 * np.random.default_rng(0).standard_normal((6, 6))
-"""Added to Jacobians, of which some are singular: large enough that no pivot is zero to rounding."""
+"""Added to Jacobians, of which some are singular: large enough that no pivot is zero to
+rounding."""
 
 PI = np.pi
 
 
 def newton(model: oracle.Model, X, theta, steps: int = 25) -> tuple[np.ndarray, np.ndarray]:
-    """(theta (N, n), smallest singular value (N,) or 0 where not converged) by undamped steps to targets (N, 4, 4)."""
+    """(theta (N, n), smallest singular value (N,) or 0 where not converged) by undamped steps to
+    targets (N, 4, 4).
+    """
     theta = np.array(theta, dtype=float)
     X = np.asarray(X, dtype=float)
     scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
@@ -80,7 +86,8 @@ def rotations(w) -> np.ndarray:
 
 
 def solutions(arm: Arm, X, q, rng: np.random.Generator, sizes=(1e-3, 1e-5)):
-    """(target (m,), theta (m, n), smallest singular value (m,)) of solutions of targets (N, 4, 4) that q (N, nq) gave.
+    """(target (m,), theta (m, n), smallest singular value (m,)) of solutions of targets (N, 4, 4)
+    that q (N, nq) gave.
 
     Not all of them, and some several times.
     """
@@ -135,22 +142,31 @@ def structured_arm(rng: np.random.Generator, number: int = 0) -> Arm:
         d = rng.choice(LENGTHS)
         alpha = rng.choice(TWISTS)
         e = error * rng.standard_normal(4)
-        rows.append((a + e[0], alpha + e[1], d + e[2], e[3], "prismatic" if kind == "P" else "revolute"))
+        rows.append(
+            (a + e[0], alpha + e[1], d + e[2], e[3], "prismatic" if kind == "P" else "revolute")
+        )
     return arms.table(f"structured{number}", rows, "structured", 16)
 
 
 def structured_poses(arm: Arm, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Configurations (count, nq), most joints at multiples of 30 or 45 degrees, two or three anywhere.
+    """Configurations (count, nq), most joints at multiples of 30 or 45 degrees, two or three
+    anywhere.
 
-    A quarter lies on a line: one joint anywhere, the others structured, but for the first and the last.
+    A quarter lies on a line: one joint anywhere, the others structured, but for the first and the
+    last.
     """
     n = arm.system.nq
     step = rng.choice([PI / 6, PI / 4, PI / 2], size=(count, 1))
     q = np.where(rng.random((count, n)) < 0.9, step * rng.integers(-6, 7, (count, n)), 0.0)
     free = rng.random((count, n)).argsort(axis=1) < rng.integers(2, 4, (count, 1))
     line = rng.random(count) < 0.25
-    free[line] = np.eye(n, dtype=bool)[[0, n - 1]].any(axis=0) | np.eye(n, dtype=bool)[rng.integers(n, size=line.sum())]
-    q = np.where(free, rng.uniform(-PI, PI, (count, n)), arm.model.wrapped(q) if n == arm.model.n else q)
+    free[line] = (
+        np.eye(n, dtype=bool)[[0, n - 1]].any(axis=0)
+        | np.eye(n, dtype=bool)[rng.integers(n, size=line.sum())]
+    )
+    q = np.where(
+        free, rng.uniform(-PI, PI, (count, n)), arm.model.wrapped(q) if n == arm.model.n else q
+    )
     slides = np.zeros(n, dtype=bool)
     slides[arm.model.index[arm.model.kinds == oracle.SLIDE]] = True
     return np.where(slides, 0.1 * q, q)

@@ -18,7 +18,9 @@ BLOCKED = "import sys; sys.modules.update(numba=None, llvmlite=None)\n"
 
 
 def copied(to: Path) -> Path:
-    """A copy of the package, its library and its builder below a folder; returns the folder of the package."""
+    """A copy of the package, its library and its builder below a folder; returns the folder of the
+    package.
+    """
     leave = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "native", to / "native", ignore=leave)
     return Path(shutil.copytree(ROOT / "src" / "kempe", to / "src" / "kempe", ignore=leave))
@@ -26,10 +28,14 @@ def copied(to: Path) -> Path:
 
 def run(code: str, package: Path | None = None, **environment: str) -> subprocess.CompletedProcess:
     """A fresh interpreter that runs `code`, with the package of a copy where one is given."""
-    env = {name: value for name, value in os.environ.items() if not name.startswith("KEMPE_")} | environment
+    env = {
+        name: value for name, value in os.environ.items() if not name.startswith("KEMPE_")
+    } | environment
     if package is not None:
         env["PYTHONPATH"] = str(package.parent)
-    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=300)
+    return subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=300
+    )
 
 
 def printed(code: str, package: Path | None = None, **environment: str) -> str:

@@ -23,7 +23,9 @@ def numbers(X: np.ndarray) -> tuple[tuple[float, float], float]:
 
 @dataclass
 class Chain:
-    """A mechanism that grows by driven bodies and dyads; `values` closes it, `known` are the driving coordinates."""
+    """A mechanism that grows by driven bodies and dyads; `values` closes it, `known` are the
+    driving coordinates.
+    """
 
     rng: np.random.Generator
     kinds: list[str] = field(default_factory=list)
@@ -78,7 +80,10 @@ class Chain:
     def dyad(self, kind: str, variable: bool = False) -> None:
         """Two bodies on what is there, by joints of these kinds on the way round."""
         there = list(self.poses)
-        links = [(self.cylinder().split() if variable and self.rng.random() < 0.5 else [self.body()]) for _ in "12"]
+        links = [
+            (self.cylinder().split() if variable and self.rng.random() < 0.5 else [self.body()])
+            for _ in "12"
+        ]
         (a, b), (c, d) = ((x[0], x[-1]) for x in links)
         self.either(kind[0], str(self.rng.choice(there)), a)
         self.either(kind[1], b, c)
@@ -87,7 +92,9 @@ class Chain:
         self.kinds.append(kind)
 
     def system(self, ground: str = "ground") -> System:
-        """The system, its bodies and joints declared in a random order, with one of its bodies as the ground."""
+        """The system, its bodies and joints declared in a random order, with one of its bodies as
+        the ground.
+        """
         m = Mechanism("chain", dim=2)
         names = {**{b: b for b in self.poses}, "ground": ground, ground: "ground"}
         for name in self.rng.permutation([b for b in self.poses if b != "ground"]):
@@ -101,7 +108,9 @@ class Chain:
 DYADS = ("RRR", "RRP", "RPR", "PRR", "RPP", "PRP", "PPR")
 
 
-def random_chain(seed: int, kinds: tuple[str, ...] = DYADS, most: int = 4, variable: bool = True) -> Chain:
+def random_chain(
+    seed: int, kinds: tuple[str, ...] = DYADS, most: int = 4, variable: bool = True
+) -> Chain:
     """A chain of up to `most` dyads of these kinds."""
     rng = np.random.default_rng(seed)
     chain = Chain(rng)

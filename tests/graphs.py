@@ -16,7 +16,9 @@ from kempe.model.closures.implicit_form import slides_along_z
 KINDS: list[tuple[str, dict]] = [(name, o) for name, t in TYPES.items() for o in variants(t, 0.3)]
 PLANAR_KINDS: list[tuple[str, dict]] = [(name, {}) for name, t in TYPES.items() if t.planar]
 SLIDES: list[tuple[str, dict]] = [
-    (name, {}) for name, t in TYPES.items() if t.planar and all(p.kind == P for p in t().layout(3, True)[1])
+    (name, {})
+    for name, t in TYPES.items()
+    if t.planar and all(p.kind == P for p in t().layout(3, True)[1])
 ]
 KINDS += [(words, {}) for words in PRODUCTS]
 PLANAR_KINDS += [("P(x) R(z)", {}), ("R(z) P(y) R(z)", {}), ("P(y) P(x)", {})]
@@ -58,12 +60,26 @@ class Graph:
         for e in self.edges:
             where = {"at": e.at[:3], "rpy": e.at[3:6], "child_at": e.at[6:9], "child_rpy": e.at[9:]}
             if self.dim == 2:
-                where = {"at": e.at[:2], "angle": e.at[5], "child_at": e.at[6:8], "child_angle": e.at[11]}
+                where = {
+                    "at": e.at[:2],
+                    "angle": e.at[5],
+                    "child_at": e.at[6:8],
+                    "child_angle": e.at[11],
+                }
             if e.child in self.particles:
                 where = {k: v for k, v in where.items() if not k.startswith("child")}
             if self.dim == 2 and slides_along_z(joint_type(e.kind, **e.options), 2, False):
                 where["axis"] = (0.6, -0.8)
-            m.joint(e.name, e.kind, e.parent, e.child, actuated=e.actuated, cut=e.cut, **e.options, **where)
+            m.joint(
+                e.name,
+                e.kind,
+                e.parent,
+                e.child,
+                actuated=e.actuated,
+                cut=e.cut,
+                **e.options,
+                **where,
+            )
         for of, source, ratio, offset in self.gears:
             m.gear(of, source, ratio, offset)
         return m.lock(dict(self.locks))
@@ -71,8 +87,10 @@ class Graph:
     def shuffled(self, seed: int) -> Graph:
         """The same graph, declared in another order."""
         rng = np.random.default_rng(seed)
-        mixed = {name: tuple(getattr(self, name)[i] for i in rng.permutation(len(getattr(self, name))))
-                 for name in ("bodies", "edges", "particles", "gears", "locks")}  # fmt: skip
+        mixed = {
+            name: tuple(getattr(self, name)[i] for i in rng.permutation(len(getattr(self, name))))
+            for name in ("bodies", "edges", "particles", "gears", "locks")
+        }
         return replace(self, **mixed)
 
     def ends(self, e: Edge) -> tuple[np.ndarray, np.ndarray]:
@@ -100,14 +118,20 @@ class Graph:
         return reference.coordinate_values(system.q_dict(q), couplings, dict(self.locks))
 
     def poses(self, system: System, q: np.ndarray) -> dict[str, np.ndarray]:
-        """Poses of all bodies by name at one configuration, by the reference, along the tree of the system."""
+        """Poses of all bodies by name at one configuration, by the reference, along the tree of the
+        system.
+        """
         values = self.values(system, q)
         edges = {e.name: e for e in self.edges}
         joints = []
-        for name, backwards in zip(system.structure.parent_joints, system.structure.topology.reversed_, strict=True):
+        for name, backwards in zip(
+            system.structure.parent_joints, system.structure.topology.reversed_, strict=True
+        ):
             X_PF, X_CM = self.ends(edges[name])
             joints.append((X_PF, self.joint_pose(edges[name], values), X_CM, backwards))
-        poses = dict(zip(system.body_names, reference.tree_poses(system.parent, joints), strict=True))
+        poses = dict(
+            zip(system.body_names, reference.tree_poses(system.parent, joints), strict=True)
+        )
         for name in self.particles:
             poses[name][:3, :3] = np.eye(3)
         return {name: np.asarray(X, dtype=float) for name, X in poses.items()}
@@ -126,15 +150,25 @@ def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, dims: tuple[int, ...]
     def edge(name: str, a: str, b: str, kinds: list[tuple[str, dict]]) -> Edge:
         kind, options = kinds[int(rng.integers(len(kinds)))]
         actuated = [None, None, True, False][int(rng.integers(4))]
-        return Edge(name, kind, a, b, tuple(rng.uniform(-1, 1, 12).round(3).tolist()), options, actuated,
-                    bool(rng.random() < 0.15))  # fmt: skip
+        return Edge(
+            name,
+            kind,
+            a,
+            b,
+            tuple(rng.uniform(-1, 1, 12).round(3).tolist()),
+            options,
+            actuated,
+            bool(rng.random() < 0.15),
+        )
 
     for k in range(n + draw(st.integers(0, loops))):
         a = everyone[int(rng.integers(0, min(k, n) + 1))]
         b = names[k] if k < n else everyone[int(rng.integers(0, n + 1))]
         if a != b:
             a, b = (a, b) if rng.random() < 0.6 else (b, a)
-            edges.append(edge(f"j{int(rng.integers(0, 10))}_{k}", a, b, KINDS if dim == 3 else PLANAR_KINDS))
+            edges.append(
+                edge(f"j{int(rng.integers(0, 10))}_{k}", a, b, KINDS if dim == 3 else PLANAR_KINDS)
+            )
     particles: list[str] = []
     gears: list[tuple[str, str, float, float]] = []
     locks: list[tuple[str, float]] = []
@@ -149,5 +183,11 @@ def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, dims: tuple[int, ...]
     if len(single) > 1 and rng.random() < 0.4:
         locks.append((single[0], 0.7))
     order = rng.permutation(len(edges))
-    return Graph(tuple(rng.permutation(names).tolist()), tuple(edges[i] for i in order), tuple(particles),
-                 tuple(gears), tuple(locks), dim)  # fmt: skip
+    return Graph(
+        tuple(rng.permutation(names).tolist()),
+        tuple(edges[i] for i in order),
+        tuple(particles),
+        tuple(gears),
+        tuple(locks),
+        dim,
+    )

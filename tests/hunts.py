@@ -1,6 +1,7 @@
 """The cases of hunts and properties, which look for counter-examples.
 
-The fixture `hunt` of conftest.py gives a `Hunt` to a test; properties say `@settings(max_examples=examples(60))`.
+The fixture `hunt` of conftest.py gives a `Hunt` to a test; properties say
+`@settings(max_examples=examples(60))`.
 """
 
 from __future__ import annotations
@@ -19,22 +20,30 @@ TIMES = QUICK
 
 
 def examples(count: int) -> int:
-    """Examples of a property that asks for so many, times the factor of the command line; at least five."""
+    """Examples of a property that asks for so many, times the factor of the command line; at least
+    five.
+    """
     return max(5, round(count * TIMES))
 
 
 def some(rows: Iterable[Any], of: int) -> list[Any]:
-    """Rows of a battery, of which the default suite runs one of so many; the others have the mark `rest`."""
+    """Rows of a battery, of which the default suite runs one of so many; the others have the mark
+    `rest`.
+    """
     return [row if i % of == 0 else _marked(row) for i, row in enumerate(rows)]
 
 
 def part(rows: Iterable[Any]) -> list[Any]:
-    """An even part of the rows of a long battery: all with `--hunt-times 1` and more, half of them with 0.5."""
+    """An even part of the rows of a long battery: all with `--hunt-times 1` and more, half of them
+    with 0.5.
+    """
     return list(rows)[:: max(1, round(1.0 / TIMES))]
 
 
 def _marked(row: Any) -> Any:
-    values, marks, name = (row.values, row.marks, row.id) if hasattr(row, "marks") else (None, (), None)
+    values, marks, name = (
+        (row.values, row.marks, row.id) if hasattr(row, "marks") else (None, (), None)
+    )
     values = values or (row if isinstance(row, tuple) else (row,))
     return pytest.param(*values, marks=(*marks, pytest.mark.rest), id=name)
 
@@ -52,5 +61,7 @@ class Hunt:
         return np.random.default_rng([self.seed, zlib.crc32(self._name.encode())])
 
     def cases(self, count: int, least: int = 1) -> int:
-        """As many cases as the test asks for, times the factor of the command line; at least so many."""
+        """As many cases as the test asks for, times the factor of the command line; at least so
+        many.
+        """
         return max(least, round(count * self._times))

@@ -13,7 +13,8 @@ VERIFIED = 1e-9
 """Largest error of an answer, in metres and radians."""
 
 SAME = 1e-6
-"""Largest difference of a configuration that counts as found, modulo a turn; nearer answers are the same one."""
+"""Largest difference of a configuration that counts as found, modulo a turn; nearer answers are the
+same one."""
 
 
 def held(arm: Arm, q) -> dict[str, np.ndarray]:
@@ -26,7 +27,9 @@ def ask(arm: Arm, X, q=None, **options):
     """The answer for targets X; for a redundant arm the coordinates `held` are those of q."""
     if arm.held:
         options["fixed"] = held(arm, q)
-    return arm.system.ik_all(X, arm.frame, task=(options.pop("task", arm.task), arm.axis), **options)
+    return arm.system.ik_all(
+        X, arm.frame, task=(options.pop("task", arm.task), arm.axis), **options
+    )
 
 
 def model(arm: Arm, q=None) -> oracle.Model:
@@ -58,30 +61,41 @@ def padded(answer) -> tuple[np.ndarray, np.ndarray]:
 
 
 def assert_true(arm: Arm, answer, X) -> None:
-    """Every solution reaches its target by the oracle's forward model, and is inside the limits if it says so."""
+    """Every solution reaches its target by the oracle's forward model, and is inside the limits if
+    it says so.
+    """
     X = np.asarray(X).reshape(-1, 4, 4)
     q, mask = padded(answer)
     K = q.shape[1]
     inside = answer.inside.reshape(len(X), K)
     assert np.isfinite(q[mask]).all()
     isolated = mask & (answer.multiplicity.reshape(len(X), K) > 0)
-    assert isolated.sum(axis=1).max(initial=0) <= arm.bound, f"{arm.name}: {isolated.sum(axis=1).max()} solutions"
+    assert isolated.sum(axis=1).max(initial=0) <= arm.bound, (
+        f"{arm.name}: {isolated.sum(axis=1).max()} solutions"
+    )
     theta = arm.model.theta(np.where(mask[..., None], q, 0.0))
     position, angle = oracle.error(arm.model.pose(theta), X[:, None], arm.task, arm.axis)
     wrong = mask & ~((position <= VERIFIED) & (angle <= VERIFIED))
-    assert not wrong.any(), f"{arm.name}, {np.argwhere(wrong)[:3]}: errors {position[wrong][:3]}, {angle[wrong][:3]}"
+    assert not wrong.any(), (
+        f"{arm.name}, {np.argwhere(wrong)[:3]}: errors {position[wrong][:3]}, {angle[wrong][:3]}"
+    )
     np.testing.assert_array_equal(inside[mask], is_inside(arm, q[mask]))
 
 
 def assert_distinct(arm: Arm, answer) -> None:
     """No two solutions of a target are the same, slides in lengths of the arm."""
-    same = SAME * min(1.0, 0.5 * arm.model.size) if (arm.model.kinds == oracle.SLIDE).any() else SAME
+    same = (
+        SAME * min(1.0, 0.5 * arm.model.size) if (arm.model.kinds == oracle.SLIDE).any() else SAME
+    )
     q, mask = padded(answer)
     theta = arm.model.theta(np.where(mask[..., None], q, 0.0))
     for j, k in itertools.combinations(range(q.shape[1]), 2):
         apart = arm.model.apart(theta[:, j], theta[:, k])
         near = np.flatnonzero(mask[:, j] & mask[:, k] & (apart <= same))
-        assert not len(near), f"{arm.name}, {len(near)} targets: solutions {j}, {k} of {near[0]}: {apart[near[0]]:.1e}"
+        assert not len(near), (
+            f"{arm.name}, {len(near)} targets: solutions {j}, {k} of {near[0]}: "
+            f"{apart[near[0]]:.1e}"
+        )
 
 
 def is_inside(arm: Arm, q) -> np.ndarray:
@@ -95,7 +109,9 @@ def can_be_inside(arm: Arm, q) -> bool:
 
 
 def turns(arm: Arm, q, i: int) -> list[float]:
-    """The values of coordinate i inside its limits, whole turns apart; one where there are infinitely many."""
+    """The values of coordinate i inside its limits, whole turns apart; one where there are
+    infinitely many.
+    """
     low = arm.system.lower[i]
     high = arm.system.upper[i]
     at = np.flatnonzero(arm.model.index == i)
@@ -110,12 +126,15 @@ def turns(arm: Arm, q, i: int) -> list[float]:
 
 
 def nearest(arm: Arm, found, theta) -> float:
-    """How far the nearest of the solutions `found` (k, nq) is from theta (n,); infinite where there is none."""
+    """How far the nearest of the solutions `found` (k, nq) is from theta (n,); infinite where there
+    is none.
+    """
     return float(arm.model.apart(arm.model.theta(found), theta).min(initial=math.inf))
 
 
 def assert_found(arm: Arm, answer, q, within=SAME, missed: int = 0) -> None:
-    """The configurations (N, nq) that gave the targets are among the answers, `within` (N,), or on their families.
+    """The configurations (N, nq) that gave the targets are among the answers, `within` (N,), or on
+    their families.
 
     All but `missed`, whose answers do not say that they are complete.
     """
@@ -127,8 +146,12 @@ def assert_found(arm: Arm, answer, q, within=SAME, missed: int = 0) -> None:
         if d > within[i] and not on_a_family(answer, i, x):
             missing.append((i, d))
     false = [(i, d) for i, d in missing if np.ravel(answer.complete)[i]]
-    assert not false, f"{arm.name}: complete with {len(false)} of {len(q)} not found, such as {false[:3]}"
-    assert len(missing) <= missed, f"{arm.name}: {len(missing)} of {len(q)} not found, such as {missing[:3]}"
+    assert not false, (
+        f"{arm.name}: complete with {len(false)} of {len(q)} not found, such as {false[:3]}"
+    )
+    assert len(missing) <= missed, (
+        f"{arm.name}: {len(missing)} of {len(q)} not found, such as {missing[:3]}"
+    )
 
 
 def on_a_family(answer, i: int, q) -> bool:
@@ -149,16 +172,24 @@ def same_sets(arm: Arm, a, b, tolerance: float = SAME) -> bool:
 
 
 def square(arm: Arm) -> bool:
-    """Whether the task asks for as many numbers as the arm has joints, some of which turn: it has singularities."""
+    """Whether the task asks for as many numbers as the arm has joints, some of which turn: it has
+    singularities.
+    """
     singular = (arm.model.kinds == oracle.TURN).any()
-    return bool(singular) and not arm.held and arm.system.dim == 3 and (arm.task, arm.model.n) in (
-        ("pose", 6), ("position", 3), ("orientation", 3))  # fmt: skip
+    return (
+        bool(singular)
+        and not arm.held
+        and arm.system.dim == 3
+        and (arm.task, arm.model.n) in (("pose", 6), ("position", 3), ("orientation", 3))
+    )
 
 
 def on_a_curve(arm: Arm, theta) -> bool:
-    """Whether the singular theta (n,) lies on a curve of solutions for its own pose, and not where two solutions meet.
+    """Whether the singular theta (n,) lies on a curve of solutions for its own pose, and not where
+    two solutions meet.
 
-    Newton's method returns to a meeting point (or its like) from nearby, but finds a curve where it starts.
+    Newton's method returns to a meeting point (or its like) from nearby, but finds a curve where it
+    starts.
     """
     m = arm.model
     X = m.pose(theta)
@@ -167,12 +198,16 @@ def on_a_curve(arm: Arm, theta) -> bool:
     scale = np.where(m.kinds == oracle.SLIDE, m.size, 1.0)
     J = oracle._rows((J * scale)[None], X[None, :3, :3], arm.task, arm.axis)[0]
     null = np.linalg.svd(J)[2][-1] * scale
-    away, done = oracle.newton(m, X, theta + np.array([[0.05], [-0.05]]) * null, arm.task, arm.axis, steps=80)
+    away, done = oracle.newton(
+        m, X, theta + np.array([[0.05], [-0.05]]) * null, arm.task, arm.axis, steps=80
+    )
     return bool(done.all() and (np.abs(away - theta).max(axis=1) > 0.02).all())
 
 
 def near_singular(arm: Arm, seed: int, number: int, sizes) -> tuple[np.ndarray, np.ndarray]:
-    """Thetas (number, len(sizes), n) so far from random singular configurations, and whether these are on curves."""
+    """Thetas (number, len(sizes), n) so far from random singular configurations, and whether these
+    are on curves.
+    """
     rng = np.random.default_rng([seed, 99])
     out = []
     curves = []
@@ -188,13 +223,17 @@ ROUNDING = 1e-15
 
 
 def allowed(arm: Arm, theta, curve) -> np.ndarray:
-    """How far (...) from theta (..., n) its solution may be found: how far rounding of the target moves it.
+    """How far (...) from theta (..., n) its solution may be found: how far rounding of the target
+    moves it.
 
-    Where two solutions meet, the square root of rounding over the curvature of the fold. Near a curve of solutions
-    rounding moves the solution along the curve by its size over the smallest singular value.
+    Where two solutions meet, the square root of rounding over the curvature of the fold. Near a
+    curve of solutions rounding moves the solution along the curve by its size over the smallest
+    singular value.
     """
     weak = arm.model.condition(theta, arm.task, arm.axis)
-    fold = np.sqrt(32.0 * ROUNDING / np.maximum(arm.model.curvature(theta, arm.task, arm.axis), 1e-12))
+    fold = np.sqrt(
+        32.0 * ROUNDING / np.maximum(arm.model.curvature(theta, arm.task, arm.axis), 1e-12)
+    )
     return SAME + np.where(curve, 10.0 * ROUNDING / np.maximum(weak, 1e-16), fold) * _unit(arm)
 
 
@@ -203,7 +242,8 @@ def _unit(arm: Arm) -> float:
 
 
 def assert_found_near_singular(arm: Arm, seed: int, number: int, missed: int | None = None):
-    """The answer for configurations moved off random singular ones by 1e-12 to 1e-3: these are among the solutions.
+    """The answer for configurations moved off random singular ones by 1e-12 to 1e-3: these are
+    among the solutions.
 
     As many as that may be missed where the answer is not complete, by default any number.
     """

@@ -1,4 +1,6 @@
-"""Interrupts from the keyboard at any line of some modules, as they may come, and the ends of processes there."""
+"""Interrupts from the keyboard at any line of some modules, as they may come, and the ends of
+processes there.
+"""
 
 import os
 import subprocess
@@ -7,12 +9,13 @@ from pathlib import Path
 
 
 class Interrupt:
-    """Raises KeyboardInterrupt before line number `at` of those that the calling thread runs in these modules.
+    """Raises KeyboardInterrupt before line number `at` of those that the calling thread runs in
+    these modules.
 
     Or calls `act` there.
 
-    With 0 it raises none, and `lines` counts them. `came` says whether it was raised: how many lines the calling thread
-    runs depends on how often it wakes while it waits for others.
+    With 0 it raises none, and `lines` counts them. `came` says whether it was raised: how many
+    lines the calling thread runs depends on how often it wakes while it waits for others.
     """
 
     def __init__(self, at, *modules, act=None):
@@ -23,7 +26,9 @@ class Interrupt:
         self._act = act
 
     def __enter__(self):
-        sys.settrace(lambda frame, *_: self._line if frame.f_code.co_filename in self.files else None)
+        sys.settrace(
+            lambda frame, *_: self._line if frame.f_code.co_filename in self.files else None
+        )
         return self
 
     def __exit__(self, kind, *_):
@@ -43,7 +48,8 @@ class Interrupt:
 
 
 def ended(ending, at, modules, code):
-    """Run code in a process that sends itself a signal before line number `at` of those that it runs in modules.
+    """Run code in a process that sends itself a signal before line number `at` of those that it
+    runs in modules.
 
     Returns the number of these lines up to its end; None where the signal has ended it at once.
     """
@@ -60,6 +66,8 @@ with Interrupt({at}, {", ".join(x.__name__ for x in modules)}, act=lambda: os.ki
 print(seen.lines)
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True
+    )
     assert done.returncode in (0, -ending), done.stderr
     return int(done.stdout) if done.returncode == 0 else None

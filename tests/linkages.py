@@ -9,25 +9,42 @@ from kempe import Mechanism, System
 
 
 def four_bar(
-    a: float = 0.1, b: float = 0.5, c: float = 0.4, d: float = 0.4, cut: str | None = "C",
-    at: tuple[float, float] = (0.0, 0.0), **joints: dict[str, Any],
-) -> System:  # fmt: skip
-    """Crank a, coupler b, rocker c, ground d, standing at `at`; joints A, B, C, D with further keywords by name."""
+    a: float = 0.1,
+    b: float = 0.5,
+    c: float = 0.4,
+    d: float = 0.4,
+    cut: str | None = "C",
+    at: tuple[float, float] = (0.0, 0.0),
+    **joints: dict[str, Any],
+) -> System:
+    """Crank a, coupler b, rocker c, ground d, standing at `at`; joints A, B, C, D with further
+    keywords by name.
+    """
     m = Mechanism("four-bar", dim=2)
     crank, coupler, rocker = (m.body(name) for name in ("crank", "coupler", "rocker"))
-    places = {"A": (m.ground, crank, at, (0, 0)), "B": (crank, coupler, (a, 0), (0, 0)),
-              "C": (coupler, rocker, (b, 0), (c, 0)), "D": (m.ground, rocker, (at[0] + d, at[1]), (0, 0))}  # fmt: skip
+    places = {
+        "A": (m.ground, crank, at, (0, 0)),
+        "B": (crank, coupler, (a, 0), (0, 0)),
+        "C": (coupler, rocker, (b, 0), (c, 0)),
+        "D": (m.ground, rocker, (at[0] + d, at[1]), (0, 0)),
+    }
     for name, (parent, child, here, there) in places.items():
-        m.revolute(name, parent, child, at=here, child_at=there, cut=name == cut, **joints.get(name, {}))
+        m.revolute(
+            name, parent, child, at=here, child_at=there, cut=name == cut, **joints.get(name, {})
+        )
     return m.build()
 
 
 def planar_arm(*lengths: float, limits: Sequence[Any] | None = None) -> System:
-    """Links of these lengths, b1, b2, ..., turning in the plane by q1, q2, ...; frame `tip`; limits of each joint."""
+    """Links of these lengths, b1, b2, ..., turning in the plane by q1, q2, ...; frame `tip`; limits
+    of each joint.
+    """
     m = Mechanism("planar arm", dim=2)
     before = m.ground
     at = 0.0
-    for k, (length, pair) in enumerate(zip(lengths, limits or [None] * len(lengths), strict=True), 1):
+    for k, (length, pair) in enumerate(
+        zip(lengths, limits or [None] * len(lengths), strict=True), 1
+    ):
         m.revolute(f"q{k}", before, m.body(f"b{k}"), at=(at, 0.0), limits=pair)
         before = m.bodies[f"b{k}"]
         at = length

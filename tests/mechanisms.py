@@ -1,4 +1,5 @@
-"""Planar mechanisms of the library with their published freedoms, and their motions through singular postures.
+"""Planar mechanisms of the library with their published freedoms, and their motions through
+singular postures.
 
 `PLANAR` and `SINGULAR` are tables for any test; `branches` gives motions in closed form.
 """
@@ -15,9 +16,10 @@ from math import asin, atan, atan2, cos, pi, sin, sqrt, tan
 class Case:
     """What is known about one posture of a mechanism.
 
-    `count`: 3 n_b - 2 n_j, the lecture's count in the plane; `rank`: all coordinates minus the rank of the Jacobian of
-    the loops; `true`: the largest dimension of a motion through the posture; `branches`: the dimensions of all motions
-    that meet there, where it is a singular point of the configuration space.
+    `count`: 3 n_b - 2 n_j, the lecture's count in the plane; `rank`: all coordinates minus the rank
+    of the Jacobian of the loops; `true`: the largest dimension of a motion through the posture;
+    `branches`: the dimensions of all motions that meet there, where it is a singular point of the
+    configuration space.
     """
 
     name: str
@@ -74,21 +76,46 @@ SINGULAR: tuple[Case, ...] = (
     Case("antiparallelogram", 1, 1, "change point", 2, "flat", (1, 1)),
     Case("kite", 1, 1, "change point", 2, "change_point", (1, 1)),
     Case("slider_crank_equal", 1, 1, "change point", 2, "change_point", (1, 1)),
-    Case("double_parallelogram", 0, 1, "flat, but no antiparallelogram serves both loops", 2, "flat", (1,)),
-    Case("row_of_four_bars", 1, 1, "flat: each crank can be the first that turns", 4, "flat", (1, 1, 1, 1)),
-    Case("three_rpr", 3, 3, "regular, but the lines of the actuators meet in a point", 3, "concurrent"),
+    Case(
+        "double_parallelogram",
+        0,
+        1,
+        "flat, but no antiparallelogram serves both loops",
+        2,
+        "flat",
+        (1,),
+    ),
+    Case(
+        "row_of_four_bars",
+        1,
+        1,
+        "flat: each crank can be the first that turns",
+        4,
+        "flat",
+        (1, 1, 1, 1),
+    ),
+    Case(
+        "three_rpr",
+        3,
+        3,
+        "regular, but the lines of the actuators meet in a point",
+        3,
+        "concurrent",
+    ),
     Case("wunderlich", 1, 2, "regular point of a motion of dimension 2", 2, "parallel"),
     Case("wunderlich", 1, 1, "regular point of a motion of dimension 1", 1, "antiparallel"),
 )
-"""Further postures: change points, a singularity of the actuators, and points of Wunderlich's two kinds of motions."""
+"""Further postures: change points, a singularity of the actuators, and points of Wunderlich's two
+kinds of motions."""
 
 Motion = Callable[..., dict[str, float]]
 
 
 def branches(name: str) -> list[tuple[int, Motion]]:
-    """Motions through the singular posture of a mechanism, each with its dimension: coordinates, by name, as a function
-    of as many numbers, zeros at the posture. All of the motions that meet there; none for other mechanisms, and none
-    for `double_watt`, whose cusp has no smooth parameter in closed form.
+    """Motions through the singular posture of a mechanism, each with its dimension: coordinates, by
+    name, as a function of as many numbers, zeros at the posture. All of the motions that meet
+    there; none for other mechanisms, and none for `double_watt`, whose cusp has no smooth parameter
+    in closed form.
     """
     return {
         "parallelogram": _parallelogram,
@@ -138,7 +165,14 @@ def _slider_crank_equal(r: float = 0.2) -> list[tuple[int, Motion]]:
 
 
 def _double_parallelogram() -> list[tuple[int, Motion]]:
-    return [(1, lambda t: {f"{joint}{i}": sign * t for joint, sign in (("A", 1), ("B", -1)) for i in (1, 2, 3)})]
+    return [
+        (
+            1,
+            lambda t: {
+                f"{joint}{i}": sign * t for joint, sign in (("A", 1), ("B", -1)) for i in (1, 2, 3)
+            },
+        )
+    ]
 
 
 def _row_of_four_bars(n: int = 3) -> list[tuple[int, Motion]]:
@@ -173,10 +207,16 @@ def _box(a: Angles, b: Angles, c: Angles) -> dict[str, float]:
 
 
 def _crossed_faces(pair: str, lengths: dict[str, float]) -> Motion:
-    """Two opposite faces are antiparallelograms, the other four parallelograms; s and the third direction are free."""
+    """Two opposite faces are antiparallelograms, the other four parallelograms; s and the third
+    direction are free.
+    """
     one, two = pair
     third = next(x for x in "abc" if x not in pair)
-    axes = {"a": "ijk", "b": "jik", "c": "kij"}  # direction of the bar, then the two places in its name
+    axes = {
+        "a": "ijk",
+        "b": "jik",
+        "c": "kij",
+    }  # direction of the bar, then the two places in its name
 
     def coordinates(s: float, t: float) -> dict[str, float]:
         def direction(bar: str) -> Angles:
@@ -191,7 +231,9 @@ def _crossed_faces(pair: str, lengths: dict[str, float]) -> Motion:
 
         a, b, c = (direction(bar) for bar in "abc")
         turn = a(0, 0)
-        return _box(lambda x, y: a(x, y) - turn, lambda x, y: b(x, y) - turn, lambda x, y: c(x, y) - turn)
+        return _box(
+            lambda x, y: a(x, y) - turn, lambda x, y: b(x, y) - turn, lambda x, y: c(x, y) - turn
+        )
 
     return coordinates
 
@@ -199,8 +241,9 @@ def _crossed_faces(pair: str, lengths: dict[str, float]) -> Motion:
 def _all_crossed(lengths: dict[str, float]) -> Motion:
     """All six faces are antiparallelograms: the directions of the three bars at a pin are free.
 
-    A fourth corner is the mirror image of the first one in the bisector of the two others. That the last corner
-    comes out the same from three faces is the consistency of cross-ratios (Bobenko and Suris, 2002).
+    A fourth corner is the mirror image of the first one in the bisector of the two others. That the
+    last corner comes out the same from three faces is the consistency of cross-ratios (Bobenko and
+    Suris, 2002).
     """
 
     def mirrored(z: complex, z1: complex, z2: complex) -> complex:
@@ -208,8 +251,12 @@ def _all_crossed(lengths: dict[str, float]) -> Motion:
         return z + 2 * along * (((z1 + z2) / 2 - z) * along.conjugate()).real
 
     def coordinates(s: float, t: float) -> dict[str, float]:
-        z = {(0, 0, 0): 0j, (1, 0, 0): complex(lengths["a"]),
-             (0, 1, 0): rect(lengths["b"], s), (0, 0, 1): rect(lengths["c"], t)}  # fmt: skip
+        z = {
+            (0, 0, 0): 0j,
+            (1, 0, 0): complex(lengths["a"]),
+            (0, 1, 0): rect(lengths["b"], s),
+            (0, 0, 1): rect(lengths["c"], t),
+        }
         z[1, 1, 0] = mirrored(z[0, 0, 0], z[1, 0, 0], z[0, 1, 0])
         z[1, 0, 1] = mirrored(z[0, 0, 0], z[1, 0, 0], z[0, 0, 1])
         z[0, 1, 1] = mirrored(z[0, 0, 0], z[0, 1, 0], z[0, 0, 1])
@@ -224,7 +271,9 @@ def _all_crossed(lengths: dict[str, float]) -> Motion:
 
 
 def _crossed_pin(pin: tuple[int, int, int], lengths: dict[str, float]) -> Motion:
-    """The three faces around a pin are antiparallelograms, the other three parallelograms; s is free."""
+    """The three faces around a pin are antiparallelograms, the other three parallelograms; s is
+    free.
+    """
 
     def coordinates(s: float) -> dict[str, float]:
         def direction(bar: int) -> Angles:
@@ -234,13 +283,19 @@ def _crossed_pin(pin: tuple[int, int, int], lengths: dict[str, float]) -> Motion
 
         a, b, c = (direction(bar) for bar in range(3))
         turn = a(0, 0)
-        return _box(lambda x, y: a(x, y) - turn, lambda x, y: b(x, y) - turn, lambda x, y: c(x, y) - turn)
+        return _box(
+            lambda x, y: a(x, y) - turn, lambda x, y: b(x, y) - turn, lambda x, y: c(x, y) - turn
+        )
 
     return coordinates
 
 
 def _wunderlich() -> list[tuple[int, Motion]]:
     lengths = {"a": 0.9, "b": 0.6, "c": 0.3}
-    motions: list[tuple[int, Motion]] = [(2, lambda s, t: _box(lambda x, y: 0.0, lambda x, y: s, lambda x, y: t))]
-    motions += [(2, _crossed_faces(pair, lengths)) for pair in ("ab", "ac", "bc")] + [(2, _all_crossed(lengths))]
+    motions: list[tuple[int, Motion]] = [
+        (2, lambda s, t: _box(lambda x, y: 0.0, lambda x, y: s, lambda x, y: t))
+    ]
+    motions += [(2, _crossed_faces(pair, lengths)) for pair in ("ab", "ac", "bc")] + [
+        (2, _all_crossed(lengths))
+    ]
     return motions + [(1, _crossed_pin(pin, lengths)) for pin in CORNERS]

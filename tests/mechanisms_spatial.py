@@ -1,7 +1,9 @@
-"""The shipped closed mechanisms in space: what counting says of each, what the rank says, and what is true.
+"""The shipped closed mechanisms in space: what counting says of each, what the rank says, and what
+is true.
 
-`SPATIAL` is a table for all tests that need mechanisms with known degrees of freedom. `joint_constraints` is an
-independent oracle for the rank: velocities of bodies in place of joint coordinates, nothing of Kempe's loops.
+`SPATIAL` is a table for all tests that need mechanisms with known degrees of freedom.
+`joint_constraints` is an independent oracle for the rank: velocities of bodies in place of joint
+coordinates, nothing of Kempe's loops.
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ from kempe import System
 class Spatial:
     """A mechanism and its degrees of freedom at the posture `closed`.
 
-    `count` is 6 for each moving body minus the constraints of all joints; `rank` is the dimension of the velocities
-    that the joints allow; `dof` is the dimension of the set of configurations through the posture; `redundant` is
-    the number of constraints that others imply, always `rank - count`; `idle` is how many freedoms are left when
-    the motors hold, spins of rods that move nothing else.
+    `count` is 6 for each moving body minus the constraints of all joints; `rank` is the dimension
+    of the velocities that the joints allow; `dof` is the dimension of the set of configurations
+    through the posture; `redundant` is the number of constraints that others imply, always
+    `rank - count`; `idle` is how many freedoms are left when the motors hold, spins of rods that
+    move nothing else.
     """
 
     name: str
@@ -33,7 +36,15 @@ class Spatial:
 
 
 SPATIAL = [
-    Spatial("four_bar_spatial", -2, 1, 1, 3, 0, "three redundant constraints for each planar loop of revolute joints"),
+    Spatial(
+        "four_bar_spatial",
+        -2,
+        1,
+        1,
+        3,
+        0,
+        "three redundant constraints for each planar loop of revolute joints",
+    ),
     Spatial("bennett", -2, 1, 1, 3, 0, "Bennett, 1903"),
     Spatial("goldberg_5r", -1, 1, 1, 2, 0, "Goldberg, 1943"),
     Spatial("sarrus", 0, 1, 1, 1, 0, "Sarrus, 1853"),
@@ -48,11 +59,28 @@ SPATIAL = [
     Spatial("stewart_sps", 12, 12, 12, 0, 6, "Stewart, 1965: each leg spins"),
     Spatial("stewart_dietmaier", 6, 6, 6, 0, 0, "Dietmaier, 1998"),
     Spatial("three_upu", 3, 3, 3, 0, 0, "Tsai, 1996"),
-    Spatial("three_upu_snu", 3, 5, 3, 2, 0, "Zlatanov, Bonev and Gosselin, 2002: a constraint singularity"),
+    Spatial(
+        "three_upu_snu",
+        3,
+        5,
+        3,
+        2,
+        0,
+        "Zlatanov, Bonev and Gosselin, 2002: a constraint singularity",
+    ),
     Spatial("three_rps", 3, 3, 3, 0, 0, "Hunt, 1983"),
-    Spatial("seven_bodies_loop", 2, 5, 5, 3, 0, "a slider-crank in a plane and four joints outside the loop"),
+    Spatial(
+        "seven_bodies_loop",
+        2,
+        5,
+        5,
+        3,
+        0,
+        "a slider-crank in a plane and four joints outside the loop",
+    ),
 ]
-"""One row a mechanism. At `three_upu_snu` two motions of dimension 3 meet, which is why the rank says 5."""
+"""One row a mechanism. At `three_upu_snu` two motions of dimension 3 meet, which is why the rank
+says 5."""
 
 
 def singular_values(J: np.ndarray) -> tuple[np.ndarray, int]:
@@ -65,9 +93,11 @@ def singular_values(J: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def joint_constraints(system: System, q: np.ndarray, held: tuple[str, ...] = ()) -> np.ndarray:
-    """Rows that the twists of all moving bodies must meet (m, 6 bodies): each joint allows its own screws only.
+    """Rows that the twists of all moving bodies must meet (m, 6 bodies): each joint allows its own
+    screws only.
 
-    Twists [v; w] are taken at the origin. Joints named in `held` allow nothing. Rows are orthonormal for each joint.
+    Twists [v; w] are taken at the origin. Joints named in `held` allow nothing. Rows are
+    orthonormal for each joint.
     """
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     column = {b: 6 * i for i, b in enumerate(system.body_names[1:])}
@@ -80,13 +110,22 @@ def joint_constraints(system: System, q: np.ndarray, held: tuple[str, ...] = ())
         x = F[:3, 0]
         z = F[:3, 2]
         p = F[:3, 3]
-        turns = {"revolute": [z], "prismatic": [], "universal": [x, M[:3, 1]], "spherical": list(np.eye(3))}
+        turns = {
+            "revolute": [z],
+            "prismatic": [],
+            "universal": [x, M[:3, 1]],
+            "spherical": list(np.eye(3)),
+        }
         screws = [np.r_[np.cross(p, w), w] for w in turns[joint.type.type_name]]
         screws += [np.r_[z, 0, 0, 0]] if joint.type.type_name == "prismatic" else []
         if joint.name in held:
             screws = []
         allowed = np.array(screws).reshape(-1, 6)
-        wrenches = np.linalg.svd(allowed, full_matrices=True)[2][len(allowed) :] if len(allowed) else np.eye(6)
+        wrenches = (
+            np.linalg.svd(allowed, full_matrices=True)[2][len(allowed) :]
+            if len(allowed)
+            else np.eye(6)
+        )
         block = np.zeros((len(wrenches), 6 * len(column)))
         for body, sign in ((joint.parent, -1.0), (joint.child, 1.0)):
             if body in column:

@@ -1,14 +1,17 @@
-"""Whether the tests notice small changes of the source: `python tests/mutants.py --seed 7 -n 400 --jobs 2`.
+"""Whether the tests notice small changes of the source:
+`python tests/mutants.py --seed 7 -n 400 --jobs 2`.
 
-Mutations (`mutation.py`) are drawn by the seed, as many from each area, and each is run against tests that reach the
-changed lines, cheap ones first, until one fails. Which tests reach what is recorded once, `--map`, in a copy of the
-source that says where it is; after a change of some tests, `--map tests/model/test_gauge.py` records these anew. All of
-it stands in `build/mutants`, and `--resume` goes on where a run was interrupted.
+Mutations (`mutation.py`) are drawn by the seed, as many from each area, and each is run against
+tests that reach the changed lines, cheap ones first, until one fails. Which tests reach what is
+recorded once, `--map`, in a copy of the source that says where it is; after a change of some tests,
+`--map tests/model/test_gauge.py` records these anew. All of it stands in `build/mutants`, and
+`--resume` goes on where a run was interrupted.
 
-Tests are collected once; then each mutant is a fork in which the code of the changed functions is replaced. What runs
-at import (constants, defaults, what tests compute while they are collected) needs a process of its own, in which a
-mutant stands in a copy of the source: so do mutants that survived the fork. The checkout is never edited. A kill counts
-only if the test that failed passes without the mutant.
+Tests are collected once; then each mutant is a fork in which the code of the changed functions is
+replaced. What runs at import (constants, defaults, what tests compute while they are collected)
+needs a process of its own, in which a mutant stands in a copy of the source: so do mutants that
+survived the fork. The checkout is never edited. A kill counts only if the test that failed passes
+without the mutant.
 """
 
 from __future__ import annotations
@@ -52,8 +55,14 @@ AREAS = {
 }
 """Modules of each area, by patterns; the first area that has a module takes it."""
 TEXTS = [
-    "*text*", "*describe*", "*explain*", "*words*", "*/__init__.py", "model/system.py", "model/namespaces.py",
-]  # fmt: skip
+    "*text*",
+    "*describe*",
+    "*explain*",
+    "*words*",
+    "*/__init__.py",
+    "model/system.py",
+    "model/namespaces.py",
+]
 """Modules that make sentences, or only delegate."""
 MEMORY = 8 << 30
 """Bytes that a mutant may take."""
@@ -64,7 +73,9 @@ def area(module: str) -> str:
     """The area of a module, by its path below the package; empty if it has none."""
     if any(fnmatch(module, pattern) for pattern in TEXTS):
         return ""
-    return next((name for name, patterns in AREAS.items() if any(fnmatch(module, p) for p in patterns)), "")
+    return next(
+        (name for name, patterns in AREAS.items() if any(fnmatch(module, p) for p in patterns)), ""
+    )
 
 
 def modules() -> list[str]:
@@ -73,14 +84,18 @@ def modules() -> list[str]:
 
 
 def draw(seed: int, count: int) -> list[tuple[str, Site]]:
-    """Mutations, as many from each area, as modules and sites; a change of other code does not change what is drawn."""
+    """Mutations, as many from each area, as modules and sites; a change of other code does not
+    change what is drawn.
+    """
     pools: dict[str, list[tuple[str, Site]]] = {name: [] for name in AREAS}
     lots: dict[tuple[str, Site], bytes] = {}
     for module in modules():
         seen: Counter[tuple[str, str, str]] = Counter()
         for site in sites((SOURCE / module).read_text()):
             seen[name := (site.function, site.before, site.after)] += 1
-            lots[module, site] = hashlib.sha1(repr((seed, module, *name, seen[name])).encode()).digest()
+            lots[module, site] = hashlib.sha1(
+                repr((seed, module, *name, seen[name])).encode()
+            ).digest()
             pools[area(module)].append((module, site))
     for pool in pools.values():
         pool.sort(key=lots.__getitem__)
@@ -96,8 +111,21 @@ def copy_of_source(folder: str, edit: dict[str, str]) -> str:
 
 
 def pytest_arguments(files: list[str]) -> list[str]:
-    """Pytest in this process, without what slows it down, with all cases of hunts and all rows but the slow ones."""
-    quick = ["-q", "-s", "-n", "0", "-p", "no:cacheprovider", "-p", "no:faulthandler", "--tb=no", "--no-header"]
+    """Pytest in this process, without what slows it down, with all cases of hunts and all rows but
+    the slow ones.
+    """
+    quick = [
+        "-q",
+        "-s",
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:faulthandler",
+        "--tb=no",
+        "--no-header",
+    ]
     quick += ["-m", "not slow", "--hunt-times", "1"]
     return [*quick, "--rootdir", str(ROOT), *files]
 
@@ -105,7 +133,13 @@ def pytest_arguments(files: list[str]) -> list[str]:
 def environment(source: str) -> dict[str, str]:
     """The environment of a process that imports the package from there."""
     path = os.pathsep.join([source, str(TESTS), *sys.path[1:]])
-    return {**os.environ, "PYTHONPATH": path, "KEMPE_QUIET": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+    return {
+        **os.environ,
+        "PYTHONPATH": path,
+        "KEMPE_QUIET": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONHASHSEED": "0",
+    }
 
 
 # Which tests reach what
@@ -114,7 +148,8 @@ def environment(source: str) -> dict[str, str]:
 class Recorder:
     """Pytest's plugin that writes for each file of tests what its tests reach, and their seconds.
 
-    Each test begins with empty caches: else only the first one that asks for an answer would be known to reach it.
+    Each test begins with empty caches: else only the first one that asks for an answer would be
+    known to reach it.
     """
 
     def __init__(self) -> None:
@@ -159,14 +194,20 @@ class Recorder:
         System.__init__ = init  # type: ignore[method-assign]
         gathered.update({id(x): x for x in gc.get_objects() if isinstance(x, System)})
         names = [name for base in System.__mro__ for name in vars(base)]
-        self.lazy = [name for name in names if isinstance(getattr(System, name, None), cached_property)]
+        self.lazy = [
+            name for name in names if isinstance(getattr(System, name, None), cached_property)
+        ]
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Iterator[None]:
         from kempe._hits import HITS  # type: ignore
 
         file = item.location[0]
-        if not self.tests:  # the first of its file: modules that were imported since have caches, too
+        if (
+            not self.tests
+        ):  # the first of its file: modules that were imported since have caches, too
             folders = ("kempe.", *(p.stem for p in TESTS.rglob("*.py")))
             found = (x for x in gc.get_objects() if isinstance(x, _lru_cache_wrapper))
             self.caches = [x for x in found if str(x.__module__).startswith(folders)]
@@ -197,7 +238,10 @@ def record(files: list[str], jobs: int) -> None:
         edit["_hits.py"] = "HITS: set[str] = set()\nhit = HITS.add\n"
         env = environment(copy_of_source(folder, edit))
         parts = [files[i::jobs] for i in range(min(jobs, len(files)))]
-        running = [subprocess.Popen([sys.executable, __file__, "--record", *p], env=env, cwd=ROOT) for p in parts]
+        running = [
+            subprocess.Popen([sys.executable, __file__, "--record", *p], env=env, cwd=ROOT)
+            for p in parts
+        ]
         if any([process.wait() > 1 for process in running]):
             raise SystemExit("recording failed")
 
@@ -220,11 +264,18 @@ class Map:
                     self.tests.setdefault(part["keys"][hit], []).append(test)
 
     def chosen(self, module: str, site: Site) -> list[str]:
-        """The tests of a mutant in their order: the first case of each test function, cheap ones first, and so on."""
+        """The tests of a mutant in their order: the first case of each test function, cheap ones
+        first, and so on.
+        """
         if site.segment:
             reached = self.tests.get(f"{module}:{site.segment}", [])
         else:  # run at import: what reaches the module most
-            count = Counter(t for key, tests in self.tests.items() if key.startswith(f"{module}:") for t in tests)
+            count = Counter(
+                t
+                for key, tests in self.tests.items()
+                if key.startswith(f"{module}:")
+                for t in tests
+            )
             reached = [t for t, n in count.items() if 2 * n >= max(count.values())]
         rank: Counter[str] = Counter()
         order = []
@@ -254,7 +305,9 @@ class Judge:
         self.failed |= report.outcome == "failed"
 
     def killer(self, items: list[pytest.Item], seconds: dict[str, float]) -> str:
-        """The test that fails first, or nothing. A test that takes much too long ends the process by a signal."""
+        """The test that fails first, or nothing. A test that takes much too long ends the process
+        by a signal.
+        """
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         for signals in (signal.SIGPROF, signal.SIGALRM):
             signal.signal(signals, signal.SIG_DFL)
@@ -280,7 +333,11 @@ class Alone(Judge):
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         known = {item.nodeid: item for item in session.items}
         missing = [t for t in self.plan["tests"] if t not in known]
-        found = missing[0] if missing else self.killer([known[t] for t in self.plan["tests"]], self.plan["seconds"])
+        found = (
+            missing[0]
+            if missing
+            else self.killer([known[t] for t in self.plan["tests"]], self.plan["seconds"])
+        )
         self.job.with_suffix(".out").write_text(found)
         return True
 
@@ -294,7 +351,9 @@ def codes(code: types.CodeType) -> Iterator[tuple[tuple[str, int], types.CodeTyp
 
 
 class Runner(Judge):
-    """Pytest's plugin that, once all tests are collected, runs mutants side by side and writes what became of them."""
+    """Pytest's plugin that, once all tests are collected, runs mutants side by side and writes what
+    became of them.
+    """
 
     def __init__(self, work: list[tuple[str, Site]], known: Map, jobs: int, results: Path) -> None:
         super().__init__()
@@ -336,7 +395,10 @@ class Runner(Judge):
         tests = [t for t in tests if t in self.items and self.sound.get(t, True)]
         if not tests:
             return self.write(run, "not reached", "")
-        run |= {"alone": alone, "job": self.folder / f"{run['module'].replace('/', '-')}-{run['site'].number}.json"}
+        run |= {
+            "alone": alone,
+            "job": self.folder / f"{run['module'].replace('/', '-')}-{run['site'].number}.json",
+        }
         run["job"].with_suffix(".out").unlink(missing_ok=True)
         if pid := os.fork():
             self.running[pid] = run
@@ -357,7 +419,9 @@ class Runner(Judge):
             os._exit(code)
 
     def replace_code(self, module: str, number: int) -> bool:
-        """Give the functions of a module the code that they have with a mutation; whether that could be done."""
+        """Give the functions of a module the code that they have with a mutation; whether that
+        could be done.
+        """
         name = str(SOURCE / module)
         done = False
         tree = mutated(Path(name).read_text(), number)
@@ -382,7 +446,11 @@ class Runner(Judge):
 
             text = (SOURCE / run["module"]).read_text()
             copy_of_source(source, {run["module"]: ast.unparse(mutated(text, run["site"].number))})
-        os.execve(sys.executable, [sys.executable, __file__, "--alone", str(run["job"])], environment(source))
+        os.execve(
+            sys.executable,
+            [sys.executable, __file__, "--alone", str(run["job"])],
+            environment(source),
+        )
 
     def ended(self, run: dict[str, Any], status: int) -> None:
         """What became of a mutant: written, or tried once more in another way."""
@@ -396,9 +464,15 @@ class Runner(Judge):
             if self.sound.get(killer):
                 return self.write(run, "killed", killer)
             return self.start({**run, "test": killer, "again": run["alone"]}, alone=False)
-        if killer is None and (run["alone"] or code < 0):  # ended by a signal, or it cannot even be imported
-            return self.write(run, "killed", "no end" if -code in (signal.SIGPROF, signal.SIGALRM) else "crash")
-        if not run["alone"] and (killer is None or f"{run['module']}:{run['site'].segment}" in self.map.imported):
+        if killer is None and (
+            run["alone"] or code < 0
+        ):  # ended by a signal, or it cannot even be imported
+            return self.write(
+                run, "killed", "no end" if -code in (signal.SIGPROF, signal.SIGALRM) else "crash"
+            )
+        if not run["alone"] and (
+            killer is None or f"{run['module']}:{run['site'].segment}" in self.map.imported
+        ):
             return self.start({key: run[key] for key in ("module", "site", "since")}, alone=True)
         return self.write(run, "survived", "")
 
@@ -410,17 +484,26 @@ class Runner(Judge):
         with self.results.open("a") as file:
             file.write(json.dumps(line) + "\n")
         site = run["site"]
-        print(f"{verdict:12}{run['module']}:{site.line} {site.before[:50]} -> {site.after[:50]}", flush=True)
+        print(
+            f"{verdict:12}{run['module']}:{site.line} {site.before[:50]} -> {site.after[:50]}",
+            flush=True,
+        )
 
 
 # What came out
 
 
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many mutants of each area were killed, and those that were not, with the reasons that were found before."""
+    """How many mutants of each area were killed, and those that were not, with the reasons that
+    were found before.
+    """
     former = json.loads(RECORD.read_text())["survivors"] if RECORD.exists() else []
-    reasons = {(s["module"].rpartition("/")[2], s["before"], s["after"]): s["reason"] for s in former}
-    areas = {name: {"drawn": 0, "killed": 0, "no end": 0, "crash": 0, "not reached": 0} for name in AREAS}
+    reasons = {
+        (s["module"].rpartition("/")[2], s["before"], s["after"]): s["reason"] for s in former
+    }
+    areas = {
+        name: {"drawn": 0, "killed": 0, "no end": 0, "crash": 0, "not reached": 0} for name in AREAS
+    }
     survivors = []
     for line in lines:
         row = areas[area(line["module"])]
@@ -443,7 +526,9 @@ def report(seed: int, lines: list[dict[str, Any]]) -> None:
     for name, row in found["areas"].items():
         print(f"{name:14}" + "".join(f"{n:13}" for n in row.values()))
     killed = sum(row["killed"] for row in found["areas"].values())
-    print(f"seed {seed}: {killed} of {len(lines)} killed, {100 * killed / max(1, len(lines)):.1f} %\n")
+    print(
+        f"seed {seed}: {killed} of {len(lines)} killed, {100 * killed / max(1, len(lines)):.1f} %\n"
+    )
     for s in found["survivors"]:
         where = f"{s['module']}:{s['line']} {s['function']}"
         print(f"{where}: {s['before']} -> {s['after']}  ({s['reason'] or 'no reason yet'})")
@@ -465,10 +550,19 @@ def main() -> None:
     parser.add_argument("-n", dest="count", type=int, default=400, help="number of mutants")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parser.add_argument("--resume", action="store_true", help="go on with what is not yet done")
-    parser.add_argument("--again", action="store_true", help="with --resume: survivors are run once more")
-    parser.add_argument("--budget", type=float, default=40.0, help="seconds that the tests of a mutant take without it")
+    parser.add_argument(
+        "--again", action="store_true", help="with --resume: survivors are run once more"
+    )
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=40.0,
+        help="seconds that the tests of a mutant take without it",
+    )
     parser.add_argument("--only", default="", help="a pattern of modules")
-    parser.add_argument("--map", nargs="*", metavar="FILE", help="record what tests reach, all or these")
+    parser.add_argument(
+        "--map", nargs="*", metavar="FILE", help="record what tests reach, all or these"
+    )
     parser.add_argument("--write", action="store_true", help="write docs/mutants.json")
     parser.add_argument("--record", nargs="+", help=argparse.SUPPRESS)
     parser.add_argument("--alone", type=Path, help=argparse.SUPPRESS)

@@ -1,9 +1,10 @@
 """Mutations on the syntax tree of a module: small changes of its meaning that a test should notice.
 
-A mutation is a node and what stands in its place. Texts are left out: docstrings, messages, f-strings, what `__str__`
-gives, functions that make a sentence. So are annotations, decorators, assertions, imports for type checking, and what
-changes nothing by construction: `strict` of `zip`, whether an array without entries holds zeros or ones, defaults of
-arguments that a function does not read.
+A mutation is a node and what stands in its place. Texts are left out: docstrings, messages,
+f-strings, what `__str__` gives, functions that make a sentence. So are annotations, decorators,
+assertions, imports for type checking, and what changes nothing by construction: `strict` of `zip`,
+whether an array without entries holds zeros or ones, defaults of arguments that a function does not
+read.
 """
 
 from __future__ import annotations
@@ -17,25 +18,64 @@ from typing import Any, NamedTuple
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 COMPOUND = (ast.If, ast.For, ast.While, ast.Try, ast.With, ast.Match)
 NEGATED: dict[type, type] = {
-    ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
-}  # fmt: skip
+    ast.Lt: ast.GtE,
+    ast.GtE: ast.Lt,
+    ast.Gt: ast.LtE,
+    ast.LtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+}
 BOUNDARY: dict[type, type] = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 ARITHMETIC: dict[type, type] = {
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
-    ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.LShift: ast.RShift, ast.RShift: ast.LShift,
-}  # fmt: skip
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+    ast.LShift: ast.RShift,
+    ast.RShift: ast.LShift,
+}
 NAMES = {
-    a: b for p in ("min max", "any all", "minimum maximum", "argmin argmax", "sin cos", "zeros ones", "floor ceil")
+    a: b
+    for p in (
+        "min max",
+        "any all",
+        "minimum maximum",
+        "argmin argmax",
+        "sin cos",
+        "zeros ones",
+        "floor ceil",
+    )
     for a, b in (p.split(), p.split()[::-1])
-}  # fmt: skip
-SYMMETRIC = {"max", "min", "maximum", "minimum", "hypot", "allclose", "isclose", "gcd", "array_equal", "parallel"}
+}
+SYMMETRIC = {
+    "max",
+    "min",
+    "maximum",
+    "minimum",
+    "hypot",
+    "allclose",
+    "isclose",
+    "gcd",
+    "array_equal",
+    "parallel",
+}
 SKIPPED = {"annotation", "returns", "decorator_list", "exc", "cause"}
 SPOKEN = {"__repr__", "__str__", "_repr_html_", "__format__"}
 
 
 class Site(NamedTuple):
-    """One mutation of a module: its number there, where it is, what it does; `segment` is what a test has to reach."""
+    """One mutation of a module: its number there, where it is, what it does; `segment` is what a
+    test has to reach.
+    """
 
     number: int
     line: int
@@ -57,10 +97,16 @@ class _Place(NamedTuple):
 
 
 def is_text(node: ast.AST) -> bool:
-    """Whether a node and what stands in it is a text, a type, or an assertion, such as `strict` of `zip`."""
+    """Whether a node and what stands in it is a text, a type, or an assertion, such as `strict` of
+    `zip`.
+    """
     if isinstance(node, Function):
         spoken = node.returns is not None and ast.unparse(node.returns) in ("str", "str | None")
-        return node.name in SPOKEN or spoken and any(isinstance(n, ast.JoinedStr) for n in ast.walk(node))
+        return (
+            node.name in SPOKEN
+            or spoken
+            and any(isinstance(n, ast.JoinedStr) for n in ast.walk(node))
+        )
     if isinstance(node, ast.If):
         return "TYPE_CHECKING" in ast.unparse(node.test)
     if isinstance(node, ast.BinOp):
@@ -68,21 +114,28 @@ def is_text(node: ast.AST) -> bool:
     if isinstance(node, ast.IfExp):
         return any(_says(n) for n in (node.body, node.orelse))
     if isinstance(node, ast.Call):
-        return isinstance(node.func, ast.Attribute) and (_says(node.func.value) or node.func.attr == "warn")
+        return isinstance(node.func, ast.Attribute) and (
+            _says(node.func.value) or node.func.attr == "warn"
+        )
     if isinstance(node, ast.keyword):
         return node.arg == "strict"
     return isinstance(node, (ast.JoinedStr, ast.Assert, ast.Import, ast.ImportFrom))
 
 
 def _says(node: ast.AST) -> bool:
-    return isinstance(node, ast.JoinedStr) or isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return (
+        isinstance(node, ast.JoinedStr)
+        or isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+    )
 
 
 def _walk(tree: ast.Module, starts: list[tuple[list[Any], int, str]]) -> Iterator[_Place]:
-    """All nodes that may be changed, in the order of the text; `starts` gets where each segment begins.
+    """All nodes that may be changed, in the order of the text; `starts` gets where each segment
+    begins.
 
-    A segment is a run of statements of a function of which all are reached, or none: it begins with a body, and after
-    each statement that may end the function.
+    A segment is a run of statements of a function of which all are reached, or none: it begins with
+    a body, and after each statement that may end the function.
     """
     count: dict[str, int] = {}
 
@@ -93,14 +146,22 @@ def _walk(tree: ast.Module, starts: list[tuple[list[Any], int, str]]) -> Iterato
                 continue
             inside = scope[:-1] if enters and field == "body" else function
             for i, node in enumerate(value if isinstance(value, list) else [value]):
-                if inside and isinstance(node, ast.stmt) and (i == 0 or isinstance(value[i - 1], COMPOUND)):
+                if (
+                    inside
+                    and isinstance(node, ast.stmt)
+                    and (i == 0 or isinstance(value[i - 1], COMPOUND))
+                ):
                     count[inside] = count.get(inside, -1) + 1
                     segment = f"{inside}:{count[inside]}"
                     starts.append((value, i, segment))
                 if isinstance(node, ast.AST) and not is_text(node) and id(node) not in unread:
-                    yield _Place(parent, field, i if isinstance(value, list) else None, node, inside, segment)
+                    yield _Place(
+                        parent, field, i if isinstance(value, list) else None, node, inside, segment
+                    )
                     named = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
-                    yield from visit(node, f"{scope}{node.name}." if named else scope, inside, segment)
+                    yield from visit(
+                        node, f"{scope}{node.name}." if named else scope, inside, segment
+                    )
 
     unread = {id(x) for f in ast.walk(tree) if isinstance(f, Function) for x in _unread(f)}
     yield from visit(tree, "", "", "")
@@ -156,14 +217,20 @@ def _counts(node: ast.AST) -> bool:
 
 
 def _calls(node: ast.Call) -> Iterator[ast.AST]:
-    """A call with another function, with its first two arguments swapped, without one of those that have a name."""
+    """A call with another function, with its first two arguments swapped, without one of those that
+    have a name.
+    """
     name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
     empty = name in ("zeros", "ones") and re.search(r"\b0\b", ast.unparse(node.args[0]))
     if name in NAMES and not empty:
         field = "id" if isinstance(node.func, ast.Name) else "attr"
         yield _changed(node, func=_changed(node.func, **{field: NAMES[name]}))
     first = node.args[:2]
-    if len(first) == 2 and name not in SYMMETRIC and not any(isinstance(a, ast.Starred) for a in first):
+    if (
+        len(first) == 2
+        and name not in SYMMETRIC
+        and not any(isinstance(a, ast.Starred) for a in first)
+    ):
         if ast.dump(first[0]) != ast.dump(first[1]):
             yield _changed(node, args=[first[1], first[0], *node.args[2:]])
     for i, keyword in enumerate(node.keywords):
@@ -196,7 +263,11 @@ def _negated(place: _Place) -> Iterator[ast.AST]:
 def mutations(tree: ast.Module) -> Iterator[tuple[_Place, ast.AST]]:
     """All places with what may stand there."""
     for place in list(_walk(tree, [])):
-        for source in (_expressions(place.node, place.parent), _statements(place.node), _negated(place)):
+        for source in (
+            _expressions(place.node, place.parent),
+            _statements(place.node),
+            _negated(place),
+        ):
             yield from ((place, new) for new in source)
 
 
@@ -230,6 +301,12 @@ def instrumented(text: str, module: str) -> str:
     for body, i, segment in reversed(starts):
         said = i == 0 and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant)
         body.insert(i + said, ast.parse(f"_hit({f'{module}:{segment}'!r})").body[0])
-    future = [i for i, n in enumerate(tree.body) if isinstance(n, ast.ImportFrom) and n.module == "__future__"]
-    tree.body.insert(max(future, default=0) + 1, ast.parse("from kempe._hits import hit as _hit").body[0])
+    future = [
+        i
+        for i, n in enumerate(tree.body)
+        if isinstance(n, ast.ImportFrom) and n.module == "__future__"
+    ]
+    tree.body.insert(
+        max(future, default=0) + 1, ast.parse("from kempe._hits import hit as _hit").body[0]
+    )
     return ast.unparse(ast.fix_missing_locations(tree))

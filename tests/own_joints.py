@@ -1,4 +1,6 @@
-"""Joint types of one's own: declared in tests only, and in the table of joints while a `with` block lasts."""
+"""Joint types of one's own: declared in tests only, and in the table of joints while a `with` block
+lasts.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +91,9 @@ class OtherCardan(JointType):
 
 @dataclass(frozen=True)
 class Drill(JointType):
-    """A screw along x that also turns about its own z, geared to a slide: one coordinate, three motions."""
+    """A screw along x that also turns about its own z, geared to a slide: one coordinate, three
+    motions.
+    """
 
     type_name = "drill"
     summary = "turn about x, slide along it and turn about z by one coordinate"
@@ -97,7 +101,11 @@ class Drill(JointType):
 
     def layout(self, dim: int = 3, particle: bool = False):
         """Three primitives of one coordinate."""
-        return ("",), (Primitive(P, "x", 0, self.lead), Primitive(R, "x", 0), Primitive(R, "z", 0, 0.5))
+        return ("",), (
+            Primitive(P, "x", 0, self.lead),
+            Primitive(R, "x", 0),
+            Primitive(R, "z", 0, 0.5),
+        )
 
 
 @dataclass(frozen=True)
@@ -189,17 +197,40 @@ class Diagonal(JointType):
 
 
 OWN: tuple[type[JointType], ...] = (
-    PinSlot, SlotFirst, Crooked, TurnedTable, CrossSlide, OtherCardan, Drill, Coaxial, BallInTube, BallOnStick, Geared,
-    Rail, Telescope, Diagonal,
-)  # fmt: skip
+    PinSlot,
+    SlotFirst,
+    Crooked,
+    TurnedTable,
+    CrossSlide,
+    OtherCardan,
+    Drill,
+    Coaxial,
+    BallInTube,
+    BallOnStick,
+    Geared,
+    Rail,
+    Telescope,
+    Diagonal,
+)
 """Types that are not in the table of joints."""
 
 
 PRODUCTS = (
-    "P(x) R(z) R(y)", "P(x) R(z)", "R(z) P(x) R(z)", "P(y) P(x)", "P(z) R(x) P(y) R(z)", "R(z) R(x) R(z)", "H(x, 0.25)",
-    "H(z, -0.1) P(y) S", "S P(z)", "R(y)", "P(x)", "S", "P(x) P(y) P(z) R(x) R(y) R(z)",
+    "P(x) R(z) R(y)",
+    "P(x) R(z)",
+    "R(z) P(x) R(z)",
+    "P(y) P(x)",
+    "P(z) R(x) P(y) R(z)",
+    "R(z) R(x) R(z)",
+    "H(x, 0.25)",
+    "H(z, -0.1) P(y) S",
+    "S P(z)",
+    "R(y)",
+    "P(x)",
+    "S",
+    "P(x) P(y) P(z) R(x) R(y) R(z)",
     "R(x) R(y) P(y)",
-)  # fmt: skip
+)
 """Joint types as products in words."""
 
 
@@ -211,20 +242,31 @@ def random_product(rng: np.random.Generator, dim: int = 3) -> str:
         axis = str(rng.choice(list("xyz") if dim == 3 else ["z"] if letter == "R" else ["x", "y"]))
         if letter == "S" and "S" in words:
             continue
-        words.append({"S": "S", "H": f"H({axis}, {rng.uniform(-1, 1):.2f})"}.get(letter, f"{letter}({axis})"))
+        words.append(
+            {"S": "S", "H": f"H({axis}, {rng.uniform(-1, 1):.2f})"}.get(letter, f"{letter}({axis})")
+        )
     return " ".join(words)
 
 
 def declared(name: str, steps: Sequence[Primitive]) -> JointType:
-    """A joint of a type of its own, with the coordinates c0, c1, ... and these primitives wherever it is used."""
+    """A joint of a type of its own, with the coordinates c0, c1, ... and these primitives wherever
+    it is used.
+    """
     count = max((p.coordinate + (4 if p.kind == Q else 1) for p in steps), default=0)
     found = tuple(f"c{i}" for i in range(count)), tuple(steps)
-    body = {"type_name": name, "summary": "random primitives", "planar": True, "layout": lambda *_, **__: found}
+    body = {
+        "type_name": name,
+        "summary": "random primitives",
+        "planar": True,
+        "layout": lambda *_, **__: found,
+    }
     return type(name, (JointType,), body)()
 
 
 def random_type(rng: np.random.Generator, name: str, dim: int = 3) -> JointType:
-    """A joint type of one to four random primitives; some share a coordinate, some have a multiplier."""
+    """A joint type of one to four random primitives; some share a coordinate, some have a
+    multiplier.
+    """
     if dim == 2 and rng.random() < 0.15:
         return declared(name, [Primitive(P, "z", 0, float(rng.choice([1.0, 1.0, -0.7])))])
     steps = []
@@ -240,9 +282,15 @@ def random_type(rng: np.random.Generator, name: str, dim: int = 3) -> JointType:
         axis = str(rng.choice(list("xyz") if dim == 3 else ["z"] if kind == R else ["x", "y"]))
         before = [p.coordinate for p in steps if p.kind != Q]
         if before and rng.random() < 0.15:
-            steps.append(Primitive(kind, axis, before[-1], float(rng.choice([1.0, round(rng.uniform(-2, 2), 2)]))))
+            steps.append(
+                Primitive(
+                    kind, axis, before[-1], float(rng.choice([1.0, round(rng.uniform(-2, 2), 2)]))
+                )
+            )
         else:
-            steps.append(Primitive(kind, axis, count, float(rng.choice([1.0, 1.0, 1.0, -1.0, 0.4, 2.0]))))
+            steps.append(
+                Primitive(kind, axis, count, float(rng.choice([1.0, 1.0, 1.0, -1.0, 0.4, 2.0])))
+            )
             count += 1
     return declared(name, steps)
 

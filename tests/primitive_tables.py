@@ -1,4 +1,6 @@
-"""Random primitive tables, and what they mean in 4x4 matrices: the independent version of the kernels."""
+"""Random primitive tables, and what they mean in 4x4 matrices: the independent version of the
+kernels.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ class Table:
     nq: int
     nv: int
     is_chain: bool = False
-    quaternions: list[tuple[int, int]] = field(default_factory=list)  # (iq, iv) of each ball coordinate
+    quaternions: list[tuple[int, int]] = field(
+        default_factory=list
+    )  # (iq, iv) of each ball coordinate
 
     def pack(self):
         ints = [len(self.rows), len(self.outputs), self.nq, self.nv, int(self.is_chain)]
@@ -74,7 +78,9 @@ class Table:
         return rng.normal(size=(n, self.nq)) * scale
 
     def moved(self, q, v):
-        """The configuration reached from q (nq,) with the velocity v (nv,) in unit time, on the manifold."""
+        """The configuration reached from q (nq,) with the velocity v (nv,) in unit time, on the
+        manifold.
+        """
         new = q.copy()
         balls = dict(self.quaternions)
         for iq, iv in balls.items():
@@ -109,7 +115,9 @@ class Table:
         """(n_out, 4, 4) of one configuration."""
         after = self.row_poses(q)[1]
         out = [(np.eye(4) if row < 0 else after[row]) @ X for row, _, X in self.outputs]
-        return np.array([pose(p=T[:3, 3]) if o[1] else T for o, T in zip(self.outputs, out, strict=True)])
+        return np.array(
+            [pose(p=T[:3, 3]) if o[1] else T for o, T in zip(self.outputs, out, strict=True)]
+        )
 
     def jacobian(self, q, frame):
         """(6, nv) of output 0: the geometric Jacobian, cross products in ground axes."""
@@ -187,7 +195,9 @@ def random_table(
             multiplier = float(rng.choice([1.0, -1.0, rng.normal()]))
         offset = rng.uniform(-3, 3) if kind == TURN and not plain else 0.0
         form = int(rng.choice(forms))
-        rows.append(Row(kind, parent, iq, iv, random_placement(rng, form), offset, multiplier, form))
+        rows.append(
+            Row(kind, parent, iq, iv, random_placement(rng, form), offset, multiplier, form)
+        )
     outputs = [
         (
             n_rows - 1 if chain else int(rng.integers(-1, n_rows)),
@@ -196,7 +206,9 @@ def random_table(
         )
         for _ in range(n_out)
     ]
-    return Table(rows, outputs, nq + 2, nv + 1, chain, quaternions)  # coordinates that nothing reads
+    return Table(
+        rows, outputs, nq + 2, nv + 1, chain, quaternions
+    )  # coordinates that nothing reads
 
 
 def all_forms():

@@ -8,7 +8,9 @@ from kempe import Mechanism
 
 
 def two_bars(a, b, limits=None):
-    """A planar arm of two bars; its tip covers an annulus, or with limits of the second joint a part of it."""
+    """A planar arm of two bars; its tip covers an annulus, or with limits of the second joint a
+    part of it.
+    """
     m = Mechanism("two bars", dim=2)
     first = m.body("first")
     second = m.body("second")
@@ -34,7 +36,9 @@ def scara(a, b, height):
 
 
 def shell(a, b, rolled=False):
-    """An arm of two bars in space on a shoulder that turns twice, or thrice: its tip covers a spherical shell."""
+    """An arm of two bars in space on a shoulder that turns twice, or thrice: its tip covers a
+    spherical shell.
+    """
     m = Mechanism("shell")
     hip = m.body("hip")
     upper = m.body("upper")
@@ -49,7 +53,9 @@ def shell(a, b, rolled=False):
 
 
 def torus(large, small, solid):
-    """A spatial arm of two turns, whose tip covers a torus; with a slide from its centre line on, all inside it."""
+    """A spatial arm of two turns, whose tip covers a torus; with a slide from its centre line on,
+    all inside it.
+    """
     m = Mechanism("torus")
     hip = m.body("hip")
     arm = m.body("arm")
@@ -67,4 +73,5 @@ def torus(large, small, solid):
 ANNULUS = math.pi * ((0.5 + 0.3) ** 2 - (0.5 - 0.3) ** 2)
 SHELL = 4.0 / 3.0 * math.pi * ((0.5 + 0.3) ** 3 - (0.5 - 0.3) ** 3)
 TORUS = 2.0 * math.pi**2 * 0.5 * 0.2**2
-"""Area and volumes of what `two_bars(0.5, 0.3)`, `shell(0.5, 0.3)` and `torus(0.5, 0.2, True)` reach."""
+"""Area and volumes of what `two_bars(0.5, 0.3)`, `shell(0.5, 0.3)` and `torus(0.5, 0.2, True)`
+reach."""

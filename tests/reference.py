@@ -1,4 +1,5 @@
-"""Independent answers for tests: joint poses and forward models in numpy's long double and scipy, tables nowhere.
+"""Independent answers for tests: joint poses and forward models in numpy's long double and scipy,
+tables nowhere.
 
 Nothing here uses Kempe's arithmetic. Poses are (4, 4) arrays.
 """
@@ -32,7 +33,9 @@ def slide(axis: str, length: float) -> np.ndarray:
 
 def ball(w: float, x: float, y: float, z: float) -> np.ndarray:
     """Rotation of a quaternion of any length (Euler and Rodrigues)."""
-    w, x, y, z = np.array([w, x, y, z], dtype=Long) / np.sqrt(sum(Long(a) * Long(a) for a in (w, x, y, z)))
+    w, x, y, z = np.array([w, x, y, z], dtype=Long) / np.sqrt(
+        sum(Long(a) * Long(a) for a in (w, x, y, z))
+    )
     X = np.eye(4, dtype=Long)
     X[:3, :3] = [
         [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -43,8 +46,13 @@ def ball(w: float, x: float, y: float, z: float) -> np.ndarray:
 
 
 def joint_pose(
-    kind: str, q: Sequence[float], pitch: float = 0.0, angles: bool = False, dim: int = 3, particle: bool = False
-) -> np.ndarray:  # fmt: skip
+    kind: str,
+    q: Sequence[float],
+    pitch: float = 0.0,
+    angles: bool = False,
+    dim: int = 3,
+    particle: bool = False,
+) -> np.ndarray:
     """X_FM of each joint of the zoo, written out, and of products in words."""
     if kind == "fixed":
         return np.eye(4, dtype=Long)
@@ -100,7 +108,9 @@ def inverse(X: np.ndarray) -> np.ndarray:
 
 
 def twist_between(X0: np.ndarray, X1: np.ndarray, step: float) -> np.ndarray:
-    """Body twist [v; w] that leads from X0 to the nearby pose X1 in the time `step`, to first order."""
+    """Body twist [v; w] that leads from X0 to the nearby pose X1 in the time `step`, to first
+    order.
+    """
     D = np.asarray(inverse(X0) @ X1, dtype=float)
     w = np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]]) / 2
     return np.concatenate([D[:3, 3], w]) / step
@@ -109,7 +119,9 @@ def twist_between(X0: np.ndarray, X1: np.ndarray, step: float) -> np.ndarray:
 def tree_poses(
     parent: Sequence[int], joints: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]
 ) -> list[np.ndarray]:
-    """Poses of all bodies, the ground first, from (X_PF, X_FM, X_CM, walked backwards) of each parent joint."""
+    """Poses of all bodies, the ground first, from (X_PF, X_FM, X_CM, walked backwards) of each
+    parent joint.
+    """
     poses = [np.eye(4, dtype=Long)]
     for number, (X_PF, X_FM, X_CM, backwards) in zip(parent, joints, strict=True):
         X = X_PF @ X_FM @ inverse(X_CM)
@@ -118,9 +130,13 @@ def tree_poses(
 
 
 def coordinate_values(
-    q: Mapping[str, float], couplings: Mapping[str, tuple[Mapping[str, float], float]], locks: Mapping[str, float]
+    q: Mapping[str, float],
+    couplings: Mapping[str, tuple[Mapping[str, float], float]],
+    locks: Mapping[str, float],
 ) -> dict[str, float]:
-    """Values of all coordinates: free ones, locked ones, and those that follow others, in any order."""
+    """Values of all coordinates: free ones, locked ones, and those that follow others, in any
+    order.
+    """
     values = {**q, **locks}
     waiting = dict(couplings)
     while waiting:

@@ -6,7 +6,9 @@ import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-DATA = sorted(Path(sys.prefix).glob("lib/python*/site-packages/cmeel.prefix/share/example-robot-data/robots"))
+DATA = sorted(
+    Path(sys.prefix).glob("lib/python*/site-packages/cmeel.prefix/share/example-robot-data/robots")
+)
 
 BROKEN = {"ur3.urdf", "alex_psyonic_hands.urdf"}
 """Files without links, or that mimic a joint which does not exist."""
@@ -55,5 +57,7 @@ def mujoco_text(path: Path) -> str:
             joint.set("type", "continuous")
         if joint.get("type") == "prismatic":
             ET.SubElement(joint, "limit", lower="-1e6", upper="1e6", effort="1", velocity="1")
-    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="true")
+    ET.SubElement(
+        ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="true"
+    )
     return ET.tostring(root, encoding="unicode")

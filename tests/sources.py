@@ -1,4 +1,6 @@
-"""Sources as syntax trees, each read and parsed once for all tests of style and structure, and checks of them."""
+"""Sources as syntax trees, each read and parsed once for all tests of style and structure, and
+checks of them.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def each(paths: Iterable[Path], root: Path) -> Callable[[Check], Callable[[str],
     """
     folders = {
         folder.relative_to(root).as_posix(): list(files)
-        for folder, files in groupby(sorted(paths, key=lambda p: (p.parent, p)), key=lambda p: p.parent)
+        for folder, files in groupby(
+            sorted(paths, key=lambda p: (p.parent, p)), key=lambda p: p.parent
+        )
     }
 
     def decorate(check: Check) -> Callable[[str], None]:

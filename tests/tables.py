@@ -14,11 +14,17 @@ from kempe.solvers.table import TABLE
 
 @contextmanager
 def restored() -> Iterator[None]:
-    """Whatever is added to the tables of joints, constraints, formats, solvers and symbols goes again."""
+    """Whatever is added to the tables of joints, constraints, formats, solvers and symbols goes
+    again.
+    """
     drawing = sys.modules.get("kempe.views.drawing.symbols")
     tables: list[dict] = [TYPES, KINDS, FORMATS, *([drawing.SYMBOLS] if drawing else [])]
     before = [dict(table) for table in tables]
-    modules = [m for name, m in list(sys.modules.items()) if name.startswith("kempe.solvers") and "SOLVERS" in vars(m)]
+    modules = [
+        m
+        for name, m in list(sys.modules.items())
+        if name.startswith("kempe.solvers") and "SOLVERS" in vars(m)
+    ]
     rows = [m.SOLVERS for m in modules]
     assert {id(r) for r in TABLE.values()} <= {id(r) for r in rows}
     try:

@@ -1,4 +1,6 @@
-"""The oracle of inverse solutions against Pinocchio, derivatives, closed forms and published counts."""
+"""The oracle of inverse solutions against Pinocchio, derivatives, closed forms and published
+counts.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 ARMS = arms.arms()
-MANSEUR_R = np.array([[-0.760117, -0.641689, 0.102262], [0.133333, 0.0, 0.991071], [-0.635959, 0.766965, 0.085558]])
+MANSEUR_R = np.array(
+    [[-0.760117, -0.641689, 0.102262], [0.133333, 0.0, 0.991071], [-0.635959, 0.766965, 0.085558]]
+)
 
 
 def manseur_target() -> np.ndarray:
@@ -48,7 +52,9 @@ def test_pinocchio_agrees_with_the_model(arm):
     for q in arm.random(2, 3):
         theta = m.theta(q)
         pin.forwardKinematics(robot, data, theta)
-        np.testing.assert_allclose(data.oMi[at].homogeneous @ tip, m.fk(q), rtol=0, atol=2e-14, err_msg=arm.name)
+        np.testing.assert_allclose(
+            data.oMi[at].homogeneous @ tip, m.fk(q), rtol=0, atol=2e-14, err_msg=arm.name
+        )
 
 
 @pytest.mark.parametrize("name", ["puma560", "randomRRPRRR_2", "so101", "gen3", "sleeve"])
@@ -104,11 +110,15 @@ def test_held_joints_are_constants():
     np.testing.assert_allclose(held.fk(q), arm.model.fk(q), rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["puma560", "ur10e", "jaco2", "randomRRRPRR_3", "orthogonal3_cuspidal"])
+@pytest.mark.parametrize(
+    "name", ["puma560", "ur10e", "jaco2", "randomRRRPRR_3", "orthogonal3_cuspidal"]
+)
 def test_singular_configurations_are_singular(name):
     arm = ARMS[name]
     for seed in range(3):
-        theta, direction = oracle.singular_configuration(arm.model, np.random.default_rng(seed), arm.task)
+        theta, direction = oracle.singular_configuration(
+            arm.model, np.random.default_rng(seed), arm.task
+        )
         assert arm.model.condition(theta, arm.task) < 1e-12
         assert arm.model.condition(theta + 0.01 * direction, arm.task) > 1e-6
 
@@ -120,4 +130,6 @@ def test_regauged_arms_are_the_same(name):
     q = arm.random(7, 3)
     q_new = np.empty_like(q)
     q_new[:, new.model.index] = signs * arm.model.theta(q)
-    np.testing.assert_allclose(new.system.fk(q_new, "tool"), base @ arm.model.fk(q) @ tool, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        new.system.fk(q_new, "tool"), base @ arm.model.fk(q) @ tool, rtol=0, atol=1e-13
+    )

@@ -1,4 +1,6 @@
-"""Dependencies point one way, importing is cheap, and nothing of the machine it was written on is left behind."""
+"""Dependencies point one way, importing is cheap, and nothing of the machine it was written on is
+left behind.
+"""
 
 from __future__ import annotations
 
@@ -22,49 +24,103 @@ SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 LAYERS = [
-    {"errors", "reals", "calls", "budget", "spatial", "rigid", "status", "words",
-     "late", "version", "singular_values"}, {"kernels"}, {"joints"},
-    {"values", "placement"}, {"constraints"}, {"description", "library"}, {"model"},
-    {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli", "tasks", "convert", "__main__"},
-]  # fmt: skip
+    {
+        "errors",
+        "reals",
+        "calls",
+        "budget",
+        "spatial",
+        "rigid",
+        "status",
+        "words",
+        "late",
+        "version",
+        "singular_values",
+    },
+    {"kernels"},
+    {"joints"},
+    {"values", "placement"},
+    {"constraints"},
+    {"description", "library"},
+    {"model"},
+    {"kinematics"},
+    {"solvers"},
+    {"analysis"},
+    {"views", "cli", "tasks", "convert", "__main__"},
+]
 """Each may import itself and what stands to the left."""
 
 FOLDERS: dict[str, list[set[str]]] = {
-    "kernels": [{"base"}, {"forward", "dyads"}, {"one_frame", "closed_form", "constraints"},
-                {"elimination", "series", "tasks"}, {"."}],
+    "kernels": [
+        {"base"},
+        {"forward", "dyads"},
+        {"one_frame", "closed_form", "constraints"},
+        {"elimination", "series", "tasks"},
+        {"."},
+    ],
     "description": [{"."}, {"dh"}, {"toml", "urdf"}, {"read", "write"}],
     "model": [{"kept"}, {"tree"}, {"closures"}, {"."}],
     "kinematics": [{"common"}, {"."}, {"velocity", "formulas"}, {"tasks"}],
-    "solvers": [{"common"}, {"one_frame", "dyads"}, {"assembly"}, {"modes"}, {"tasks"}, {"velocity"}, {"paths"},
-                {"analytic"}, {"."}],
+    "solvers": [
+        {"common"},
+        {"one_frame", "dyads"},
+        {"assembly"},
+        {"modes"},
+        {"tasks"},
+        {"velocity"},
+        {"paths"},
+        {"analytic"},
+        {"."},
+    ],
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
-    "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
-                 {"maps"}, {"spaces"}],
-    "analysis.spaces": [{"curves", "kinds", "singular"}, {"planar"}, {"configuration", "workspace"}, {"reach"}],
+    "analysis": [
+        {"first_order"},
+        {"local"},
+        {"mobility"},
+        {"continuation"},
+        {"motion"},
+        {"manoeuvre"},
+        {"simulation"},
+        {"maps"},
+        {"spaces"},
+    ],
+    "analysis.spaces": [
+        {"curves", "kinds", "singular"},
+        {"planar"},
+        {"configuration", "workspace"},
+        {"reach"},
+    ],
     "views": [{"drawing"}, {"."}, {"input", "viewer"}],
-}  # fmt: skip
-"""In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.
+}
+"""In each package the order of its folders, and of single modules that stand apart; "." is what
+lies in no folder.
 
 Each may import itself and what stands to the left; folders in one set do not import one another."""
 
 LATER = {
-    "solvers.one_frame.inverse": {"tasks", "analytic"}, "solvers.one_frame.sharpen": {"analytic"},
-    "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.explain_ik": {"tasks"},
-    "solvers.tasks.explain_tasks": {"velocity"}, "analysis.mobility.mobility": {"motion"},
+    "solvers.one_frame.inverse": {"tasks", "analytic"},
+    "solvers.one_frame.sharpen": {"analytic"},
+    "solvers.one_frame.shut_out": {"analytic"},
+    "solvers.one_frame.explain_ik": {"tasks"},
+    "solvers.tasks.explain_tasks": {"velocity"},
+    "analysis.mobility.mobility": {"motion"},
     "solvers.analytic.answers.explain_ik_all": {"."},
     "solvers.paths.following": {"analytic"},
-}  # fmt: skip
-"""Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
+}
+"""Modules that import to the right inside functions: another solver answers, or what is required of
+an answer later."""
 
 UPWARD = {"model/system.py", "model/namespaces.py", "model/pictured.py"}
-"""The map of the library, which imports upwards inside functions. All else that points upwards are rows of `late`."""
+"""The map of the library, which imports upwards inside functions. All else that points upwards are
+rows of `late`."""
 
 BELOW = {
     "solvers/assembly/idle.py": "kempe.analysis.mobility",
     "solvers/assembly/shaky.py": "kempe.analysis.mobility",
     "solvers/modes/modes_search.py": "kempe.analysis.first_order",
 }
-"""Modules that import from a folder in which tools/layout.toml puts them, or which it puts below them."""
+"""Modules that import from a folder in which tools/layout.toml puts them, or which it puts below
+them."""
 
 
 def name_of(path: Path) -> str:
@@ -78,7 +134,9 @@ def level(layer: str) -> int:
 
 @cache
 def imports(path: Path) -> tuple[tuple[str, str, int], ...]:
-    """Imported modules with the function that imports them ('' at the top) and the line; type checking left out."""
+    """Imported modules with the function that imports them ('' at the top) and the line; type
+    checking left out.
+    """
 
     def walk(node: ast.AST, function: str) -> Iterator[tuple[str, str, int]]:
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
@@ -87,7 +145,9 @@ def imports(path: Path) -> tuple[tuple[str, str, int], ...]:
             yield from ((alias.name, function, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"line {node.lineno}: a relative import"
-            yield from ((f"{node.module}.{alias.name}", function, node.lineno) for alias in node.names)
+            yield from (
+                (f"{node.module}.{alias.name}", function, node.lineno) for alias in node.names
+            )
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             function = node.name
         for child in ast.iter_child_nodes(node):
@@ -154,13 +214,17 @@ def test_folders_of_a_package_are_imported_in_their_order(package):
 
 @pytest.mark.parametrize("module", ["system.py", "namespaces.py", "pictured.py"])
 def test_the_map_of_the_library_only_delegates(module):
-    """A method of System that imports upwards ends by calling what it imported, and does little before."""
+    """A method of System that imports upwards ends by calling what it imported, and does little
+    before.
+    """
     tree = ast.parse((SOURCE / "model" / module).read_text())
     for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
         inner = [n for n in function.body if isinstance(n, ast.ImportFrom)]
         if inner:
             kinds = [type(n) for n in function.body]
-            assert kinds[0] is ast.Expr and kinds[-2:] == [ast.ImportFrom, ast.Return], function.name
+            assert kinds[0] is ast.Expr and kinds[-2:] == [ast.ImportFrom, ast.Return], (
+                function.name
+            )
             assert len(kinds) <= 5, function.name
 
 
@@ -188,23 +252,33 @@ def test_importing_is_cheap():
         "tomllib",
     }
     assert not heavy & loaded
-    ours = {m for m in loaded if m.split(".")[0] == "kempe" and (SOURCE.parent / f"{m.replace('.', '/')}.py").exists()}
+    ours = {
+        m
+        for m in loaded
+        if m.split(".")[0] == "kempe" and (SOURCE.parent / f"{m.replace('.', '/')}.py").exists()
+    }
     assert len(ours) < 40, sorted(ours)
-    others = {m for m in loaded - modules_after("import numpy, numpy.typing") if m.split(".")[0] != "kempe"}
+    others = {
+        m
+        for m in loaded - modules_after("import numpy, numpy.typing")
+        if m.split(".")[0] != "kempe"
+    }
     assert len(others) < 30, sorted(others)
 
 
 def test_describing_and_building_needs_no_compiler():
     loaded = modules_after(
-        "import kempe\nm = kempe.Mechanism()\nm.revolute('j', m.ground, m.body('b'))\ns = m.build()\n"
-        "s.q({'j': 1.0}), s.structure.limits, s.parent, s.random(0), s.configuration_space, hash(s), s.mid"
+        "import kempe\nm = kempe.Mechanism()\nm.revolute('j', m.ground, m.body('b'))\ns = "
+        "m.build()\ns.q({'j': 1.0}), s.structure.limits, s.parent, s.random(0), "
+        "s.configuration_space, hash(s), s.mid"
     )
     assert not {"kempe.kernels.compiled", "numba", "scipy"} & loaded
 
 
 def test_forward_needs_numpy_only():
     loaded = modules_after(
-        "import kempe\nm = kempe.Mechanism()\nm.revolute('j', m.ground, m.body('b'))\nm.build().fk([0.1], 'b')"
+        "import kempe\nm = kempe.Mechanism()\nm.revolute('j', m.ground, "
+        "m.body('b'))\nm.build().fk([0.1], 'b')"
     )
     assert not {"numba", "llvmlite", "scipy", "sympy", "matplotlib", "typer", "rich"} & loaded
 
@@ -215,22 +289,56 @@ def test_errors_are_caught_by_name(path):
         if isinstance(node, ast.ExceptHandler):
             caught = ast.unparse(node.type) if node.type else ""
             names = set(re.findall(r"\w+", caught))
-            assert names and not names & {"Exception", "BaseException"}, f"{path.name}:{node.lineno}"
+            assert names and not names & {"Exception", "BaseException"}, (
+                f"{path.name}:{node.lineno}"
+            )
 
 
 @sources.each(MODULES, SOURCE)
 def test_nothing_is_evaluated_or_unpickled(path):
-    """Files are data. The one page whose code runs is the lecture's, which is shipped with the package."""
+    """Files are data. The one page whose code runs is the lecture's, which is shipped with the
+    package.
+    """
     allowed = {"exec", "eval", "compile"} if path == SOURCE / "library" / "lecture.py" else set()
     for node in sources.nodes(path):
         if isinstance(node, ast.Call):
             called = ast.unparse(node.func)
-            forbidden = {"eval", "exec", "compile", "pickle.load", "pickle.loads", "os.system", "__import__"}
+            forbidden = {
+                "eval",
+                "exec",
+                "compile",
+                "pickle.load",
+                "pickle.loads",
+                "os.system",
+                "__import__",
+            }
             assert called not in forbidden - allowed, f"{path.name}:{node.lineno}: {called}"
 
 
-TEXT = {".py", ".md", ".toml", ".cfg", ".yml", ".yaml", ".txt", ".ipynb", ".urdf", ".xml", ".json", ""}
-SKIPPED = {".git", ".venv", "__pycache__", "_build", "jupyter_execute", "dist", "build", ".hypothesis"}
+TEXT = {
+    ".py",
+    ".md",
+    ".toml",
+    ".cfg",
+    ".yml",
+    ".yaml",
+    ".txt",
+    ".ipynb",
+    ".urdf",
+    ".xml",
+    ".json",
+    "",
+}
+SKIPPED = {
+    ".git",
+    ".venv",
+    "__pycache__",
+    "_build",
+    "jupyter_execute",
+    "dist",
+    "build",
+    ".hypothesis",
+}
 
 
 def test_no_paths_of_a_machine():
@@ -239,39 +347,62 @@ def test_no_paths_of_a_machine():
     for folder, folders, names in os.walk(ROOT):
         folders[:] = [x for x in folders if x not in SKIPPED and not x.endswith("_cache")]
         files += [
-            p for p in (Path(folder, x) for x in names if x not in SKIPPED) if p.suffix in TEXT and p != Path(__file__)
+            p
+            for p in (Path(folder, x) for x in names if x not in SKIPPED)
+            if p.suffix in TEXT and p != Path(__file__)
         ]
     assert len(files) > 500
     for path in files:
         text = path.read_text(encoding="utf-8", errors="replace")
-        assert not (hit := found.search(text)), f"{path.relative_to(ROOT)}: {hit.group() if hit else ''}"
+        assert not (hit := found.search(text)), (
+            f"{path.relative_to(ROOT)}: {hit.group() if hit else ''}"
+        )
 
 
-SOLVERS = {"lstsq", "pinv", "solve", "svd", "least_squares", "least_squares_of_many", "damped_least_squares"}
+SOLVERS = {
+    "lstsq",
+    "pinv",
+    "solve",
+    "svd",
+    "least_squares",
+    "least_squares_of_many",
+    "damped_least_squares",
+}
 """Calls by which a step of Gauss, Newton or least squares is made in numpy."""
 
 OWN_LOOPS = {
     "kinematics/common/gauss_newton.py gauss_newton": "the one for one start",
     "kinematics/common/gauss_newton.py gauss_newton_of_many": "the one for many starts",
-    "analysis/local/leading_forms.py _regular_zero": "of quadratic forms, on a sphere, judged after each step",
+    "analysis/local/leading_forms.py _regular_zero": (
+        "of quadratic forms, on a sphere, judged after each step"
+    ),
     "analysis/first_order/idle_freedoms.py _spins": "a basis that grows",
     "analysis/mobility/reachable.py moved_place": "motions integrated one after the other",
     "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
-    "analysis/first_order/null_space.py null_space_from": "inverse iteration: the matrix is factored once",
+    "analysis/first_order/null_space.py null_space_from": (
+        "inverse iteration: the matrix is factored once"
+    ),
     "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
     "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows",
     "solvers/tasks/default_start.py near_target": "one move for the first task that has one",
     "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
-    "solvers/velocity/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
+    "solvers/velocity/servo_closed.py closed": (
+        "bounded by limits of velocity, which move with the point"
+    ),
     "solvers/velocity/least_squares.py least_in_box": "an active set: the problem is quadratic",
-    "solvers/assembly/dimensions.py _fit": "over dimensions, the configurations solved for in each step",
+    "solvers/assembly/dimensions.py _fit": (
+        "over dimensions, the configurations solved for in each step"
+    ),
 }
-"""Functions outside the kernels whose loops solve linear equations for what their next round begins with, and why."""
+"""Functions outside the kernels whose loops solve linear equations for what their next round begins
+with, and why."""
 
 
 def calls_in(node: ast.AST) -> set[str]:
     """The last names of all that is called in a piece of code."""
-    return {ast.unparse(n.func).rpartition(".")[2] for n in ast.walk(node) if isinstance(n, ast.Call)}
+    return {
+        ast.unparse(n.func).rpartition(".")[2] for n in ast.walk(node) if isinstance(n, ast.Call)
+    }
 
 
 def roots_of(target: ast.AST) -> set[str]:
@@ -309,21 +440,36 @@ def own_loops(tree: ast.Module) -> Iterator[str]:
 
 
 def test_there_is_one_gauss_newton_loop_in_numpy():
-    """No loop beside `kinematics.gauss_newton` solves linear equations for its next point, but for those listed."""
-    solving = (p for p in MODULES if name_of(p) != "kernels" and any(s in p.read_text() for s in SOLVERS))
-    found = {f"{p.relative_to(SOURCE).as_posix()} {name}" for p in solving for name in own_loops(sources.tree(p))}
+    """No loop beside `kinematics.gauss_newton` solves linear equations for its next point, but for
+    those listed.
+    """
+    solving = (
+        p for p in MODULES if name_of(p) != "kernels" and any(s in p.read_text() for s in SOLVERS)
+    )
+    found = {
+        f"{p.relative_to(SOURCE).as_posix()} {name}"
+        for p in solving
+        for name in own_loops(sources.tree(p))
+    }
     assert found == set(OWN_LOOPS)
 
 
-@pytest.mark.parametrize(("body", "own"), [
-    ("for _ in y:\n  x = x + np.linalg.lstsq(A(x), b)[0]", True),
-    ("while True:\n  s = solve(A(x), b)\n  x = move(x, s)", True),
-    ("for _ in y:\n  s = pinv(A(x)) @ b\n  x[left] += s", True),
-    ("for _ in y:\n  U, s, Vt = np.linalg.svd(J(x))\n  d = -Vt.T @ (U.T @ r / s)\n  x = x + d", True),
-    ("for a in y:\n  out.append(np.linalg.solve(a, b))", False),
-    ("for a in y:\n  x = np.linalg.solve(a, b)\n  k = k + 1", False),
-    ("x = x + np.linalg.solve(A, b)", False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("body", "own"),
+    [
+        ("for _ in y:\n  x = x + np.linalg.lstsq(A(x), b)[0]", True),
+        ("while True:\n  s = solve(A(x), b)\n  x = move(x, s)", True),
+        ("for _ in y:\n  s = pinv(A(x)) @ b\n  x[left] += s", True),
+        (
+            "for _ in y:\n  U, s, Vt = np.linalg.svd(J(x))\n  d = -Vt.T @ (U.T @ r / s)\n  x = x + "
+            "d",
+            True,
+        ),
+        ("for a in y:\n  out.append(np.linalg.solve(a, b))", False),
+        ("for a in y:\n  x = np.linalg.solve(a, b)\n  k = k + 1", False),
+        ("x = x + np.linalg.solve(A, b)", False),
+    ],
+)
 def test_loops_that_solve_for_their_next_point_are_seen(body, own):
     tree = ast.parse("def f(x):\n" + "\n".join("  " + line for line in body.split("\n")))
     assert list(own_loops(tree)) == ["f"] * own
@@ -334,14 +480,16 @@ PLACES = set(
     "ENTRY_INTS USE_INTS ENVELOPE_INTS READING_INTS PLACE_INTS AT_TIES AT_ENTRIES AT_LOCALS AT_VARS AT_USES AT_ROWS "
     "AT_READINGS AT_PLACES AT_NUMBERS AT_FACTORS AT_BOUNDS AT_CENTRES".split()
 )
-"""Where the numbers of the two packed arrays lie that all systems have: heads, and steps through them."""
+"""Where the numbers of the two packed arrays lie that all systems have: heads, and steps through
+them."""
 
 UNPACKED = {
     "analysis/local/local_equations.py": {"N_ROWS", "N_OUT"},
     "solvers/dyads/decompose.py": {"HEADER"},
     "solvers/tasks/effort.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
 }
-"""Modules outside of kernels and model that know such places: they pack arrays of their own, or walk such programs."""
+"""Modules outside of kernels and model that know such places: they pack arrays of their own, or
+walk such programs."""
 
 
 def test_packed_layouts_are_read_where_they_are_written():
@@ -357,10 +505,19 @@ def test_packed_layouts_are_read_where_they_are_written():
             for alias in node.names
             if alias.name.endswith("layout")
         }
-        names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
-                 and (node.module or "").endswith("layout") for alias in node.names}  # fmt: skip
-        names |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)
-                  and isinstance(node.value, ast.Name) and node.value.id in layouts}  # fmt: skip
+        names = {
+            alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").endswith("layout")
+            for alias in node.names
+        }
+        names |= {
+            node.attr
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id in layouts
+        }
         if names & PLACES and name_of(path) not in ("kernels", "model"):
             found[rel] = names & PLACES
     assert found == UNPACKED
@@ -368,15 +525,23 @@ def test_packed_layouts_are_read_where_they_are_written():
 
 def test_places_in_packed_integers_have_names():
     """In kernels; the operations of dyads list their operands, as functions do."""
-    for path in sorted(set(SOURCE.glob("kernels/**/*.py")) - set(SOURCE.glob("kernels/dyads/*.py"))):
+    for path in sorted(
+        set(SOURCE.glob("kernels/**/*.py")) - set(SOURCE.glob("kernels/dyads/*.py"))
+    ):
         read = [n for n in sources.nodes(path) if isinstance(n, ast.Subscript)]
         for node in (n for n in read if ast.unparse(n.value).split(".")[-1] == "ints"):
             last = node.slice.right if isinstance(node.slice, ast.BinOp) else node.slice
-            assert not isinstance(last, ast.Constant), f"{path.name}:{node.lineno}: {ast.unparse(node)}"
+            assert not isinstance(last, ast.Constant), (
+                f"{path.name}:{node.lineno}: {ast.unparse(node)}"
+            )
 
 
 DOTTED = re.compile(r"`~?([A-Za-z_]\w*(?:\.\w+)+)(?:\(\))?`")
-TOP = {p.stem for p in SOURCE.iterdir()} - {"tasks", "constraints", "model"}  # which are names of variables, too
+TOP = {p.stem for p in SOURCE.iterdir()} - {
+    "tasks",
+    "constraints",
+    "model",
+}  # which are names of variables, too
 
 
 def exists(name: str) -> bool:
@@ -387,13 +552,31 @@ def exists(name: str) -> bool:
         module = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
         if module.is_file() and (k or name.startswith("kempe.")):
             rest = parts[k:]
-            return not rest or all(re.search(rf"\b{word}\b", module.read_text(encoding="utf-8")) for word in rest[:1])
+            return not rest or all(
+                re.search(rf"\b{word}\b", module.read_text(encoding="utf-8")) for word in rest[:1]
+            )
     return False
 
 
-@sources.each([*MODULES, *sorted((ROOT / "docs").glob("**/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ROOT)
+@sources.each(
+    [
+        *MODULES,
+        *sorted((ROOT / "docs").glob("**/*.md")),
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+    ],
+    ROOT,
+)
 def test_dotted_names_exist(path):
     """Names in backticks that begin with the package, or with one of its folders."""
-    found = [name for name in DOTTED.findall(path.read_text(encoding="utf-8")) if name.split(".")[0] in TOP | {"kempe"}]
-    wrong = [name for name in found if not exists(name) and not name.endswith((".py", ".md", ".toml", ".json"))]
+    found = [
+        name
+        for name in DOTTED.findall(path.read_text(encoding="utf-8"))
+        if name.split(".")[0] in TOP | {"kempe"}
+    ]
+    wrong = [
+        name
+        for name in found
+        if not exists(name) and not name.endswith((".py", ".md", ".toml", ".json"))
+    ]
     assert not wrong

@@ -71,11 +71,15 @@ def answer(case: Case, folder: Path, data: bytes) -> tuple[str, KempeError | Non
 
 
 def variants(case: Case) -> list[bytes]:
-    """The file's bytes in the encodings and with the line ends in which it must be understood alike."""
+    """The file's bytes in the encodings and with the line ends in which it must be understood
+    alike.
+    """
     if not case.any_encoding:
         return [case.text.encode(case.encoding)]
     texts = [case.text, case.text.replace("\n", "\r\n")]
-    return [text.encode(encoding) for text in texts for encoding in ("utf-8", "utf-8-sig", "utf-16")]
+    return [
+        text.encode(encoding) for text in texts for encoding in ("utf-8", "utf-8-sig", "utf-16")
+    ]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.suffix[1:]}: {case.title}")
@@ -129,7 +133,9 @@ def page() -> str:
 
 @pytest.mark.slow
 def test_page_is_true():
-    assert PAGE.read_text(encoding="utf-8") == page(), "run  python tests/test_bad_files.py  and commit the page"
+    assert PAGE.read_text(encoding="utf-8") == page(), (
+        "run  python tests/test_bad_files.py  and commit the page"
+    )
 
 
 # ---- fuzzing: whatever the bytes, only errors of Kempe come out
@@ -167,7 +173,9 @@ def test_damaged_robots_never_crash():
     for _ in range(150):
         damaged = bytearray(data)
         for _ in range(rng.choice([1, 1, 2, 5])):
-            damaged[rng.randrange(len(damaged))] = rng.choice([rng.randrange(256), rng.randrange(32, 127)])
+            damaged[rng.randrange(len(damaged))] = rng.choice(
+                [rng.randrange(256), rng.randrange(32, 127)]
+            )
         survives(read_urdf, bytes(damaged))
 
 
@@ -177,13 +185,34 @@ def test_shuffled_pieces_never_crash():
     for _ in range(300):
         a = rng.choice(pieces)
         b = rng.choice(pieces)
-        survives(read_urdf, (a[: rng.randrange(len(a) + 1)] + b[rng.randrange(len(b) + 1) :]).encode())
+        survives(
+            read_urdf, (a[: rng.randrange(len(a) + 1)] + b[rng.randrange(len(b) + 1) :]).encode()
+        )
 
 
 def test_damaged_tables_never_crash():
     rng = random.Random(4)
     texts = [c.text for c in TOML_CASES if 0 < len(c.text) < 2000]
-    marks = ["[", "]", "{", "}", "=", '"', "'", ",", "\n", "1e999", "nan", "-inf", "true", "[1]", "{}", '""', "-1", "0"]
+    marks = [
+        "[",
+        "]",
+        "{",
+        "}",
+        "=",
+        '"',
+        "'",
+        ",",
+        "\n",
+        "1e999",
+        "nan",
+        "-inf",
+        "true",
+        "[1]",
+        "{}",
+        '""',
+        "-1",
+        "0",
+    ]
     for _ in range(600):
         text = rng.choice(texts)
         for _ in range(rng.choice([1, 2, 3])):
@@ -193,10 +222,16 @@ def test_damaged_tables_never_crash():
 
 
 REFUSED = {
-    "ur3.urdf": (":6: there is no robot in this file", "xacro made it from 'ur3.urdf.xacro'", "ur3_robot.urdf"),
-    "alex_psyonic_hands.urdf": (":1037: joint 'Left_index_q2': it mimics joint 'index_q1', which does not exist",
-                                "did you mean 'Left_index_q1'"),
-}  # fmt: skip
+    "ur3.urdf": (
+        ":6: there is no robot in this file",
+        "xacro made it from 'ur3.urdf.xacro'",
+        "ur3_robot.urdf",
+    ),
+    "alex_psyonic_hands.urdf": (
+        ":1037: joint 'Left_index_q2': it mimics joint 'index_q1', which does not exist",
+        "did you mean 'Left_index_q1'",
+    ),
+}
 """Files of real robots that are wrong, and what is said of them."""
 WRONG = {n: p for n, p in urdf_files().items() if p.name in BROKEN}
 

@@ -41,32 +41,63 @@ FREE = SEVEN.mid + 0.2
 P = SEVEN.fk(FREE, "tool")
 THIRD = SEVEN.coordinate_names[2]
 
-METHODS = {n: f for n in dir(kempe.System) if n[0] != "_" and callable(f := inspect.getattr_static(kempe.System, n))}
+METHODS = {
+    n: f
+    for n in dir(kempe.System)
+    if n[0] != "_" and callable(f := inspect.getattr_static(kempe.System, n))
+}
 FREE_NAMES = {"with_parameters"}
 """Methods whose keywords are names that the system has."""
 MORE = {"plot": 14, "workspace": 10, "ik": 9}
-"""Methods with more arguments: what a picture shows (`PlotOptions`), what each kind needs, the steps of a search."""
+"""Methods with more arguments: what a picture shows (`PlotOptions`), what each kind needs, the
+steps of a search."""
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_verbs_have_at_most_eight_arguments_all_written_out(name):
     parameters = list(inspect.signature(METHODS[name]).parameters.values())[1:]
     assert len(parameters) <= MORE.get(name, 8)
-    assert name in FREE_NAMES or not any(p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL) for p in parameters)
+    assert name in FREE_NAMES or not any(
+        p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL) for p in parameters
+    )
 
 
 READ = {
-    "ik": (lambda b: ARM.ik(X, "tool", budget=b), {"starts": 3, "iterations": 9, "rng": 1, "threads": 1}),
-    "ik of tasks": (lambda b: ARM.ik([kempe.tasks.Pose("tool", X)], budget=b), {"starts": 3, "time_limit": 9.0}),
+    "ik": (
+        lambda b: ARM.ik(X, "tool", budget=b),
+        {"starts": 3, "iterations": 9, "rng": 1, "threads": 1},
+    ),
+    "ik of tasks": (
+        lambda b: ARM.ik([kempe.tasks.Pose("tool", X)], budget=b),
+        {"starts": 3, "time_limit": 9.0},
+    ),
     "ik_all": (lambda b: ARM.ik_all(X, "tool", budget=b), {"threads": 2}),
-    "ik_path": (lambda b: ARM.ik_path(X[None], "tool", budget=b), {"starts": 5, "progress": lambda n: None}),
+    "ik_path": (
+        lambda b: ARM.ik_path(X[None], "tool", budget=b),
+        {"starts": 5, "progress": lambda n: None},
+    ),
     "ik_sweep": (lambda b: SEVEN.inverse.sweep(P, "tool", budget=b), {"points": 64}),
-    "assemble": (lambda b: LINKAGE.assemble({"A": 0.3}, budget=b), {"starts": 4, "rng": 2, "threads": 1}),
+    "assemble": (
+        lambda b: LINKAGE.assemble({"A": 0.3}, budget=b),
+        {"starts": 4, "rng": 2, "threads": 1},
+    ),
     "assembler": (lambda b: LINKAGE.loops.assembler(["A"])([0.3], budget=b), {"starts": 4}),
-    "assembly_modes": (lambda b: LINKAGE.assembly_modes({"A": 0.3}, budget=b), {"time_limit": math.inf, "starts": 9}),
-    "self_motion": (lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b), {"points": 3, "step": 0.01}),
-    "trace": (lambda b: LINKAGE.trace("A", budget=b), {"points": 9, "step": 0.05, "time_limit": math.inf}),
-    "drive": (lambda b: LINKAGE.drive({"A": [0.3, 0.4]}, budget=b), {"step": 0.05, "time_limit": 9.0}),
+    "assembly_modes": (
+        lambda b: LINKAGE.assembly_modes({"A": 0.3}, budget=b),
+        {"time_limit": math.inf, "starts": 9},
+    ),
+    "self_motion": (
+        lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b),
+        {"points": 3, "step": 0.01},
+    ),
+    "trace": (
+        lambda b: LINKAGE.trace("A", budget=b),
+        {"points": 9, "step": 0.05, "time_limit": math.inf},
+    ),
+    "drive": (
+        lambda b: LINKAGE.drive({"A": [0.3, 0.4]}, budget=b),
+        {"step": 0.05, "time_limit": 9.0},
+    ),
 }
 
 
@@ -81,16 +112,25 @@ def test_a_budget_is_read(verb):
 def test_what_a_verb_does_not_read_is_refused(verb):
     call, fields = READ[verb]
     unread = "step" if "step" not in fields else "iterations"
-    with pytest.raises(InputError, match=f"budget has {unread}, which {verb[:2]}.* does not read; it reads "):
+    with pytest.raises(
+        InputError, match=f"budget has {unread}, which {verb[:2]}.* does not read; it reads "
+    ):
         call(Budget(**{unread: 0.1}))
     with pytest.raises(InputError, match="budget is 5; it must be a kempe.Budget, such as Budget"):
         call(5)
 
 
-@pytest.mark.parametrize(("fields", "said"), [
-    ({"starts": 0}, "starts is 0"), ({"starts": 2.5}, "starts is 2.5"), ({"iterations": True}, "iterations is True"),
-    ({"time_limit": -1.0}, "time_limit is -1.0"), ({"rng": -1}, "rng is -1"), ({"starts": "many"}, "starts is 'many'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"starts": 0}, "starts is 0"),
+        ({"starts": 2.5}, "starts is 2.5"),
+        ({"iterations": True}, "iterations is True"),
+        ({"time_limit": -1.0}, "time_limit is -1.0"),
+        ({"rng": -1}, "rng is -1"),
+        ({"starts": "many"}, "starts is 'many'"),
+    ],
+)
 def test_wrong_budgets_are_named(fields, said):
     with pytest.raises(InputError, match=said):
         ARM.ik(X, "tool", budget=Budget(**fields))
@@ -171,7 +211,9 @@ FAR[:3, 3] = 0.0, 0.0, -0.6718  # inside the reach of the lengths, but not with 
 
 
 def open_loops(count: int = 1) -> kempe.System:
-    """Loops of four bars, one of which is too long to close them; of many of them each start changes a part."""
+    """Loops of four bars, one of which is too long to close them; of many of them each start
+    changes a part.
+    """
     m = kempe.Mechanism("open", dim=2)
     for k in range(count):
         a, b, c = (m.body(f"{n}{k}") for n in "abc")
@@ -194,8 +236,14 @@ def chain(count: int) -> kempe.System:
     m = kempe.Mechanism("chain")
     before = "ground"
     for k in range(count):
-        m.revolute(f"j{k}", m.ground if k == 0 else before, m.body(f"b{k}"), at=(0.0, 0.05, 0.1),
-                   rpy=(0.5 * math.pi * (-1) ** k, 0.0, 0.0), limits=(-0.05, 0.05))  # fmt: skip
+        m.revolute(
+            f"j{k}",
+            m.ground if k == 0 else before,
+            m.body(f"b{k}"),
+            at=(0.0, 0.05, 0.1),
+            rpy=(0.5 * math.pi * (-1) ** k, 0.0, 0.0),
+            limits=(-0.05, 0.05),
+        )
         before = f"b{k}"
     return m.build()
 
@@ -210,7 +258,9 @@ TURN = LINKAGE.trace("A")
 TIMED = {
     "mobility": lambda b: FLAT.mobility(FLAT.q("flat"), budget=b),
     "classify": lambda b: CAR.classify(budget=b),
-    "idealised": lambda b: rounded(exact("bennett"), 6, np.random.default_rng(0)).idealised(budget=b),
+    "idealised": lambda b: rounded(exact("bennett"), 6, np.random.default_rng(0)).idealised(
+        budget=b
+    ),
     "manoeuvre": lambda b: CAR.manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], radius=1.0, budget=b),
     "drive of what rolls": lambda b: CAR.drive(
         {"drive.x": [0.0, 1e9], "drive.rz": [0.0, 1.0]}, start=[0.0, 0.0, 0.0], budget=b
@@ -218,22 +268,32 @@ TIMED = {
     "drive far": lambda b: LINKAGE.drive({"A": [0.3, 1e7]}, budget=b),
     "simulate": lambda b: CAR.simulate(1.0, inputs={"drive.x": 1.0, "drive.rz": 0.1}, budget=b),
     "singularities": lambda b: ARM.singularities("tool", budget=b),
-    "curves": lambda b: kempe.load("two_link").singularities("e", budget=Budget(time_limit=math.inf)).curves(budget=b),
+    "curves": lambda b: (
+        kempe.load("two_link")
+        .singularities("e", budget=Budget(time_limit=math.inf))
+        .curves(budget=b)
+    ),
     "reach.poses": lambda b: ARM.reach.poses(np.repeat(X[None], 5000, axis=0), "tool", budget=b),
     "reach.place": lambda b: ARM.reach.place(X[None], "tool", {"x": (0.0, 0.1)}, 5000, budget=b),
-    "reach.capability": lambda b: ARM.reach.capability("tool", [[0.0] * 3, [0.5] * 3], 9, 9, budget=b),
+    "reach.capability": lambda b: ARM.reach.capability(
+        "tool", [[0.0] * 3, [0.5] * 3], 9, 9, budget=b
+    ),
     "assemble open": lambda b: OPEN.assemble(budget=b),
     "assemble many": lambda b: MANY.assemble(budget=b),
     "assemble many rows": lambda b: MANY.assemble({"A0": np.linspace(0.0, 1.0, 3)}, budget=b),
     "assemble a batch": lambda b: OPEN.assemble({"A0": np.linspace(0.0, 6.0, 100)}, budget=b),
-    "assemble row by row": lambda b: OPEN.assemble({"A0": np.linspace(0.0, 6.0, 9)}, prefer="continuous", budget=b),
+    "assemble row by row": lambda b: OPEN.assemble(
+        {"A0": np.linspace(0.0, 6.0, 9)}, prefer="continuous", budget=b
+    ),
     "assemble one-sided": lambda b: LOW.assemble(budget=b),
     "assemble one-sided rows": lambda b: LOW.assemble({"A": np.linspace(0.0, 1.0, 9)}, budget=b),
     "assemble a function": lambda b: ARM.assemble(also=[NEVER], budget=b),
     "assembly_modes": lambda b: rssr().assembly_modes({"A": 0.4}, budget=b),
     "ik": lambda b: LONG.ik(TURNED, LONG.frame_names[-1], budget=b),
     "ik of a batch": lambda b: ARM.ik(np.repeat(FAR[None], 9, axis=0), "tool", budget=b),
-    "ik of a batch, analytic": lambda b: ARM.ik(np.repeat(FAR[None], 9, axis=0), "tool", method="auto", budget=b),
+    "ik of a batch, analytic": lambda b: ARM.ik(
+        np.repeat(FAR[None], 9, axis=0), "tool", method="auto", budget=b
+    ),
     "ik of tasks": lambda b: ARM.ik([kempe.tasks.Pose("tool", X), NEVER], budget=b),
     "ik_all": lambda b: SEVEN.ik_all(P, "tool", budget=b),
     "ik_path": lambda b: ARM.ik_path(np.repeat(X[None], 9, axis=0), "tool", budget=b),
@@ -254,7 +314,8 @@ ELSEWHERE = {
     "map_file": "tests/analysis/maps/test_file_map.py",
     "plot_spaces": "tests/views/test_space_pictures.py",
 }
-"""Verbs whose answers at the end of their time are tested elsewhere, for they need files or pictures."""
+"""Verbs whose answers at the end of their time are tested elsewhere, for they need files or
+pictures."""
 
 
 def ladder(count: int) -> kempe.System:
@@ -278,7 +339,9 @@ LARGE = {
     "assembly_modes": lambda s, b: s.assembly_modes({"A0": 0.3}, budget=b),
     "ik": lambda s, b: s.ik(s.fk(s.mid, "a9") @ AROUND, "a9", budget=b),
     "ik_all": lambda s, b: s.ik_all(s.fk(s.mid, "a9"), "a9", budget=b),
-    "ik_path": lambda s, b: s.ik_path(np.repeat(s.fk(s.mid, "a9")[None], 9, axis=0), "a9", budget=b),
+    "ik_path": lambda s, b: s.ik_path(
+        np.repeat(s.fk(s.mid, "a9")[None], 9, axis=0), "a9", budget=b
+    ),
     "trace": lambda s, b: s.trace("A0", budget=b),
     "drive": lambda s, b: s.drive({"A0": [0.0, 1.0]}, budget=b),
     "sample": lambda s, b: s.configuration_space.sample(9, budget=b),
@@ -286,18 +349,25 @@ LARGE = {
     "task_space": lambda s, b: s.task_space("a9", budget=b),
     "workspace": lambda s, b: s.workspace("b9", n=1000, budget=b),
     "reach.poses": lambda s, b: s.reach.poses(s.fk(s.mid, "a9")[None], "a9", budget=b),
-    "reach.place": lambda s, b: s.reach.place(s.fk(s.mid, "a9")[None], "a9", {"x": (0.0, 0.1)}, 50, budget=b),
-    "reach.capability": lambda s, b: s.reach.capability("a9", [[0.0, 0.0], [1.0, 1.0]], 9, 9, budget=b),
+    "reach.place": lambda s, b: s.reach.place(
+        s.fk(s.mid, "a9")[None], "a9", {"x": (0.0, 0.1)}, 50, budget=b
+    ),
+    "reach.capability": lambda s, b: s.reach.capability(
+        "a9", [[0.0, 0.0], [1.0, 1.0]], 9, 9, budget=b
+    ),
     "chain: ik_all": lambda s, b: s.ik_all(s.fk(s.mid, "b99"), "b99", budget=b),
     "chain: ik": lambda s, b: s.ik(s.fk(s.mid, "b99") @ AROUND, "b99", method="auto", budget=b),
     "chain: singularities": lambda s, b: s.singularities("b99", budget=b),
-    "chain: self_motion": lambda s, b: s.inverse.self_motion(s.mid, "b99", direction="j0", budget=b),
+    "chain: self_motion": lambda s, b: s.inverse.self_motion(
+        s.mid, "b99", direction="j0", budget=b
+    ),
     "chain: ik_sweep": lambda s, b: s.inverse.sweep(s.fk(s.mid, "b99"), "b99", "j0", budget=b),
     "chain: task_space": lambda s, b: s.task_space("b99", budget=b),
     "chain: workspace": lambda s, b: s.workspace("b99", n=1e5, budget=b),
     "chain: reach.poses": lambda s, b: s.reach.poses(s.fk(s.mid, "b99")[None], "b99", budget=b),
 }
-"""Verbs of systems of 40 loops, and of chains of 100 joints, of which nothing is known beforehand."""
+"""Verbs of systems of 40 loops, and of chains of 100 joints, of which nothing is known
+beforehand."""
 ALLOWED = 3000.0
 AFTERWARDS = 200_000
 """Calls of functions that a verb may make, by its time limit, and that may follow: about 0.1 s."""
@@ -305,7 +375,9 @@ AFTERWARDS = 200_000
 
 @pytest.mark.parametrize("verb", LARGE)
 def test_time_limits_hold_while_the_work_is_prepared(verb, monkeypatch):
-    """The clock counts calls of Python functions: the answer comes soon after its time, whatever was going on."""
+    """The clock counts calls of Python functions: the answer comes soon after its time, whatever
+    was going on.
+    """
     system = chain(100) if verb.startswith("chain") else ladder(40)
     calls = collections.Counter[str]()
     counted = types.SimpleNamespace(monotonic=lambda: float(calls["call"]))
@@ -330,24 +402,40 @@ def test_every_verb_with_a_time_limit_is_in_the_battery():
 
 def says(answer: Any) -> bool:
     """Whether an answer says, for one of its problems, that its time was up."""
-    late = np.any(getattr(answer, "late", False)) or getattr(answer, "broken", None) is kempe.Status.OUT_OF_TIME
+    late = (
+        np.any(getattr(answer, "late", False))
+        or getattr(answer, "broken", None) is kempe.Status.OUT_OF_TIME
+    )
     if not late and not np.any(np.asarray(getattr(answer, "code", 0)) == kempe.Status.OUT_OF_TIME):
         return False
     text = f"{answer} {np.asarray(answer.status).ravel()[-1]}"
-    assert "time limit" in text or "stopped early" in text or "were requested" in text, text  # of samples
+    assert "time limit" in text or "stopped early" in text or "were requested" in text, (
+        text
+    )  # of samples
     return True
 
 
 def asked(verb: str) -> Any:
-    """The answer of a verb to its problem, or the error that its time was over before anything was known."""
+    """The answer of a verb to its problem, or the error that its time was over before anything was
+    known.
+    """
     try:
         return TIMED[verb](Budget(time_limit=5.0))
     except kempe.errors.TimeLimitError as error:
         return error
 
 
-ASK_MORE = {"idealised", "classify", "task_space", "ik_sweep", "ik_all", "manoeuvre", "simulate", "singularities",
-            "self_motion"}  # fmt: skip
+ASK_MORE = {
+    "idealised",
+    "classify",
+    "task_space",
+    "ik_sweep",
+    "ik_all",
+    "manoeuvre",
+    "simulate",
+    "singularities",
+    "self_motion",
+}
 """Verbs that know nothing before they are prepared."""
 
 
@@ -366,7 +454,9 @@ def test_an_answer_says_that_its_time_was_up(looks, verb):
 @pytest.mark.parametrize("look", [1, 7, 60])
 @pytest.mark.parametrize("verb", TIMED)
 def test_a_verb_ends_at_whichever_look_its_time_is_up(looks, verb, look):
-    """Few looks follow: the work is over, and what was done by then is put in order; each is answered, or raises."""
+    """Few looks follow: the work is over, and what was done by then is put in order; each is
+    answered, or raises.
+    """
     count = looks(look)
     answer = asked(verb)
     done = next(count)
@@ -436,23 +526,31 @@ def rssr() -> kempe.System:
 
 
 INTERRUPTED = {
-    "ik_path": lambda b: ARM.ik_path(ARM.fk(Q + np.linspace(0.0, 0.1, 9)[:, None], "tool"), "tool", Q, budget=b),
+    "ik_path": lambda b: ARM.ik_path(
+        ARM.fk(Q + np.linspace(0.0, 0.1, 9)[:, None], "tool"), "tool", Q, budget=b
+    ),
     "assembly_modes": lambda b: rssr().assembly_modes({"A": 0.4}, budget=b),
     "self_motion": lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b),
     "trace": lambda b: LINKAGE.trace("A", budget=b),
-    "trace of branches": lambda b: kempe.load("parallelogram").trace("A", ways="branches", budget=b),
+    "trace of branches": lambda b: kempe.load("parallelogram").trace(
+        "A", ways="branches", budget=b
+    ),
     "resample": lambda b: LINKAGE.trace("A").resample(9, budget=b),
     "drive": lambda b: LINKAGE.drive({"A": np.linspace(0.3, 1.0, 99)}, budget=b),
     "workspace": lambda b: ARM.workspace("tool", n=1e6, cells=8, budget=b),
     "sample": lambda b: kempe.load("five_bar").configuration_space.sample(99, budget=b),
     "singularities": lambda b: ARM.singularities("tool", budget=b),
-    "curves": lambda b: kempe.load("two_link").singularities("e", budget=Budget(starts=8)).curves(budget=b),
+    "curves": lambda b: (
+        kempe.load("two_link").singularities("e", budget=Budget(starts=8)).curves(budget=b)
+    ),
     "plot of singularities": lambda b: (
         kempe.load("two_link").singularities("e", budget=Budget(starts=8)).plot(budget=b)
     ),
     "reach.poses": lambda b: ARM.reach.poses(X[None], "tool", budget=b),
     "reach.place": lambda b: ARM.reach.place(X[None], "tool", {"x": (0.0, 0.1)}, 3, budget=b),
-    "reach.capability": lambda b: ARM.reach.capability("tool", [[0.0] * 3, [0.5] * 3], 2, 4, budget=b),
+    "reach.capability": lambda b: ARM.reach.capability(
+        "tool", [[0.0] * 3, [0.5] * 3], 2, 4, budget=b
+    ),
 }
 
 
@@ -473,14 +571,21 @@ def test_an_interrupt_goes_on_to_the_caller_with_what_was_done(verb):
         assert "answer" in str(stop.value) and issubclass(stop.type, KeyboardInterrupt)
 
 
-@pytest.mark.parametrize("ask", [
-    lambda: open_loops(30).assemble(), lambda: ARM.assemble(also=[NEVER]),
-    lambda: ARM.ik([kempe.tasks.Pose("tool", X), NEVER]), lambda: ARM.ik(kempe.tasks.Pose("tool", FAR)),
-    lambda: OPEN.assemble(),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda: open_loops(30).assemble(),
+        lambda: ARM.assemble(also=[NEVER]),
+        lambda: ARM.ik([kempe.tasks.Pose("tool", X), NEVER]),
+        lambda: ARM.ik(kempe.tasks.Pose("tool", FAR)),
+        lambda: OPEN.assemble(),
+    ],
+)
 @pytest.mark.parametrize("at", [0, 3])
 def test_an_interrupt_while_a_kernel_looks_at_the_clock_is_not_lost(ask, at, monkeypatch):
-    """Python hears Ctrl-C in the function that kernels call, from which no exception passes through a kernel."""
+    """Python hears Ctrl-C in the function that kernels call, from which no exception passes through
+    a kernel.
+    """
     ends = Ends(at)
     monkeypatch.setattr(clock, "look", ends)
     with pytest.raises(KeyboardInterrupt):
@@ -498,7 +603,9 @@ def test_what_a_verb_inside_another_did_is_no_answer(monkeypatch):
         LINKAGE.configuration_space.components()
     assert stop.value.answer.interrupted and stop.value.answer.count == 2
     with pytest.raises(kempe.Interrupted) as stop:
-        LINKAGE.configuration_space.path(LINKAGE.assemble({"A": 0.3}).q, LINKAGE.assemble({"A": 0.9}).q)
+        LINKAGE.configuration_space.path(
+            LINKAGE.assemble({"A": 0.3}).q, LINKAGE.assemble({"A": 0.9}).q
+        )
     assert stop.value.answer.interrupted
 
 
@@ -511,9 +618,11 @@ def test_interrupts_are_pickled_with_their_answer():
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_an_interrupt_before_the_first_line_of_a_function_of_a_kernel_is_kept(times, monkeypatch):
-    """While a kernel works Ctrl-C waits; Python raises it where the kernel calls back, outside the function's lines.
+    """While a kernel works Ctrl-C waits; Python raises it where the kernel calls back, outside the
+    function's lines.
 
-    `map` and `operator.call` call C functions one after the other, with no line of Python between them.
+    `map` and `operator.call` call C functions one after the other, with no line of Python between
+    them.
     """
     lost: list[Any] = []
     monkeypatch.setattr(sys, "unraisablehook", lost.append)
@@ -521,7 +630,9 @@ def test_an_interrupt_before_the_first_line_of_a_function_of_a_kernel_is_kept(ti
     try:
         out = (ctypes.c_double * 1)()
         number = ctypes.POINTER(ctypes.c_double)
-        kernel = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)(clock.clock().address)
+        kernel = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)(
+            clock.clock().address
+        )
         called = functools.partial(kernel, out, out, out, 0)
         list(map(operator.call, [ctypes.pythonapi.PyErr_SetInterrupt, called] * times))
         with pytest.raises(KeyboardInterrupt):

@@ -1,4 +1,6 @@
-"""Wrong calls are answered with an error of Kempe's own, which names what is wrong and what is allowed."""
+"""Wrong calls are answered with an error of Kempe's own, which names what is wrong and what is
+allowed.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ from hunts import Hunt
 
 import kempe
 from kempe import calls, tasks
-from kempe.errors import CallError, DescriptionError, InputError, KempeError, RoundedWarning, UnknownNameError
+from kempe.errors import (
+    CallError,
+    DescriptionError,
+    InputError,
+    KempeError,
+    RoundedWarning,
+    UnknownNameError,
+)
 from kempe.model import namespaces
 
 PUMA = kempe.load("puma560")
@@ -71,8 +80,12 @@ def answered(call: wrong_calls.Call) -> None:
         assert is_pythons_own(error), f"{call}: {error!r}"
     except Exception as error:
         raise AssertionError(f"{call}: {error!r}") from error
-    assert all(same(a, b) for a, b in zip(given, before, strict=True)), f"{call} has changed what it was given"
-    wrong = [w for w in warned if w.category not in (RoundedWarning, DeprecationWarning)]  # of numpy, say
+    assert all(same(a, b) for a, b in zip(given, before, strict=True)), (
+        f"{call} has changed what it was given"
+    )
+    wrong = [
+        w for w in warned if w.category not in (RoundedWarning, DeprecationWarning)
+    ]  # of numpy, say
     assert not wrong, f"{call}: {wrong[0].category.__name__} {wrong[0].message}"
 
 
@@ -95,7 +108,9 @@ def test_wrong_calls(hunt):
 
 def extremes(hunt: Hunt, count: int) -> None:
     rng = hunt.rng()
-    everything = list({title: (title, f, system) for title, f, system in wrong_calls.functions()}.values())
+    everything = list(
+        {title: (title, f, system) for title, f, system in wrong_calls.functions()}.values()
+    )
     for _ in range(hunt.cases(count)):
         call = wrong_calls.extreme_call_of(*everything[rng.integers(len(everything))], rng)
         if call is not None:
@@ -108,7 +123,9 @@ def test_some_extreme_numbers(hunt):
 
 @pytest.mark.slow
 def test_extreme_numbers(hunt):
-    """Infinities, NaN, numbers near the ends of floats: refused in words, or answered, without a warning of numpy."""
+    """Infinities, NaN, numbers near the ends of floats: refused in words, or answered, without a
+    warning of numpy.
+    """
     extremes(hunt, 5000)
 
 
@@ -123,11 +140,26 @@ REFUSED = {
         "none negative or",
     ),
     "a number for rows": (lambda: kempe.from_dh(np.array(3.0)), "rows are array.*must be a list"),
-    "an empty parameter": (lambda: PUMA.inverse.sweep(X, "tool", ()), "the parameter is .*a name, or a name and"),
-    "more samples than memory": (lambda: PUMA.inverse.sweep(X, "tool", n=2**31), "from 2 to 10000000"),
-    "an equation beyond floats": (lambda: tasks.Equation(10**400), "its size must be at most 1e\\+100"),
-    "folders that are numbers": (lambda: kempe.read("four_bar", package_dirs=[1]), "must be a list of folders"),
-    "no symbol": (lambda: FOUR_BAR.symbolic.fk("crank", symbols={"A": None}), "its values must be symbols"),
+    "an empty parameter": (
+        lambda: PUMA.inverse.sweep(X, "tool", ()),
+        "the parameter is .*a name, or a name and",
+    ),
+    "more samples than memory": (
+        lambda: PUMA.inverse.sweep(X, "tool", n=2**31),
+        "from 2 to 10000000",
+    ),
+    "an equation beyond floats": (
+        lambda: tasks.Equation(10**400),
+        "its size must be at most 1e\\+100",
+    ),
+    "folders that are numbers": (
+        lambda: kempe.read("four_bar", package_dirs=[1]),
+        "must be a list of folders",
+    ),
+    "no symbol": (
+        lambda: FOUR_BAR.symbolic.fk("crank", symbols={"A": None}),
+        "its values must be symbols",
+    ),
 }
 
 
@@ -152,28 +184,40 @@ def test_one_folder_is_not_a_list_of_letters(tmp_path):
 
 
 VERBS = [
-    ("ik", (X, "tool"), "method"), ("ik", ([tasks.Pose("tool", X)],), "prefer"),
-    ("inverse.sweep", (X, "tool"), "fixed"), ("ik_path", (X[None], "tool"), "max_step"),
+    ("ik", (X, "tool"), "method"),
+    ("ik", ([tasks.Pose("tool", X)],), "prefer"),
+    ("inverse.sweep", (X, "tool"), "fixed"),
+    ("ik_path", (X[None], "tool"), "max_step"),
     ("assemble", ({},), "branch"),
     ("ik_step", (PUMA.mid, np.zeros(6), "tool", 0.01), "damping"),
     ("inverse.self_motion", (PUMA.mid, "tool"), "direction"),
-    ("assembly_modes", ({},), "limits"), ("from_maximal", (PUMA.fk(PUMA.mid)[1:],), "tolerance"),
-    ("mobility", (), "local"), ("trace", (), "toward"), ("drive", ({"q1": [0.0, 0.1]},), "times"),
-    ("loops.jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"), ("plot", (), "labels"),
+    ("assembly_modes", ({},), "limits"),
+    ("from_maximal", (PUMA.fk(PUMA.mid)[1:],), "tolerance"),
+    ("mobility", (), "local"),
+    ("trace", (), "toward"),
+    ("drive", ({"q1": [0.0, 0.1]},), "times"),
+    ("loops.jacobian", (PUMA.mid, ["q1"], ["tool"]), "in_frame"),
+    ("plot", (), "labels"),
     ("loops.mechanical_advantage", (PUMA.mid, "q1", "q2"), "direction"),
     ("loops.transmission_angle", (PUMA.mid, "q2"), "joint"),
-]  # fmt: skip
+]
 
 
 def verb_of(system: kempe.System, verb: str) -> Callable[..., Any]:
     """A method, of a namespace or of the system itself, or a function of `kempe.convert`."""
-    return partial(getattr(kempe.convert, verb), system) if "maximal" in verb else attrgetter(verb)(system)
+    return (
+        partial(getattr(kempe.convert, verb), system)
+        if "maximal" in verb
+        else attrgetter(verb)(system)
+    )
 
 
 @pytest.mark.parametrize(("verb", "args", "option"), VERBS, ids=[f"{v}-{o}" for v, _, o in VERBS])
 def test_an_unknown_option_names_the_nearest(verb, args, option):
     """As an error of Kempe's own that is a TypeError, too, as Python users expect."""
-    with pytest.raises(CallError, match=f"has no option '{option}_'; did you mean .*'{option}'") as caught:
+    with pytest.raises(
+        CallError, match=f"has no option '{option}_'; did you mean .*'{option}'"
+    ) as caught:
         verb_of(PUMA, verb)(*args, **{f"{option}_": 1})
     assert isinstance(caught.value, TypeError) and option in caught.value.allowed
     again = pickle.loads(pickle.dumps(caught.value))
@@ -203,7 +247,12 @@ def test_what_is_missing_is_named():
 
 @pytest.mark.parametrize(
     ("option", "said"),
-    [("q", "start=q"), ("prefer", "start=q"), ("hold", "fixed={'name': value}"), ("starts_", "'start'")],
+    [
+        ("q", "start=q"),
+        ("prefer", "start=q"),
+        ("hold", "fixed={'name': value}"),
+        ("starts_", "'start'"),
+    ],
 )
 def test_options_of_ik_that_ik_all_has_by_another_name(option, said):
     with pytest.raises(CallError) as caught:
@@ -240,27 +289,60 @@ def test_what_fails_with_right_arguments_is_raised_as_it_is():
 
 
 CASES = {
-    "posture of numbers": (lambda: PUMA.q([0] * 6), InputError, "by coordinate name, or the name of a posture"),
+    "posture of numbers": (
+        lambda: PUMA.q([0] * 6),
+        InputError,
+        "by coordinate name, or the name of a posture",
+    ),
     "unknown posture": (lambda: PUMA.q("q"), UnknownNameError, "no posture .*; .* 'qz'"),
     "list of one frame": (lambda: PUMA.ik_all(X, ["tool"]), UnknownNameError, "no frame"),
-    "list of one driver": (lambda: FOUR_BAR.trace(["A"]), InputError, "driver is .'A'.; it must be text or None"),
+    "list of one driver": (
+        lambda: FOUR_BAR.trace(["A"]),
+        InputError,
+        "driver is .'A'.; it must be text or None",
+    ),
     "text as q": (lambda: PUMA.q_dict("abc"), InputError, "q is"),
-    "nearest to q": (lambda: PUMA.ik_all(X, "tool").nearest(PUMA.mid), InputError, "index .* must be a whole number"),
+    "nearest to q": (
+        lambda: PUMA.ik_all(X, "tool").nearest(PUMA.mid),
+        InputError,
+        "index .* must be a whole number",
+    ),
     "no tasks": (lambda: PUMA.ik([]), InputError, "it is an empty list"),
-    "letter for a branch": (lambda: FOUR_BAR.assemble({"A": 1.0}, branch="x"), InputError, "branch is 'x'"),
-    "start too large": (lambda: PUMA.ik(X, "tool", np.full(6, 1e101)), InputError,
-                        r"start\['q1'\] is 1e\+101; its size must be below"),
-    "rng too large": (lambda: FOUR_BAR.assemble(budget=kempe.Budget(rng=2**63)), InputError,
-                      r"rng is .* below 2\*\*62"),  # fmt: skip
-    "names of numbers": (lambda: PUMA.loops.assembler([1]), InputError, "known is .1.; it must be a list of names"),
+    "letter for a branch": (
+        lambda: FOUR_BAR.assemble({"A": 1.0}, branch="x"),
+        InputError,
+        "branch is 'x'",
+    ),
+    "start too large": (
+        lambda: PUMA.ik(X, "tool", np.full(6, 1e101)),
+        InputError,
+        r"start\['q1'\] is 1e\+101; its size must be below",
+    ),
+    "rng too large": (
+        lambda: FOUR_BAR.assemble(budget=kempe.Budget(rng=2**63)),
+        InputError,
+        r"rng is .* below 2\*\*62",
+    ),
+    "names of numbers": (
+        lambda: PUMA.loops.assembler([1]),
+        InputError,
+        "known is .1.; it must be a list of names",
+    ),
     "more than memory": (lambda: PUMA.random(0, 2**60), InputError, "this memory does not hold"),
-    "row of a batch": (lambda: PUMA.ik(np.stack([X, X]), "tool").sentence((2,)), InputError, "index is .2,."),
+    "row of a batch": (
+        lambda: PUMA.ik(np.stack([X, X]), "tool").sentence((2,)),
+        InputError,
+        "index is .2,.",
+    ),
     "text as a vector": (lambda: kempe.spatial.exp_so3("x"), InputError, "w is 'x'"),
     "vector of two": (lambda: kempe.spatial.exp_so3([1.0, 2.0]), InputError, r"w has shape \(2,\)"),
     "endless points": (lambda: FOUR_BAR.trace("A").resample(2**40), InputError, "at most 10000000"),
     "a switch that is none": (
-        lambda: PUMA.mechanism.joint("j", "fixed", "link6", "link1", cut="no"), InputError, "cut of joint 'j'"),
-}  # fmt: skip
+        lambda: PUMA.mechanism.joint("j", "fixed", "link6", "link1", cut="no"),
+        InputError,
+        "cut of joint 'j'",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -276,7 +358,10 @@ def test_a_bad_last_row_in_a_batch_is_named():
     for answer in (PUMA.ik(bad, "tool"), PUMA.ik_all(bad, "tool")):
         assert "its last row is [0.0, 0.0, 1.0, 1.0]" in answer.status[1]
     bad[1] = np.nan
-    assert "target is not a pose: its entry [0, 0] is nan; it must be finite" in PUMA.ik(bad, "tool").status[1]
+    assert (
+        "target is not a pose: its entry [0, 0] is nan; it must be finite"
+        in PUMA.ik(bad, "tool").status[1]
+    )
     seeds = np.stack([PUMA.mid, np.full(6, 1e101)])
     assert "start has entries" in PUMA.ik(np.stack([X, X]), "tool", seeds).status[1]
 
@@ -285,23 +370,34 @@ def test_attaching_names_the_prefix():
     rail = kempe.Mechanism("rail")
     rail.prismatic("x", rail.ground, rail.body("carriage"), axis=(1, 0, 0))
     before = rail.content()
-    with pytest.raises(DescriptionError, match=r"both have bodies and frames 'ground'; .*attach\(..., prefix='ur5_'\)"):
+    with pytest.raises(
+        DescriptionError,
+        match=r"both have bodies and frames 'ground'; .*attach\(..., prefix='ur5_'\)",
+    ):
         rail.attach(kempe.load("ur5"), to="carriage")
     assert rail.content() == before
     assert rail.attach(kempe.load("ur5"), to="carriage", prefix="ur5_").build().nq == 7
-    with pytest.raises(DescriptionError, match="joints and constraints .*7 in all.*prefix='ur5_2_'"):
+    with pytest.raises(
+        DescriptionError, match="joints and constraints .*7 in all.*prefix='ur5_2_'"
+    ):
         rail.attach(kempe.load("ur5"), to="carriage", prefix="ur5_")
 
 
 def test_the_centre_of_mass_needs_no_number_that_does_not_count():
     arm = kempe.Mechanism("arm")
     arm.revolute("a", arm.ground, arm.body("u", mass=1.0, center=(0.2, 0, 0)))
-    arm.revolute("b", "u", arm.body("v", mass=1.0, center=(0.2, 0, 0)), at=(0.5, 0, 0), axis=(0, 1, 0))
+    arm.revolute(
+        "b", "u", arm.body("v", mass=1.0, center=(0.2, 0, 0)), at=(0.5, 0, 0), axis=(0, 1, 0)
+    )
     arm = arm.build()
     goal = tasks.error(arm, tasks.CentreOfMass([0.0, 0.0, 0.0]), arm.q({"a": 0.3, "b": 0.4}))
-    short, whole = (arm.ik([tasks.CentreOfMass(p, axes="xy")]) for p in (goal[:2], [*goal[:2], 7.0]))
+    short, whole = (
+        arm.ik([tasks.CentreOfMass(p, axes="xy")]) for p in (goal[:2], [*goal[:2], 7.0])
+    )
     assert short and np.array_equal(short.q, whole.q)
-    with pytest.raises(InputError, match=r"\(2,\); it must be \(..., 3\), or \(..., 1\) for axes='z'"):
+    with pytest.raises(
+        InputError, match=r"\(2,\); it must be \(..., 3\), or \(..., 1\) for axes='z'"
+    ):
         arm.ik([tasks.CentreOfMass(goal[:2], axes="z")])
 
 
@@ -329,7 +425,10 @@ def test_answers_print_little(name):
     large = (
         []
         if system.structure.closures
-        else [system.ik(system.fk(q, frame), frame), system.ik([tasks.Pose(frame, system.fk(q, frame))])]
+        else [
+            system.ik(system.fk(q, frame), frame),
+            system.ik([tasks.Pose(frame, system.fk(q, frame))]),
+        ]
     )
     if name == "four_bar":
         large = [
@@ -344,14 +443,23 @@ def test_answers_print_little(name):
 
 FOUR = kempe.load("four_bar")
 WRONG_KINDS = {
-    "tasks.error": (lambda: kempe.tasks.error(PUMA, "nan", PUMA.mid), "constraint is 'nan'; it must be a task"),
+    "tasks.error": (
+        lambda: kempe.tasks.error(PUMA, "nan", PUMA.mid),
+        "constraint is 'nan'; it must be a task",
+    ),
     "tasks.count": (lambda: kempe.tasks.count(PUMA, [{}]), "constraint is"),
     "tasks.jacobian": (lambda: kempe.tasks.jacobian(PUMA, {"q1": 1}, PUMA.mid), "constraint is"),
     "tasks.miss": (lambda: kempe.tasks.miss(PUMA, np.eye(4), PUMA.mid), "constraint is"),
     "convert.expanded": (lambda: kempe.convert.expanded([1]), "system is .*; it must be a System"),
     "convert.maximal": (lambda: kempe.convert.maximal((1,)), "system is .*; it must be a System"),
-    "convert.maximal_q": (lambda: kempe.convert.maximal_q([{}]), "system is .*; it must be a System"),
-    "path.save of None": (lambda: FOUR.trace("A").save(None), "path is None; it must be the path of a file"),
+    "convert.maximal_q": (
+        lambda: kempe.convert.maximal_q([{}]),
+        "system is .*; it must be a System",
+    ),
+    "path.save of None": (
+        lambda: FOUR.trace("A").save(None),
+        "path is None; it must be the path of a file",
+    ),
     "path.save of bytes": (lambda: FOUR.trace("A").save(b"x.csv"), "path is b'x.csv'"),
     "mechanism.save": (lambda: FOUR.mechanism.save(None), "path is None"),
     "plot far away": (lambda: kempe.load("slider_crank").plot(np.full(4, 1e200)), "beyond 1e"),
@@ -381,12 +489,18 @@ def test_unusual_kinds_that_say_what_is_meant_are_taken():
 
 
 ENDLESS = {
-    "fk": lambda x: PUMA.fk(x, "tool"), "ik": lambda x: PUMA.ik(x, "tool"), "tasks": lambda x: PUMA.ik(x),
-    "start": lambda x: PUMA.ik(np.eye(4), "tool", x), "spatial": kempe.spatial.inverse,
+    "fk": lambda x: PUMA.fk(x, "tool"),
+    "ik": lambda x: PUMA.ik(x, "tool"),
+    "tasks": lambda x: PUMA.ik(x),
+    "start": lambda x: PUMA.ik(np.eye(4), "tool", x),
+    "spatial": kempe.spatial.inverse,
     "known": lambda x: FOUR.assemble({"A": x}),
-    "limits": lambda x: PUMA.with_limits(x), "frames": lambda x: PUMA.fk(PUMA.mid, x), "dh": kempe.from_dh,
-    "poses": lambda x: PUMA.reach.poses(x, "tool"), "actuated": lambda x: PUMA.mobility(actuated=x),
-}  # fmt: skip
+    "limits": lambda x: PUMA.with_limits(x),
+    "frames": lambda x: PUMA.fk(PUMA.mid, x),
+    "dh": kempe.from_dh,
+    "poses": lambda x: PUMA.reach.poses(x, "tool"),
+    "actuated": lambda x: PUMA.mobility(actuated=x),
+}
 
 
 @pytest.mark.parametrize("name", ENDLESS)
@@ -402,14 +516,20 @@ def test_a_list_that_holds_itself_is_refused(name, kind):
 
 LONG = "x" * 200_000
 ECHOES = {
-    "frame": lambda: PUMA.fk(PUMA.mid, LONG), "coordinate": lambda: PUMA.q({LONG: 1.0}),
+    "frame": lambda: PUMA.fk(PUMA.mid, LONG),
+    "coordinate": lambda: PUMA.q({LONG: 1.0}),
     "task": lambda: PUMA.ik(np.eye(4), "tool", task=LONG),
     "form": lambda: PUMA.fk(PUMA.mid, "tool", form=[0.5] * 10**5),
-    "posture": lambda: PUMA.ik(np.eye(4), "tool", LONG), "driver": lambda: FOUR.trace(LONG),
-    "ways": lambda: FOUR.trace("A", ways=LONG), "verb": lambda: kempe.map_file(PUMA, LONG, "a.npy", "b.zarr"),
-    "format": lambda: kempe.read("<robot/>", format=LONG), "parameter": lambda: PUMA.with_parameters(**{LONG: 1.0}),
-    "file": lambda: kempe.load(f"<robot name='a'><link name='{LONG}'/><link name='{LONG}'/></robot>"),
-}  # fmt: skip
+    "posture": lambda: PUMA.ik(np.eye(4), "tool", LONG),
+    "driver": lambda: FOUR.trace(LONG),
+    "ways": lambda: FOUR.trace("A", ways=LONG),
+    "verb": lambda: kempe.map_file(PUMA, LONG, "a.npy", "b.zarr"),
+    "format": lambda: kempe.read("<robot/>", format=LONG),
+    "parameter": lambda: PUMA.with_parameters(**{LONG: 1.0}),
+    "file": lambda: kempe.load(
+        f"<robot name='a'><link name='{LONG}'/><link name='{LONG}'/></robot>"
+    ),
+}
 
 
 @pytest.mark.parametrize("what", ECHOES)
@@ -423,25 +543,58 @@ def test_a_long_message_keeps_its_beginning_and_its_end():
     said = str(InputError(f"task is {LONG}; it must be 'pose'\nsecond line"))
     assert said.startswith("task is xxx") and re.search(r"\(2000\d\d characters in all\)", said)
     assert said.endswith("xxx; it must be 'pose'\nsecond line")
-    assert str(InputError("a short one")) == "a short one" and str(pickle.loads(pickle.dumps(InputError(LONG)))) == str(
-        InputError(LONG)
-    )
+    assert str(InputError("a short one")) == "a short one" and str(
+        pickle.loads(pickle.dumps(InputError(LONG)))
+    ) == str(InputError(LONG))
 
 
 LARGE = {
-    "assemble": (lambda: FOUR.assemble({"A": 1e300}), r"known value of 'A' is 1e\+300; its size must be below 1e\+100"),
+    "assemble": (
+        lambda: FOUR.assemble({"A": 1e300}),
+        r"known value of 'A' is 1e\+300; its size must be below 1e\+100",
+    ),
     "start": (lambda: FOUR.assemble(start=[0, 1e300, 0, 0]), r"start\['B'\] is 1e\+300; its size"),
-    "modes": (lambda: FOUR.assembly_modes({"A": np.inf}), "known value of 'A' is inf; it must be finite"),
-    "trace": (lambda: FOUR.trace("A", start=[1e15, 0, 0, 0]), r"start\['A'\] is 1e\+15 rad; angles of a motion must"),
-    "hold": (lambda: kempe.load("five_bar").trace("A", hold={"B": 1e12}), r"hold\['B'\] is 1e\+12 rad"),
-    "drive": (lambda: FOUR.drive({"A": [0, 1e308]}), r"input 'A'\[1\] is 1e\+308; its size must be below"),
-    "drive by a function": (lambda: FOUR.drive({"A": lambda t: 1e9 * t}, [0, 1]), r"input 'A' at time 1 is 1e\+09 rad"),
-    "manoeuvre": (lambda: kempe.load("car").manoeuvre([0, 0, 1e120], [1, 0, 0]), r"start\['.*'\] is 1e\+120; its size"),
-    "ik": (lambda: PUMA.ik(X, "tool", [0, 1e101, 0, 0, 0, 0]), r"start\['q2'\] is 1e\+101; its size must be below"),
-    "whole": (lambda: FOUR.assemble({"A": 10**400}), "the known value of 'A' has a number that no float holds"),
-    "length": (lambda: kempe.load("two_link").with_parameters(l1=1e300), r"parameter 'l1' is 1e\+300; its size"),
-    "place": (lambda: FOUR.mechanism.frame("f", "crank", at=(1e300, 0)), r"1e\+300; its size must be below 1e\+100"),
-}  # fmt: skip
+    "modes": (
+        lambda: FOUR.assembly_modes({"A": np.inf}),
+        "known value of 'A' is inf; it must be finite",
+    ),
+    "trace": (
+        lambda: FOUR.trace("A", start=[1e15, 0, 0, 0]),
+        r"start\['A'\] is 1e\+15 rad; angles of a motion must",
+    ),
+    "hold": (
+        lambda: kempe.load("five_bar").trace("A", hold={"B": 1e12}),
+        r"hold\['B'\] is 1e\+12 rad",
+    ),
+    "drive": (
+        lambda: FOUR.drive({"A": [0, 1e308]}),
+        r"input 'A'\[1\] is 1e\+308; its size must be below",
+    ),
+    "drive by a function": (
+        lambda: FOUR.drive({"A": lambda t: 1e9 * t}, [0, 1]),
+        r"input 'A' at time 1 is 1e\+09 rad",
+    ),
+    "manoeuvre": (
+        lambda: kempe.load("car").manoeuvre([0, 0, 1e120], [1, 0, 0]),
+        r"start\['.*'\] is 1e\+120; its size",
+    ),
+    "ik": (
+        lambda: PUMA.ik(X, "tool", [0, 1e101, 0, 0, 0, 0]),
+        r"start\['q2'\] is 1e\+101; its size must be below",
+    ),
+    "whole": (
+        lambda: FOUR.assemble({"A": 10**400}),
+        "the known value of 'A' has a number that no float holds",
+    ),
+    "length": (
+        lambda: kempe.load("two_link").with_parameters(l1=1e300),
+        r"parameter 'l1' is 1e\+300; its size",
+    ),
+    "place": (
+        lambda: FOUR.mechanism.frame("f", "crank", at=(1e300, 0)),
+        r"1e\+300; its size must be below 1e\+100",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", LARGE)
@@ -465,20 +618,36 @@ def test_angles_of_many_turns_move_as_the_same_angles_do(turns):
 
 
 POSES = {
-    "ik": lambda Y: PUMA.ik(Y, "tool"), "ik_all": lambda Y: PUMA.ik_all(Y, "tool"),
-    "tasks": lambda Y: PUMA.ik([tasks.Pose("tool", Y)]), "path": lambda Y: PUMA.ik_path(np.stack([X, Y]), "tool"),
+    "ik": lambda Y: PUMA.ik(Y, "tool"),
+    "ik_all": lambda Y: PUMA.ik_all(Y, "tool"),
+    "tasks": lambda Y: PUMA.ik([tasks.Pose("tool", Y)]),
+    "path": lambda Y: PUMA.ik_path(np.stack([X, Y]), "tool"),
     "reach": lambda Y: PUMA.reach.poses(np.stack([X, Y]), "tool"),
     "sweep": lambda Y: kempe.load("panda").inverse.sweep(Y, "tool"),
     "place": lambda Y: kempe.load("stewart").assemble({"platform": Y}),
-    "maximal": lambda Y: kempe.convert.from_maximal(PUMA, np.concatenate([PUMA.fk(PUMA.mid)[1:-1], Y[None]])),
-}  # fmt: skip
+    "maximal": lambda Y: kempe.convert.from_maximal(
+        PUMA, np.concatenate([PUMA.fk(PUMA.mid)[1:-1], Y[None]])
+    ),
+}
 NO_POSES = {
-    "last row": (np.diag([1.0, 1.0, 1.0, 2.0]), r"its last row is \[0.0, 0.0, 0.0, 2.0\]; it must be 0 0 0 1"),
+    "last row": (
+        np.diag([1.0, 1.0, 1.0, 2.0]),
+        r"its last row is \[0.0, 0.0, 0.0, 2.0\]; it must be 0 0 0 1",
+    ),
     "mirror": (np.diag([1.0, 1.0, -1.0, 1.0]), "det R is not positive, where R is its rotation"),
-    "stretched": (np.diag([2.0, 1.0, 1.0, 1.0]), "R'R - 1 has an entry of 3, where R is its rotation"),
-    "nan": (np.where(np.arange(16).reshape(4, 4) == 3, np.nan, np.eye(4)), r"its entry \[0, 3\] is nan; it must be"),
-    "large": (np.where(np.arange(16).reshape(4, 4) == 3, 1e120, np.eye(4)), r"its entry \[0, 3\] is 1e\+120; its size"),
-}  # fmt: skip
+    "stretched": (
+        np.diag([2.0, 1.0, 1.0, 1.0]),
+        "R'R - 1 has an entry of 3, where R is its rotation",
+    ),
+    "nan": (
+        np.where(np.arange(16).reshape(4, 4) == 3, np.nan, np.eye(4)),
+        r"its entry \[0, 3\] is nan; it must be",
+    ),
+    "large": (
+        np.where(np.arange(16).reshape(4, 4) == 3, 1e120, np.eye(4)),
+        r"its entry \[0, 3\] is 1e\+120; its size",
+    ),
+}
 
 
 @pytest.mark.parametrize("wrong", NO_POSES)

@@ -1,4 +1,6 @@
-"""What the pages say in general, and no test of a part of Kempe hunts: each is looked at for a counter-example."""
+"""What the pages say in general, and no test of a part of Kempe hunts: each is looked at for a
+counter-example.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,28 @@ from kempe.cli import app
 from kempe.description.read import library_models
 from kempe.description.toml.toml_writer import write_toml
 
-ARMS = ("panda", "puma560", "ur5", "iiwa14", "so101", "stanford", "cobra600", "two_link", "jaco2", "xarm6")
-CLOSED = ("four_bar", "five_bar", "slider_crank", "stewart", "delta_ss", "bennett", "jansen", "three_rpr")
+ARMS = (
+    "panda",
+    "puma560",
+    "ur5",
+    "iiwa14",
+    "so101",
+    "stanford",
+    "cobra600",
+    "two_link",
+    "jaco2",
+    "xarm6",
+)
+CLOSED = (
+    "four_bar",
+    "five_bar",
+    "slider_crank",
+    "stewart",
+    "delta_ss",
+    "bennett",
+    "jansen",
+    "three_rpr",
+)
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +74,18 @@ def test_answers_are_inside_the_limits_and_judged_by_the_forward_model(robots, h
         X[:, :3, 3] *= rng.choice([1.0, 1.0, 3.0], (size, 1))
         asks_pose = bool(rng.random() < 0.6) and robot.dim == 3
         target = X if asks_pose else X[:, : robot.dim, 3]
-        s = robot.ik(target, frame, start=robot.random(rng), budget=kempe.Budget(starts=int(rng.choice([1, 20]))))
+        s = robot.ik(
+            target,
+            frame,
+            start=robot.random(rng),
+            budget=kempe.Budget(starts=int(rng.choice([1, 20]))),
+        )
         assert inside(robot, s.q)
         Y = robot.fk(s.q, frame)
         place = np.linalg.norm(Y[:, :3, 3] - X[:, :3, 3], axis=1)
-        cosine = (np.trace(np.swapaxes(Y[:, :3, :3], 1, 2) @ X[:, :3, :3], axis1=1, axis2=2) - 1.0) / 2.0
+        cosine = (
+            np.trace(np.swapaxes(Y[:, :3, :3], 1, 2) @ X[:, :3, :3], axis1=1, axis2=2) - 1.0
+        ) / 2.0
         turned = np.arccos(np.clip(cosine, -1.0, 1.0)) if asks_pose else np.zeros(size)
         np.testing.assert_allclose(s.position_error, place, atol=1e-9)
         np.testing.assert_allclose(s.orientation_error, turned, atol=1e-7)
@@ -64,7 +93,9 @@ def test_answers_are_inside_the_limits_and_judged_by_the_forward_model(robots, h
 
 
 def test_a_frame_that_moves_with_a_loop_is_answered_with_it_closed(hunt):
-    """Reachable and far targets of bodies of closed mechanisms: limits, errors, loops by the closure error."""
+    """Reachable and far targets of bodies of closed mechanisms: limits, errors, loops by the
+    closure error.
+    """
     rng = hunt.rng()
     reached = 0
     for _ in range(hunt.cases(30)):
@@ -73,13 +104,17 @@ def test_a_frame_that_moves_with_a_loop_is_answered_with_it_closed(hunt):
         closed = system.assemble(start=system.random(rng))
         X = system.fk(closed.q, body)
         X[:3, 3] *= rng.choice([1.0, 1.0, 3.0])
-        s = system.ik(X[: system.dim, 3], body, start=system.random(rng), budget=kempe.Budget(starts=10))
+        s = system.ik(
+            X[: system.dim, 3], body, start=system.random(rng), budget=kempe.Budget(starts=10)
+        )
         assert inside(system, s.q)
         off = np.linalg.norm(system.fk(s.q, body)[:3, 3] - X[:3, 3])
         assert s.position_error == pytest.approx(off, abs=1e-9)
         if s:
             reached += 1
-            assert off <= 1e-6 * (1.0 + 1e-6) and np.abs(system.loops.closure_error(s.q)).max() < 1e-7
+            assert (
+                off <= 1e-6 * (1.0 + 1e-6) and np.abs(system.loops.closure_error(s.q)).max() < 1e-7
+            )
     assert reached > 0 or hunt.cases(30) < 20
 
 
@@ -126,7 +161,9 @@ def test_steps_stay_in_the_limits_of_place_and_speed(robots, hunt):
 
 
 def test_a_branch_is_never_answered_by_another_one(hunt):
-    """Four-bars of random lengths: the branch that is requested, or no success, by the side of the middle joint."""
+    """Four-bars of random lengths: the branch that is requested, or no success, by the side of the
+    middle joint.
+    """
     rng = hunt.rng()
     both = [0, 0]
     for _ in range(hunt.cases(300)):
@@ -137,7 +174,11 @@ def test_a_branch_is_never_answered_by_another_one(hunt):
             s = system.assemble({"A": A}, branch=sign)
             B = a * np.exp(1j * A)
             closes = abs(b - c) <= abs(d - B) <= b + c
-            assert bool(s) == closes or abs(abs(d - B) - (b + c)) < 1e-9 or abs(abs(d - B) - abs(b - c)) < 1e-9
+            assert (
+                bool(s) == closes
+                or abs(abs(d - B) - (b + c)) < 1e-9
+                or abs(abs(d - B) - abs(b - c)) < 1e-9
+            )
             both[bool(s)] += 1
             if s:
                 C = B + b * np.exp(1j * (A + system.q_dict(s.q)["B"]))
@@ -147,7 +188,9 @@ def test_a_branch_is_never_answered_by_another_one(hunt):
 
 
 def test_a_drive_holds_where_its_input_cannot_be(hunt):
-    """Slider-cranks of random lengths: held where the slider is wanted beyond crank and rod in line, else there."""
+    """Slider-cranks of random lengths: held where the slider is wanted beyond crank and rod in
+    line, else there.
+    """
     rng = hunt.rng()
     held = 0
     for _ in range(hunt.cases(5)):
@@ -161,16 +204,23 @@ def test_a_drive_holds_where_its_input_cannot_be(hunt):
         system = m.build()
         start = system.assemble({"S": float(np.sqrt(a * a + b * b))}, start={"A": 1.5, "B": -2.0}).q
         s0 = system.q_dict(start)["S"]
-        wave = s0 + np.concatenate([[0.0], rng.uniform(0.3, 1.6) * a * np.sin(np.linspace(0.1, 9.0, 60))])
+        wave = s0 + np.concatenate(
+            [[0.0], rng.uniform(0.3, 1.6) * a * np.sin(np.linspace(0.1, 9.0, 60))]
+        )
         motion = system.drive({"S": wave}, start=start)
         S = motion.values("S")
         A = motion.values("A")
         beyond = (wave > a + b + 1e-9) | (wave < b - a - 1e-9)
-        assert np.array_equal(motion.held, beyond) and np.abs(system.loops.closure_error(motion.q)).max() < 1e-9
+        assert (
+            np.array_equal(motion.held, beyond)
+            and np.abs(system.loops.closure_error(motion.q)).max() < 1e-9
+        )
         np.testing.assert_allclose(S[~beyond], wave[~beyond], atol=1e-9)
         for k in np.flatnonzero(beyond[1:]) + 1:
             assert abs(S[k] - S[k - 1]) < 1e-12 or not beyond[k - 1]
-        np.testing.assert_allclose(b * b, (S - a * np.cos(A)) ** 2 + (a * np.sin(A)) ** 2, atol=1e-8)
+        np.testing.assert_allclose(
+            b * b, (S - a * np.cos(A)) ** 2 + (a * np.sin(A)) ** 2, atol=1e-8
+        )
         held += int(beyond.sum())
     assert held > 0
 
@@ -192,12 +242,20 @@ VERBS = {
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_wrong_number_never_becomes_a_plausible_one(robots, verb, hunt):
-    """One number is NaN or infinite: alone it is refused, in a batch its row is NaN and the others stay as they are."""
+    """One number is NaN or infinite: alone it is refused, in a batch its row is NaN and the others
+    stay as they are.
+    """
     rng = hunt.rng()
     do = VERBS[verb]
     of_target = verb in ("ik", "ik_all")
     for _ in range(hunt.cases(40)):
-        robot = robots[str(rng.choice(["puma560", "ur5"] if verb == "ik_all" else ["panda", "puma560", "stanford"]))]
+        robot = robots[
+            str(
+                rng.choice(
+                    ["puma560", "ur5"] if verb == "ik_all" else ["panda", "puma560", "stanford"]
+                )
+            )
+        ]
         Q = robot.random(rng, 5)
         T = robot.fk(Q, tip(robot))
         row = int(rng.integers(5))
@@ -224,9 +282,10 @@ def test_a_wrong_number_never_becomes_a_plausible_one(robots, verb, hunt):
 
 
 RAISED = [
-    n for n, c in vars(errors).items()
+    n
+    for n, c in vars(errors).items()
     if inspect.isclass(c) and issubclass(c, Exception) and not issubclass(c, Warning)
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("name", RAISED)
@@ -257,7 +316,10 @@ def test_every_command_takes_json_and_help(name):
     options = {o for p in found.params for o in p.opts}
     assert "--json" in options and Result(name, "--help").code == 0
     if any(p.name == "file" for p in found.params):
-        assert {"--base", "--root", "--package-dir", "--xacro"} <= options or name in ("library", "check")
+        assert {"--base", "--root", "--package-dir", "--xacro"} <= options or name in (
+            "library",
+            "check",
+        )
 
 
 def test_numbers_in_json_have_all_their_digits(robots, hunt):
@@ -292,7 +354,12 @@ def test_threads_of_python_may_use_one_system(robots, hunt):
     def work(system, k):
         q = Q[k]
         X = system.fk(q, "tool")
-        return X, system.jacobian(q, "tool"), system.ik(X, "tool", start=Q[k - 1]).q, system.ik_all(X, "tool").q
+        return (
+            X,
+            system.jacobian(q, "tool"),
+            system.ik(X, "tool", start=Q[k - 1]).q,
+            system.ik_all(X, "tool").q,
+        )
 
     with ThreadPoolExecutor(8) as pool:
         many = list(pool.map(lambda k: work(fresh, k), range(len(Q))))

@@ -128,7 +128,9 @@ def test_help_and_version():
         assert Result(name, "--help").code == 0
 
 
-@pytest.mark.parametrize("arguments", [["fly"], ["info"], ["fk", "x", "--fly"], ["ik", "x"], ["ik", "x", "--frame"]])
+@pytest.mark.parametrize(
+    "arguments", [["fly"], ["info"], ["fk", "x", "--fly"], ["ik", "x"], ["ik", "x", "--frame"]]
+)
 def test_wrong_usage(arguments):
     plain = Result(*arguments)
     assert plain.code == 2 and plain.out == ""
@@ -144,12 +146,14 @@ def test_wrong_options_name_the_help_of_their_command():
 
 def test_no_traceback_and_no_heavy_imports(arm):
     code = (
-        "import sys, kempe.cli\n"
-        "kempe.cli.app(sys.argv[1:], standalone_mode=False)\n"
-        "print(sorted({'numba', 'scipy', 'sympy', 'matplotlib', 'pinocchio', 'mujoco'} & set(sys.modules)))"
+        "import sys, kempe.cli\nkempe.cli.app(sys.argv[1:], "
+        "standalone_mode=False)\nprint(sorted({'numba', 'scipy', 'sympy', 'matplotlib', "
+        "'pinocchio', 'mujoco'} & set(sys.modules)))"
     )
     for arguments in (["--help"], ["info", str(arm)], ["check", str(arm)], ["library"]):
-        done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code, *arguments], capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
         assert done.stdout.splitlines()[-1] == "[]", arguments
 
@@ -159,12 +163,16 @@ def test_as_a_process(arm, tmp_path):
     good = subprocess.run([*command, "info", str(arm)], capture_output=True, text=True)
     assert good.returncode == 0 and good.stderr == "" and "\x1b" not in good.stdout
     assert not any(line != line.rstrip() for line in good.stdout.splitlines())
-    bad = subprocess.run([*command, "info", str(tmp_path / "nothing.urdf")], capture_output=True, text=True)
+    bad = subprocess.run(
+        [*command, "info", str(tmp_path / "nothing.urdf")], capture_output=True, text=True
+    )
     assert bad.returncode == 2 and bad.stdout == "" and "Traceback" not in bad.stderr
     half = subprocess.run(
         f"{sys.executable} -c 'import kempe.cli; kempe.cli.main()' info {arm} | head -n 1",
-        shell=True, capture_output=True, text=True,
-    )  # fmt: skip
+        shell=True,
+        capture_output=True,
+        text=True,
+    )
     assert half.stdout.startswith("arm") and "Traceback" not in half.stderr
 
 
@@ -256,8 +264,12 @@ def test_info_as_json(arm):
     assert [j["type"] for j in data["joints"]] == ["revolute", "revolute", "fixed", "prismatic"]
     shoulder, elbow = data["coordinates"]
     assert shoulder == {"index": 0, "name": "shoulder", "unit": "rad", "lower": -2.0, "upper": 2.0}
-    assert (elbow["lower"], elbow["upper"]) == (0.0, 2.0), "the finger's limits reach back to the elbow"
-    assert data["couplings"] == [{"of": "slide", "source": "elbow", "multiplier": 0.01, "offset": 0.0}]
+    assert (elbow["lower"], elbow["upper"]) == (0.0, 2.0), (
+        "the finger's limits reach back to the elbow"
+    )
+    assert data["couplings"] == [
+        {"of": "slide", "source": "elbow", "multiplier": 0.01, "offset": 0.0}
+    ]
     degrees = Result("info", arm, "--json", "--deg").json()["coordinates"][0]
     assert degrees["unit"] == "deg" and degrees["upper"] == pytest.approx(math.degrees(2.0))
 
@@ -294,7 +306,9 @@ def test_check(arm, broken):
     assert f"{broken}:5: joint 'wrist': " in bad.out and f"{broken}:6: joint 'wrist': " in bad.out
     lines = bad.out.splitlines()
     shown = next(i for i, line in enumerate(lines) if line.strip().startswith("<parent link="))
-    assert lines[shown + 1].strip() == "^" and lines[shown].index("0 0 0") == lines[shown + 1].index("^")
+    assert lines[shown + 1].strip() == "^" and lines[shown].index("0 0 0") == lines[
+        shown + 1
+    ].index("^")
 
 
 def test_check_several(arm, broken, tmp_path):
@@ -302,13 +316,25 @@ def test_check_several(arm, broken, tmp_path):
     assert both.code == 1 and both.out.rstrip().endswith("3 files: 1 good, 2 with problems")
     data = json.loads(Result("check", arm, broken, "--json").out)
     assert [d["ok"] for d in data] == [True, False]
-    assert [(p["line"], p["subject"]) for p in data[1]["problems"]] == [(5, "joint 'wrist'"), (6, "joint 'wrist'")]
+    assert [(p["line"], p["subject"]) for p in data[1]["problems"]] == [
+        (5, "joint 'wrist'"),
+        (6, "joint 'wrist'"),
+    ]
 
 
 def test_broken_file_is_refused_by_all(broken):
-    for arguments in (["info", broken], ["fk", broken], ["convert", broken, broken.with_suffix(".toml")]):
+    for arguments in (
+        ["info", broken],
+        ["fk", broken],
+        ["convert", broken, broken.with_suffix(".toml")],
+    ):
         plain = Result(*arguments)
-        assert plain.code == 2 and plain.out == "" and f"{broken}:5: joint 'wrist'" in plain.err and "^" in plain.err
+        assert (
+            plain.code == 2
+            and plain.out == ""
+            and f"{broken}:5: joint 'wrist'" in plain.err
+            and "^" in plain.err
+        )
         data = Result(*arguments, "--json")
         assert data.code == 2 and data.err == "" and len(data.json()["problems"]) == 2
 
@@ -321,7 +347,9 @@ def test_fk_of_a_frame(arm):
     x, y, angle = tip(-0.3, 0.7)
     np.testing.assert_allclose(data["xyz"], [x, y, 0.0], atol=1e-15)
     np.testing.assert_allclose(data["rpy"], [0.0, 0.0, angle], atol=1e-15)
-    np.testing.assert_allclose(data["matrix"][0], [math.cos(angle), -math.sin(angle), 0.0, x], atol=1e-15)
+    np.testing.assert_allclose(
+        data["matrix"][0], [math.cos(angle), -math.sin(angle), 0.0, x], atol=1e-15
+    )
     text = Result("fk", arm, "--frame", "tip", "--q", "-0.3,0.7").out
     assert f"{x:.6f}" in text and f"{y:.6f}" in text and f"{angle:.6f}" in text
 
@@ -343,11 +371,19 @@ def test_fk_of_all_bodies(arm):
     data = Result("fk", arm, "--json").json()["bodies"]
     assert [b["frame"] for b in data] == ["base", "upper", "lower", "tip", "finger"]
     np.testing.assert_allclose(data[3]["xyz"], [1.5, 0.0, 0.0], atol=1e-15)
-    assert "1.500000" in Result("fk", arm).out and "-0.000000" not in Result("fk", arm, "--q", "-0.0,0").out
+    assert (
+        "1.500000" in Result("fk", arm).out
+        and "-0.000000" not in Result("fk", arm, "--q", "-0.0,0").out
+    )
 
 
 def test_fk_of_postures(four_bar):
-    for arguments, angle in ((["home"], 0.5), (["home", "--q", "A=0.2"], 0.2), (["neutral"], 0.0), (["mid"], 0.0)):
+    for arguments, angle in (
+        (["home"], 0.5),
+        (["home", "--q", "A=0.2"], 0.2),
+        (["neutral"], 0.0),
+        (["mid"], 0.0),
+    ):
         data = Result("fk", four_bar, "--frame", "pen", "--json", "--posture", *arguments).json()
         np.testing.assert_allclose(data["xyz"], [math.cos(angle), math.sin(angle), 0.0], atol=1e-15)
     refused = Result("fk", four_bar, "--posture", "hom")
@@ -359,19 +395,41 @@ def test_fk_of_a_file(arm, tmp_path):
     want = np.array([tip(*row) for row in q])
     np.save(tmp_path / "q.npy", q)
     np.savetxt(tmp_path / "q.csv", q, delimiter=",", fmt="%.17g")
-    np.savetxt(tmp_path / "named.csv", q[:, ::-1], delimiter=",", fmt="%.17g", header="elbow,shoulder", comments="")
+    np.savetxt(
+        tmp_path / "named.csv",
+        q[:, ::-1],
+        delimiter=",",
+        fmt="%.17g",
+        header="elbow,shoulder",
+        comments="",
+    )
     for name in ("q.npy", "q.csv", "named.csv"):
-        data = Result("fk", arm, "--frame", "tip", "--q", tmp_path / name, "--json").json()["configurations"]
+        data = Result("fk", arm, "--frame", "tip", "--q", tmp_path / name, "--json").json()[
+            "configurations"
+        ]
         np.testing.assert_allclose([d["xyz"][:2] for d in data], want[:, :2], atol=1e-15)
-        assert Result("fk", arm, "--frame", "tip", "--q", tmp_path / name, "--out", tmp_path / "X.npy").code == 0
+        assert (
+            Result(
+                "fk", arm, "--frame", "tip", "--q", tmp_path / name, "--out", tmp_path / "X.npy"
+            ).code
+            == 0
+        )
         np.testing.assert_allclose(np.load(tmp_path / "X.npy")[:, :2, 3], want[:, :2], atol=1e-15)
-    Result("fk", arm, "--frame", "tip", "--q", tmp_path / "q.npy", "--out", tmp_path / "X.csv", "--deg")
+    Result(
+        "fk", arm, "--frame", "tip", "--q", tmp_path / "q.npy", "--out", tmp_path / "X.csv", "--deg"
+    )
     table = np.genfromtxt(tmp_path / "X.csv", delimiter=",", names=True)
     want = np.array([tip(*np.radians(row)) for row in q])
-    np.testing.assert_allclose([table["x"], table["y"], np.radians(table["yaw"])], want.T, atol=1e-15)
+    np.testing.assert_allclose(
+        [table["x"], table["y"], np.radians(table["yaw"])], want.T, atol=1e-15
+    )
     Result("fk", arm, "--q", tmp_path / "q.npy", "--out", tmp_path / "all.csv")
     table = np.genfromtxt(tmp_path / "all.csv", delimiter=",", names=True)
-    assert table.size == 15 and list(table["body"][:5]) == [0, 1, 2, 3, 4] and table["configuration"][-1] == 2
+    assert (
+        table.size == 15
+        and list(table["body"][:5]) == [0, 1, 2, 3, 4]
+        and table["configuration"][-1] == 2
+    )
 
 
 def test_fk_of_bad_rows(arm, tmp_path):
@@ -386,12 +444,20 @@ def test_fk_of_bad_rows(arm, tmp_path):
 @pytest.mark.parametrize(
     ("q", "said"),
     [
-        ("1", "arm needs 2: shoulder, elbow"), ("1,2,3", "arm needs 2"), ("1,a", "'a' is not a number"),
-        ("1,inf", "'elbow'"), ("elbw=1", "did you mean 'elbow'"), ("slide=1", "follows 'elbow'"),
-        ("elbow=1,2", "name=value"), ("elbow=1,elbow=2", "twice"), ("elbow=", "not a number"),
-        ("nothing.csv", "no such file"), ("nothing.npy", "no such file"), ("", "not a number"),
+        ("1", "arm needs 2: shoulder, elbow"),
+        ("1,2,3", "arm needs 2"),
+        ("1,a", "'a' is not a number"),
+        ("1,inf", "'elbow'"),
+        ("elbw=1", "did you mean 'elbow'"),
+        ("slide=1", "follows 'elbow'"),
+        ("elbow=1,2", "name=value"),
+        ("elbow=1,elbow=2", "twice"),
+        ("elbow=", "not a number"),
+        ("nothing.csv", "no such file"),
+        ("nothing.npy", "no such file"),
+        ("", "not a number"),
     ],
-)  # fmt: skip
+)
 def test_wrong_configurations(arm, q, said):
     plain = Result("fk", arm, "--q", q)
     data = Result("fk", arm, "--q", q, "--json")
@@ -402,11 +468,17 @@ def test_wrong_configurations(arm, q, said):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "no rows"), (b"shoulder\n", "no rows"), (b"1,2\n3\n", ":2: 1 value;"), (b"1,2\n3,x\n", ":2: 'x'"),
-        (b"1,x\n", ":1: 'x'"), (b"shoulder,arm\n1,2\n", "'arm'"), (b"elbow,elbow\n1,2\n", "twice"),
-        (b"1,2,3\n", "arm needs 2"), (b"\xff\xfe,1\n", "UTF-8"),
+        (b"", "no rows"),
+        (b"shoulder\n", "no rows"),
+        (b"1,2\n3\n", ":2: 1 value;"),
+        (b"1,2\n3,x\n", ":2: 'x'"),
+        (b"1,x\n", ":1: 'x'"),
+        (b"shoulder,arm\n1,2\n", "'arm'"),
+        (b"elbow,elbow\n1,2\n", "twice"),
+        (b"1,2,3\n", "arm needs 2"),
+        (b"\xff\xfe,1\n", "UTF-8"),
     ],
-)  # fmt: skip
+)
 def test_wrong_files(arm, tmp_path, content, said):
     (tmp_path / "q.csv").write_bytes(content)
     result = Result("fk", arm, "--q", tmp_path / "q.csv")
@@ -424,7 +496,10 @@ def test_wrong_arrays(arm, tmp_path):
 
 
 def test_wrong_frame(arm):
-    for arguments in (["fk", arm, "--frame", "tipp"], ["ik", arm, "--frame", "tipp", "--target", "1,0,0"]):
+    for arguments in (
+        ["fk", arm, "--frame", "tipp"],
+        ["ik", arm, "--frame", "tipp", "--target", "1,0,0"],
+    ):
         plain = Result(*arguments)
         data = Result(*arguments, "--json")
         assert plain.code == data.code == 2
@@ -452,7 +527,9 @@ def test_ik_of_a_pose_with_a_negative_number_first(arm):
     assert result.code == 0 and "reached" in result.out
     q = [float(v) for v in result.out.splitlines()[-1].removeprefix("--q ").split(",")]
     np.testing.assert_allclose(q, np.degrees([1.9, 1.6]), atol=1e-4)
-    again = Result("fk", arm, "--frame", "tip", "--deg", "--json", *result.out.splitlines()[-1].split()).json()
+    again = Result(
+        "fk", arm, "--frame", "tip", "--deg", "--json", *result.out.splitlines()[-1].split()
+    ).json()
     np.testing.assert_allclose(again["xyz"], [x, y, 0.0], atol=1e-6)
 
 
@@ -460,7 +537,15 @@ def test_ik_with_seed_tolerance_and_rng(arm):
     x, y, _ = tip(0.4, 1.1)
     options = ["--seed", "shoulder=0.4,elbow=1.1", "--tolerance", "1e-3,1e-2", "--rng", "7"]
     result = Result(
-        "ik", arm, "--frame", "tip", "--target", f"{x},{y},0,90,90,90", "--position-only", *options, "--json"
+        "ik",
+        arm,
+        "--frame",
+        "tip",
+        "--target",
+        f"{x},{y},0,90,90,90",
+        "--position-only",
+        *options,
+        "--json",
     )
     assert result.code == 0 and result.json()["starts"] == 1
     assert result.json()["q"] == pytest.approx({"shoulder": 0.4, "elbow": 1.1}, abs=1e-3)
@@ -468,7 +553,9 @@ def test_ik_with_seed_tolerance_and_rng(arm):
 
 def test_ik_without_a_solution(arm):
     result = Result("ik", arm, "--frame", "tip", "--target", "4,0,0")
-    assert result.code == 1 and "outside the workspace" in result.out and "nearest found" in result.out
+    assert (
+        result.code == 1 and "outside the workspace" in result.out and "nearest found" in result.out
+    )
     data = Result("ik", arm, "--frame", "tip", "--target", "4,0,0", "--json")
     assert data.code == 1 and data.json()["success"] is False
     assert data.json()["position_error"] == pytest.approx(2.5, abs=1e-3)
@@ -477,13 +564,17 @@ def test_ik_without_a_solution(arm):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (["--target", "1,2"], "2 numbers"), (["--target", "1,2,3,4"], "4 numbers"), (["--target", "1,2,x"], "'x'"),
-        (["--target", "1,2,nan"], "finite"), (["--target", "1,0,0", "--tolerance", "0"], "positive"),
+        (["--target", "1,2"], "2 numbers"),
+        (["--target", "1,2,3,4"], "4 numbers"),
+        (["--target", "1,2,x"], "'x'"),
+        (["--target", "1,2,nan"], "finite"),
+        (["--target", "1,0,0", "--tolerance", "0"], "positive"),
         (["--target", "1,0,0", "--tolerance", "1,2,3"], "one or two"),
         (["--target", "1,0,0", "--seed", "1"], "needs 2"),
-        (["--target", "1,0,0", "--rng", "x"], "--rng"), (["--target", "1,0,0", "--out", "q.txt"], ".csv"),
+        (["--target", "1,0,0", "--rng", "x"], "--rng"),
+        (["--target", "1,0,0", "--out", "q.txt"], ".csv"),
     ],
-)  # fmt: skip
+)
 def test_wrong_targets(arm, option, said):
     result = Result("ik", arm, "--frame", "tip", *option)
     assert result.code == 2 and said in result.err and result.err.count("\n") == 1
@@ -494,13 +585,21 @@ def test_ik_of_many(arm, tmp_path):
     xy = np.array([tip(*row)[:2] for row in q])
     targets = np.concatenate([np.column_stack([xy, np.zeros(3)]), [[9.0, 0.0, 0.0]]])
     np.savetxt(tmp_path / "t.csv", targets, delimiter=",", fmt="%.17g")
-    result = Result("ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--out", tmp_path / "q.csv")
-    assert result.code == 1 and "3 of 4" in result.out and "row 3: outside the workspace" in result.out
+    result = Result(
+        "ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--out", tmp_path / "q.csv"
+    )
+    assert (
+        result.code == 1 and "3 of 4" in result.out and "row 3: outside the workspace" in result.out
+    )
     found = np.genfromtxt(tmp_path / "q.csv", delimiter=",", names=True)
-    reached = np.array([tip(a, b)[:2] for a, b in zip(found["shoulder"], found["elbow"], strict=True)])
+    reached = np.array(
+        [tip(a, b)[:2] for a, b in zip(found["shoulder"], found["elbow"], strict=True)]
+    )
     np.testing.assert_allclose(reached[:3], xy, atol=1e-6)
     data = Result("ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--json").json()
-    assert data["success"] == [True, True, True, False] and len(data["q"]) == len(data["status"]) == 4
+    assert (
+        data["success"] == [True, True, True, False] and len(data["q"]) == len(data["status"]) == 4
+    )
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, 0, 3] = 1.5
     np.save(tmp_path / "X.npy", poses)
@@ -515,7 +614,9 @@ def test_ik_in_the_plane(tmp_path, four_bar):
     for target in (f"{x},{y}", f"{x},{y},{angle}", f"{x},{y},0,0,0,{angle}"):
         result = Result("ik", path, "--frame", "pen", "--target", target, "--json")
         assert result.code == 0
-        np.testing.assert_allclose(tip(result.json()["q"]["A"], result.json()["q"]["B"])[:2], (x, y), atol=1e-6)
+        np.testing.assert_allclose(
+            tip(result.json()["q"]["A"], result.json()["q"]["B"])[:2], (x, y), atol=1e-6
+        )
     assert result.json()["q"] == pytest.approx({"A": 0.4, "B": 0.8}, abs=1e-5)
     loop = Result("ik", four_bar, "--frame", "pen", "--target", "1,0", "--json")
     assert loop.code == 0 and loop.json()["q"].keys() == set("ABCD")
@@ -584,7 +685,9 @@ def _alike(word: str, wanted: str) -> bool:
     return text[0] == text[1] and numbers[0] == pytest.approx(numbers[1], abs=2e-4)
 
 
-@pytest.mark.skipif(not PAGE.exists(), reason="the documentation is not part of an installed package")
+@pytest.mark.skipif(
+    not PAGE.exists(), reason="the documentation is not part of an installed package"
+)
 def test_examples_of_the_documentation(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = PAGE.read_text(encoding="utf-8")
@@ -599,12 +702,16 @@ def test_examples_of_the_documentation(tmp_path, monkeypatch):
     Path("tasks.toml").write_text(tasks[1])
     blocks = re.findall(r"```console\n(.*?)```", page, re.DOTALL)
     examples = [
-        e for block in blocks for e in re.findall(r"^\$ kempe (.*?)\n(.*?)(?=^\$|\Z)", block, re.DOTALL | re.MULTILINE)
+        e
+        for block in blocks
+        for e in re.findall(r"^\$ kempe (.*?)\n(.*?)(?=^\$|\Z)", block, re.DOTALL | re.MULTILINE)
     ]
     assert len(examples) >= 9
     for command, documented in examples:
         result = Result(*shlex.split(command))
-        assert _same(result.out + result.err, documented), f"kempe {command}\n{result.out}{result.err}"
+        assert _same(result.out + result.err, documented), (
+            f"kempe {command}\n{result.out}{result.err}"
+        )
 
 
 # ---- the main job, on a real robot
@@ -618,7 +725,9 @@ def _panda() -> Path:
     return Path(str(next(f.locate() for f in files if Path(str(f)).name == "panda.urdf")))
 
 
-@pytest.mark.parametrize("target", ["0.4,0.1,0.5,180,0,0", "-0.4,0.1,0.5,180,0,0", "0.3,-0.3,0.6,170,10,-20"])
+@pytest.mark.parametrize(
+    "target", ["0.4,0.1,0.5,180,0,0", "-0.4,0.1,0.5,180,0,0", "0.3,-0.3,0.6,170,10,-20"]
+)
 def test_main_job(target):
     pin = pytest.importorskip("pinocchio")
     panda = _panda()
@@ -640,7 +749,9 @@ def test_main_job(target):
 
 
 def test_main_job_on_the_shipped_arm():
-    result = Result("ik", "panda", "--frame", "panda_hand_tcp", "--target", "0.4,0.1,0.5,180,0,0", "--deg")
+    result = Result(
+        "ik", "panda", "--frame", "panda_hand_tcp", "--target", "0.4,0.1,0.5,180,0,0", "--deg"
+    )
     assert result.code == 0 and result.out.startswith("reached: ") and "panda_joint7" in result.out
     q = result.out.splitlines()[-1].split()
     pose = Result("fk", "panda", "--frame", "panda_hand_tcp", *q, "--deg", "--json").json()

@@ -1,4 +1,6 @@
-"""How commands end: by Ctrl-C with what was done, by the time limit, and at once where a file is none."""
+"""How commands end: by Ctrl-C with what was done, by the time limit, and at once where a file is
+none.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +32,18 @@ STARTED = "import signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_h
 
 def command(*words: object, before: str = "") -> list[str]:
     """A command line that runs kempe, after some lines of Python, with Ctrl-C as in a terminal."""
-    code = STARTED + before + f"sys.argv[1:] = {[str(w) for w in words]!r}\nfrom kempe.cli import main\nmain()\n"
+    code = (
+        STARTED
+        + before
+        + f"sys.argv[1:] = {[str(w) for w in words]!r}\nfrom kempe.cli import main\nmain()\n"
+    )
     return [sys.executable, "-c", code]
 
 
 def at_call(path: str, number: int) -> str:
-    """Lines of Python by which a function sends Ctrl-C to its own process when it is called for the n-th time."""
+    """Lines of Python by which a function sends Ctrl-C to its own process when it is called for the
+    n-th time.
+    """
     module, _, name = path.rpartition(".")
     return (
         f"import os, itertools, importlib\nmodule = importlib.import_module({module!r})\n"
@@ -64,11 +72,25 @@ def targets(tmp_path) -> Path:
 
 def test_targets_of_a_file(tmp_path, targets):
     out = tmp_path / "q.csv"
-    words = command("ik", "panda", "--frame", HAND, "--target", targets, "-o", out,
-                    before=at_call("kempe.solvers.one_frame.inverse.run", 2))  # fmt: skip
+    words = command(
+        "ik",
+        "panda",
+        "--frame",
+        HAND,
+        "--target",
+        targets,
+        "-o",
+        out,
+        before=at_call("kempe.solvers.one_frame.inverse.run", 2),
+    )
     done = run(words)
-    assert done.returncode == 130 and "interrupted: 4904 targets were not solved" in done.stdout, done.stderr
-    assert len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096 and "Traceback" not in done.stderr
+    assert done.returncode == 130 and "interrupted: 4904 targets were not solved" in done.stdout, (
+        done.stderr
+    )
+    assert (
+        len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096
+        and "Traceback" not in done.stderr
+    )
 
 
 @pytest.mark.slow
@@ -77,22 +99,47 @@ def test_a_path_of_targets(tmp_path):
     q = robot.q("ready") + 0.2 * np.linspace(0.0, 1.0, 40)[:, None]
     np.save(tmp_path / "way.npy", robot.fk(q, HAND))
     out = tmp_path / "q.csv"
-    words = command("path", "panda", "--frame", HAND, "--targets", tmp_path / "way.npy", "--out", out,
-                    "--seed", ",".join(map(str, q[0])),
-                    before=at_call("kempe.solvers.paths.path_steps.inside", 12))  # fmt: skip
+    words = command(
+        "path",
+        "panda",
+        "--frame",
+        HAND,
+        "--targets",
+        tmp_path / "way.npy",
+        "--out",
+        out,
+        "--seed",
+        ",".join(map(str, q[0])),
+        before=at_call("kempe.solvers.paths.path_steps.inside", 12),
+    )
     done = run(words)
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("where", some(["kempe.analysis.motion.motion.home", "kempe.analysis.motion.motion.extreme",
-                                   "kempe.analysis.continuation.path.gauss_newton_of_many"], 3))  # fmt: skip
+@pytest.mark.parametrize(
+    "where",
+    some(
+        [
+            "kempe.analysis.motion.motion.home",
+            "kempe.analysis.motion.motion.extreme",
+            "kempe.analysis.continuation.path.gauss_newton_of_many",
+        ],
+        3,
+    ),
+)
 def test_a_traced_motion(tmp_path, where):
-    """While it is followed, while special points are looked for, and while points at equal distances are made."""
+    """While it is followed, while special points are looked for, and while points at equal
+    distances are made.
+    """
     out = tmp_path / "path.csv"
     points = () if "motion" in where else ("--points", 30_000)
-    done = run(command("trace", "four_bar", *points, "-o", out, before=at_call(where, 5 if points else 2)))
-    assert done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr, done.stderr
+    done = run(
+        command("trace", "four_bar", *points, "-o", out, before=at_call(where, 5 if points else 2))
+    )
+    assert (
+        done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr
+    ), done.stderr
     rows = np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
     s = kempe.load("four_bar")
     assert len(rows) and np.abs(s.loops.closure_error(rows[:, 1 : 1 + s.nq])).max() < 1e-9
@@ -100,9 +147,18 @@ def test_a_traced_motion(tmp_path, where):
 
 def test_assembly_modes(tmp_path):
     out = tmp_path / "modes.csv"
-    done = run(command("assemble", "rssr", "A=0.4", "--modes", "-o", out,
-                       before=at_call("kempe.solvers.modes.modes_search.share_found", 1)
-                       + at_call("kempe.solvers.modes.modes_search.mixed", 1)))  # fmt: skip
+    done = run(
+        command(
+            "assemble",
+            "rssr",
+            "A=0.4",
+            "--modes",
+            "-o",
+            out,
+            before=at_call("kempe.solvers.modes.modes_search.share_found", 1)
+            + at_call("kempe.solvers.modes.modes_search.mixed", 1),
+        )
+    )
     assert done.returncode == 130 and "interrupted" in done.stdout, (done.stdout, done.stderr)
 
 
@@ -116,10 +172,15 @@ def counted(*given, **more):
 module.gauss_newton_of_many = counted
 """
 """What happens at the n-th piece of points at equal distances."""
-SAYS = COUNTED.format(then="if n == 5: print('begun', flush=True)\n    while n == 20: signal.pause()")
+SAYS = COUNTED.format(
+    then="if n == 5: print('begun', flush=True)\n    while n == 20: signal.pause()"
+)
 """The process says when some are done, and soon after that it waits for the signal."""
 LATE = COUNTED.format(
-    then="if n == 10: kempe.solvers.common.clock.time = types.SimpleNamespace(monotonic=lambda: math.inf)"
+    then=(
+        "if n == 10: kempe.solvers.common.clock.time = types.SimpleNamespace(monotonic=lambda: "
+        "math.inf)"
+    )
 )
 """The time is up when some are done."""
 
@@ -129,11 +190,16 @@ def test_a_signal_from_outside(tmp_path):
     """Ctrl-C from a terminal, at whatever it does then."""
     out = tmp_path / "path.csv"
     words = command("trace", "four_bar", "--points", 1_000_000, "-o", out, before=SAYS)
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         process.send_signal(signal.SIGINT)
         said, wrong = process.communicate(timeout=300)
-    assert process.returncode == 130 and "Traceback" not in wrong and "interrupted" in said, (said, wrong)
+    assert process.returncode == 130 and "Traceback" not in wrong and "interrupted" in said, (
+        said,
+        wrong,
+    )
     assert len(out.read_text(encoding="utf-8").splitlines()) > 100
 
 
@@ -143,7 +209,9 @@ def test_a_signal_from_outside(tmp_path):
 @pytest.mark.slow
 def test_a_time_limit_leaves_what_was_done(tmp_path):
     out = tmp_path / "path.csv"
-    words = command("trace", "four_bar", "--points", 1_000_000, "--time-limit", 1000, "-o", out, before=LATE)
+    words = command(
+        "trace", "four_bar", "--points", 1_000_000, "--time-limit", 1000, "-o", out, before=LATE
+    )
     done = run(words)
     assert done.returncode == 1 and "stopped by the time limit" in done.stdout, done.stderr
     assert "of 1000000 points at equal distances" in " ".join(done.stdout.split())
@@ -164,7 +232,11 @@ def odd_files(folder: Path, ending: str) -> dict[str, Path]:
     """A FIFO, a folder, a socket and a device, as far as there are any."""
     import socket
 
-    found = {"FIFO": folder / f"fifo{ending}", "folder": folder / f"folder{ending}", "device": Path("/dev/zero")}
+    found = {
+        "FIFO": folder / f"fifo{ending}",
+        "folder": folder / f"folder{ending}",
+        "device": Path("/dev/zero"),
+    }
     os.mkfifo(found["FIFO"])
     found["folder"].mkdir()
     here = Path.cwd()
@@ -197,16 +269,23 @@ def test_what_is_no_file_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        ("info", "{urdf}"), ("fk", "puma560", "--q", "{csv}"),
+        ("info", "{urdf}"),
+        ("fk", "puma560", "--q", "{csv}"),
         ("ik", "puma560", "--frame", "tool", "--target", "{csv}"),
-        ("ik", "puma560", "--tasks", "{toml}"), ("path", "puma560", "--frame", "tool", "--targets", "{npy}"),
-        ("assemble", "four_bar", "{csv}"), ("fk", "puma560", "-o", "{csv}"), ("trace", "four_bar", "--plot", "{svg}"),
-        ("convert", "four_bar", "{toml}"), ("trace", "four_bar", "-o", "{npy}"),
+        ("ik", "puma560", "--tasks", "{toml}"),
+        ("path", "puma560", "--frame", "tool", "--targets", "{npy}"),
+        ("assemble", "four_bar", "{csv}"),
+        ("fk", "puma560", "-o", "{csv}"),
+        ("trace", "four_bar", "--plot", "{svg}"),
+        ("convert", "four_bar", "{toml}"),
+        ("trace", "four_bar", "-o", "{npy}"),
     ],
     ids=" ".join,
-)  # fmt: skip
+)
 def test_commands_refuse_a_fifo_at_once(tmp_path, words):
-    paths = {ending: str(tmp_path / f"f.{ending}") for ending in ("urdf", "csv", "npy", "toml", "svg")}
+    paths = {
+        ending: str(tmp_path / f"f.{ending}") for ending in ("urdf", "csv", "npy", "toml", "svg")
+    }
     for path in paths.values():
         os.mkfifo(path)
 
@@ -258,13 +337,18 @@ def test_an_expansion_ends_when_its_message_says(text, tmp_path, monkeypatch):
 
 def rows_files(folder: Path) -> dict[str, str]:
     """Files of rows by name: good ones, and such as are not what their names say."""
-    paths = {name: folder / name for name in ("places.csv", "inputs.csv", "q.npy", "archive.npy", "promises.npy")}
+    paths = {
+        name: folder / name
+        for name in ("places.csv", "inputs.csv", "q.npy", "archive.npy", "promises.npy")
+    }
     paths["places.csv"].write_text("x,y\n0.6,0.3\n0.5,0.2\n", encoding="utf-8")
     paths["inputs.csv"].write_text("A\n0.1\n0.2\n", encoding="utf-8")
     np.save(paths["q.npy"], np.zeros((3, 2)))
     with open(paths["archive.npy"], "wb") as file:
         np.savez(file, q=np.zeros((3, 2)))
-    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999, 2), }".ljust(117) + b"\n"
+    header = (
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999, 2), }".ljust(117) + b"\n"
+    )
     paths["promises.npy"].write_bytes(b"\x93NUMPY\x01\x00v\x00" + header)
     return {name: str(path) for name, path in paths.items()} | {"new": str(folder / "new.zarr")}
 
@@ -273,29 +357,43 @@ def rows_files(folder: Path) -> dict[str, str]:
     ("words", "said"),
     [
         ("workspace two_link --frame e --cells 1e400", "--cells is '1e400', which holds inf"),
-        ("workspace two_link --frame e --box -inf,inf,0,1", "--box is '-inf,inf,0,1', which holds -inf"),
+        (
+            "workspace two_link --frame e --box -inf,inf,0,1",
+            "--box is '-inf,inf,0,1', which holds -inf",
+        ),
         ("workspace two_link --frame e --threads 99999999999999999999", "at most 4096"),
         ("singularities two_link --frame e --starts 100000000", "starts is 100000000"),
         ("place two_link {places.csv} --frame e --box x=0,1 --box x=0,2", "--box gives 'x' twice"),
         ("ik two_link --frame e --target 0.6,0.3 --tolerance=", "tolerance: '' is not a number"),
         ("view two_link --html page.html --frame nope", "has no frame 'nope'"),
         ("tour --section 1 --pictures {places.csv}", "this is no folder"),
-        ("map ik two_link {places.csv} --frame e -o {new} --task foo", "task is 'foo'; it must be one of"),
+        (
+            "map ik two_link {places.csv} --frame e -o {new} --task foo",
+            "task is 'foo'; it must be one of",
+        ),
         ("map ik two_link {places.csv} --frame e -o {new} --start nan,0", "start is [nan, 0.0]"),
         ("map fk two_link {archive.npy} --frame e -o {new}", "this is a .npz archive"),
         ("fk two_link --q {archive.npy}", "it is not a .npy file of numbers"),
         ("fk two_link --q {promises.npy}", "it is not a .npy file of numbers"),
         ("fk two_link --q {q.npy} -o {q.npy}", "the command reads this file"),
-        ("ik two_link --frame e --target {places.csv} -o {places.csv}", "the command reads this file"),
-        ("path two_link --frame e --targets {places.csv} -o {places.csv}", "the command reads this file"),
+        (
+            "ik two_link --frame e --target {places.csv} -o {places.csv}",
+            "the command reads this file",
+        ),
+        (
+            "path two_link --frame e --targets {places.csv} -o {places.csv}",
+            "the command reads this file",
+        ),
         ("reach two_link {places.csv} --frame e -o {places.csv}", "the command reads this file"),
         ("assemble four_bar {inputs.csv} -o {inputs.csv}", "the command reads this file"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_refused_in_a_sentence(tmp_path, words, said):
     files = rows_files(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    done = Result(*(re.sub(r"\{(.*?)\}", lambda found: files[found[1]], word) for word in words.split()))
+    done = Result(
+        *(re.sub(r"\{(.*?)\}", lambda found: files[found[1]], word) for word in words.split())
+    )
     assert done.code == 2 and said in " ".join(done.err.split()), done.out + done.err
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
@@ -307,7 +405,8 @@ def test_points_that_are_not_finite_are_not_answered(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [("{long}",), ("fk", "two_link", "--{long}"), ("info", "two_link", "--plot", "{long}.png")]
+    "words",
+    [("{long}",), ("fk", "two_link", "--{long}"), ("info", "two_link", "--plot", "{long}.png")],
 )
 @pytest.mark.parametrize("json", [False, True])
 def test_long_words_do_not_make_long_messages(words, json):
@@ -324,8 +423,12 @@ def test_an_equation_that_is_a_coordinate_alone_is_zero():
 def test_help_is_whole_in_any_width(columns):
     """A width of 0 printed nothing, and a wide one took all memory."""
     environment = {**os.environ, "COLUMNS": columns, "TERMINAL_WIDTH": ""}
-    done = subprocess.run(command("fk", "--help"), capture_output=True, text=True, timeout=300, env=environment)
-    assert done.returncode == 0 and "--posture" in done.stdout and "Traceback" not in done.stderr, done.stderr
+    done = subprocess.run(
+        command("fk", "--help"), capture_output=True, text=True, timeout=300, env=environment
+    )
+    assert done.returncode == 0 and "--posture" in done.stdout and "Traceback" not in done.stderr, (
+        done.stderr
+    )
 
 
 def test_names_of_files_with_a_zero_byte_are_refused(tmp_path):
@@ -334,21 +437,33 @@ def test_names_of_files_with_a_zero_byte_are_refused(tmp_path):
     name = f"{tmp_path}/a\0b"
     answer = robot.ik([0.6, 0.3, 0.0], "e")
     for call in (
-        lambda: answer.save(f"{name}.csv"), lambda: robot.save_html(f"{name}.html"), lambda: kempe.open_workspace(name),
-        lambda: robot.workspace("e", n=1000, path=name), lambda: kempe.map_file(robot, "fk", f"{name}.csv", name, "e"),
+        lambda: answer.save(f"{name}.csv"),
+        lambda: robot.save_html(f"{name}.html"),
+        lambda: kempe.open_workspace(name),
+        lambda: robot.workspace("e", n=1000, path=name),
+        lambda: kempe.map_file(robot, "fk", f"{name}.csv", name, "e"),
         lambda: kempe.load(name),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match="holds a zero byte"):
             call()
 
 
 def test_lists_of_names_and_budgets_are_read_to_an_end(tmp_path, monkeypatch):
-    """A list of names that is made while it is read took all memory; a time of 10**400 s raised OverflowError."""
+    """A list of names that is made while it is read took all memory; a time of 10**400 s raised
+    OverflowError.
+    """
     monkeypatch.setattr(calls, "MOST_NAMES", 100)
     robot = kempe.load("two_link")
     np.save(tmp_path / "q.npy", np.zeros((3, 2)))
     with pytest.raises(InputError, match="columns has more than 100 names"):
-        kempe.map_file(robot, "fk", tmp_path / "q.npy", tmp_path / "x.zarr", "e", columns=itertools.repeat("q1"))
+        kempe.map_file(
+            robot,
+            "fk",
+            tmp_path / "q.npy",
+            tmp_path / "x.zarr",
+            "e",
+            columns=itertools.repeat("q1"),
+        )
     assert robot.ik([0.6, 0.3, 0.0], "e", budget=kempe.Budget(time_limit=10**400))
     with pytest.raises(InputError, match="progress is 3"):
         robot.singularities("e", budget=kempe.Budget(progress=3))

@@ -1,4 +1,6 @@
-"""The commands for closed loops as their users see them: freedoms, assemblies, motions, pictures, errors."""
+"""The commands for closed loops as their users see them: freedoms, assemblies, motions, pictures,
+errors.
+"""
 
 from __future__ import annotations
 
@@ -132,8 +134,23 @@ class Terminal(io.StringIO):
 
 def test_help_lists_the_commands_in_order():
     shown = Result("--help").out
-    order = ("info", "check", "convert", "fk", "ik", "dof", "classify", "assemble", "trace", "plot", "library")
-    places = [next(i for i, x in enumerate(shown.splitlines()) if x.startswith(f"│ {name} ")) for name in order]
+    order = (
+        "info",
+        "check",
+        "convert",
+        "fk",
+        "ik",
+        "dof",
+        "classify",
+        "assemble",
+        "trace",
+        "plot",
+        "library",
+    )
+    places = [
+        next(i for i, x in enumerate(shown.splitlines()) if x.startswith(f"│ {name} "))
+        for name in order
+    ]
     assert places == sorted(places)
     for title in ("Describe and convert", "Positions", "Closed loops", "Models"):
         assert f" {title} " in shown
@@ -145,7 +162,8 @@ def test_help_lists_the_commands_in_order():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["dof"], "FILE"), (["dof", "four_bra"], "did you mean 'four_bar'"),
+        (["dof"], "FILE"),
+        (["dof", "four_bra"], "did you mean 'four_bar'"),
         (["dof", "four_bar", "--actuated", "X"], "no joint or coordinate 'X'"),
         (["dof", "four_bar", "--actuated", " , "], "names no joint; there are: A, B, C, D"),
         (["dof", "four_bar", "--q", "A=nan"], "A: nan is not a finite number"),
@@ -168,37 +186,54 @@ def test_help_lists_the_commands_in_order():
         (["assemble", "four_bar", "--near", "1,2"], "four_bar needs 4"),
         (["assemble", "four_bar", "A=1", "--branch", "++"], "has 2 signs; four_bar has 1 sign"),
         (["assemble", "four_bar", "A=1", "--branch", "open"], "postures are: 'closed'"),
-        (["assemble", "four_bar", "coupler_point=0,1", "--branch", "+"], "'coupler_point' is a frame"),
+        (
+            ["assemble", "four_bar", "coupler_point=0,1", "--branch", "+"],
+            "'coupler_point' is a frame",
+        ),
         (["assemble", "four_bar", "--modes", "--branch", "+"], "leave --branch"),
-        (["trace", "four_bar", "--driver", "X"], "'X'"), (["trace", "four_bar", "--frame", "X"], "no frame 'X'"),
+        (["trace", "four_bar", "--driver", "X"], "'X'"),
+        (["trace", "four_bar", "--frame", "X"], "no frame 'X'"),
         (["trace", "four_bar", "--points", "1"], "--points is 1; it must be at least 2"),
         (["trace", "four_bar", "--hold", "A"], "'A' is no known value: write name=value"),
         (["trace", "four_bar", "--hold", "A=1", "--start", "A=1"], "leave one out"),
         (["trace", "four_bar", "--start", "opne"], "no posture 'opne'"),
-        (["trace", "five_bar"], "2 freedoms"), (["trace", "two_link"], "2 freedoms"),
-        (["plot", "four_bar"], "OUT"), (["plot", "four_bar", "x.png", "--frame", "X"], "no frame 'X'"),
+        (["trace", "five_bar"], "2 freedoms"),
+        (["trace", "two_link"], "2 freedoms"),
+        (["plot", "four_bar"], "OUT"),
+        (["plot", "four_bar", "x.png", "--frame", "X"], "no frame 'X'"),
     ],
-)  # fmt: skip
+)
 def test_wrong_questions(arguments, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plain = Result(*arguments)
     data = Result(*arguments, "--json")
     assert plain.code == data.code == 2 and plain.out == data.err == "", plain.out + data.err
-    assert said in plain.err and plain.err.startswith("error: ") and plain.err.count("\n") == 1, plain.err
+    assert said in plain.err and plain.err.startswith("error: ") and plain.err.count("\n") == 1, (
+        plain.err
+    )
     assert said in data.json()["error"] and not list(tmp_path.iterdir())
 
 
 def test_files_that_cannot_be_written_are_reported_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked at the file"))
-    monkeypatch.setattr("kempe.System.assemble", lambda *_, **__: pytest.fail("it worked before it looked at the file"))
+    monkeypatch.setattr(
+        "kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked at the file")
+    )
+    monkeypatch.setattr(
+        "kempe.System.assemble",
+        lambda *_, **__: pytest.fail("it worked before it looked at the file"),
+    )
     Path("folder.csv").mkdir()
     Path("folder.png").mkdir()
     for option, name, said in (
-        ("--out", "x.txt", ".csv or .npy"), ("--out", "x", ".csv or .npy"), ("--out", "no/x.csv", "no folder 'no'"),
-        ("--out", "folder.csv", "this is a folder"), ("--plot", "x.bmp", ".png, .svg or .pdf"),
-        ("--plot", "no/x.png", "no folder 'no'"), ("--plot", "folder.png", "this is a folder"),
-    ):  # fmt: skip
+        ("--out", "x.txt", ".csv or .npy"),
+        ("--out", "x", ".csv or .npy"),
+        ("--out", "no/x.csv", "no folder 'no'"),
+        ("--out", "folder.csv", "this is a folder"),
+        ("--plot", "x.bmp", ".png, .svg or .pdf"),
+        ("--plot", "no/x.png", "no folder 'no'"),
+        ("--plot", "folder.png", "this is a folder"),
+    ):
         for command in ("assemble", "trace"):
             refused = Result(command, "four_bar", option, name)
             assert refused.code == 2 and said in refused.err and refused.out == "", refused.err
@@ -208,14 +243,27 @@ def test_files_that_cannot_be_written_are_reported_first(tmp_path, monkeypatch):
 
 
 def test_missing_matplotlib_is_reported_first(tmp_path, monkeypatch):
-    for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib" or n.startswith("kempe.views.drawing")]:
+    for name in [
+        n
+        for n in sys.modules
+        if n.split(".")[0] == "matplotlib" or n.startswith("kempe.views.drawing")
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setattr("kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked"))
-    for command in (["plot", "four_bar", tmp_path / "x.png"], ["trace", "four_bar", "--plot", tmp_path / "x.png"]):
+    monkeypatch.setattr(
+        "kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked")
+    )
+    for command in (
+        ["plot", "four_bar", tmp_path / "x.png"],
+        ["trace", "four_bar", "--plot", tmp_path / "x.png"],
+    ):
         plain = Result(*command)
         data = Result(*command, "--json")
-        assert plain.code == data.code == 2 and "kempe[view]" in plain.err and plain.err.count("\n") == 1
+        assert (
+            plain.code == data.code == 2
+            and "kempe[view]" in plain.err
+            and plain.err.count("\n") == 1
+        )
         assert data.json()["type"] == "MissingExtraError" and not (tmp_path / "x.png").exists()
 
 
@@ -239,12 +287,18 @@ def test_narrow_terminals_get_all_digits(monkeypatch):
     assert copy in out.getvalue(), "the line to copy has no breaks in it"
 
 
-@pytest.mark.parametrize("command", [["dof"], ["assemble"], ["trace"], ["assemble", "A=0.3", "--modes"]], ids=str)
+@pytest.mark.parametrize(
+    "command", [["dof"], ["assemble"], ["trace"], ["assemble", "A=0.3", "--modes"]], ids=str
+)
 def test_names_cannot_reach_the_terminal(command, tmp_path):
     path = tmp_path / "evil.toml"
-    path.write_text(CRANK_SLIDER.replace('"B"', '"B\\u001b[31m"').replace("B = 0", '"B\\u001b[31m" = 0'))
+    path.write_text(
+        CRANK_SLIDER.replace('"B"', '"B\\u001b[31m"').replace("B = 0", '"B\\u001b[31m" = 0')
+    )
     result = Result(command[0], path, *command[1:])
-    assert result.code == 0 and "\x1b" not in result.out and "B\\x1b[31m" in result.out, result.out + result.err
+    assert result.code == 0 and "\x1b" not in result.out and "B\\x1b[31m" in result.out, (
+        result.out + result.err
+    )
 
 
 # ---- info and fk
@@ -253,18 +307,37 @@ def test_names_cannot_reach_the_terminal(command, tmp_path):
 def test_info_shows_declared_constraints(rodded):
     data = Result("info", rodded, "--json").json()
     assert data["constraints"] == [
-        {"name": "rod", "type": "distance", "parent": "crank", "child": "slider", "length": 2.0, "equations": 1,
-         "one_sided": 0, "says": "slider and crank are 2 m apart"},
-        {"name": "guide", "type": "on_line", "parent": "ground", "child": "slider", "length": None,
-         "equations": 1, "one_sided": 0, "says": "slider is on a line of ground"},
-    ]  # fmt: skip
+        {
+            "name": "rod",
+            "type": "distance",
+            "parent": "crank",
+            "child": "slider",
+            "length": 2.0,
+            "equations": 1,
+            "one_sided": 0,
+            "says": "slider and crank are 2 m apart",
+        },
+        {
+            "name": "guide",
+            "type": "on_line",
+            "parent": "ground",
+            "child": "slider",
+            "length": None,
+            "equations": 1,
+            "one_sided": 0,
+            "says": "slider is on a line of ground",
+        },
+    ]
     shown = Result("info", rodded).out
     assert "4 of all joints less 2 equations of 2 constraints: at least 2; kempe dof" in shown
     assert [line.split() for line in shown.splitlines() if line.startswith(("rod ", "guide "))] == [
         "rod distance crank - slider slider and crank are 2 m apart".split(),
         "guide on_line ground - slider slider is on a line of ground".split(),
-    ]  # fmt: skip
-    assert "kempe dof" in Result("info", "bennett").out and "kempe dof" not in Result("info", "puma560").out
+    ]
+    assert (
+        "kempe dof" in Result("info", "bennett").out
+        and "kempe dof" not in Result("info", "puma560").out
+    )
 
 
 def test_fk_says_where_loops_are_open(engine, rodded):
@@ -277,7 +350,9 @@ def test_fk_says_where_loops_are_open(engine, rodded):
     assert "'rod' is open by 1 m" in note(rodded, "--frame", "slider")
     q = ",".join(f"{x:.6f}" for x in kempe.load("four_bar").assemble({"A": 0.3}).q)
     assert note(engine, "--frame", "slider", "--posture", "closed") == ""
-    assert note("four_bar", "--frame", "rocker", "--q", q) == note("puma560", "--frame", "tool") == ""
+    assert (
+        note("four_bar", "--frame", "rocker", "--q", q) == note("puma560", "--frame", "tool") == ""
+    )
 
 
 # ---- classify
@@ -288,7 +363,11 @@ def test_classify():
     shown = Result("classify", "car")
     data = Result("classify", "car", "--q", "0,0,30", "--deg", "--json").json()
     assert shown.code == 0 and "nonholonomic" in shown.out and "(2, 3) at q, degree 2" in shown.out
-    assert (data["growth"], data["kind"], data["reachable_dimension"]) == ([2, 3], "nonholonomic", 3)
+    assert (data["growth"], data["kind"], data["reachable_dimension"]) == (
+        [2, 3],
+        "nonholonomic",
+        3,
+    )
     assert data["q"]["drive.rz"] == pytest.approx(30.0) and data["angle_unit"] == "deg"
     assert data["constraints"]["rear axle"]["sentence"] in " ".join(shown.out.split())
 
@@ -308,10 +387,16 @@ def test_classify_where_loops_are_open():
 @pytest.mark.parametrize(
     ("name", "count", "rank", "dof"),
     [
-        ("four_bar", 1, 1, 1), ("bennett", -2, 1, 1), ("sarrus", 0, 1, 1), ("double_parallelogram", 0, 1, 1),
-        ("shaky_3r", 0, 1, 0), ("five_bar", 2, 2, 2), ("puma560", 6, 6, 6), ("car", 3, 3, 3),
+        ("four_bar", 1, 1, 1),
+        ("bennett", -2, 1, 1),
+        ("sarrus", 0, 1, 1),
+        ("double_parallelogram", 0, 1, 1),
+        ("shaky_3r", 0, 1, 0),
+        ("five_bar", 2, 2, 2),
+        ("puma560", 6, 6, 6),
+        ("car", 3, 3, 3),
     ],
-)  # fmt: skip
+)
 def test_dof_of_the_literature(name, count, rank, dof):
     """Counts and freedoms as published with each mechanism (see the files of the library)."""
     result = Result("dof", name, "--json")
@@ -319,7 +404,9 @@ def test_dof_of_the_literature(name, count, rank, dof):
     assert result.code == 0 and data["system"] == name and data["closed"] is True
     assert (data["gruebler"], data["rank_dof"], data["dof"]) == (count, rank, dof)
     shown = Result("dof", name).out
-    assert shown.startswith(f"{name}: Gruebler says {count}") and f"truth {dof} " in " ".join(shown.split())
+    assert shown.startswith(f"{name}: Gruebler says {count}") and f"truth {dof} " in " ".join(
+        shown.split()
+    )
 
 
 def test_dof_at_known_coordinates():
@@ -334,12 +421,17 @@ def test_dof_at_known_coordinates():
 def test_dof_where_nothing_closes(engine):
     plain = Result("dof", engine, "--q", "S=3.5")
     data = Result("dof", engine, "--q", "S=3.5", "--json")
-    assert plain.code == data.code == 1 and plain.out.startswith("not closed") and "0.5 m" in plain.out
+    assert (
+        plain.code == data.code == 1 and plain.out.startswith("not closed") and "0.5 m" in plain.out
+    )
     assert data.json()["success"] is False and data.json()["q"]["S"] == 3.5
 
 
 def test_dof_of_chosen_actuators():
-    assert "A and D control the mechanism (2 freedoms)" in Result("dof", "five_bar", "--actuated", "A, D").out
+    assert (
+        "A and D control the mechanism (2 freedoms)"
+        in Result("dof", "five_bar", "--actuated", "A, D").out
+    )
     good = Result("dof", "five_bar", "--actuated", "A,D", "--json").json()["control"]
     one = Result("dof", "five_bar", "--actuated", "A", "--fast", "--json").json()["control"]
     assert good["complete"] is True and good["actuated"] == ["A", "D"]
@@ -354,11 +446,19 @@ def test_assemble_against_the_closed_form(engine):
         result = Result("assemble", engine, f"A={angle}", "--deg", "--json")
         data = result.json()
         want = math.radians(angle)
-        assert result.code == 0 and data["success"] is True and data["q"]["A"] == pytest.approx(angle, abs=1e-12)
+        assert (
+            result.code == 0
+            and data["success"] is True
+            and data["q"]["A"] == pytest.approx(angle, abs=1e-12)
+        )
         assert data["q"]["S"] == pytest.approx(reach(want), abs=1e-12)
-        assert data["q"]["C"] == pytest.approx(math.degrees(math.asin(math.sin(want) / 2.0)), abs=1e-9)
+        assert data["q"]["C"] == pytest.approx(
+            math.degrees(math.asin(math.sin(want) / 2.0)), abs=1e-9
+        )
     near = Result("assemble", engine, "A=20", "--near", "S=2.9", "--deg", "--json").json()
-    assert near["q"]["S"] == pytest.approx(reach(math.radians(20.0)), abs=1e-12), "slides stay metres"
+    assert near["q"]["S"] == pytest.approx(reach(math.radians(20.0)), abs=1e-12), (
+        "slides stay metres"
+    )
 
 
 def test_coordinates_that_follow_others(engine):
@@ -372,9 +472,11 @@ def test_coordinates_that_follow_others(engine):
     refused = Result("assemble", engine, "A=1", "W=1")
     assert refused.code == 2 and "'W' follows 'A', which is given, too" in refused.err
     held = Result("trace", engine, "--hold", "W=30", "--deg", "--json").json()
-    assert held["rows"][0][1:] == pytest.approx(
-        [math.degrees(crank), *held["rows"][0][2:4], reach(crank)], abs=1e-9
-    ) and len(held["rows"]) == 1  # fmt: skip
+    assert (
+        held["rows"][0][1:]
+        == pytest.approx([math.degrees(crank), *held["rows"][0][2:4], reach(crank)], abs=1e-9)
+        and len(held["rows"]) == 1
+    )
 
 
 def test_assemble_by_the_place_of_a_frame():
@@ -400,12 +502,18 @@ def test_the_last_line_can_be_given_back():
 def test_assemble_branches(engine):
     both = Result("assemble", engine, "A=90", "--deg", "--modes", "--json").json()
     assert both["complete"] is True and len(both["q"]) == 2
-    assert sorted(q["S"] for q in both["q"]) == pytest.approx([-math.sqrt(3.0), math.sqrt(3.0)], abs=1e-12)
+    assert sorted(q["S"] for q in both["q"]) == pytest.approx(
+        [-math.sqrt(3.0), math.sqrt(3.0)], abs=1e-12
+    )
     for sign, q in zip(both["branches"], both["q"], strict=True):
         one = Result("assemble", engine, "A=90", "--deg", "--branch", sign, "--json").json()
         assert one["q"]["S"] == pytest.approx(q["S"], abs=1e-12)
     shown = Result("assemble", engine, "A=90", "--deg", "--modes").out
-    assert shown.startswith("2 assembly modes: complete") and "\nsign 1: " in shown and "1.732051" in shown
+    assert (
+        shown.startswith("2 assembly modes: complete")
+        and "\nsign 1: " in shown
+        and "1.732051" in shown
+    )
     none = Result("assemble", engine, "S=5", "--modes", "--json")
     assert none.code == 1 and none.json()["q"] == []
 
@@ -418,8 +526,12 @@ def test_modes_of_many_coordinates_are_columns():
     assert [h.split()[1:] for h in heads] == [list(modes.branches[:4]), list(modes.branches[4:])]
     names = [n for n in system.coordinate_names if n != "O"]
     for name in names:
-        shown = [float(x) for line in lines if line.startswith(f"{name} [rad]") for x in line.split()[2:]]
-        assert shown == pytest.approx(modes.q[:, system.coordinate_names.index(name)].tolist(), abs=1e-6)
+        shown = [
+            float(x) for line in lines if line.startswith(f"{name} [rad]") for x in line.split()[2:]
+        ]
+        assert shown == pytest.approx(
+            modes.q[:, system.coordinate_names.index(name)].tolist(), abs=1e-6
+        )
 
 
 def test_an_open_loop_is_reported_and_not_written(engine, tmp_path):
@@ -427,7 +539,11 @@ def test_an_open_loop_is_reported_and_not_written(engine, tmp_path):
     picture = tmp_path / "q.png"
     pytest.importorskip("matplotlib")
     result = Result("assemble", engine, "S=3.5", "--out", out, "--plot", picture)
-    assert result.code == 1 and result.out.startswith("not closed") and "stays open by 0.5 m" in result.out
+    assert (
+        result.code == 1
+        and result.out.startswith("not closed")
+        and "stays open by 0.5 m" in result.out
+    )
     assert not out.exists() and picture.exists() and f"{out} is not written" in result.err
     assert "nearest found" in result.out and "--q" not in result.out
     data = Result("assemble", engine, "S=3.5", "--out", out, "--json")
@@ -440,15 +556,25 @@ def test_assemble_rows_of_a_file(engine, tmp_path):
     inputs.write_text("A\n0.1\n0.2\n0.3\n")
     result = Result("assemble", engine, inputs, "--continuous", "--out", out, "--json")
     want = [reach(a) for a in (0.1, 0.2, 0.3)]
-    assert result.code == 0 and result.json()["success"] == [True] * 3 and result.json()["written"] == [str(out)]
+    assert (
+        result.code == 0
+        and result.json()["success"] == [True] * 3
+        and result.json()["written"] == [str(out)]
+    )
     assert [q["S"] for q in result.json()["q"]] == pytest.approx(want, abs=1e-12)
     assert table(out)["S"].tolist() == pytest.approx(want, abs=1e-12)
     inputs.write_text("S\n2.5\n3.5\n")
     half = Result("assemble", engine, inputs, "--out", out)
     assert half.code == 1 and half.out.startswith("1 of 2 configurations closed\nrow 1: not closed")
-    assert np.isfinite(table(out)["A"]).tolist() == [True, False], "what is not closed is NaN in the file"
-    for text, said in (("1\n2\n", "must name"), ("A\nnan\n", "not finite"), ("X\n1\n", "no coordinate 'X'"),
-                       ("A,A\n1,1\n", "twice")):  # fmt: skip
+    assert np.isfinite(table(out)["A"]).tolist() == [True, False], (
+        "what is not closed is NaN in the file"
+    )
+    for text, said in (
+        ("1\n2\n", "must name"),
+        ("A\nnan\n", "not finite"),
+        ("X\n1\n", "no coordinate 'X'"),
+        ("A,A\n1,1\n", "twice"),
+    ):
         inputs.write_text(text)
         refused = Result("assemble", engine, inputs)
         assert refused.code == 2 and said in refused.err, text
@@ -466,7 +592,9 @@ def test_limits_can_be_left_out(tmp_path):
     assert reach(without.json()["q"]["A"]) == pytest.approx(1.5, abs=1e-9)
     short = Result("trace", path, "--json").json()
     whole = Result("trace", path, "--no-limits", "--json").json()
-    assert (short["closed"], whole["closed"]) == (False, True) and any("'S'" in end for end in short["ends"])
+    assert (short["closed"], whole["closed"]) == (False, True) and any(
+        "'S'" in end for end in short["ends"]
+    )
 
 
 # ---- trace
@@ -474,17 +602,37 @@ def test_limits_can_be_left_out(tmp_path):
 
 def test_trace_against_the_closed_form(engine, tmp_path):
     out = tmp_path / "path.csv"
-    result = Result("trace", engine, "--driver", "S", "--frame", "pin", "-o", out, "--points", "50", "--deg", "--json")
+    result = Result(
+        "trace",
+        engine,
+        "--driver",
+        "S",
+        "--frame",
+        "pin",
+        "-o",
+        out,
+        "--points",
+        "50",
+        "--deg",
+        "--json",
+    )
     data = result.json()
     rows = table(out)
     assert result.code == 0 and data["closed"] is True and data["written"] == [str(out)]
-    assert data["columns"] == ["s", "A", "B", "C", "S", "pin.x", "pin.y"] and len(data["rows"]) == 50
+    assert (
+        data["columns"] == ["s", "A", "B", "C", "S", "pin.x", "pin.y"] and len(data["rows"]) == 50
+    )
     np.testing.assert_allclose(np.array(data["rows"]), np.array(rows.tolist()), atol=1e-12)
     angle = np.radians(rows["A"])
     np.testing.assert_allclose(rows["S"], [reach(a) for a in angle], atol=1e-9)
-    np.testing.assert_allclose([rows["pinx"], rows["piny"]], [np.cos(angle), np.sin(angle)], atol=1e-9)
+    np.testing.assert_allclose(
+        [rows["pinx"], rows["piny"]], [np.cos(angle), np.sin(angle)], atol=1e-9
+    )
     np.testing.assert_allclose(np.diff(rows["s"]), rows["s"][-1] / 49.0, rtol=1e-9)
-    folds = {(e["kind"], e["coordinate"], round(e["value"], 9), e["unit"]) for e in data["turning_points"]}
+    folds = {
+        (e["kind"], e["coordinate"], round(e["value"], 9), e["unit"])
+        for e in data["turning_points"]
+    }
     assert folds == {("fold of the driver", "S", 3.0, "m"), ("fold of the driver", "S", 1.0, "m")}
     assert abs(data["turns"]["A"]) == 1
 
@@ -493,9 +641,18 @@ def test_trace_in_words(engine, tmp_path):
     """The rod leans by 30 degrees at most, where the crank is at right angles."""
     out = tmp_path / "path.npy"
     result = Result("trace", engine, "--deg", "--out", out)
-    assert result.code == 0 and result.out.startswith("closed curve") and result.out.endswith(f"written to {out}\n")
+    assert (
+        result.code == 0
+        and result.out.startswith("closed curve")
+        and result.out.endswith(f"written to {out}\n")
+    )
     lines = [line.split() for line in result.out.splitlines()]
-    assert ["C", "-30.000000", "30.000000", "deg"] in lines and ["S", "1.000000", "3.000000", "m"] in lines
+    assert ["C", "-30.000000", "30.000000", "deg"] in lines and [
+        "S",
+        "1.000000",
+        "3.000000",
+        "m",
+    ] in lines
     assert [line[1:] for line in lines if "extreme" in line and "30.000000000" in line] == [
         ["extreme", "C", "30.000000000", "deg"]
     ]
@@ -508,9 +665,15 @@ def test_trace_starts_at_known_coordinates():
         assert math.copysign(1.0, math.sin(q[4])) == sign, "the rocker is above the base, or below"
     data = Result("trace", "four_bar", "--start", "A=30", "--deg", "--json").json()
     want = Result("assemble", "four_bar", "A=30", "--deg", "--json").json()["q"]
-    assert data["rows"][0][1:] == pytest.approx(list(want.values()), abs=1e-9), "the branch that assemble finds"
+    assert data["rows"][0][1:] == pytest.approx(list(want.values()), abs=1e-9), (
+        "the branch that assemble finds"
+    )
     wrong = Result("trace", "slider_crank", "--start", "S=10", "--json")
-    assert wrong.code == 1 and wrong.json()["success"] is False and "not closed" in wrong.json()["status"]
+    assert (
+        wrong.code == 1
+        and wrong.json()["success"] is False
+        and "not closed" in wrong.json()["status"]
+    )
 
 
 def test_trace_with_a_held_coordinate():
@@ -533,7 +696,9 @@ def test_trace_other_branches(tmp_path):
     rows = table(out)
     (other,) = data["others"]
     assert [e["kind"] for e in data["singular_points"]] == ["bifurcation"] * 2 and other["closed"]
-    assert sorted(set(rows["branch"].tolist())) == [0.0, 1.0] and sum(rows["branch"] == 1) == len(other["rows"])
+    assert sorted(set(rows["branch"].tolist())) == [0.0, 1.0] and sum(rows["branch"] == 1) == len(
+        other["rows"]
+    )
     straight = rows[rows["branch"] == 1]["A"] / np.pi
     np.testing.assert_allclose(straight, np.round(straight), atol=1e-9)
     assert np.ptp(rows[rows["branch"] == 0]["A"]) > 6.0
@@ -549,18 +714,18 @@ def test_trace_other_branches(tmp_path):
 def test_an_interrupt_keeps_what_was_done(tmp_path):
     out = tmp_path / "part.csv"
     code = (
-        "import dataclasses, os, signal, kempe, kempe.cli\n"
-        "trace = kempe.System.trace\n"
-        "def interrupted(*args, budget=kempe.Budget(), **options):\n"
-        "    budget = dataclasses.replace(budget, progress=lambda n, s: os.kill(os.getpid(), signal.SIGINT))\n"
-        "    return trace(*args, budget=budget, **options)\n"
-        "kempe.System.trace = interrupted\n"
-        f"import sys; sys.argv[1:] = ['trace', 'four_bar', '--out', {str(out)!r}]\n"
-        "kempe.cli.main()\n"
+        "import dataclasses, os, signal, kempe, kempe.cli\ntrace = kempe.System.trace\ndef "
+        "interrupted(*args, budget=kempe.Budget(), **options):\n    budget = "
+        "dataclasses.replace(budget, progress=lambda n, s: os.kill(os.getpid(), signal.SIGINT))\n "
+        "   return trace(*args, budget=budget, **options)\nkempe.System.trace = "
+        "interrupted\nimport sys; sys.argv[1:] = ['trace', 'four_bar', '--out', "
+        f"{str(out)!r}]\nkempe.cli.main()\n"
     )
     code = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n" + code
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr, done.stderr
+    assert (
+        done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr
+    ), done.stderr
     system = kempe.load("four_bar")
     rows = table(out)
     assert 10 < len(rows) < 60
@@ -577,7 +742,11 @@ def test_plot(engine, tmp_path):
     for name, first in (("x.png", b"\x89PNG"), ("x.svg", b"<?xml"), ("x.pdf", b"%PDF")):
         path = tmp_path / name
         result = Result("plot", engine, path, "--q", "A=30", "--deg", "--frame", "pin")
-        assert result.code == 0 and result.out == f"written to {path}\n" and path.read_bytes().startswith(first)
+        assert (
+            result.code == 0
+            and result.out == f"written to {path}\n"
+            and path.read_bytes().startswith(first)
+        )
     marked = (tmp_path / "x.svg").read_text(encoding="utf-8")
     assert 'id="mark:pin:x"' in marked and 'id="mark:crank:x"' not in marked
     space = tmp_path / "space.svg"
@@ -592,9 +761,14 @@ def test_plot(engine, tmp_path):
 
 
 def test_named_values_are_closed_and_numbers_are_not(tmp_path):
-    """`kempe fk` closes the loops around 'name=value', and around the named columns of a file; a row of q is taken."""
+    """`kempe fk` closes the loops around 'name=value', and around the named columns of a file; a
+    row of q is taken.
+    """
     system = kempe.load("four_bar")
-    poses = [[tuple(np.round(x[:3, 3], 9)) for x in system.fk(system.assemble({"A": a}).q)] for a in (1.0, 1.2)]
+    poses = [
+        [tuple(np.round(x[:3, 3], 9)) for x in system.fk(system.assemble({"A": a}).q)]
+        for a in (1.0, 1.2)
+    ]
     one = Result("fk", "four_bar", "--q", "A=1.0", "--frame", "rocker", "--json")
     assert one.code == 0 and "open" not in one.err
     (tmp_path / "a.csv").write_text("A\n1.0\n1.2\n")

@@ -1,4 +1,6 @@
-"""Every command that has something to see draws it: by one table of all commands, so that none is forgotten."""
+"""Every command that has something to see draws it: by one table of all commands, so that none is
+forgotten.
+"""
 
 from __future__ import annotations
 
@@ -32,19 +34,30 @@ SEEN = {
 }
 """Commands with something to see: words of an example, and the options that it takes."""
 ELSEWHERE = {
-    "plot": "its OUT is the picture", "tour": "--pictures takes a folder", "convert": "a file in place of a picture",
-    "check": "problems of text", "plan": "sentences about axes", "query": "points of a map that workspace draws",
-    "map": "answers larger than memory", "library": "text of a model that plot draws",
-}  # fmt: skip
+    "plot": "its OUT is the picture",
+    "tour": "--pictures takes a folder",
+    "convert": "a file in place of a picture",
+    "check": "problems of text",
+    "plan": "sentences about axes",
+    "query": "points of a map that workspace draws",
+    "map": "answers larger than memory",
+    "library": "text of a model that plot draws",
+}
 """Commands that draw nothing by these options, and why."""
 
 
 def test_no_command_is_forgotten():
-    """All commands are in one of the tables; those of the first take the options that it says, and no others."""
+    """All commands are in one of the tables; those of the first take the options that it says, and
+    no others.
+    """
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     assert {*commands} == {*SEEN} | {*ELSEWHERE} and not {*SEEN} & {*ELSEWHERE}
     for name, (_, options) in SEEN.items():
-        taken = {flag for p in commands[name].params for flag in p.opts} & {"--plot", "--gif", "--html"}
+        taken = {flag for p in commands[name].params for flag in p.opts} & {
+            "--plot",
+            "--gif",
+            "--html",
+        }
         assert taken == {*options.split()} & {"--plot", "--gif", "--html"}, name
 
 
@@ -66,11 +79,15 @@ def test_every_command_draws_what_it_found(name, here):
     assert done.code == 0, done.err
     begins = {"seen.png": b"\x89PNG", "seen.gif": b"GIF8", "seen.html": b"<!", "seen.csv": b""}
     for file in files.values():
-        assert (here / file).read_bytes()[:4].startswith(begins[file][:4]) and (here / file).stat().st_size > 20
+        assert (here / file).read_bytes()[:4].startswith(begins[file][:4]) and (
+            here / file
+        ).stat().st_size > 20
         assert f"written to {file}" in done.out + done.err
 
 
-@pytest.mark.parametrize("name", [name for name, (_, options) in SEEN.items() if "--html" in options])
+@pytest.mark.parametrize(
+    "name", [name for name, (_, options) in SEEN.items() if "--html" in options]
+)
 def test_pages_that_cannot_be_written_are_refused_first(name, here):
     done = Result(name, *SEEN[name][0].split(), "--html", "seen.txt")
     assert done.code == 2 and "a page ends in .html" in done.err and not done.out
@@ -78,6 +95,8 @@ def test_pages_that_cannot_be_written_are_refused_first(name, here):
 
 def test_one_configuration_makes_no_film(here):
     """It is said, and the picture is drawn all the same."""
-    done = Result("ik", "two_link", "--frame", "e", "--target", "0.6,0.3", "--plot", "a.png", "--gif", "a.gif")
+    done = Result(
+        "ik", "two_link", "--frame", "e", "--target", "0.6,0.3", "--plot", "a.png", "--gif", "a.gif"
+    )
     assert done.code == 0 and "a.gif is not written: one configuration does not move" in done.err
     assert (here / "a.png").exists() and not (here / "a.gif").exists()

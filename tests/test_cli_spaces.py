@@ -10,7 +10,9 @@ import kempe
 
 
 def test_spaces_are_described():
-    done = Result("spaces", "four_bar", "--frame", "coupler_point", "--position-only", "--sample", 5)
+    done = Result(
+        "spaces", "four_bar", "--frame", "coupler_point", "--position-only", "--sample", 5
+    )
     assert done.code == 0 and "dimension 1" in done.out and "2 connected components" in done.out
     assert "m = 2 > n = 1" in done.out and "uniform in arc length" in done.out
 
@@ -19,7 +21,11 @@ def test_json_holds_the_same():
     done = Result("spaces", "two_link", "--frame", "e", "--sample", 7, "--rng", 3, "--json")
     data = done.json()
     assert (data["components"]["count"], data["components"]["complete"]) == (1, True)
-    assert (data["task_space"]["m"], data["task_space"]["n"], data["task_space"]["generic_rank"]) == (3, 2, 2)
+    assert (
+        data["task_space"]["m"],
+        data["task_space"]["n"],
+        data["task_space"]["generic_rank"],
+    ) == (3, 2, 2)
     q = kempe.load("two_link").configuration_space.sample(7, 3).q
     assert [list(x.values()) for x in data["sample"]["q"]] == q.tolist()
 
@@ -34,21 +40,29 @@ def test_samples_and_pictures_are_written(tmp_path):
     assert np.array_equal(np.load(out), kempe.load("two_link").configuration_space.sample(9, 0).q)
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
-    (["two_link", "-o", "q.csv"], "--sample"),
-    (["two_link", "--plot", "p.png"], "--frame"),
-    (["two_link", "--position-only"], "--frame"),
-    (["two_link", "--frame", "nowhere"], "nowhere"),
-    (["two_link", "--sample", "0"], "n is 0"),
-    (["slider", "--sample", "5"], "not bounded"),
-    (["puma560", "--frame", "tool", "--plot", "p.png"], "two freedoms"),
-    (["two_link", "--frame", "e", "--plot", "p.gif"], ".png"),
-    (["nothing_here"], "nothing_here"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["two_link", "-o", "q.csv"], "--sample"),
+        (["two_link", "--plot", "p.png"], "--frame"),
+        (["two_link", "--position-only"], "--frame"),
+        (["two_link", "--frame", "nowhere"], "nowhere"),
+        (["two_link", "--sample", "0"], "n is 0"),
+        (["slider", "--sample", "5"], "not bounded"),
+        (["puma560", "--frame", "tool", "--plot", "p.png"], "two freedoms"),
+        (["two_link", "--frame", "e", "--plot", "p.gif"], ".png"),
+        (["nothing_here"], "nothing_here"),
+    ],
+)
 def test_wrong_usage_is_said_without_a_traceback(arguments, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = Result("spaces", *arguments)
-    assert done.code == 2 and said in done.err and "Traceback" not in done.err and not list(tmp_path.iterdir())
+    assert (
+        done.code == 2
+        and said in done.err
+        and "Traceback" not in done.err
+        and not list(tmp_path.iterdir())
+    )
 
 
 def test_a_sample_that_is_late_is_not_complete():

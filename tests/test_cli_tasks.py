@@ -1,4 +1,6 @@
-"""Tasks and paths on the command line: files of tasks, batches in slices, interrupts, sentences for what is wrong."""
+"""Tasks and paths on the command line: files of tasks, batches in slices, interrupts, sentences for
+what is wrong.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,10 @@ def test_several_tasks(folder):
 
 
 def test_what_tasks_contradict_is_said(folder):
-    two = TASKS + '[[task]]\ntype = "position"\nname = "elsewhere"\nframe = "panda_link7"\ntarget = [0, 0.4, 0.5]\n'
+    two = (
+        TASKS
+        + '[[task]]\ntype = "position"\nname = "elsewhere"\nframe = "panda_link7"\ntarget = [0, 0.4, 0.5]\n'
+    )
     result = Result("ik", "panda", "--tasks", write("t.toml", two))
     assert result.code == 1 and "contradictory" in result.out and "elsewhere" in result.out
 
@@ -74,23 +79,34 @@ def test_every_type_is_read(folder):
     link = '"panda_link4"'
     pose = "[0.3, 0.1, 0.5, 0.1, 0.2, 0.3]"
     body = {
-        "pose": f"target = {pose}", "position": "target = [0.3, 0, 0.5]\npoint = [0, 0, 0.1]",
-        "orientation": "target = [0.1, 0.2, 0.3]", "pointing": "direction = [0, 0, -1]\naxis = [1, 0, 0]",
-        "look_at": "target = [1, 0, 0]", "on_line": "origin = [0.3, 0, 0]\ndirection = [0, 0, 1]",
+        "pose": f"target = {pose}",
+        "position": "target = [0.3, 0, 0.5]\npoint = [0, 0, 0.1]",
+        "orientation": "target = [0.1, 0.2, 0.3]",
+        "pointing": "direction = [0, 0, -1]\naxis = [1, 0, 0]",
+        "look_at": "target = [1, 0, 0]",
+        "on_line": "origin = [0.3, 0, 0]\ndirection = [0, 0, 1]",
         "on_plane": "origin = [0.3, 0, 0]\nnormal = [0, 0, 1]",
         "half_space": "origin = [0.3, 0, 0]\nnormal = [0, 0, 1]\nmargin = 0.1",
         "on_sphere": "center = [0.3, 0, 0]\nradius = 0.2",
         "in_box": f"low = [0, 0, 0]\nhigh = [0.1, 0.2, 0.3]\npose = {pose}",
-        "relative_pose": f"other = {link}\ntarget = {pose}", "relative_position": f"other = {link}\ntarget = [0, 0, 1]",
+        "relative_pose": f"other = {link}\ntarget = {pose}",
+        "relative_position": f"other = {link}\ntarget = [0, 0, 1]",
         "distance": f"other = {link}\nat_least = 0.1",
-        "centre_of_points": 'frames = ["panda_link3", "panda_link7"]\ntarget = [0.3, 0, 0.5]\naxes = "xy"',
-        "centre_of_mass": "target = [0.3, 0, 0.5]\nwithin = 0.1", "posture": "q = {panda_joint1 = 0.3}",
-    }  # fmt: skip
+        "centre_of_points": (
+            'frames = ["panda_link3", "panda_link7"]\ntarget = [0.3, 0, 0.5]\naxes = "xy"'
+        ),
+        "centre_of_mass": "target = [0.3, 0, 0.5]\nwithin = 0.1",
+        "posture": "q = {panda_joint1 = 0.3}",
+    }
     assert set(body) <= set(task_file.types())
     for name, lines in body.items():
         if name == "centre_of_mass" and not any(b.mass for b in panda.mechanism.bodies.values()):
             continue
-        frame = "" if name in ("centre_of_points", "centre_of_mass", "posture") else f'frame = "{HAND}"\n'
+        frame = (
+            ""
+            if name in ("centre_of_points", "centre_of_mass", "posture")
+            else f'frame = "{HAND}"\n'
+        )
         file = write(f"{name}.toml", f'[[task]]\ntype = "{name}"\nweight = 2.0\n{frame}{lines}\n')
         (made,) = task_file.read(panda, Path(file)).tasks()
         assert task_file.types()[name] is type(made) and made.weight == 2.0
@@ -105,22 +121,56 @@ def test_every_type_is_read(folder):
     [
         ("# none", "t.toml:1: there are no tasks; write [[task]]"),
         ("[task]\ntype = 'pose'", "t.toml:1: 'task' is not a list of tables"),
-        ("[[task]]\ntarget = [1, 2, 3]", "t.toml:1: task '1': the key 'type' is missing; it must be one of"),
-        ("[[task]]\ntype = 'poyntin'", "t.toml:2: task 'poyntin': unknown type of task 'poyntin'; did you mean"),
+        (
+            "[[task]]\ntarget = [1, 2, 3]",
+            "t.toml:1: task '1': the key 'type' is missing; it must be one of",
+        ),
+        (
+            "[[task]]\ntype = 'poyntin'",
+            "t.toml:2: task 'poyntin': unknown type of task 'poyntin'; did you mean",
+        ),
         ("[[task]]\ntype = 'function'", "unknown type of task 'function'"),
-        ("[[task]]\ntype = 'pose'\nframe = 'panda_link7'\ntargt = [1]", "t.toml:4: task 'pose': unknown key 'targt'"),
-        ("[[task]]\ntype = 'pose'\nframe = 'panda_link7'", "task 'pose': the key 'target' is missing; it needs frame"),
-        ("[[task]]\ntype = 'position'\nname = 'a'\nframe = 'x'\ntarget = [1, 2, 3]", "t.toml:4: task 'a': panda has"),
-        ("[[task]]\ntype = 'position'\nframe = 'panda_link7'\ntarget = [1, 2]", "t.toml:4: task 'position': target of"),
-        ("[[task]]\ntype = 'position'\nframe = 7\ntarget = [1, 2, 3]", "t.toml:3: task 'position': frame is '7'"),
-        ("[[task]]\ntype = 'position'\nframe = 'panda_link7'\ntarget = 'x'", "t.toml:4: task 'position': target is"),
+        (
+            "[[task]]\ntype = 'pose'\nframe = 'panda_link7'\ntargt = [1]",
+            "t.toml:4: task 'pose': unknown key 'targt'",
+        ),
+        (
+            "[[task]]\ntype = 'pose'\nframe = 'panda_link7'",
+            "task 'pose': the key 'target' is missing; it needs frame",
+        ),
+        (
+            "[[task]]\ntype = 'position'\nname = 'a'\nframe = 'x'\ntarget = [1, 2, 3]",
+            "t.toml:4: task 'a': panda has",
+        ),
+        (
+            "[[task]]\ntype = 'position'\nframe = 'panda_link7'\ntarget = [1, 2]",
+            "t.toml:4: task 'position': target of",
+        ),
+        (
+            "[[task]]\ntype = 'position'\nframe = 7\ntarget = [1, 2, 3]",
+            "t.toml:3: task 'position': frame is '7'",
+        ),
+        (
+            "[[task]]\ntype = 'position'\nframe = 'panda_link7'\ntarget = 'x'",
+            "t.toml:4: task 'position': target is",
+        ),
         ("[[task]]\ntype = 'posture'\nq = {panda_joint9 = 1}", "t.toml:3: task 'posture'"),
-        ("[[task]]\ntype = 'posture'\nq = {panda_joint1 = 1}\nweight = 'much'", "t.toml:4: task 'posture': weight is"),
-        ("[[task]]\ntype = 'posture'\nq = {panda_joint1 = 1}\npriority = 0.5", "priority is '0.5'; it must be a whole"),
-        ("[[task]]\ntype = 'position'\nframe = 'panda_link7'\ntarget = 'no.csv'", "no.csv: there is no such file"),
-        ("tasks = 3\n[[task]]", "t.toml:1: unknown key 'tasks'"), ("[[task", "this is not TOML"),
+        (
+            "[[task]]\ntype = 'posture'\nq = {panda_joint1 = 1}\nweight = 'much'",
+            "t.toml:4: task 'posture': weight is",
+        ),
+        (
+            "[[task]]\ntype = 'posture'\nq = {panda_joint1 = 1}\npriority = 0.5",
+            "priority is '0.5'; it must be a whole",
+        ),
+        (
+            "[[task]]\ntype = 'position'\nframe = 'panda_link7'\ntarget = 'no.csv'",
+            "no.csv: there is no such file",
+        ),
+        ("tasks = 3\n[[task]]", "t.toml:1: unknown key 'tasks'"),
+        ("[[task", "this is not TOML"),
     ],
-)  # fmt: skip
+)
 def test_wrong_files(folder, text, said):
     result = Result("ik", "panda", "--tasks", write("t.toml", text))
     assert result.code == 2 and said in result.err, result.err
@@ -130,11 +180,14 @@ def test_wrong_files(folder, text, said):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--tasks", "t.toml", "--frame", HAND], "leave --frame out"), (["--tasks", "t.toml", "--all"], "--all"),
-        (["--frame", HAND], "'--target'"), ([], "'--frame'"), (["--tasks", "no.toml"], "no such file"),
+        (["--tasks", "t.toml", "--frame", HAND], "leave --frame out"),
+        (["--tasks", "t.toml", "--all"], "--all"),
+        (["--frame", HAND], "'--target'"),
+        ([], "'--frame'"),
+        (["--tasks", "no.toml"], "no such file"),
         (["--frame", HAND, "--target", "1,0,0", "--prefer", "mid"], "--prefer is for --tasks"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_go_together(folder, options, said):
     write("t.toml", TASKS)
     result = Result("ik", "panda", *options)
@@ -159,9 +212,13 @@ def test_a_batch_of_tasks_in_slices(folder, monkeypatch):
     np.testing.assert_allclose([fk(q)[:3, 3] for q in data["q"]], targets, atol=1e-6)
     monkeypatch.setattr("kempe.cli.inverse_commands.TASK_SLICE", 3)
     sliced = Result("ik", "panda", "--tasks", "batch.toml", "--json").json()
-    np.testing.assert_allclose([list(q.values()) for q in sliced["q"]], [list(q.values()) for q in data["q"]])
+    np.testing.assert_allclose(
+        [list(q.values()) for q in sliced["q"]], [list(q.values()) for q in data["q"]]
+    )
     rounding = re.compile(r"\d\.\de-1\d")  # numpy's products round by the length of a batch
-    assert [rounding.sub("", s) for s in sliced["status"]] == [rounding.sub("", s) for s in data["status"]]
+    assert [rounding.sub("", s) for s in sliced["status"]] == [
+        rounding.sub("", s) for s in data["status"]
+    ]
     np.savetxt("ways.csv", np.tile([0.0, 0.0, -1.0], (4, 1)), delimiter=",")
     result = Result("ik", "panda", "--tasks", "batch.toml")
     assert result.code == 2 and "4, 7 rows" in result.err
@@ -181,7 +238,9 @@ def test_an_interrupt_leaves_what_was_done(folder, monkeypatch):
 
     monkeypatch.setattr(kempe.System, "ik", ik)
     result = Result("ik", "panda", "--frame", HAND, "--target", "t.csv", "--out", "q.csv")
-    assert result.code == 130 and "8 of 8" in result.out and "2 targets were not solved" in result.out
+    assert (
+        result.code == 130 and "8 of 8" in result.out and "2 targets were not solved" in result.out
+    )
     assert len(np.loadtxt("q.csv", delimiter=",", skiprows=1)) == 8
 
 
@@ -192,7 +251,11 @@ def test_slices_tell_where_they_are():
     X[3, :3, 3] = 9.0
     answer = slices.in_slices(panda, 5, 2, lambda i, j: panda.ik(X[i:j], HAND), said.append)
     whole = panda.ik(X, HAND)
-    assert said == [2, 4, 5] and list(answer.success) == list(whole.success) and "outside" in answer.status[3]
+    assert (
+        said == [2, 4, 5]
+        and list(answer.success) == list(whole.success)
+        and "outside" in answer.status[3]
+    )
     assert not answer and not answer.interrupted and len(answer) == 5
 
 
@@ -201,12 +264,20 @@ def test_slices_tell_where_they_are():
 
 def test_a_path(folder):
     targets = batch(12)
-    result = Result("path", "panda", "--frame", HAND, "--targets", "targets.csv", "-o", "q.csv", "--deg")
-    assert result.code == 0 and "12 of 12 targets followed" in result.out and "largest step" in result.out
+    result = Result(
+        "path", "panda", "--frame", HAND, "--targets", "targets.csv", "-o", "q.csv", "--deg"
+    )
+    assert (
+        result.code == 0
+        and "12 of 12 targets followed" in result.out
+        and "largest step" in result.out
+    )
     found = np.deg2rad(np.loadtxt("q.csv", delimiter=",", skiprows=1))
     np.testing.assert_allclose(kempe.load("panda").fk(found, HAND)[:, :3, 3], targets, atol=1e-9)
     data = Result("path", "panda", "--frame", HAND, "--targets", "targets.csv", "--json").json()
-    assert data["success"] and len(data["q"]) == 12 and data["jumps"] == [] and not data["interrupted"]
+    assert (
+        data["success"] and len(data["q"]) == 12 and data["jumps"] == [] and not data["interrupted"]
+    )
     of_tasks = Result("path", "panda", "--tasks", "batch.toml", "--json").json()
     X = np.array([fk(q) for q in of_tasks["q"]])
     np.testing.assert_allclose(X[:, :3, 3], targets, atol=1e-9)
@@ -221,9 +292,11 @@ def test_a_path_that_stops(folder):
     np.savetxt("far.csv", out + [2.0, 0.0, 0.0], delimiter=",")
     assert "does not begin" in Result("path", "panda", "--frame", HAND, "--targets", "far.csv").out
     for options, said in (
-        (["--targets", "0.4,0,0.5"], ".csv or .npy"), (["--targets", "t.csv", "--max-step", "-1"], "max_step"),
-        (["--targets", "t.csv", "--tasks", "x"], "leave --frame out"), ([], "'--targets'"),
-    ):  # fmt: skip
+        (["--targets", "0.4,0,0.5"], ".csv or .npy"),
+        (["--targets", "t.csv", "--max-step", "-1"], "max_step"),
+        (["--targets", "t.csv", "--tasks", "x"], "leave --frame out"),
+        ([], "'--targets'"),
+    ):
         result = Result("path", "panda", "--frame", HAND, *options)
         assert result.code == 2 and said in result.err
 

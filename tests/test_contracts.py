@@ -27,7 +27,12 @@ from kempe.status import Status
 
 def marked(name: str, *joints: str) -> kempe.System:
     """A shipped model with names that HTML would take for tags."""
-    text = re.sub(r"^\[postures.*?(?=^\[(?!postures)|\Z)", "", library.path(name).read_text(), flags=re.M | re.S)
+    text = re.sub(
+        r"^\[postures.*?(?=^\[(?!postures)|\Z)",
+        "",
+        library.path(name).read_text(),
+        flags=re.M | re.S,
+    )
     text = text.replace(f'name = "{name}"', f'name = "<b>{name}</b>"', 1)
     for joint in joints:
         text = text.replace(f'name = "{joint}"', f'name = "<b>{joint}"')
@@ -70,7 +75,9 @@ AHEAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3])
 
 
 class Case(NamedTuple):
-    """A call of a verb, and the outcomes that are expected of it: names of `Status`, of a batch in their order."""
+    """A call of a verb, and the outcomes that are expected of it: names of `Status`, of a batch in
+    their order.
+    """
 
     verb: str
     call: Callable[[], Any]
@@ -93,107 +100,205 @@ CASES = {
     "ik": Case("ik", lambda: ARM.ik(X, TOOL), "SOLVED"),
     "ik again": Case("ik", lambda: ARM.ik(X, TOOL, start=Q), "SOLVED"),
     "ik failing": Case("ik", lambda: ARM.ik(FAR, TOOL), "OUT_OF_REACH"),
-    "ik of a batch": Case("ik", lambda: ARM.ik(BATCH, TOOL), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
+    "ik of a batch": Case(
+        "ik", lambda: ARM.ik(BATCH, TOOL), ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]
+    ),
     "ik of none": Case("ik", lambda: ARM.ik(EMPTY, TOOL), []),
-    "ik in time": Case("ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", budget=AT_ONCE),
-                       "OUT_OF_TIME"),  # fmt: skip
+    "ik in time": Case(
+        "ik", lambda: TWO.ik(TWO.fk(TWO.neutral, "p"), "e", budget=AT_ONCE), "OUT_OF_TIME"
+    ),
     "tasks": Case("ik", lambda: ARM.ik([POSITION(TOOL, X[:3, 3])]), "SOLVED"),
-    "tasks failing": Case("ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], budget=THREE),
-                          "OUT_OF_REACH"),  # fmt: skip
+    "tasks failing": Case(
+        "ik", lambda: ARM.ik([POSITION(TOOL, FAR[:3, 3])], budget=THREE), "OUT_OF_REACH"
+    ),
     "tasks that exclude each other": Case(
-        "ik", lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], budget=THREE),
-            "CONTRADICTORY"),  # fmt: skip
+        "ik",
+        lambda: ARM.ik([POSITION(TOOL, x[:3, 3]) for x in REACHED[1:]], budget=THREE),
+        "CONTRADICTORY",
+    ),
     "tasks of a batch": Case(
-        "ik", lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], budget=THREE),
-        ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"]),
+        "ik",
+        lambda: ARM.ik([POSITION(TOOL, BATCH[:, :3, 3])], budget=THREE),
+        ["SOLVED", "OUT_OF_REACH", "BAD_INPUT"],
+    ),
     "tasks of none": Case("ik", lambda: ARM.ik([POSITION(TOOL, EMPTY[:, :3, 3])]), []),
     "ik_all": Case("ik_all", lambda: ARM.ik_all(X, TOOL), "SOLVED"),
     "ik_all failing": Case("ik_all", lambda: ARM.ik_all(FAR, TOOL), "NONE_EXISTS"),
-    "ik_all of a batch": Case("ik_all", lambda: ARM.ik_all(BATCH, TOOL), ["SOLVED", "NONE_EXISTS", "BAD_INPUT"]),
+    "ik_all of a batch": Case(
+        "ik_all", lambda: ARM.ik_all(BATCH, TOOL), ["SOLVED", "NONE_EXISTS", "BAD_INPUT"]
+    ),
     "ik_all of none": Case("ik_all", lambda: ARM.ik_all(EMPTY, TOOL), []),
     "ik_all inside": Case(
-        "ik_all", lambda: ARM.with_limits({"q1": (2.0, 2.1)}).ik_all(X, TOOL, limits=True), "OUTSIDE_LIMITS"),
+        "ik_all",
+        lambda: ARM.with_limits({"q1": (2.0, 2.1)}).ik_all(X, TOOL, limits=True),
+        "OUTSIDE_LIMITS",
+    ),
     "ik_all of seven": Case("ik_all", lambda: SEVEN.ik_all(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
     "ik_all through a loop": Case(
-        "ik_all", lambda: LINKAGE.ik_all(LINKAGE.fk(CLOSED, "coupler_point")[:2, 3], "coupler_point"), "SOLVED"),
+        "ik_all",
+        lambda: LINKAGE.ik_all(LINKAGE.fk(CLOSED, "coupler_point")[:2, 3], "coupler_point"),
+        "SOLVED",
+    ),
     "ik_plan": Case("ik_plan", lambda: ARM.inverse.plan(TOOL), "SOLVED"),
-    "ik_sweep": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
-    "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, n=5), "SOLVED"),
+    "ik_sweep": Case(
+        "ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"
+    ),
+    "ik_sweep sampled": Case(
+        "ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, n=5), "SOLVED"
+    ),
     "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.inverse.sweep(FAR, TIP), "NONE_EXISTS"),
-    "ik_sweep over a joint": Case("ik_sweep", lambda: SEVEN.inverse.sweep(
-        SEVEN.fk(SEVEN_Q, TIP), TIP, SEVEN.coordinate_names[2], budget=Budget(points=16)), "SOLVED"),
+    "ik_sweep over a joint": Case(
+        "ik_sweep",
+        lambda: SEVEN.inverse.sweep(
+            SEVEN.fk(SEVEN_Q, TIP), TIP, SEVEN.coordinate_names[2], budget=Budget(points=16)
+        ),
+        "SOLVED",
+    ),
     "at": Case("at", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP).at(0.2), "SOLVED"),
     "at of a batch": Case(
-        "at", lambda: SEVEN.with_limits({SEVEN.coordinate_names[0]: (-0.5, 0.5)}).inverse.sweep(
-            SEVEN.fk(SEVEN_Q, TIP), TIP).at([0.2, 3.0]), ["OUTSIDE_LIMITS", "SOLVED"]),
+        "at",
+        lambda: (
+            SEVEN.with_limits({SEVEN.coordinate_names[0]: (-0.5, 0.5)})
+            .inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP)
+            .at([0.2, 3.0])
+        ),
+        ["OUTSIDE_LIMITS", "SOLVED"],
+    ),
     "at failing": Case("at", lambda: SEVEN.inverse.sweep(FAR, TIP).at(0.2), "NONE_EXISTS"),
     "at of none": Case("at", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP).at(NONE), []),
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
     "ik_path broken off": Case(
-        "ik_path", lambda: until_interrupt(ARM.ik_path, REACHED, TOOL, Q, budget=BROKEN), "INTERRUPTED"
+        "ik_path",
+        lambda: until_interrupt(ARM.ik_path, REACHED, TOOL, Q, budget=BROKEN),
+        "INTERRUPTED",
     ),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
-    "ik_path without a beginning": Case("ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"),
+    "ik_path without a beginning": Case(
+        "ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"
+    ),
     "ik_step": Case("ik_step", lambda: ARM.ik_step(Q, AHEAD, TOOL, 0.01), "SOLVED"),
     "ik_step failing": Case("ik_step", lambda: ARM.ik_step(Q, 1e4 * AHEAD, TOOL, 0.01), "PARTLY"),
-    "self_motion": Case("self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP, budget=FIVES), "SOLVED"),
+    "self_motion": Case(
+        "self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP, budget=FIVES), "SOLVED"
+    ),
     "self_motion failing": Case(
-        "self_motion", lambda: TWO.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
+        "self_motion",
+        lambda: TWO.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"),
+        "NOT_FOUND",
+    ),
     "reach.poses": Case("reach.poses", lambda: ARM.reach.poses(REACHED, TOOL), "SOLVED"),
-    "reach.poses failing": Case("reach.poses", lambda: ARM.reach.poses(FAR[None], TOOL), "NOT_FOUND"),
-    "reach.poses in part": Case("reach.poses", lambda: ARM.reach.poses(np.stack([X, FAR]), TOOL), "PARTLY"),
-    "reach.place": Case("reach.place", lambda: ARM.reach.place(REACHED, TOOL, {"x": (-0.1, 0.1)}, 3), "SOLVED"),
-    "reach.place failing": Case("reach.place", lambda: ARM.reach.place(FAR[None], TOOL, {"x": (0, 1)}, 2), "NOT_FOUND"),
+    "reach.poses failing": Case(
+        "reach.poses", lambda: ARM.reach.poses(FAR[None], TOOL), "NOT_FOUND"
+    ),
+    "reach.poses in part": Case(
+        "reach.poses", lambda: ARM.reach.poses(np.stack([X, FAR]), TOOL), "PARTLY"
+    ),
+    "reach.place": Case(
+        "reach.place", lambda: ARM.reach.place(REACHED, TOOL, {"x": (-0.1, 0.1)}, 3), "SOLVED"
+    ),
+    "reach.place failing": Case(
+        "reach.place", lambda: ARM.reach.place(FAR[None], TOOL, {"x": (0, 1)}, 2), "NOT_FOUND"
+    ),
     "reach.capability": Case(
-        "reach.capability", lambda: ARM.reach.capability(TOOL, [[-0.5] * 3, [0.5] * 3], 2, 4), "SOLVED"),
+        "reach.capability",
+        lambda: ARM.reach.capability(TOOL, [[-0.5] * 3, [0.5] * 3], 2, 4),
+        "SOLVED",
+    ),
     "reach.capability failing": Case(
-        "reach.capability", lambda: ARM.reach.capability(TOOL, [[5.0] * 3, [6.0] * 3], 1, 2), "NOT_FOUND"),
+        "reach.capability",
+        lambda: ARM.reach.capability(TOOL, [[5.0] * 3, [6.0] * 3], 1, 2),
+        "NOT_FOUND",
+    ),
     "reach.planar": Case("reach.planar", lambda: TWO.reach.planar("e"), "SOLVED"),
-    "singularities": Case("singularities", lambda: TWO.singularities("e", "position", budget=THREE), "SOLVED"),
+    "singularities": Case(
+        "singularities", lambda: TWO.singularities("e", "position", budget=THREE), "SOLVED"
+    ),
     "singularities failing": Case(
-        "singularities", lambda: LINKAGE.singularities("coupler", inputs=[CRANK], budget=THREE), "NOT_FOUND"),
+        "singularities",
+        lambda: LINKAGE.singularities("coupler", inputs=[CRANK], budget=THREE),
+        "NOT_FOUND",
+    ),
     "singularities of loops": Case(
-        "singularities", lambda: FIVE.singularities("tip", budget=MANY), "SOLVED"),
+        "singularities", lambda: FIVE.singularities("tip", budget=MANY), "SOLVED"
+    ),
     "assemble": Case("assemble", lambda: LINKAGE.assemble({CRANK: 0.3}), "SOLVED"),
     "assemble failing": Case("assemble", lambda: LINKAGE.assemble({ROCKER: 0.0}), "NOT_FOUND"),
     "assemble beyond limits": Case(
-        "assemble", lambda: LINKAGE.with_limits({CRANK: (0.0, 1.0)}).assemble({CRANK: 2.0}), "OUTSIDE_LIMITS"),
+        "assemble",
+        lambda: LINKAGE.with_limits({CRANK: (0.0, 1.0)}).assemble({CRANK: 2.0}),
+        "OUTSIDE_LIMITS",
+    ),
     "assemble of a batch": Case(
-        "assemble", lambda: LINKAGE.assemble({ROCKER: np.array([1.6, 0.0, np.nan])}),
-        ["SOLVED", "NOT_FOUND", "BAD_INPUT"]),
+        "assemble",
+        lambda: LINKAGE.assemble({ROCKER: np.array([1.6, 0.0, np.nan])}),
+        ["SOLVED", "NOT_FOUND", "BAD_INPUT"],
+    ),
     "assemble of none": Case("assemble", lambda: LINKAGE.assemble({CRANK: NONE}), []),
-    "assembly_modes": Case("assembly_modes", lambda: LINKAGE.assembly_modes({CRANK: 0.3}), "SOLVED"),
-    "assembly_modes failing": Case("assembly_modes", lambda: LINKAGE.assembly_modes({ROCKER: 0.0}), "NONE_EXISTS"),
+    "assembly_modes": Case(
+        "assembly_modes", lambda: LINKAGE.assembly_modes({CRANK: 0.3}), "SOLVED"
+    ),
+    "assembly_modes failing": Case(
+        "assembly_modes", lambda: LINKAGE.assembly_modes({ROCKER: 0.0}), "NONE_EXISTS"
+    ),
     "assembly_modes beyond limits": Case(
-        "assembly_modes", lambda: LINKAGE.with_limits({ROCKER: (3.0, 3.1)}).assembly_modes({CRANK: 0.3}),
-        "OUTSIDE_LIMITS"),
+        "assembly_modes",
+        lambda: LINKAGE.with_limits({ROCKER: (3.0, 3.1)}).assembly_modes({CRANK: 0.3}),
+        "OUTSIDE_LIMITS",
+    ),
     "assembly_modes in space": Case(
-        "assembly_modes", lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5}, budget=MANY),
-        "SOLVED"),
+        "assembly_modes",
+        lambda: SPATIAL.assembly_modes({SPATIAL.coordinate_names[0]: 0.5}, budget=MANY),
+        "SOLVED",
+    ),
     "closed_form": Case("closed_form", lambda: LINKAGE.loops.closed_form([CRANK]), "SOLVED"),
     "closed_form failing": Case(
-        "closed_form", lambda: SPATIAL.loops.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
+        "closed_form", lambda: SPATIAL.loops.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"
+    ),
     "close": Case("close", lambda: LINKAGE.loops.closed_form([CRANK]).close([0.3]), "SOLVED"),
-    "close failing": Case("close", lambda: LINKAGE.loops.closed_form([ROCKER]).close([0.0]), "NOT_FOUND"),
+    "close failing": Case(
+        "close", lambda: LINKAGE.loops.closed_form([ROCKER]).close([0.0]), "NOT_FOUND"
+    ),
     "close of a batch": Case(
-        "close", lambda: LINKAGE.loops.closed_form([ROCKER]).close([[1.6], [0.0], [np.nan]]),
-        ["SOLVED", "NOT_FOUND", "BAD_INPUT"]),
-    "close of none": Case("close", lambda: LINKAGE.loops.closed_form([CRANK]).close(np.zeros((0, 1))), []),
-    "configuration_space": Case("configuration_space", lambda: LINKAGE.configuration_space, "SOLVED"),
-    "configuration_space of a tree": Case("configuration_space", lambda: ARM.configuration_space, "SOLVED"),
-    "configuration_space failing": Case("configuration_space", lambda: apart().configuration_space, "UNDETERMINED"),
+        "close",
+        lambda: LINKAGE.loops.closed_form([ROCKER]).close([[1.6], [0.0], [np.nan]]),
+        ["SOLVED", "NOT_FOUND", "BAD_INPUT"],
+    ),
+    "close of none": Case(
+        "close", lambda: LINKAGE.loops.closed_form([CRANK]).close(np.zeros((0, 1))), []
+    ),
+    "configuration_space": Case(
+        "configuration_space", lambda: LINKAGE.configuration_space, "SOLVED"
+    ),
+    "configuration_space of a tree": Case(
+        "configuration_space", lambda: ARM.configuration_space, "SOLVED"
+    ),
+    "configuration_space failing": Case(
+        "configuration_space", lambda: apart().configuration_space, "UNDETERMINED"
+    ),
     "sample": Case("sample", lambda: ARM.configuration_space.sample(3, 0), "SOLVED"),
     "sample of a curve": Case("sample", lambda: LINKAGE.configuration_space.sample(3, 0), "SOLVED"),
-    "sample in time": Case("sample", lambda: FIVE.configuration_space.sample(3, 0, budget=AT_ONCE), "OUT_OF_TIME"),
+    "sample in time": Case(
+        "sample", lambda: FIVE.configuration_space.sample(3, 0, budget=AT_ONCE), "OUT_OF_TIME"
+    ),
     "sample failing": Case("sample", lambda: apart().configuration_space.sample(3), "NOT_FOUND"),
     "components": Case("components", lambda: LINKAGE.configuration_space.components(), "SOLVED"),
-    "components failing": Case("components", lambda: apart().configuration_space.components(), "NONE_EXISTS"),
-    "components in space": Case("components", lambda: SPATIAL.configuration_space.components(), "PARTLY"),
+    "components failing": Case(
+        "components", lambda: apart().configuration_space.components(), "NONE_EXISTS"
+    ),
+    "components in space": Case(
+        "components", lambda: SPATIAL.configuration_space.components(), "PARTLY"
+    ),
     "path": Case("path", lambda: ARM.configuration_space.path(Q, Q + 0.1), "SOLVED"),
     "path along a curve": Case(
-        "path", lambda: LINKAGE.configuration_space.path(CLOSED, LINKAGE.trace(start=CLOSED).q[5]), "SOLVED"),
-    "path failing": Case("path", lambda: LINKAGE.configuration_space.path(*LINKAGE.assembly_modes({CRANK: 0.3}).q),
-                         "NONE_EXISTS"),  # fmt: skip
+        "path",
+        lambda: LINKAGE.configuration_space.path(CLOSED, LINKAGE.trace(start=CLOSED).q[5]),
+        "SOLVED",
+    ),
+    "path failing": Case(
+        "path",
+        lambda: LINKAGE.configuration_space.path(*LINKAGE.assembly_modes({CRANK: 0.3}).q),
+        "NONE_EXISTS",
+    ),
     "task_space": Case("task_space", lambda: TWO.task_space("e"), "SOLVED"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
@@ -202,42 +307,87 @@ CASES = {
     "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
     "classify": Case("classify", lambda: CAR.classify(), "SOLVED"),
     "trace": Case("trace", lambda: LINKAGE.trace(start=CLOSED), "SOLVED"),
-    "trace in time": Case("trace", lambda: LINKAGE.trace(start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"),
+    "trace in time": Case(
+        "trace", lambda: LINKAGE.trace(start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"
+    ),
     "trace broken off": Case(
         "trace", lambda: until_interrupt(LINKAGE.trace, start=CLOSED, budget=BROKEN), "INTERRUPTED"
     ),
     "trace failing": Case("trace", lambda: apart().trace(), "NOT_FOUND"),
     "drive": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED), "SOLVED"),
-    "drive in time": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"),
+    "drive in time": Case(
+        "drive", lambda: LINKAGE.drive(held(4), start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"
+    ),
     "drive broken off": Case(
-        "drive", lambda: until_interrupt(LINKAGE.drive, held(99), start=CLOSED, budget=BROKEN), "INTERRUPTED"
+        "drive",
+        lambda: until_interrupt(LINKAGE.drive, held(99), start=CLOSED, budget=BROKEN),
+        "INTERRUPTED",
     ),
     "drive failing": Case(
-        "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"),
+        "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"
+    ),
     "drive open": Case("drive", lambda: apart().drive({"A": np.zeros(2)}), "NOT_FOUND"),
     "manoeuvre": Case(
-        "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, budget=NINE), "SOLVED"),
-    "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, budget=NINE), "SOLVED"),
-    "workspace": Case("workspace", lambda: kempe.load("two_link").workspace("e", n=5000, cells=16), "SOLVED"),
-    "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
+        "manoeuvre",
+        lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, budget=NINE),
+        "SOLVED",
+    ),
+    "simulate": Case(
+        "simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, budget=NINE), "SOLVED"
+    ),
+    "workspace": Case(
+        "workspace", lambda: kempe.load("two_link").workspace("e", n=5000, cells=16), "SOLVED"
+    ),
+    "loop_jacobian": Case(
+        "loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"
+    ),
     "loop_jacobian at a dead point": Case(
-        "loop_jacobian", lambda: LINKAGE.loops.jacobian(STRETCHED, [ROCKER], [CRANK]), "DEAD_POINT"),
+        "loop_jacobian", lambda: LINKAGE.loops.jacobian(STRETCHED, [ROCKER], [CRANK]), "DEAD_POINT"
+    ),
     "loop_jacobian of too few inputs": Case(
-        "loop_jacobian", lambda: FIVE.loops.jacobian(FIVE.assemble().q, ["A"], ["D"]),
-        "UNDETERMINED"),
+        "loop_jacobian",
+        lambda: FIVE.loops.jacobian(FIVE.assemble().q, ["A"], ["D"]),
+        "UNDETERMINED",
+    ),
     "loop_jacobian of a batch": Case(
-        "loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
+        "loop_jacobian",
+        lambda: LINKAGE.loops.jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]),
+        ["SOLVED"] * 2,
+    ),
     "relative_motion": Case(
-        "relative_motion", lambda: LINKAGE.loops.relative_motion(CLOSED, *LINKAGE.body_names[:2]), "SOLVED"),
+        "relative_motion",
+        lambda: LINKAGE.loops.relative_motion(CLOSED, *LINKAGE.body_names[:2]),
+        "SOLVED",
+    ),
     "loop_jacobian of none": Case(
-        "loop_jacobian", lambda: LINKAGE.loops.jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
-}  # fmt: skip
+        "loop_jacobian", lambda: LINKAGE.loops.jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []
+    ),
+}
 
-REPORTING = {"workspace", "mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
-             "relative_motion", "configuration_space", "components", "task_space", "singularities", "reach.poses",
-             "reach.place", "reach.capability", "reach.planar"}  # fmt: skip
-REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
-"""Cases of the verbs that find something out about a system, and of those that give configurations."""
+REPORTING = {
+    "workspace",
+    "mobility",
+    "classify",
+    "idealised",
+    "independent",
+    "closed_form",
+    "ik_plan",
+    "loop_jacobian",
+    "relative_motion",
+    "configuration_space",
+    "components",
+    "task_space",
+    "singularities",
+    "reach.poses",
+    "reach.place",
+    "reach.capability",
+    "reach.planar",
+}
+REPORTS, ANSWERS = (
+    [n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False)
+)
+"""Cases of the verbs that find something out about a system, and of those that give
+configurations."""
 NAMED = {
     "loop_jacobian": "jacobian",
     "ik_sweep": "sweep",
@@ -251,14 +401,27 @@ NAMED = {
 OF_RESULTS = {"at", "close", "sample", "components", "path"}
 """Verbs of results."""
 NO_RESULTS = {
-    "assembler", "constraints", "plot", "plot_spaces", "query", "structure", "loops", "inverse", "reach", "symbolic",
-    "with_limits", "with_parameters", "opened",
-}  # fmt: skip
+    "assembler",
+    "constraints",
+    "plot",
+    "plot_spaces",
+    "query",
+    "structure",
+    "loops",
+    "inverse",
+    "reach",
+    "symbolic",
+    "with_limits",
+    "with_parameters",
+    "opened",
+}
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""
 
 
 def rounded() -> kempe.System:
-    """A planar four-bar linkage built in space, one pin of which is off by a hundredth of a millimetre."""
+    """A planar four-bar linkage built in space, one pin of which is off by a hundredth of a
+    millimetre.
+    """
     m = kempe.Mechanism("<b>rounded")
     a, b, c = (m.body(n) for n in "abc")
     m.revolute("A", m.ground, a)
@@ -286,17 +449,41 @@ def answered(name: str) -> tuple[Any, Any]:
 
 
 def test_every_verb_that_returns_a_result_is_in_the_table():
-    plain = {"Array", "Any", "System", "str", "bool", "float", "int", "None", "dict", "tuple", "list", "Path", "Axes",
-             "Callable", "Mapping", "Sequence"}  # fmt: skip
+    plain = {
+        "Array",
+        "Any",
+        "System",
+        "str",
+        "bool",
+        "float",
+        "int",
+        "None",
+        "dict",
+        "tuple",
+        "list",
+        "Path",
+        "Axes",
+        "Callable",
+        "Mapping",
+        "Sequence",
+    }
     verbs = set()
     for owner in (kempe.System, Loops, Inverse, ReachStudies):
         for name, member in vars(owner).items():
-            function = member.fget if isinstance(member, property) else getattr(member, "func", member)
-            if name[0] != "_" and callable(function) and set(re.findall(r"\w+", str(returned(function)))) - plain:
+            function = (
+                member.fget if isinstance(member, property) else getattr(member, "func", member)
+            )
+            if (
+                name[0] != "_"
+                and callable(function)
+                and set(re.findall(r"\w+", str(returned(function)))) - plain
+            ):
                 verbs.add(name)
     assert {"ik", "mobility", "trace", "idealised"} <= verbs
     own = {NAMED.get(c.verb, c.verb) for c in CASES.values()}
-    assert verbs - NO_RESULTS == own - OF_RESULTS, "a verb of System is missing in the table, or is no verb"
+    assert verbs - NO_RESULTS == own - OF_RESULTS, (
+        "a verb of System is missing in the table, or is no verb"
+    )
 
 
 def returned(function: Any) -> Any:
@@ -307,7 +494,9 @@ def returned(function: Any) -> Any:
 def test_a_result_is_an_answer_or_a_report_and_has_the_outcome_expected(name):
     result, expected = answered(name)
     assert isinstance(result, Result) and isinstance(result, Answer) != isinstance(result, Report)
-    codes = [Status(c).name for c in result.code] if isinstance(expected, list) else result.code.name
+    codes = (
+        [Status(c).name for c in result.code] if isinstance(expected, list) else result.code.name
+    )
     assert codes == expected, result.status
     assert isinstance(result.code, Status if isinstance(expected, str) else np.ndarray)
 
@@ -318,8 +507,12 @@ def test_truth_sentences_and_shapes_agree_with_the_outcome(name):
     good = np.asarray(result.code) == Status.SOLVED
     assert bool(result) is bool(np.all(good))
     if isinstance(expected, list):
-        assert result.status.shape == result.code.shape == np.shape(result.success) == (len(expected),)
-        assert np.array_equal(result.success, good) and all(isinstance(s, str) and s for s in result.status)
+        assert (
+            result.status.shape == result.code.shape == np.shape(result.success) == (len(expected),)
+        )
+        assert np.array_equal(result.success, good) and all(
+            isinstance(s, str) and s for s in result.status
+        )
     else:
         assert isinstance(result.status, str) and result.status and not result.status.endswith(".")
         assert np.all(result.success) == bool(good) or "jump" in result.status
@@ -356,7 +549,9 @@ def test_json_holds_what_python_says(name):
 def test_pickles_say_the_same(name):
     result, _ = answered(name)
     again = pickle.loads(pickle.dumps(result))
-    assert type(again) is type(result) and str(again) == str(result) and again.data() == result.data()
+    assert (
+        type(again) is type(result) and str(again) == str(result) and again.data() == result.data()
+    )
     assert again._repr_html_() == result._repr_html_() and bool(again) is bool(result)
 
 
@@ -371,12 +566,20 @@ def test_configurations_of_answers(name):
     answer, expected = answered(name)
     system = answer.system
     lead = answer.q.shape[:-1]
-    assert answer.q.shape[-1] == system.nq and np.shape(answer.residual) == lead == np.shape(answer.judged.holds)
+    assert answer.q.shape[-1] == system.nq and np.shape(answer.residual) == lead == np.shape(
+        answer.judged.holds
+    )
     assert "contradicted" not in answer.verdict
     claimed = np.broadcast_to(answer._claimed(), lead)
-    assert np.all(np.asarray(answer.residual)[claimed] < 1e-5) and np.isfinite(answer.q[claimed]).all()
+    assert (
+        np.all(np.asarray(answer.residual)[claimed] < 1e-5) and np.isfinite(answer.q[claimed]).all()
+    )
     names, columns = answer.table()
-    assert columns.ndim == 2 and columns.shape[1] == len(names) and set(system.coordinate_names) <= set(names)
+    assert (
+        columns.ndim == 2
+        and columns.shape[1] == len(names)
+        and set(system.coordinate_names) <= set(names)
+    )
     places = np.ndindex(len(expected)) if isinstance(expected, list) else [()]
     said = [answer.sentence(place) for place in places]
     assert said == (list(answer.status) if isinstance(expected, list) else [answer.status])
@@ -414,14 +617,18 @@ def test_rows_that_are_no_numbers_are_nan_and_leave_the_others_alone(name):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: ARM.ik(WRONG, TOOL), lambda: ARM.ik([POSITION(TOOL, WRONG[:3, 3])]),
-        lambda: ARM.ik_path(WRONG[None], TOOL), lambda: LINKAGE.assemble({CRANK: np.nan}),
-        lambda: LINKAGE.assembly_modes({CRANK: np.nan}), lambda: LINKAGE.drive({CRANK: [0.3, np.nan]}),
-        lambda: ARM.ik_step(np.full(6, np.nan), AHEAD, TOOL, 0.01), lambda: SEVEN.inverse.sweep(WRONG, TIP),
+        lambda: ARM.ik(WRONG, TOOL),
+        lambda: ARM.ik([POSITION(TOOL, WRONG[:3, 3])]),
+        lambda: ARM.ik_path(WRONG[None], TOOL),
+        lambda: LINKAGE.assemble({CRANK: np.nan}),
+        lambda: LINKAGE.assembly_modes({CRANK: np.nan}),
+        lambda: LINKAGE.drive({CRANK: [0.3, np.nan]}),
+        lambda: ARM.ik_step(np.full(6, np.nan), AHEAD, TOOL, 0.01),
+        lambda: SEVEN.inverse.sweep(WRONG, TIP),
         lambda: ARM.inverse.self_motion(np.full(6, np.nan), TOOL, task="position"),
         lambda: LINKAGE.loops.jacobian(np.full(4, np.nan), [CRANK], [ROCKER]),
     ],
-)  # fmt: skip
+)
 def test_a_single_question_that_is_no_number_is_refused(call):
     with pytest.raises(KempeError):
         call()
@@ -436,11 +643,14 @@ def test_degrees_change_the_angles_of_data_only():
     assert (rad["angle_unit"], deg["angle_unit"]) == ("rad", "deg") and rad == answer.data()
     assert deg["q"] == pytest.approx({n: np.degrees(x) for n, x in rad["q"].items()})
     assert {k: v for k, v in deg.items() if k not in ("q", "angle_unit")} == {
-        k: v for k, v in rad.items() if k not in ("q", "angle_unit")}  # fmt: skip
+        k: v for k, v in rad.items() if k not in ("q", "angle_unit")
+    }
 
 
 def test_the_judge_finds_answers_that_are_altered():
-    """Of each sort of answer one is moved away from its target: the judge, and with it the verdict, says so."""
+    """Of each sort of answer one is moved away from its target: the judge, and with it the verdict,
+    says so.
+    """
     modes = LINKAGE.assembly_modes({CRANK: 0.3})
     path = ARM.ik_path(REACHED, TOOL, Q)
     drive = LINKAGE.drive(held(4), start=CLOSED)
@@ -460,22 +670,37 @@ def test_proofs_are_data_and_their_words_are_in_the_sentence():
     """What is proven of a failure can be had as numbers; where nothing is proven there are none."""
     far = ARM.ik(BATCH, TOOL)
     (lengths,) = far.proofs(1)
-    assert lengths.proof and lengths.kind == "lengths" and lengths.place > 5.0 and lengths.text in far.status[1]
+    assert (
+        lengths.proof
+        and lengths.kind == "lengths"
+        and lengths.place > 5.0
+        and lengths.text in far.status[1]
+    )
     assert far.proofs(0) == far.proofs(2) == () and far.proven.tolist() == [False, True, False]
-    elbow = TWO.with_limits({"<b>q2": (-0.1, 0.1)}).ik(TWO.fk([0.3, 1.2], "e"), "e", task="position")
+    elbow = TWO.with_limits({"<b>q2": (-0.1, 0.1)}).ik(
+        TWO.fk([0.3, 1.2], "e"), "e", task="position"
+    )
     (limits,) = elbow.proofs()
     assert (
-        limits.proof and limits.kind == "outside" and limits.count == 2 and limits.text in elbow.status and elbow.proven
+        limits.proof
+        and limits.kind == "outside"
+        and limits.count == 2
+        and limits.text in elbow.status
+        and elbow.proven
     )
     two = CASES["tasks that exclude each other"].call()
     (apart,) = two.proofs()
     assert (apart.first, apart.second) == tuple(two.errors) and apart.text in two.status
-    assert apart.off == pytest.approx(np.linalg.norm(REACHED[1, :3, 3] - REACHED[2, :3, 3]), abs=1e-5)
+    assert apart.off == pytest.approx(
+        np.linalg.norm(REACHED[1, :3, 3] - REACHED[2, :3, 3]), abs=1e-5
+    )
     assert all(not p.place for p in TWO.ik([POSITION("e", (0.3, 0.3))]).proofs())
 
 
 def test_lengths_are_the_distance_beyond_the_longest_reach(hunt):
-    """For an arm of two links: the distance of the target less the sum of the lengths, and no proof within."""
+    """For an arm of two links: the distance of the target less the sum of the lengths, and no proof
+    within.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         p = rng.uniform(-2.0, 2.0, 2)

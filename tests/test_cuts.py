@@ -1,6 +1,8 @@
-"""Wherever loops are cut: counts, ranks, success, sets of solutions and single answers are the same.
+"""Wherever loops are cut: counts, ranks, success, sets of solutions and single answers are the
+same.
 
-Judged at each cut by what that system itself says of the answer: how far its loops are open, where its bodies are.
+Judged at each cut by what that system itself says of the answer: how far its loops are open, where
+its bodies are.
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ def starts(s: System, q: np.ndarray, size: float, n: int, rng: np.random.Generat
 
 def driven(s: System) -> list[str]:
     """Coordinates of motors, or the first one."""
-    names = [n for n in s.structure.velocity_names if s.structure.joints[n.partition(".")[0]].actuated]
+    names = [
+        n for n in s.structure.velocity_names if s.structure.joints[n.partition(".")[0]].actuated
+    ]
     return names or [s.structure.velocity_names[0]]
 
 
@@ -72,8 +76,10 @@ def test_every_loop_can_be_cut_elsewhere():
         plain, *others = cuts(name)
         assert len(others) >= 2, name
         cut = len(plain.structure.closures)
-        assert all(len(s.structure.closures) == cut and s.coordinate_names == plain.coordinate_names
-                   for s in others), name  # fmt: skip
+        assert all(
+            len(s.structure.closures) == cut and s.coordinate_names == plain.coordinate_names
+            for s in others
+        ), name
 
 
 # ---- counts and ranks
@@ -82,10 +88,16 @@ def test_every_loop_can_be_cut_elsewhere():
 def facts(s: System, q: np.ndarray) -> dict:
     m = s.mobility(q, local=False)
     return {
-        "gruebler": (m.gruebler, m.gruebler_spatial), "rank": m.rank_dof, "generic": m.generic_rank_dof,
-        "redundant": (m.redundant, m.redundant_here), "idle": m.idle, "singular": m.singular, "kind": m.kind,
-        "control": str(m.control), "clusters": [(c.joints, c.gruebler, c.rank_dof, c.redundant) for c in m.clusters],
-    }  # fmt: skip
+        "gruebler": (m.gruebler, m.gruebler_spatial),
+        "rank": m.rank_dof,
+        "generic": m.generic_rank_dof,
+        "redundant": (m.redundant, m.redundant_here),
+        "idle": m.idle,
+        "singular": m.singular,
+        "kind": m.kind,
+        "control": str(m.control),
+        "clusters": [(c.joints, c.gruebler, c.rank_dof, c.redundant) for c in m.clusters],
+    }
 
 
 def counted(plain: System, s: System) -> None:
@@ -120,10 +132,16 @@ def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> Non
     for size in (FAR, NEAR):
         at = starts(plain, home, size, n, rng)
         for nearest in (False, True):
-            want, got = (x.assemble(values, start=at, prefer="nearest" if nearest else None) for x in (plain, s))
+            want, got = (
+                x.assemble(values, start=at, prefer="nearest" if nearest else None)
+                for x in (plain, s)
+            )
             same(got.q, want.q)
             assert np.array_equal(got.success, want.success) and np.all(got.success)
-            assert np.abs(residual(s, got.q)).max() < OPEN and np.abs(s.loops.closure_error(got.q)).max() < OPEN
+            assert (
+                np.abs(residual(s, got.q)).max() < OPEN
+                and np.abs(s.loops.closure_error(got.q)).max() < OPEN
+            )
             for body in plain.body_names[1:]:
                 same(s.fk(got.q, body), plain.fk(want.q, body), OPEN)
 
@@ -199,8 +217,16 @@ def sets(plain: System, s: System, n: int) -> None:
     values = {k: plain.q_dict(home)[k] for k in driven(plain) if k in plain.coordinate_names}
     want, got = (x.assembly_modes(values, budget=kempe.Budget(starts=n)) for x in (plain, s))
     same(got.q, want.q)
-    assert (got.complete, got.branches, got.status, len(got)) == (want.complete, want.branches, want.status, len(want))
-    assert np.array_equal(got.freedoms, want.freedoms) and np.abs(residual(s, got.q)).max(initial=0.0) < 1e-6
+    assert (got.complete, got.branches, got.status, len(got)) == (
+        want.complete,
+        want.branches,
+        want.status,
+        len(want),
+    )
+    assert (
+        np.array_equal(got.freedoms, want.freedoms)
+        and np.abs(residual(s, got.q)).max(initial=0.0) < 1e-6
+    )
 
 
 @pytest.mark.parametrize("name", some(CLOSED, 3))
@@ -245,14 +271,22 @@ def hunted(shape: Closed, rng: np.random.Generator) -> None:
     plain = shape.system()
     q = shape.values(plain)
     at = np.concatenate([starts(plain, q, size, 2, rng) for size in (FAR, NEAR)])
-    known = {n: x for n, x in plain.q_dict(q).items() if n in plain.structure.velocity_names and rng.random() < 0.2}
+    known = {
+        n: x
+        for n, x in plain.q_dict(q).items()
+        if n in plain.structure.velocity_names and rng.random() < 0.2
+    }
     want = plain.assemble(known, start=at)
     for _ in range(2):
         s = shape.system(frozenset(n for n in names if rng.random() < 0.4))
         got = s.assemble(known, start=at)
         if own_tree(s).structure.closures != plain.structure.closures:
-            left = {*plain.structure.closures} - {*s.structure.closures}  # in its tree are joints that hold nothing
-            assert any(link.kind.constraints(shape.dim) <= 0 for link in shape.links if link.name in left)
+            left = {*plain.structure.closures} - {
+                *s.structure.closures
+            }  # in its tree are joints that hold nothing
+            assert any(
+                link.kind.constraints(shape.dim) <= 0 for link in shape.links if link.name in left
+            )
             continue
         same(got.q, want.q)
         assert np.array_equal(got.success, want.success)

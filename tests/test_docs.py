@@ -1,4 +1,6 @@
-"""The pages tell the truth: their code runs, their outputs are what comes out, their links lead somewhere."""
+"""The pages tell the truth: their code runs, their outputs are what comes out, their links lead
+somewhere.
+"""
 
 from __future__ import annotations
 
@@ -28,17 +30,23 @@ from kempe.errors import KempeError, MissingExtraError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("add/*.md")])
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("add/*.md")]
+)
 FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+")
 README_COMMAND = re.compile(r"\.venv/bin/kempe ([^\n]*)")
 
-pages = pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).with_suffix("").as_posix())
+pages = pytest.mark.parametrize(
+    "path", PAGES, ids=lambda p: p.relative_to(ROOT).with_suffix("").as_posix()
+)
 
 
 class Block(NamedTuple):
-    """A fenced block: what its first line says after the backticks, its text, the line where that starts."""
+    """A fenced block: what its first line says after the backticks, its text, the line where that
+    starts.
+    """
 
     kind: str
     text: str
@@ -47,7 +55,9 @@ class Block(NamedTuple):
 
 def blocks(path: Path) -> list[Block]:
     page = path.read_text(encoding="utf-8")
-    return [Block(m[1].strip(), m[2], page.count("\n", 0, m.start(2)) + 1) for m in FENCE.finditer(page)]
+    return [
+        Block(m[1].strip(), m[2], page.count("\n", 0, m.start(2)) + 1) for m in FENCE.finditer(page)
+    ]
 
 
 def is_code(block: Block) -> bool:
@@ -55,12 +65,17 @@ def is_code(block: Block) -> bool:
 
 
 def run(path: Path, block: Block, names: dict[str, object]) -> str:
-    """What a block prints. A cell tagged `raises-exception` must raise; one that needs an absent extra skips."""
+    """What a block prints. A cell tagged `raises-exception` must raise; one that needs an absent
+    extra skips.
+    """
     source = "\n" * (block.line - 1) + re.sub(r"^:\w+:.*$", "", block.text, flags=re.MULTILINE)
     must_raise = re.search(r"^:tags:.*raises-exception", block.text, re.MULTILINE)
     printed = io.StringIO()
     try:
-        with contextlib.redirect_stdout(printed), pytest.raises(KempeError) if must_raise else contextlib.nullcontext():
+        with (
+            contextlib.redirect_stdout(printed),
+            pytest.raises(KempeError) if must_raise else contextlib.nullcontext(),
+        ):
             exec(compile(source, str(path), "exec"), names)
     except MissingExtraError as error:
         pytest.skip(f"{error.package} is not installed")
@@ -68,7 +83,9 @@ def run(path: Path, block: Block, names: dict[str, object]) -> str:
 
 
 def same_output(got: str, shown: str) -> bool:
-    """Whether two outputs have the same words, and numbers that agree; `...` stands for a part of a word."""
+    """Whether two outputs have the same words, and numbers that agree; `...` stands for a part of a
+    word.
+    """
     words = got.split()
     wanted = shown.split()
     return len(words) == len(wanted) and all(map(_same_word, words, wanted))
@@ -86,11 +103,15 @@ def _same_word(got: str, shown: str) -> bool:
 @pytest.mark.parametrize(
     ("got", "shown", "is_same"),
     [
-        ("reached (7 steps)", "reached (... steps)", True), ("reached ( steps)", "reached (... steps)", False),
-        ("q = 0.1234567", "q = 0.1234568", True), ("q = 0.12", "q = 0.13", False), ("q = -1", "q = 1", False),
-        ("a b", "a", False), ("error 2e-16 m", "error ... m", True),
+        ("reached (7 steps)", "reached (... steps)", True),
+        ("reached ( steps)", "reached (... steps)", False),
+        ("q = 0.1234567", "q = 0.1234568", True),
+        ("q = 0.12", "q = 0.13", False),
+        ("q = -1", "q = 1", False),
+        ("a b", "a", False),
+        ("error 2e-16 m", "error ... m", True),
     ],
-)  # fmt: skip
+)
 def test_outputs_are_compared(got, shown, is_same):
     assert same_output(got, shown) is is_same
 
@@ -101,14 +122,24 @@ def test_the_readme_shows_nothing_that_depends_on_the_processor():
     assert not re.findall(r"\d[eE][-+]\d+|\d+ (?:steps?|points?)\b", shown)
 
 
-LONG = ("pictures", "spaces", "singularities", "workspace", "reach", "howto_loops", "ik_all", "viewer")
+LONG = (
+    "pictures",
+    "spaces",
+    "singularities",
+    "workspace",
+    "reach",
+    "howto_loops",
+    "ik_all",
+    "viewer",
+)
 """Pages whose code takes seconds."""
 PRINTED = [
     pytest.param(p, marks=pytest.mark.slow if p.stem in LONG else ())
     for p in PAGES
     if any(map(is_code, blocks(p))) and p.stem not in SAID
 ]
-"""Pages whose code runs; that of the lecture's pages runs in test_lecture, where what it prints is read, too."""
+"""Pages whose code runs; that of the lecture's pages runs in test_lecture, where what it prints is
+read, too."""
 
 
 @pytest.mark.parametrize("path", PRINTED, ids=lambda p: p.stem)
@@ -149,10 +180,17 @@ def test_first_command_of_the_readme(tmp_path, monkeypatch):
 
 
 def test_figures_of_the_readme_are_those_of_the_benchmark():
-    """Each measured number of the README stands in benchmarks/results.md: copy them anew after a run."""
+    """Each measured number of the README stands in benchmarks/results.md: copy them anew after a
+    run.
+    """
     results = (ROOT / "benchmarks" / "results.md").read_text(encoding="utf-8")
     measured = {cell.strip() for line in results.splitlines() for cell in line.split("|")}
-    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## How fast")[2].partition("\n## ")[0]
+    section = (
+        (ROOT / "README.md")
+        .read_text(encoding="utf-8")
+        .partition("## How fast")[2]
+        .partition("\n## ")[0]
+    )
     rows = [line.split("|")[2:-1] for line in section.splitlines() if line.startswith("|")][2:]
     figures = [cell.split()[0] for row in rows for cell in row if cell.strip()]
     assert figures
@@ -165,7 +203,9 @@ def test_links_lead_somewhere(path):
     for target in (t for t in links if "://" not in t and not t.startswith("mailto:")):
         file, _, heading = target.partition("#")
         to = (path.parent / file).resolve() if file else path
-        drawn = to.parent.name == "gallery" and to.stem in library.names()  # when the docs are built
+        drawn = (
+            to.parent.name == "gallery" and to.stem in library.names()
+        )  # when the docs are built
         assert to.exists() or drawn, f"{path.name} links to {target}"
         if heading:
             assert heading in headings(to), f"{path.name} links to {target}"
@@ -180,10 +220,17 @@ def headings(path: Path) -> set[str]:
 def test_every_page_is_in_the_table_of_contents():
     index = DOCS / "index.md"
     listed = [
-        line for b in blocks(index) if b.kind == "{toctree}" for line in b.text.splitlines()
+        line
+        for b in blocks(index)
+        if b.kind == "{toctree}"
+        for line in b.text.splitlines()
         if line and not line.startswith(":")
-    ]  # fmt: skip
-    written = [p.relative_to(DOCS).with_suffix("").as_posix() for p in PAGES if DOCS in p.parents and p != index]
+    ]
+    written = [
+        p.relative_to(DOCS).with_suffix("").as_posix()
+        for p in PAGES
+        if DOCS in p.parents and p != index
+    ]
     assert sorted(listed) == sorted(written)
 
 
@@ -212,7 +259,9 @@ def test_the_list_of_public_names_is_up_to_date():
 def test_each_model_has_its_row_in_the_gallery():
     page = (DOCS / "gallery.md").read_text(encoding="utf-8")
     rows = re.findall(
-        r"^\| !\[(\w+)\]\(_static/gallery/(\w+)\.png\) \| `(\w+)` \| (\d+)[^|]* \| \S[^|]+\S \|$", page, re.MULTILINE
+        r"^\| !\[(\w+)\]\(_static/gallery/(\w+)\.png\) \| `(\w+)` \| (\d+)[^|]* \| \S[^|]+\S \|$",
+        page,
+        re.MULTILINE,
     )
     assert sorted(row[0] for row in rows) == sorted(library.names()) and len(rows) >= 40
     assert all(len(set(row[:3])) == 1 for row in rows)
@@ -261,7 +310,9 @@ def test_stations_of_journeys_exist(station):
     path, names = (path, names) if path.exists() else (inside, parts[folder:])
     body: list[ast.stmt] = sources.tree(path).body
     for name in names:
-        found = [n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == name]
+        found = [
+            n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == name
+        ]
         assert found, f"{name} is not in {path.name}"
         body = found[-1].body
 
@@ -272,14 +323,21 @@ trust = written_by("trust_page")
 
 
 def test_claims_stand_on_their_pages():
-    pages = {c.page: " ".join((ROOT / c.page).read_text(encoding="utf-8").split()) for c in trust.claims()}
+    pages = {
+        c.page: " ".join((ROOT / c.page).read_text(encoding="utf-8").split())
+        for c in trust.claims()
+    }
     assert not [c for c in trust.claims() if c.sentence not in pages[c.page]]
     assert len({c[:2] for c in trust.claims()}) == len(trust.claims()) > 100
 
 
 def test_claims_name_hunts():
-    """A hunt, a property by Hypothesis or a battery of cases, which exists; a plain example hunts nothing."""
-    assert not [(c.sentence, test) for c in trust.claims() for test in c.tests if not trust.kind(test)]
+    """A hunt, a property by Hypothesis or a battery of cases, which exists; a plain example hunts
+    nothing.
+    """
+    assert not [
+        (c.sentence, test) for c in trust.claims() for test in c.tests if not trust.kind(test)
+    ]
     assert all(c.tests for c in trust.claims())
 
 
@@ -289,10 +347,12 @@ def test_claims_name_hunts():
         ("tests/test_claims.py::test_unknown_keys_of_files_are_errors", "hunt"),
         ("tests/kinematics/test_forward.py::test_poses_of_random_systems", "property"),
         ("tests/test_bad_files.py::test_what_is_said", "battery"),
-        ("tests/test_docs.py::test_claims_name_hunts", ""), ("tests/test_docs.py::test_that_is_not_there", ""),
-        ("tests/test_nowhere.py::test_x", ""), ("tests/test_docs.py", ""),
+        ("tests/test_docs.py::test_claims_name_hunts", ""),
+        ("tests/test_docs.py::test_that_is_not_there", ""),
+        ("tests/test_nowhere.py::test_x", ""),
+        ("tests/test_docs.py", ""),
     ],
-)  # fmt: skip
+)
 def test_kinds_of_tests(test, kind):
     assert trust.kind(test) == kind
 
@@ -301,18 +361,26 @@ def cheat_sheet(column: int) -> list[str]:
     """The code in one column of its tables."""
     lines = (DOCS / "cheat_sheet.md").read_text(encoding="utf-8").splitlines()
     rows = [line.split("|") for line in lines if line.startswith("| ")]
-    return [code for row in rows if len(row) > column for code in re.findall(r"`([^`]+)`", row[column])]
+    return [
+        code for row in rows if len(row) > column for code in re.findall(r"`([^`]+)`", row[column])
+    ]
 
 
 @pytest.mark.parametrize("code", cheat_sheet(2))
 def test_what_the_cheat_sheet_calls_can_be_called(code):
     """Names exist, and calls have all arguments that are needed, and none that are not known."""
-    owners = {"robot": kempe.load("puma560"), "system": kempe.load("four_bar"), "m": kempe.Mechanism("m")}
+    owners = {
+        "robot": kempe.load("puma560"),
+        "system": kempe.load("four_bar"),
+        "m": kempe.Mechanism("m"),
+    }
     owners["kempe"] = kempe
     tree = ast.parse(code, mode="eval")
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     for node in calls or [tree.body]:
-        function = eval(ast.unparse(node.func if isinstance(node, ast.Call) else node), dict(owners))
+        function = eval(
+            ast.unparse(node.func if isinstance(node, ast.Call) else node), dict(owners)
+        )
         if isinstance(node, ast.Call) and "..." not in map(ast.unparse, node.args):
             inspect.signature(function).bind(*node.args, **{k.arg: k.value for k in node.keywords})
 

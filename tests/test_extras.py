@@ -1,4 +1,6 @@
-"""Each extra of pyproject.toml is complete: installed alone, in a fresh environment, it does what it is for."""
+"""Each extra of pyproject.toml is complete: installed alone, in a fresh environment, it does what
+it is for.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from kempe import library
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+    "optional-dependencies"
+]
 
 VIEW = """
 import sys, warnings
@@ -83,8 +87,13 @@ assert main(["-q", "-b", "html", "docs", "html"]) == 0
 print("used")
 """
 CODE = {
-    "view": VIEW, "symbolic": SYMBOLIC, "scale": SCALE, "xacro": XACRO, "jit": JIT, "docs": DOCUMENTATION,
-}  # fmt: skip
+    "view": VIEW,
+    "symbolic": SYMBOLIC,
+    "scale": SCALE,
+    "xacro": XACRO,
+    "jit": JIT,
+    "docs": DOCUMENTATION,
+}
 """What each extra is for: code that prints 'used' at its end."""
 ELSEWHERE = {
     "test": "a fresh environment with it runs the default suite in .ci/run",
@@ -140,9 +149,13 @@ def with_meshes(to: Path) -> Path:
     links = []
     for name, text in files.items():
         (to / name).write_text(text)
-        links.append(f'<link name="{name[0]}"><visual><geometry><mesh filename="{name}"/></geometry></visual></link>')
+        links.append(
+            f'<link name="{name[0]}"><visual><geometry><mesh '
+            f'filename="{name}"/></geometry></visual></link>'
+        )
     joints = [
-        f'<joint name="j{child}" type="continuous"><parent link="{parent}"/><child link="{child}"/></joint>'
+        f'<joint name="j{child}" type="continuous"><parent link="{parent}"/><child '
+        f'link="{child}"/></joint>'
         for parent, child in ("ab", "bc")
     ]
     path = to / "robot.urdf"
@@ -151,11 +164,15 @@ def with_meshes(to: Path) -> Path:
 
 
 def imported_by_the_documentation() -> list[str]:
-    """The packages that docs/conf.py, the scripts of pages and the code cells of pages import, and the extensions."""
+    """The packages that docs/conf.py, the scripts of pages and the code cells of pages import, and
+    the extensions.
+    """
     texts = [path.read_text(encoding="utf-8") for path in DOCS.glob("*.py")]
     for page in DOCS.glob("*.md"):
         text = page.read_text(encoding="utf-8")
-        for cell in re.findall(r"^```\{code-cell\}[^\n]*\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        for cell in re.findall(
+            r"^```\{code-cell\}[^\n]*\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+        ):
             texts.append(re.sub(r"^(:.*|---\n(.|\n)*?---)$", "", cell, flags=re.MULTILINE))
     found = set()
     for text in texts:
@@ -169,7 +186,9 @@ def imported_by_the_documentation() -> list[str]:
 
 
 def one_page(to: Path) -> None:
-    """The documentation with one page of its own, and with empty pictures in the gallery, which draws for long."""
+    """The documentation with one page of its own, and with empty pictures in the gallery, which
+    draws for long.
+    """
     docs = to / "docs"
     (docs / "_static" / "gallery").mkdir(parents=True)
     for name in ("conf.py", "gallery_page.py", "glossary.md", f"{PAGE}.md", "_static/kempe.css"):
@@ -194,7 +213,9 @@ def installed(to: Path, what: str) -> subprocess.CompletedProcess:
         "--no-compile",
         what,
     ]
-    return subprocess.run(list(map(str, command)), capture_output=True, text=True, env=environment())
+    return subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, env=environment()
+    )
 
 
 def python_of(env: Path) -> Path:
@@ -204,7 +225,17 @@ def python_of(env: Path) -> Path:
 @pytest.fixture(scope="module")
 def registry() -> None:
     """pip reaches a registry; without one the test is skipped, but fails where CI runs it."""
-    command = [sys.executable, "-m", "pip", "install", "-q", "--dry-run", "--no-deps", "--ignore-installed", "sympy"]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--dry-run",
+        "--no-deps",
+        "--ignore-installed",
+        "sympy",
+    ]
     found = subprocess.run(command, capture_output=True, text=True, env=environment())
     if found.returncode:
         said = f"pip reaches no registry: {found.stderr[-300:]}"
@@ -216,8 +247,15 @@ def wheel(folder) -> Path:  # noqa: F811
     """A wheel of the checkout; kernels that are there and fit their sources are taken into it."""
 
     def built(to: Path) -> None:
-        isolation = [] if find_spec("hatchling") is None or find_spec("numba") is None else ["--no-build-isolation"]
-        done([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", *isolation, "-w", to, ROOT], to)
+        isolation = (
+            []
+            if find_spec("hatchling") is None or find_spec("numba") is None
+            else ["--no-build-isolation"]
+        )
+        done(
+            [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", *isolation, "-w", to, ROOT],
+            to,
+        )
 
     (found,) = once(folder / "wheel_with_extras", built).glob("*.whl")
     return found

@@ -1,4 +1,6 @@
-"""Verbs answer what the record says that they answered: `tools/golden.py` writes it, and lists the differences."""
+"""Verbs answer what the record says that they answered: `tools/golden.py` writes it, and lists the
+differences.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ sys.path.append(str(Path(__file__).parents[1] / "tools"))
 import golden
 
 RTOL = 1e-6
-"""Rounding differs between processors; the bits are compared by hand, on one machine, before and after a change."""
+"""Rounding differs between processors; the bits are compared by hand, on one machine, before and
+after a change."""
 
 
 @pytest.mark.slow
@@ -34,7 +37,9 @@ def test_the_record_holds_every_system_and_verb():
 
 
 def test_differences_are_seen():
-    """Of one entry of an array, of a shape and of a sentence; within a tolerance small ones are not."""
+    """Of one entry of an array, of a shape and of a sentence; within a tolerance small ones are
+    not.
+    """
     x = golden.np.linspace(0.0, 1.0, 24).reshape(6, 4)
     y = x.copy()
     y[3, 2] += 1e-9

@@ -1,4 +1,6 @@
-"""Sentences that are made of numbers and words agree: over all shipped models, no "1 joints", no "1 ... are"."""
+"""Sentences that are made of numbers and words agree: over all shipped models, no "1 joints", no "1
+... are".
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ STOP = {*NOT_PLURAL, *"of to at by in from for and or with per x inside here tha
 """Words at which a noun has ended."""
 
 ONE = re.compile(r"(?<![\w.,/()+*=-])(?:1|[Oo]ne) ([a-z]+(?:[ -][a-z]+){0,2})")
-VERBS = re.compile(r"\b(?:are|were|have) (?:1|one) [a-z]|(?<![\d.])\b(?:1|one) [a-z]+ (?:are|were|have)\b")
+VERBS = re.compile(
+    r"\b(?:are|were|have) (?:1|one) [a-z]|(?<![\d.])\b(?:1|one) [a-z]+ (?:are|were|have)\b"
+)
 
 
 def wrong(text: str) -> list[str]:
@@ -47,21 +51,41 @@ def wrong(text: str) -> list[str]:
 @pytest.mark.parametrize(
     ("text", "bad"),
     [
-        ("1 joints", True), ("1 joint", False), ("here 1 different ones are independent", True),
-        ("2 of 1 targets reached", True), ("Taken away are 1 prismatic joint", True), ("1 is less", False),
-        ("of 11 joints", False), ("0.1 metres", False), ("1 degree of freedom", False), ("1 class", False),
-        ("1 independent coordinates: A", True), ("one more closes a loop", False), ("1 of its freedoms are", False),
+        ("1 joints", True),
+        ("1 joint", False),
+        ("here 1 different ones are independent", True),
+        ("2 of 1 targets reached", True),
+        ("Taken away are 1 prismatic joint", True),
+        ("1 is less", False),
+        ("of 11 joints", False),
+        ("0.1 metres", False),
+        ("1 degree of freedom", False),
+        ("1 class", False),
+        ("1 independent coordinates: A", True),
+        ("one more closes a loop", False),
+        ("1 of its freedoms are", False),
     ],
-)  # fmt: skip
+)
 def test_the_hunter_notices(text, bad):
     assert bool(wrong(text)) is bad
 
 
 def test_words_agree():
-    assert [counted(n, "planar joint") for n in (0, 1, 2)] == ["0 planar joints", "1 planar joint", "2 planar joints"]
-    assert (counted(2, "body"), plural(1, "body"), in_words(2, "axis")) == ("2 bodies", "body", "two axes")
+    assert [counted(n, "planar joint") for n in (0, 1, 2)] == [
+        "0 planar joints",
+        "1 planar joint",
+        "2 planar joints",
+    ]
+    assert (counted(2, "body"), plural(1, "body"), in_words(2, "axis")) == (
+        "2 bodies",
+        "body",
+        "two axes",
+    )
     assert (verb(1, "is", "are"), verb(0, "is", "are")) == ("is", "are")
-    assert of_many(1, 1, "targets reached") == "1 of 1 target reached" and of_many(0, 2, "closed") == "0 of 2 closed"
+    assert (
+        of_many(1, 1, "targets reached") == "1 of 1 target reached"
+        and of_many(0, 2, "closed") == "0 of 2 closed"
+    )
 
 
 def said(call) -> str:
@@ -85,27 +109,43 @@ def test_sentences_of_shipped_models_agree(name):
     tip = system.frame_names[-1]
     q = system.random(0)
     calls = [
-        lambda: system, lambda: system.structure, lambda: system.configuration_space,
-        lambda: system.configuration_space.parametrizations(), lambda: system.mobility(actuated=names[:1]),
-        lambda: system.mobility(local=False).relative(system.body_names[-1], system.body_names[0]), system.independent,
-        lambda: system.independent(prefer=list(names)), lambda: report.info(system, False), lambda: report.tree(system),
+        lambda: system,
+        lambda: system.structure,
+        lambda: system.configuration_space,
+        lambda: system.configuration_space.parametrizations(),
+        lambda: system.mobility(actuated=names[:1]),
+        lambda: system.mobility(local=False).relative(system.body_names[-1], system.body_names[0]),
+        system.independent,
+        lambda: system.independent(prefer=list(names)),
+        lambda: report.info(system, False),
+        lambda: report.tree(system),
         lambda: system.fk(np.zeros(1), tip),
         lambda: "\n".join(j.forbids(system.dim) for j in system.structure.joints.values()),
-        lambda: system.assemble(dict.fromkeys(names, 0.1)), system.assemble, lambda: system.opened(),
-    ]  # fmt: skip
+        lambda: system.assemble(dict.fromkeys(names, 0.1)),
+        system.assemble,
+        lambda: system.opened(),
+    ]
     if names:
-        calls += [lambda: system.independent(prefer=names[:1]), lambda: system.loops.closed_form(names[:1]),
-                  lambda: system.loops.closed_form([])]  # fmt: skip
+        calls += [
+            lambda: system.independent(prefer=names[:1]),
+            lambda: system.loops.closed_form(names[:1]),
+            lambda: system.loops.closed_form([]),
+        ]
     if not system.structure.closures:
         X = system.fk(np.stack([q]), tip)
         far = np.eye(4)
         far[0, 3] = 50.0
         calls += [
-            lambda: system.inverse.plan(tip), lambda: system.ik_all(X[0], tip), lambda: system.ik_all(X, tip),
-            lambda: system.ik(X[0], tip), lambda: system.ik(X, tip), lambda: system.ik_path(X, tip),
-            lambda: system.ik(far, tip, budget=kempe.Budget(starts=2)), lambda: system.ik_all(far, tip),
+            lambda: system.inverse.plan(tip),
+            lambda: system.ik_all(X[0], tip),
+            lambda: system.ik_all(X, tip),
+            lambda: system.ik(X[0], tip),
+            lambda: system.ik(X, tip),
+            lambda: system.ik_path(X, tip),
+            lambda: system.ik(far, tip, budget=kempe.Budget(starts=2)),
+            lambda: system.ik_all(far, tip),
             lambda: system.task_space(tip),
-        ]  # fmt: skip
+        ]
     text = "\n".join(map(said, calls))
     assert wrong(text) == []
 
@@ -116,16 +156,27 @@ def about(system: kempe.System) -> str:
     tip = system.frame_names[-1]
     assemble = system.assemble
     calls = [
-        lambda: system, lambda: system.structure, lambda: system.configuration_space,
-        lambda: system.configuration_space.parametrizations(), lambda: system.mobility(local=False),
-        lambda: "\n".join(system.mobility(local=False).counting.steps), lambda: system.loops.closed_form(names[:1]),
-        lambda: system.mobility(actuated=names[:1], local=False), system.independent, system.classify,
-        lambda: system.independent(prefer=names[:2]), lambda: report.info(system, False),
-        lambda: report.tree(system), lambda: system.task_space(tip), system.opened, assemble,
-        lambda: assemble(dict.fromkeys(names, 0.1)), lambda: assemble({names[0]: np.array([0.1])}),
+        lambda: system,
+        lambda: system.structure,
+        lambda: system.configuration_space,
+        lambda: system.configuration_space.parametrizations(),
+        lambda: system.mobility(local=False),
+        lambda: "\n".join(system.mobility(local=False).counting.steps),
+        lambda: system.loops.closed_form(names[:1]),
+        lambda: system.mobility(actuated=names[:1], local=False),
+        system.independent,
+        system.classify,
+        lambda: system.independent(prefer=names[:2]),
+        lambda: report.info(system, False),
+        lambda: report.tree(system),
+        lambda: system.task_space(tip),
+        system.opened,
+        assemble,
+        lambda: assemble(dict.fromkeys(names, 0.1)),
+        lambda: assemble({names[0]: np.array([0.1])}),
         lambda: system.ik(np.eye(4), tip, budget=FEW),
         lambda: "\n".join(j.forbids(system.dim) for j in system.structure.joints.values()),
-    ]  # fmt: skip
+    ]
     return "\n".join(map(said, calls))
 
 
@@ -143,40 +194,59 @@ FEW = kempe.Budget(starts=1)
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: kempe.from_dh([(1,)]), lambda: kempe.constraints.Equation("atan2(x)", of="x"),
-        lambda: kempe.load("two_link").fk([0.1], "e"), lambda: kempe.load("slider").fk([0.1, 0.2], "B5"),
+        lambda: kempe.from_dh([(1,)]),
+        lambda: kempe.constraints.Equation("atan2(x)", of="x"),
+        lambda: kempe.load("two_link").fk([0.1], "e"),
+        lambda: kempe.load("slider").fk([0.1, 0.2], "B5"),
         lambda: kempe.load("two_link").inverse.arm_angle([0.1, 0.2], "e"),
         lambda: kempe.load("two_link").ik([0.6], "e"),
         lambda: kempe.load("four_bar").loops.closed_form(["A"]).solve([0.1, 0.2]),
-        lambda: kempe.load("two_link").task_space("e", task="pose"), lambda: kempe.load("slider").task_space("B5"),
+        lambda: kempe.load("two_link").task_space("e", task="pose"),
+        lambda: kempe.load("slider").task_space("B5"),
         lambda: kempe.load("slider").independent(prefer=["J6", "J6"]),
         lambda: kempe.load("slider").singularities("B5", budget=FEW),
         lambda: kempe.load("two_link").workspace("e", n=1),
         lambda: kempe.load("four_bar").trace("A", budget=kempe.Budget(points=2)),
         lambda: kempe.load("two_link").inverse.self_motion([0.1, 0.2], "e", task="position"),
     ],
-)  # fmt: skip
+)
 def test_sentences_about_one_thing_agree(call):
     assert wrong(said(call)) == []
 
 
 AT_LEAST_TWO = (
-    "joints lead to it", "links are nobody's child", "values; a coordinate has one", "characters; at most",
+    "joints lead to it",
+    "links are nobody's child",
+    "values; a coordinate has one",
+    "characters; at most",
     "characters in all",
-    "bodies with a joint to the ground beside it", "orientations", "events in all", "branches", "files",
-    "joints; it may have", "other joints:", "signs of equality", "actuated coordinates depend",
-)  # fmt: skip
+    "bodies with a joint to the ground beside it",
+    "orientations",
+    "events in all",
+    "branches",
+    "files",
+    "joints; it may have",
+    "other joints:",
+    "signs of equality",
+    "actuated coordinates depend",
+)
 """How texts go on after a number that is never one."""
 
 
 def test_numbers_of_things_are_counted():
-    """A text that puts a number before a plural says `counted(n, "thing")`, unless the number is never one."""
+    """A text that puts a number before a plural says `counted(n, "thing")`, unless the number is
+    never one.
+    """
     bare: list[str] = []
     for path in sorted(SOURCE.rglob("*.py")):
         for node in sources.nodes(path) if "{len(" in path.read_text(encoding="utf-8") else ():
-            for number, text in itertools.pairwise(node.values if isinstance(node, ast.JoinedStr) else ()):
+            for number, text in itertools.pairwise(
+                node.values if isinstance(node, ast.JoinedStr) else ()
+            ):
                 if isinstance(number, ast.FormattedValue) and isinstance(text, ast.Constant):
                     after = str(text.value).strip()
-                    if ast.unparse(number.value).startswith("len(") and re.match(r"(?:[a-z]+ )?[a-z]+s\b", after):
+                    if ast.unparse(number.value).startswith("len(") and re.match(
+                        r"(?:[a-z]+ )?[a-z]+s\b", after
+                    ):
                         bare += [f"{path.name}: {after}"] * (not after.startswith(AT_LEAST_TWO))
     assert not bare

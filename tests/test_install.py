@@ -1,4 +1,6 @@
-"""What the README says works as it is written there, and with the lowest versions that pyproject.toml allows."""
+"""What the README says works as it is written there, and with the lowest versions that
+pyproject.toml allows.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = ("view", "symbolic", "xacro")
 TESTERS = ("pytest", "pytest-xdist", "hypothesis")
 """What the tests of `QUICK` need."""
-QUICK = ("test_spatial.py", "test_calls.py", "test_cli.py", "views/test_plots.py", "description/test_urdf.py")
+QUICK = (
+    "test_spatial.py",
+    "test_calls.py",
+    "test_cli.py",
+    "views/test_plots.py",
+    "description/test_urdf.py",
+)
 """A part of these tests that runs in seconds and sees every package."""
 FOUND = blocks(ROOT / "README.md")
 RUN = """
@@ -45,7 +53,10 @@ try:
 except kempe.KempeError as error:
     print(error)
 """
-THERE = "import importlib.metadata as m, json, sys; print(json.dumps({n: m.version(n) for n in sys.argv[1:]}))"
+THERE = (
+    "import importlib.metadata as m, json, sys; print(json.dumps({n: m.version(n) for n in "
+    "sys.argv[1:]}))"
+)
 MAIN = "from kempe.cli import main; main()"
 
 slow = pytest.mark.slow
@@ -53,7 +64,9 @@ needs_linux = pytest.mark.skipif(sys.platform != "linux", reason="other systems 
 
 
 def lowest() -> dict[str, str]:
-    """The lowest versions that are allowed, by package: of what Kempe needs, of its extras and of the tests."""
+    """The lowest versions that are allowed, by package: of what Kempe needs, of its extras and of
+    the tests.
+    """
     extras = PROJECT["optional-dependencies"]
     texts = [*PROJECT["dependencies"], *itertools.chain(*(extras[e] for e in EXTRAS))]
     texts += [t for t in extras["test"] if re.match(r"[\w-]+", t)[0] in TESTERS]  # type: ignore[index]
@@ -63,7 +76,9 @@ def lowest() -> dict[str, str]:
 
 def environment() -> dict[str, str]:
     """The environment, without what would lead to this Kempe."""
-    keep = {k: v for k, v in os.environ.items() if not k.startswith(("KEMPE_", "PYTHON", "PYTEST_"))}
+    keep = {
+        k: v for k, v in os.environ.items() if not k.startswith(("KEMPE_", "PYTHON", "PYTEST_"))
+    }
     keep["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{keep['PATH']}"
     return keep | {"PIP_DISABLE_PIP_VERSION_CHECK": "1"}
 
@@ -72,13 +87,22 @@ def done(command: object, cwd: Path, text: str = "") -> str:
     """What a command prints; it must succeed."""
     shell = isinstance(command, str)
     arguments = command if shell else list(map(str, command))  # type: ignore[call-overload]
-    run = subprocess.run(arguments, shell=shell, cwd=cwd, env=environment(), input=text, capture_output=True, text=True)
+    run = subprocess.run(
+        arguments,
+        shell=shell,
+        cwd=cwd,
+        env=environment(),
+        input=text,
+        capture_output=True,
+        text=True,
+    )
     assert run.returncode == 0, f"{command}\n{run.stdout[-3000:]}\n{run.stderr[-3000:]}"
     return run.stdout
 
 
 def copied(to: Path) -> None:
-    """A clone of the sources with their kernels, in which the first command of the README has been run.
+    """A clone of the sources with their kernels, in which the first command of the README has been
+    run.
 
     That kernels are compiled where there are none, test_wheel.py shows.
     """
@@ -92,7 +116,16 @@ def floored(to: Path, clone: Path) -> None:
     """An environment with the lowest versions, and the Kempe that was built in the clone."""
     done([sys.executable, "-m", "venv", to / "env"], to)
     python = to / "env" / "bin" / "python"
-    done([python, "-m", "pip", "install", *(f"{name}=={version}" for name, version in lowest().items())], to)
+    done(
+        [
+            python,
+            "-m",
+            "pip",
+            "install",
+            *(f"{name}=={version}" for name, version in lowest().items()),
+        ],
+        to,
+    )
     (site,) = (to / "env").glob("lib/python*/site-packages")
     (built,) = clone.glob(".venv/lib/python*/site-packages")
     for part in built.glob("kempe*"):
@@ -127,7 +160,9 @@ def readme_prints(python: Path, cwd: Path) -> None:
 @slow
 @needs_linux
 def test_the_first_command_of_the_readme(clone):
-    """As written, in a fresh clone: it makes an environment, installs Kempe, and prints what is shown."""
+    """As written, in a fresh clone: it makes an environment, installs Kempe, and prints what is
+    shown.
+    """
     at = next(i for i, b in enumerate(FOUND) if README_COMMAND.search(b.text))
     printed = (clone.parent / "printed").read_text()
     assert same_output(printed[printed.index("reached:") :], FOUND[at + 1].text), printed
@@ -143,7 +178,9 @@ def test_the_python_of_the_readme(clone):
 @slow
 @needs_linux
 def test_what_is_missing_is_installed_by_its_hint(clone):
-    """sympy is no part of what the README installs: the hint names what pip finds, from a clone as from a wheel."""
+    """sympy is no part of what the README installs: the hint names what pip finds, from a clone as
+    from a wheel.
+    """
     python = clone / ".venv" / "bin" / "python"
     said = done([python, "-c", MISSING], clone)
     command = shlex.split(re.search(r"pip (install '[^']+')", said)[1])  # type: ignore[index]
@@ -162,7 +199,9 @@ def test_the_lowest_versions_are_those_that_are_there(floors):
 
 @slow
 @needs_linux
-@pytest.mark.parametrize("name", ["", *(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)])
+@pytest.mark.parametrize(
+    "name", ["", *(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)]
+)
 def test_help_with_the_lowest_versions(floors, name):
     printed = done([floors, "-c", MAIN, *([name] if name else []), "--help"], floors.parent)
     assert "Usage:" in printed and "--help" in printed and len(printed) > 300
@@ -175,14 +214,28 @@ def test_the_readme_with_the_lowest_versions(floors, tmp_path):
     at = next(i for i, b in enumerate(FOUND) if README_COMMAND.search(b.text))
     command = README_COMMAND.search(FOUND[at].text)
     assert command is not None
-    assert same_output(done([floors, "-c", MAIN, *shlex.split(command[1])], tmp_path), FOUND[at + 1].text)
+    assert same_output(
+        done([floors, "-c", MAIN, *shlex.split(command[1])], tmp_path), FOUND[at + 1].text
+    )
 
 
 @slow
 @needs_linux
 def test_a_part_of_the_tests_with_the_lowest_versions(floors, tmp_path):
     files = [ROOT / "tests" / name for name in QUICK]
-    command = [floors, "-m", "pytest", "-n", "0", "-x", "-p", "no:cacheprovider", "--rootdir", ROOT, *files]
+    command = [
+        floors,
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-x",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+        ROOT,
+        *files,
+    ]
     assert re.search(r"\d+ passed", done(command, tmp_path))
 
 

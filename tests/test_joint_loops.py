@@ -1,7 +1,8 @@
-"""Each joint type as each possible cut of a loop, both ways round, in the plane and in space: answers do not change.
+"""Each joint type as each possible cut of a loop, both ways round, in the plane and in space:
+answers do not change.
 
-Judged by poses that `reference` multiplies out, by the same mechanism cut elsewhere, and by the same mechanism with
-each joint taken apart into elementary joints.
+Judged by poses that `reference` multiplies out, by the same mechanism cut elsewhere, and by the
+same mechanism with each joint taken apart into elementary joints.
 """
 
 from __future__ import annotations
@@ -33,7 +34,19 @@ from kempe import Mechanism, System, convert, tasks
 from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError, UnsupportedError
-from kempe.joints import TYPES, Cylindrical, Free, JointType, P, Planar, Primitive, Q, R, Revolute, joint_type
+from kempe.joints import (
+    TYPES,
+    Cylindrical,
+    Free,
+    JointType,
+    P,
+    Planar,
+    Primitive,
+    Q,
+    R,
+    Revolute,
+    joint_type,
+)
 from kempe.kinematics import closure_rows
 from kempe.model.closures.implicit_form import implicit_form
 from kempe.views.drawing import symbols
@@ -46,7 +59,12 @@ NEAR = 0.1
 KINDS = [kind(**options) for kind in (*TYPES.values(), *OWN) for options in variants(kind, 0.3)]
 BALL = joint_type("spherical")
 KINDS += map(joint_type, PRODUCTS)
-CASES = [(kind, dim) for kind in KINDS for dim in (2, 3) if dim == 3 or kind.planar and stays_in_plane(kind)]
+CASES = [
+    (kind, dim)
+    for kind in KINDS
+    for dim in (2, 3)
+    if dim == 3 or kind.planar and stays_in_plane(kind)
+]
 
 
 def nullity(s: System, q: np.ndarray) -> int:
@@ -62,7 +80,10 @@ def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -
     for cut in cuts:
         s = shape.system(cut)
         q = shape.values(s)
-        assert shape.open_by(s, q) < 1e-11 and np.abs(s.loops.closure_error(q)).max(initial=0.0) < 1e-11
+        assert (
+            shape.open_by(s, q) < 1e-11
+            and np.abs(s.loops.closure_error(q)).max(initial=0.0) < 1e-11
+        )
         freedoms.add(nullity(s, q))
         for constraint in s.loops.constraints():
             assert np.abs(constraint.residual(s, q)).max(initial=0.0) < 1e-10, constraint.name
@@ -74,7 +95,9 @@ def check(shape: Closed, cuts: list[frozenset[str]], rng: np.random.Generator) -
         if cut != cuts[0]:
             continue  # poses know no cut
         read = convert.from_maximal(
-            s, convert.to_maximal(s, q), start=s.configuration_space.integrate(q, rng.uniform(-0.02, 0.02, s.nv))
+            s,
+            convert.to_maximal(s, q),
+            start=s.configuration_space.integrate(q, rng.uniform(-0.02, 0.02, s.nv)),
         )
         assert shape.open_by(s, read) < 1e-7
         np.testing.assert_allclose(s.fk(read), s.fk(q), rtol=0, atol=1e-8)
@@ -106,26 +129,37 @@ def test_each_type_as_each_cut(kind, dim, backwards):
 @pytest.mark.parametrize(("kind", "dim"), some(CASES, 3), ids=str)
 @pytest.mark.parametrize("own", [False, True])
 def test_closures_in_numpy(own, kind, dim):
-    """Rows of the loop, also where it is open, by differences; where it is closed they hold what the judge's do."""
-    shape = closed(np.random.default_rng(6), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind])
+    """Rows of the loop, also where it is open, by differences; where it is closed they hold what
+    the judge's do.
+    """
+    shape = closed(
+        np.random.default_rng(6), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind]
+    )
     s = shape.system(frozenset({"j2"}))
     steps = 1e-6 * np.eye(s.nv)
     judge = closures.closure_of(s, "j2", own or implicit_form(kind, dim) is None)
     for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
         q = s.random(3)
-        ends = [[closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
+        ends = [
+            [closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)]
+            for e in steps
+        ]
         by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)
         np.testing.assert_allclose(closure.jacobian(s, q), by_differences, rtol=0, atol=1e-6)
         q = shape.values(s)
         J = closure.jacobian(s, q)
         K = judge.jacobian(s, q)
-        assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]
+        assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [
+            len(J)
+        ]
         assert not own or closure.size == (6 if dim == 3 else 3) == len(closure_rows.row_names(s))
 
 
 @pytest.mark.parametrize(("kind", "dim"), some(CASES, 3), ids=str)
 def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
-    shape = closed(np.random.default_rng(8), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind])
+    shape = closed(
+        np.random.default_rng(8), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind]
+    )
     s = shape.system(frozenset({"j2"}))
     q = shape.values(s)
     at = s.q_dict(shape.values(s))
@@ -133,9 +167,15 @@ def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
     start = s.configuration_space.integrate(q, np.random.default_rng(1).uniform(-NEAR, NEAR, s.nv))
     for name in mine:
         answer = s.assemble({name: at[name]}, start=start)
-        assert answer.success and s.q_dict(answer.q)[name] == at[name] and shape.open_by(s, answer.q) < 1e-9
+        assert (
+            answer.success
+            and s.q_dict(answer.q)[name] == at[name]
+            and shape.open_by(s, answer.q) < 1e-9
+        )
         held = s.mechanism.lock({name: at[name]}).build()
-        locked = held.assemble(start=held.q({n: x for n, x in s.q_dict(start).items() if n != name}))
+        locked = held.assemble(
+            start=held.q({n: x for n, x in s.q_dict(start).items() if n != name})
+        )
         assert locked.success
         whole = s.q({**held.q_dict(locked.q), name: at[name]})
         assert shape.open_by(s, whole) < 1e-9
@@ -171,14 +211,19 @@ def test_random_mechanisms_at_length(hunt):
 def hunted(shape: Closed, rng: np.random.Generator) -> None:
     names = [link.name for link in shape.links]
     count = len(shape.links) - len(shape.bodies)
-    check(shape, [frozenset(rng.choice(names, count, replace=False).tolist()) for _ in range(3)], rng)
+    check(
+        shape, [frozenset(rng.choice(names, count, replace=False).tolist()) for _ in range(3)], rng
+    )
 
 
-# ------------------------------------------------------------------ all verbs, where a type of one's own is the cut
+# ------------------------------------------------------------------ all verbs, where a type of
+# one's own is the cut
 
 
 def slotted(cut: str = "", apart: bool = False) -> System:
-    """A crank whose pin drives a slotted lever: the pin turns in the lever's slot, and slides along it."""
+    """A crank whose pin drives a slotted lever: the pin turns in the lever's slot, and slides along
+    it.
+    """
     m = Mechanism("slotted lever", dim=2)
     crank = m.body("crank")
     lever = m.body("lever")
@@ -223,12 +268,16 @@ def test_the_slotted_lever_assembles(s):
 def test_the_slotted_lever_moves(s):
     start = s.assemble({"A": 0.3}, start=s.q("closed")).q
     m = s.mobility(start)
-    assert m.dof == 1 and m.counting.gruebler == 1 and not m.idle_freedoms and m.redundancy.number == 0
+    assert (
+        m.dof == 1 and m.counting.gruebler == 1 and not m.idle_freedoms and m.redundancy.number == 0
+    )
     path = s.trace("A", start)
     assert path.closed and np.abs(s.loops.closure_error(path.q)).max() < 1e-9
     turned = path.q[:, s.coordinate_names.index("A")]
     assert np.ptp(turned) == pytest.approx(2 * np.pi, abs=1e-6)
-    np.testing.assert_allclose(path.q[:, s.coordinate_names.index("B")], lever_angle(turned), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        path.q[:, s.coordinate_names.index("B")], lever_angle(turned), rtol=0, atol=1e-8
+    )
     times = np.linspace(0.0, 1.0, 11)
     drive = s.drive({"A": lambda t: 0.3 + 2.0 * t}, times, start=start)
     np.testing.assert_allclose(
@@ -252,11 +301,17 @@ def test_the_slotted_lever_is_placed(s):
     assert len(modes.q) == 2 and np.abs(s.loops.closure_error(modes.q)).max() < 1e-9
     every = s.ik_all(X, "tip")
     assert any(np.abs(s.configuration_space.difference(q, start)).max() < 1e-6 for q in every.q)
-    np.testing.assert_allclose(s.fk(every.q, "tip"), np.broadcast_to(X, (len(every), 4, 4)), atol=1e-9)
+    np.testing.assert_allclose(
+        s.fk(every.q, "tip"), np.broadcast_to(X, (len(every), 4, 4)), atol=1e-9
+    )
     with pytest.raises(UnsupportedError, match="loop that joint"):
         s.inverse.plan("tip")
-    step = s.ik_step(start, tasks.Pose("tip", s.fk(s.assemble({"A": 0.91}, start=start).q, "tip")), dt=0.01)
-    assert step.velocity[s.structure.velocity_names.index("A")] == pytest.approx(1.0, abs=0.05)  # it is damped
+    step = s.ik_step(
+        start, tasks.Pose("tip", s.fk(s.assemble({"A": 0.91}, start=start).q, "tip")), dt=0.01
+    )
+    assert step.velocity[s.structure.velocity_names.index("A")] == pytest.approx(
+        1.0, abs=0.05
+    )  # it is damped
 
 
 @each_cut
@@ -273,7 +328,9 @@ def test_poses_of_the_slotted_lever(s):
 @pytest.mark.parametrize("kind", [Revolute(), Geared()], ids=str)
 @pytest.mark.parametrize("slide", [Rail(), TYPES["prismatic"]()], ids=str)
 def test_a_slider_crank_of_own_hinges_and_rails(kind, slide):
-    """In closed form by dyads where each joint is one motion in its unit, else by search: the same poses."""
+    """In closed form by dyads where each joint is one motion in its unit, else by search: the same
+    poses.
+    """
     m = Mechanism("slider crank", dim=2)
     crank = m.body("crank")
     rod = m.body("rod")
@@ -290,7 +347,9 @@ def test_a_slider_crank_of_own_hinges_and_rails(kind, slide):
 
 
 def test_a_geared_hinge_returns_after_its_own_period():
-    """0.4 of a turn a turn: the motor's coordinate makes five turns until all is as before, and no fewer count."""
+    """0.4 of a turn a turn: the motor's coordinate makes five turns until all is as before, and no
+    fewer count.
+    """
     m = Mechanism("four bar", dim=2)
     a, b, c = (m.body(n) for n in "abc")
     m.joint("A", Geared(), m.ground, a, actuated=True)
@@ -307,15 +366,20 @@ def test_a_geared_hinge_returns_after_its_own_period():
     assert len(s.assembly_modes({"A.motor": 0.5}).q) == 2
 
 
-@pytest.mark.parametrize(("kind", "number"), [
-    (Rail(), 5),
-    (PinSlot(), 4),
-    (SlotFirst(), 4),
-    (Crooked(), None),
-    (BallInTube(), None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        (Rail(), 5),
+        (PinSlot(), 4),
+        (SlotFirst(), 4),
+        (Crooked(), None),
+        (BallInTube(), None),
+    ],
+)
 def test_redundant_constraints_of_own_types(kind, number):
-    """Two rails in parallel, of which one is a pin in a slot: the slot's pin holds what the rail holds already."""
+    """Two rails in parallel, of which one is a pin in a slot: the slot's pin holds what the rail
+    holds already.
+    """
     m = Mechanism("parallel")
     body = m.body("b")
     m.joint("first", Rail(), m.ground, body)
@@ -336,7 +400,15 @@ def test_files_hold_registered_types():
         for kind in OWN:
             for options in variants(kind, 0.125):
                 m = Mechanism("own", dim=3)
-                m.joint("j", kind.type_name, m.ground, m.body("b"), at=(1, 2, 3), rpy=(0.1, 0.2, 0.3), **options)
+                m.joint(
+                    "j",
+                    kind.type_name,
+                    m.ground,
+                    m.body("b"),
+                    at=(1, 2, 3),
+                    rpy=(0.1, 0.2, 0.3),
+                    **options,
+                )
                 text = write_toml(m)
                 assert f'type = "{kind.type_name}"' in text and read_toml(text) == m
                 assert read_toml(text).build() == m.build()
@@ -383,7 +455,10 @@ def test_own_types_are_drawn(kind, dim):
 
     assert any(g.startswith("joint:j2") for g in drawn(q)), "a symbol"
     assert not any(g.startswith("open:j2") for g in drawn(q))
-    assert any(g.startswith("open:j2") for g in drawn(s.configuration_space.integrate(q, np.full(s.nv, 0.4))))
+    assert any(
+        g.startswith("open:j2")
+        for g in drawn(s.configuration_space.integrate(q, np.full(s.nv, 0.4)))
+    )
 
 
 def faults() -> Iterator[tuple[str, tuple, tuple, str]]:
@@ -391,7 +466,12 @@ def faults() -> Iterator[tuple[str, tuple, tuple, str]]:
     yield "same names", ("a", "a"), (one, Primitive(R, "x", 1)), "a name of its own"
     yield "no name", ("", "a"), (one, Primitive(R, "x", 1)), "a name of its own"
     yield "idle coordinate", ("a", "b"), (one,), "no primitive has its coordinate 'b'"
-    yield "multiplier 0", ("a",), (one._replace(multiplier=0.0),), "no primitive has its coordinate 'a'"
+    yield (
+        "multiplier 0",
+        ("a",),
+        (one._replace(multiplier=0.0),),
+        "no primitive has its coordinate 'a'",
+    )
     yield "unknown kind", ("a",), (Primitive(7, "z", 0),), "is not R, P or Q"
     yield "unknown axis", ("a",), (Primitive(R, "w", 0),), "is not R, P or Q"
     yield "no such coordinate", ("a",), (Primitive(R, "z", 1),), "there is 1 coordinate"
@@ -399,31 +479,60 @@ def faults() -> Iterator[tuple[str, tuple, tuple, str]]:
     yield "short quaternion", ("w", "x", "y"), (Primitive(Q, "z", 0),), "there are 3 coordinates"
     yield "not finite", ("a",), (one._replace(multiplier=np.nan),), "multiplier nan"
     yield "stretched quaternion", tuple("wxyz"), (Primitive(Q, "z", 0, 2.0),), "multiplier 2"
-    yield "shared quaternion", tuple("wxyz"), (Primitive(Q, "z", 0), Primitive(R, "z", 2)), "shares no coordinate"
-    yield "two quaternions", tuple("wxyzabcd"), (Primitive(Q, "z", 0), Primitive(Q, "z", 4)), "at most one"
-    yield "name of a velocity", ("w", "x", "y", "z", "wx"), (Primitive(Q, "z", 0), Primitive(R, "z", 4)), "velocities"
+    yield (
+        "shared quaternion",
+        tuple("wxyz"),
+        (Primitive(Q, "z", 0), Primitive(R, "z", 2)),
+        "shares no coordinate",
+    )
+    yield (
+        "two quaternions",
+        tuple("wxyzabcd"),
+        (Primitive(Q, "z", 0), Primitive(Q, "z", 4)),
+        "at most one",
+    )
+    yield (
+        "name of a velocity",
+        ("w", "x", "y", "z", "wx"),
+        (Primitive(Q, "z", 0), Primitive(R, "z", 4)),
+        "velocities",
+    )
 
 
-@pytest.mark.parametrize(("names", "primitives", "said"), [f[1:] for f in faults()], ids=[f[0] for f in faults()])
+@pytest.mark.parametrize(
+    ("names", "primitives", "said"), [f[1:] for f in faults()], ids=[f[0] for f in faults()]
+)
 def test_wrong_declarations_are_refused(names, primitives, said):
     kind = declared("odd", [])
     object.__setattr__(kind, "layout", lambda *_: (names, primitives))
     m = Mechanism()
-    with pytest.raises(DescriptionError, match=rf"joint 'j': joint type 'odd' is not declared well.*{said}"):
+    with pytest.raises(
+        DescriptionError, match=rf"joint 'j': joint type 'odd' is not declared well.*{said}"
+    ):
         m.joint("j", _Fixed(names, primitives)(), m.ground, m.body("b"))
 
 
 def _Fixed(names: tuple, primitives: tuple) -> type[JointType]:
-    return type("Odd", (JointType,), {"type_name": "odd", "layout": lambda *_, **__: (names, primitives)})
+    return type(
+        "Odd", (JointType,), {"type_name": "odd", "layout": lambda *_, **__: (names, primitives)}
+    )
 
 
-@pytest.mark.parametrize("steps", [
-    [Primitive(R, "x", 0)], [Primitive(Q, "z", 0)], [Primitive(P, "z", 0), Primitive(R, "z", 1)],
-    [Primitive(P, "z", 0), Primitive(P, "x", 1)],
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [Primitive(R, "x", 0)],
+        [Primitive(Q, "z", 0)],
+        [Primitive(P, "z", 0), Primitive(R, "z", 1)],
+        [Primitive(P, "z", 0), Primitive(P, "x", 1)],
+    ],
+    ids=str,
+)
 def test_types_that_leave_the_plane_are_refused(steps):
     m = Mechanism(dim=2)
-    with pytest.raises(DescriptionError, match="leaves the plane; in the plane a joint turns about z"):
+    with pytest.raises(
+        DescriptionError, match="leaves the plane; in the plane a joint turns about z"
+    ):
         m.joint("j", declared("odd", steps), m.ground, m.body("b"))
 
 

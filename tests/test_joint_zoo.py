@@ -21,7 +21,20 @@ from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_writer import write_toml
 from kempe.description.urdf.urdf_writer import write_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
-from kempe.joints import TYPES, Helical, JointType, P, Primitive, Product, Q, R, Revolute, Spherical, in_zoo, joint_type
+from kempe.joints import (
+    TYPES,
+    Helical,
+    JointType,
+    P,
+    Primitive,
+    Product,
+    Q,
+    R,
+    Revolute,
+    Spherical,
+    in_zoo,
+    joint_type,
+)
 from kempe.kinematics.closure_errors import joint_pose
 
 
@@ -41,7 +54,9 @@ class Case:
     @property
     def slider(self) -> bool:
         """Whether it slides along z: in the plane it needs an axis."""
-        return any(p.kind == P and p.axis == "z" for p in self.kind.layout(self.dim, self.particle)[1])
+        return any(
+            p.kind == P and p.axis == "z" for p in self.kind.layout(self.dim, self.particle)[1]
+        )
 
     def __str__(self) -> str:
         words = [self.type, *(f"{k}={v}" for k, v in self.options.items())]
@@ -58,7 +73,10 @@ CASES = [Case(name, options=o) for name in TYPES for o in variants(name)]
 CASES += [Case(name, dim=2) for name, t in TYPES.items() if t.planar]
 CASES += [Case(name, dim=dim, particle=True) for dim in (2, 3) for name, _ in SLIDES]
 CASES += [Case(words) for words in own_joints.PRODUCTS]
-CASES += [Case(words, dim=2) for words in ("P(x) R(z)", "R(z) P(x) R(z)", "P(y) P(x)", "R(z)", "P(y)", "P(z)")]
+CASES += [
+    Case(words, dim=2)
+    for words in ("P(x) R(z)", "R(z) P(x) R(z)", "P(y) P(x)", "R(z)", "P(y)", "P(z)")
+]
 CASES += [Case(words, dim, True) for words in ("P(y) P(x)", "P(x)") for dim in (2, 3)]
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
 
@@ -69,7 +87,9 @@ X_CM_RPY = (-1.2, 0.3, 0.8)
 
 
 def one_joint(case: Case, backwards: bool = False, placed: bool = False, **keywords):
-    """The system of one joint 'j' between the ground and the body 'M', given from 'M' to the ground if backwards."""
+    """The system of one joint 'j' between the ground and the body 'M', given from 'M' to the ground
+    if backwards.
+    """
     m = Mechanism("one joint", case.dim)
     body = m.particle("M") if case.particle else m.body("M")
     if placed:
@@ -118,10 +138,15 @@ def sample(system, rng, size: float = 3.0) -> np.ndarray:
     return q
 
 
-both_ways = pytest.mark.parametrize("case, backwards", [
-    pytest.param(case, back, id=f"{case} backwards" if back else str(case))
-    for case in CASES for back in (False, True) if not (case.particle and back)
-])  # fmt: skip
+both_ways = pytest.mark.parametrize(
+    "case, backwards",
+    [
+        pytest.param(case, back, id=f"{case} backwards" if back else str(case))
+        for case in CASES
+        for back in (False, True)
+        if not (case.particle and back)
+    ],
+)
 """Each case with the body as child and as parent; but a particle is nobody's parent."""
 places = pytest.mark.parametrize("placed", [False, True], ids=["bare", "placed"])
 
@@ -131,9 +156,14 @@ places = pytest.mark.parametrize("placed", [False, True], ids=["bare", "placed"]
 
 @every_case
 def test_freedoms_and_constraints_add_up(case):
-    all_freedoms = {(3, False): 6, (2, False): 3, (3, True): 3, (2, True): 2}[case.dim, case.particle]
+    all_freedoms = {(3, False): 6, (2, False): 3, (3, True): 3, (2, True): 2}[
+        case.dim, case.particle
+    ]
     kind = case.kind
-    assert kind.dof(case.dim, case.particle) + kind.constraints(case.dim, case.particle) == all_freedoms
+    assert (
+        kind.dof(case.dim, case.particle) + kind.constraints(case.dim, case.particle)
+        == all_freedoms
+    )
 
 
 @every_case
@@ -143,7 +173,11 @@ def test_number_of_coordinates(case):
     assert system.nv == case.kind.dof(case.dim, case.particle)
     assert system.nq == system.nv + balls
     assert len(system.coordinate_names) == system.nq
-    assert len(system.structure.velocity_names) == system.nv == len(set(system.structure.velocity_names))
+    assert (
+        len(system.structure.velocity_names)
+        == system.nv
+        == len(set(system.structure.velocity_names))
+    )
 
 
 @every_case
@@ -154,7 +188,8 @@ def test_columns_of_the_jacobian_are_independent(case, placed):
     assert np.linalg.matrix_rank(J, tol=1e-9) == system.nv
 
 
-# dof, constraints in space, constraints in the plane (the lecture: each joint of the plane imposes two), decomposition
+# dof, constraints in space, constraints in the plane (the lecture: each joint of the plane imposes
+# two), decomposition
 TABLE = {
     "fixed": (0, 6, 3, "rigid"),
     "revolute": (1, 5, 2, "R(z)"),
@@ -202,7 +237,9 @@ def test_pose_is_the_reference(case, backwards, placed, size):
     for _ in range(5):
         q = sample(system, rng, size)
         expected = expected_pose(case, q, backwards, placed)
-        np.testing.assert_allclose(system.fk(q, "M"), expected, rtol=0, atol=1e-13 * max(10.0, size))
+        np.testing.assert_allclose(
+            system.fk(q, "M"), expected, rtol=0, atol=1e-13 * max(10.0, size)
+        )
 
 
 def slides(case: Case) -> bool:
@@ -222,7 +259,9 @@ def test_poses_are_rigid_motions_at_large_coordinates(case, backwards, size):
         assert np.array_equal(X[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (20, 1)))
         expected = np.array([expected_pose(case, x, backwards) for x in q])
         assert np.abs(X - expected)[:, :3, :3].max() < 1e-12
-        assert np.abs(X - expected)[:, :3, 3].max() < 1e-12 * max(1.0, size if slides(case) else 1.0)
+        assert np.abs(X - expected)[:, :3, 3].max() < 1e-12 * max(
+            1.0, size if slides(case) else 1.0
+        )
 
 
 @both_ways
@@ -237,7 +276,10 @@ def test_pose_of_the_bare_joint(case):
     system = one_joint(case)
     rng = np.random.default_rng(5)
     q = np.array([sample(system, rng) for _ in range(4)])
-    expected = [reference.joint_pose(case.type, x, dim=case.dim, particle=case.particle, **case.options) for x in q]
+    expected = [
+        reference.joint_pose(case.type, x, dim=case.dim, particle=case.particle, **case.options)
+        for x in q
+    ]
     found = joint_pose(case.kind, q, case.dim, case.particle)
     np.testing.assert_allclose(found, np.array(expected, dtype=float), rtol=0, atol=1e-14 * 10)
 
@@ -251,7 +293,11 @@ def test_batches(case, lead):
     X = system.fk(q, "M")
     J = system.jacobian(q, "M")
     bodies = system.fk(q)
-    assert X.shape == (*lead, 4, 4) and J.shape == (*lead, 6, system.nv) and bodies.shape == (*lead, 2, 4, 4)
+    assert (
+        X.shape == (*lead, 4, 4)
+        and J.shape == (*lead, 6, system.nv)
+        and bodies.shape == (*lead, 2, 4, 4)
+    )
     assert system.fk(q, ["M", "ground", "M"]).shape == (*lead, 3, 4, 4)
     assert system.random(0, lead).shape == (*lead, system.nq)
     for i in np.ndindex(*lead):
@@ -272,15 +318,26 @@ def test_bad_numbers_stay_bad(case, bad):
             with pytest.raises(InputError, match=system.coordinate_names[k]):
                 ask(q[2])
         others = [0, 1, 3, 4]
-        for now, before in zip((system.fk(q, "M"), system.jacobian(q, "M"), system.fk(q)[:, 1]),
-                               (good[0], good[1], good[2][:, 1]), strict=True):  # fmt: skip
+        for now, before in zip(
+            (system.fk(q, "M"), system.jacobian(q, "M"), system.fk(q)[:, 1]),
+            (good[0], good[1], good[2][:, 1]),
+            strict=True,
+        ):
             np.testing.assert_array_equal(now[others], before[others])
             assert np.isnan(now[2, :3]).all()
         assert np.isfinite(system.fk(q)[2, 0]).all()  # the ground does not depend on q
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.kind.layout(c.dim, c.particle)[1][-1:] and
-                                  c.kind.layout(c.dim, c.particle)[1][-1].kind == Q], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "case",
+    [
+        c
+        for c in CASES
+        if c.kind.layout(c.dim, c.particle)[1][-1:]
+        and c.kind.layout(c.dim, c.particle)[1][-1].kind == Q
+    ],
+    ids=str,
+)
 def test_zero_quaternions_are_refused_and_others_normalised(case):
     system = one_joint(case)
     q = system.neutral.copy()
@@ -303,25 +360,41 @@ def test_zero_quaternions_are_refused_and_others_normalised(case):
 
 @pytest.mark.parametrize("case", [c for c in CASES if not c.particle], ids=str)
 def test_what_a_joint_forbids_is_what_never_moves(case):
-    """Rows of the Jacobian in axes of F that are zero in all of many configurations; in the plane those of it."""
+    """Rows of the Jacobian in axes of F that are zero in all of many configurations; in the plane
+    those of it.
+    """
     system = one_joint(case)
-    J = [system.jacobian(sample(system, np.random.default_rng(k)), "M", "world_aligned") for k in range(20)]
-    most = dict(zip(("x", "y", "z", "rx", "ry", "rz"), np.abs(J).max(axis=(0, 2), initial=0.0), strict=True))
-    still = [name for name in most if most[name] < 1e-9 and (case.dim == 3 or name in ("x", "y", "rz"))]
+    J = [
+        system.jacobian(sample(system, np.random.default_rng(k)), "M", "world_aligned")
+        for k in range(20)
+    ]
+    most = dict(
+        zip(("x", "y", "z", "rx", "ry", "rz"), np.abs(J).max(axis=(0, 2), initial=0.0), strict=True)
+    )
+    still = [
+        name for name in most if most[name] < 1e-9 and (case.dim == 3 or name in ("x", "y", "rz"))
+    ]
     assert case.kind.forbids(case.dim) == tuple(still)
     assert len(still) <= case.kind.constraints(case.dim)
 
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("two_link", "serial chain"), ("seven_bodies", "tree"), ("four_bar", "1 loop"), ("jansen", "3 loops")],
+    [
+        ("two_link", "serial chain"),
+        ("seven_bodies", "tree"),
+        ("four_bar", "1 loop"),
+        ("jansen", "3 loops"),
+    ],
 )
 def test_kinds_of_systems(name, kind):
     assert kempe.load(name).kind == kind
 
 
 def test_a_loop_is_opened():
-    """The lecture's two figures: the joint that closes the loop is taken out, and with it what was said of it."""
+    """The lecture's two figures: the joint that closes the loop is taken out, and with it what was
+    said of it.
+    """
     loop = kempe.load("four_bar")
     tree = loop.opened("C")
     assert (tree.kind, tree.joint_names, tree.mobility().dof) == ("tree", ("A", "B", "D"), 3)
@@ -355,7 +428,9 @@ def test_motion_subspace_is_the_derivative_of_the_pose(case, backwards, placed):
         back = system.fk(system.configuration_space.integrate(q, -step), "M")
         twist = reference.twist_between(back, ahead, 2 * h)
         velocity = np.concatenate([(ahead - back)[:3, 3] / (2 * h), X[:3, :3] @ twist[3:]])
-        np.testing.assert_allclose(body[:, i], np.concatenate([X[:3, :3].T @ velocity[:3], twist[3:]]), atol=1e-8)
+        np.testing.assert_allclose(
+            body[:, i], np.concatenate([X[:3, :3].T @ velocity[:3], twist[3:]]), atol=1e-8
+        )
         np.testing.assert_allclose(aligned[:, i], velocity, atol=1e-8)
         spatial_twist = velocity + np.concatenate([np.cross(X[:3, 3], velocity[3:]), np.zeros(3)])
         np.testing.assert_allclose(world[:, i], spatial_twist, atol=1e-8)
@@ -371,7 +446,9 @@ def test_integrate_and_difference_are_inverse(case, seed):
     v = system.configuration_space.difference(q0, q1)
     end = system.configuration_space.integrate(q0, v)
     np.testing.assert_allclose(system.fk(end, "M"), system.fk(q1, "M"), rtol=0, atol=1e-13)
-    np.testing.assert_allclose(system.configuration_space.difference(q1, q0), -v, rtol=0, atol=1e-12)  # antisymmetric
+    np.testing.assert_allclose(
+        system.configuration_space.difference(q1, q0), -v, rtol=0, atol=1e-12
+    )  # antisymmetric
     small = rng.uniform(-1.0, 1.0, system.nv)
     np.testing.assert_allclose(
         system.configuration_space.difference(q0, system.configuration_space.integrate(q0, small)),
@@ -379,15 +456,20 @@ def test_integrate_and_difference_are_inverse(case, seed):
         rtol=0,
         atol=1e-13,
     )
-    np.testing.assert_array_equal(system.configuration_space.difference(q0, q0), np.zeros(system.nv))
+    np.testing.assert_array_equal(
+        system.configuration_space.difference(q0, q0), np.zeros(system.nv)
+    )
     for i in system.structure.layout.quaternion_q:
         assert abs(np.linalg.norm(end[i : i + 4]) - 1) < 1e-15
 
 
 @every_case
 def test_random_stays_within_limits(case):
-    names = [c for c in case.kind.coordinates(case.dim, case.particle)
-             if c in case.kind.velocities(case.dim, case.particle)]  # fmt: skip
+    names = [
+        c
+        for c in case.kind.coordinates(case.dim, case.particle)
+        if c in case.kind.velocities(case.dim, case.particle)
+    ]
     bounds = {n: (0.3 * i - 1.0, 0.3 * i - 0.9) for i, n in enumerate(names)}
     system = one_joint(case, limits=bounds or None)
     q = system.random(np.random.default_rng(0), 200)
@@ -402,7 +484,8 @@ def test_random_stays_within_limits(case):
     assert np.all(system.mid[plain] >= lower) and np.all(system.mid[plain] <= upper)
 
 
-# ------------------------------------------------------------------ composites: most joints are turns and slides
+# ------------------------------------------------------------------ composites: most joints are
+# turns and slides
 
 
 def chain_of_primitives(case: Case):
@@ -414,8 +497,13 @@ def chain_of_primitives(case: Case):
     for i, p in enumerate(primitives):
         body = m.body("M" if i == len(primitives) - 1 else f"between {i}")
         axis = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[p.axis]
-        m.joint(f"c{i}", ("revolute", "prismatic", "spherical")[p.kind], here, body,
-                **({} if p.kind == Q else {"axis": axis}))  # fmt: skip
+        m.joint(
+            f"c{i}",
+            ("revolute", "prismatic", "spherical")[p.kind],
+            here,
+            body,
+            **({} if p.kind == Q else {"axis": axis}),
+        )
         if p.coordinate in made:
             m.gear(f"c{i}", made[p.coordinate], p.multiplier)
         made[p.coordinate] = f"c{i}"
@@ -423,7 +511,9 @@ def chain_of_primitives(case: Case):
     return m.build()
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.dim == 3 and not c.particle and c.type != "fixed"], ids=str)
+@pytest.mark.parametrize(
+    "case", [c for c in CASES if c.dim == 3 and not c.particle and c.type != "fixed"], ids=str
+)
 def test_composite_joints_are_chains_of_primitives(case):
     joint = one_joint(case)
     chain = chain_of_primitives(case)
@@ -433,7 +523,9 @@ def test_composite_joints_are_chains_of_primitives(case):
         q = sample(joint, rng)
         np.testing.assert_allclose(joint.fk(q, "M"), chain.fk(q, "M"), rtol=0, atol=1e-14)
         for frame in ("body", "world", "world_aligned"):
-            np.testing.assert_allclose(joint.jacobian(q, "M", frame), chain.jacobian(q, "M", frame), rtol=0, atol=1e-13)
+            np.testing.assert_allclose(
+                joint.jacobian(q, "M", frame), chain.jacobian(q, "M", frame), rtol=0, atol=1e-13
+            )
 
 
 def test_what_the_lecture_says_the_composites_are():
@@ -470,7 +562,11 @@ def test_a_screw_is_between_a_hinge_and_a_slider():
 def test_planar_systems_stay_in_the_plane(case):
     system = one_joint(case, placed=True)
     X = system.fk(system.random(0, 50), "M")
-    assert np.all(X[..., 2, :3] == [0, 0, 1]) and np.all(X[..., :3, 2] == [0, 0, 1]) and np.all(X[..., 2, 3] == 0)
+    assert (
+        np.all(X[..., 2, :3] == [0, 0, 1])
+        and np.all(X[..., :3, 2] == [0, 0, 1])
+        and np.all(X[..., 2, 3] == 0)
+    )
     J = system.jacobian(system.random(0, 50), "M")
     assert np.all(J[..., 2:5, :] == 0.0), case
 
@@ -484,7 +580,11 @@ def test_types_and_systems_pickle(case):
     system = one_joint(case, placed=True)
     assert pickle.loads(pickle.dumps(kind)) == kind
     copy = pickle.loads(pickle.dumps(system))
-    assert copy == system and hash(copy) == hash(system) and copy.structure.hash == system.structure.hash
+    assert (
+        copy == system
+        and hash(copy) == hash(system)
+        and copy.structure.hash == system.structure.hash
+    )
     q = sample(system, np.random.default_rng(0))
     np.testing.assert_array_equal(copy.fk(q), system.fk(q))
 
@@ -500,7 +600,9 @@ def test_locked_joint_is_a_constant(case):
     system = one_joint(case, placed=True)
     rng = np.random.default_rng(9)
     q = sample(system, rng)
-    held = system.mechanism.lock(dict(zip(system.coordinate_names, q.tolist(), strict=True))).build()
+    held = system.mechanism.lock(
+        dict(zip(system.coordinate_names, q.tolist(), strict=True))
+    ).build()
     assert held.nq == held.nv == 0
     np.testing.assert_allclose(held.fk([], "M"), system.fk(q, "M"), rtol=0, atol=1e-15 * 10)
     assert held.jacobian([], "M").shape == (6, 0)
@@ -535,16 +637,21 @@ def test_every_option_is_named_and_checked():
 @pytest.mark.parametrize("name", [n for n, t in TYPES.items() if not t.planar])
 def test_joints_of_space_are_refused_in_the_plane(name):
     m = Mechanism(dim=2)
-    with pytest.raises(DescriptionError, match=f"joint 'j': a {name} joint does not exist in the plane; planar"):
+    with pytest.raises(
+        DescriptionError, match=f"joint 'j': a {name} joint does not exist in the plane; planar"
+    ):
         m.joint("j", name, m.ground, m.body("b"))
 
 
 @pytest.mark.parametrize(
-    ("name", "dim"), [(n, dim) for n in TYPES for dim in (2, 3) if Case(n, dim=dim, particle=True) not in CASES]
+    ("name", "dim"),
+    [(n, dim) for n in TYPES for dim in (2, 3) if Case(n, dim=dim, particle=True) not in CASES],
 )
 def test_particles_take_slides_only(name, dim):
     m = Mechanism(dim=dim)
-    with pytest.raises(DescriptionError, match="joint 'j'.*(particles take|does not exist in the plane)"):
+    with pytest.raises(
+        DescriptionError, match="joint 'j'.*(particles take|does not exist in the plane)"
+    ):
         m.joint("j", name, m.ground, m.particle("p"))
 
 
@@ -570,7 +677,9 @@ def test_kinds_are_what_the_kernels_expect():
 )
 def test_products_in_words(words, normal, coordinates, velocities):
     kind = joint_type(words)
-    assert (kind.type_name, kind.options) == (normal, {}) and kind == joint_type(normal) == joint_type(kind)
+    assert (kind.type_name, kind.options) == (normal, {}) and kind == joint_type(
+        normal
+    ) == joint_type(kind)
     assert kind.coordinates() == tuple(coordinates.split() or [""])
     assert kind.velocities() == tuple(velocities.split() or [""])
     m = Mechanism()
@@ -579,8 +688,15 @@ def test_products_in_words(words, normal, coordinates, velocities):
 
 
 def test_products_are_the_types_that_they_spell():
-    same = {"universal": "R(x) R(y)", "cylindrical": "R(z) P(z)", "planar": "P(x) P(y) R(z)", "spherical": "S",
-            "translation": "P(x) P(y) P(z)", "free": "P(x) P(y) P(z) S", "revolute": "R(z)"}  # fmt: skip
+    same = {
+        "universal": "R(x) R(y)",
+        "cylindrical": "R(z) P(z)",
+        "planar": "P(x) P(y) R(z)",
+        "spherical": "S",
+        "translation": "P(x) P(y) P(z)",
+        "free": "P(x) P(y) P(z) S",
+        "revolute": "R(z)",
+    }
     for name, words in same.items():
         assert joint_type(name).layout() == joint_type(words).layout(), name
     assert joint_type("helical", pitch=0.2).layout() == joint_type("H(z, 0.2)").layout()
@@ -589,12 +705,24 @@ def test_products_are_the_types_that_they_spell():
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [("P(w)", r"'P\(w\)' is no primitive; R\(x\) turns, P\(x\) slides"), ("R", "'R' is no"),
-     ("P(x)*R(z)", r"'\*' is no"), ("r(z)", r"'r\(z\)' is no"), ("H(x)", r"'H\(x\)' is no"), ("()", r"'\(' is no"),
-     ("H(x, nan)", "is no primitive"), ("H(z, 1e999)", "is no primitive"), ("R(z, 2)", "is no primitive"),
-     ("S Q", "more than one S"), (" ", "no primitive"), ("P(x) R(z", r"'R' is no"),
-     ("R(٣)", "is no primitive"), ("H(z, ٣)", "is no primitive"), ("SS()", "is no primitive")],
-)  # fmt: skip
+    [
+        ("P(w)", r"'P\(w\)' is no primitive; R\(x\) turns, P\(x\) slides"),
+        ("R", "'R' is no"),
+        ("P(x)*R(z)", r"'\*' is no"),
+        ("r(z)", r"'r\(z\)' is no"),
+        ("H(x)", r"'H\(x\)' is no"),
+        ("()", r"'\(' is no"),
+        ("H(x, nan)", "is no primitive"),
+        ("H(z, 1e999)", "is no primitive"),
+        ("R(z, 2)", "is no primitive"),
+        ("S Q", "more than one S"),
+        (" ", "no primitive"),
+        ("P(x) R(z", r"'R' is no"),
+        ("R(٣)", "is no primitive"),
+        ("H(z, ٣)", "is no primitive"),
+        ("SS()", "is no primitive"),
+    ],
+)
 def test_words_that_are_no_product(words, said):
     with pytest.raises((InputError, UnknownNameError), match=said):
         joint_type(words)
@@ -602,26 +730,37 @@ def test_words_that_are_no_product(words, said):
     for options, fault in (({}, said), ({"limit": 3}, "no keyword 'limit'"), ({"pitch": 3}, said)):
         with pytest.raises(DescriptionError, match=rf"joint 'J': .*{fault}"):
             m.joint("J", words, m.ground, m.body(f"b{options}"), **options)
-    text = f'format = 1\nname = "m"\n[[body]]\nname = "b"\n[[joint]]\nname = "J"\ntype = "{words}"\nparent = "ground"\n'
+    text = (
+        'format = 1\nname = "m"\n[[body]]\nname = "b"\n[[joint]]\nname = "J"\ntype = '
+        f'"{words}"\nparent = "ground"\n'
+    )
     with pytest.raises(DescriptionError, match=f":7: joint 'J': .*{said.removeprefix('no ')}"):
         read_toml(text + 'child = "b"\n')
 
 
 def test_where_products_do_not_fit():
-    with pytest.raises(InputError, match=r"joint type 'P\(x\) R\(z\)' has no option 'words'; it takes no options"):
+    with pytest.raises(
+        InputError, match=r"joint type 'P\(x\) R\(z\)' has no option 'words'; it takes no options"
+    ):
         joint_type("P(x) R(z)", words="S")
     with pytest.raises(UnknownNameError, match=r"'free', 'P\(x\) R\(z\)'"):
         joint_type("knee")
     flat = Mechanism(dim=2)
     m = Mechanism()
     for words in ("P(x) R(y)", "S", "H(z, 0.1)", "P(x) P(z)"):
-        with pytest.raises(DescriptionError, match=r"joint 'J': a .* joint leaves the plane; in the plane"):
+        with pytest.raises(
+            DescriptionError, match=r"joint 'J': a .* joint leaves the plane; in the plane"
+        ):
             flat.joint("J", words, flat.ground, flat.body(words))
-    with pytest.raises(DescriptionError, match=r"a P.* joint turns, but 'p' is a particle; .*products of slides"):
+    with pytest.raises(
+        DescriptionError, match=r"a P.* joint turns, but 'p' is a particle; .*products of slides"
+    ):
         m.joint("J", "P(x) R(z)", m.ground, m.particle("p"))
     m = Mechanism()
     m.joint("J", "P(x) R(z)", m.ground, m.body("b"), limits={"x": (-1, 1)})
-    with pytest.raises(DescriptionError, match=r"joint 'J': a P\(x\) R\(z\) joint does not exist in URDF"):
+    with pytest.raises(
+        DescriptionError, match=r"joint 'J': a P\(x\) R\(z\) joint does not exist in URDF"
+    ):
         write_urdf(m)
 
 
@@ -633,7 +772,9 @@ def test_random_products(hunt):
         case = Case(own_joints.random_product(rng, dim), dim)
         system = one_joint(case, placed=True)
         q = sample(system, rng)
-        np.testing.assert_allclose(system.fk(q, "M"), expected_pose(case, q, placed=True), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            system.fk(q, "M"), expected_pose(case, q, placed=True), rtol=0, atol=1e-12
+        )
         assert read_toml(write_toml(system.mechanism)).build() == system
 
 
@@ -646,7 +787,10 @@ def test_a_joint_is_one_of_space_where_nothing_is_said():
         def layout(self, dim: int = 3, particle: bool = False):
             """By the dimension."""
             flat = (Primitive(P, "x", 0), Primitive(P, "y", 1))
-            return {2: (("x", "y"), flat), 3: (("x", "y", "qw", "qx", "qy", "qz"), (*flat, Primitive(Q, "z", 2)))}[dim]
+            return {
+                2: (("x", "y"), flat),
+                3: (("x", "y", "qw", "qx", "qy", "qz"), (*flat, Primitive(Q, "z", 2))),
+            }[dim]
 
     kind = Slab()
     assert (kind.dof(), kind.constraints(), kind.forbids()) == (5, 1, ("z",))

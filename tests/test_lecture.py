@@ -27,23 +27,30 @@ from kempe.model.tree.structural_order import natural
 def dof_by_counting(system: System) -> int:
     """Freedoms of all bodies without joints, less the constraints that each joint imposes."""
     free = 6 if system.dim == 3 else 3
-    return free * len(system.parent) - sum(j.type.constraints(system.dim) for j in system.structure.joints.values())
+    return free * len(system.parent) - sum(
+        j.type.constraints(system.dim) for j in system.structure.joints.values()
+    )
 
 
 def dimension_here(system: System, q: np.ndarray) -> int:
-    """Dimension of the configuration space at a configuration: coordinates less independent closure constraints."""
+    """Dimension of the configuration space at a configuration: coordinates less independent closure
+    constraints.
+    """
     if not system.structure.closures:
         return system.nv
     h = 1e-6
     ahead, back = (
-        system.loops.closure_error(system.configuration_space.integrate(q, step * np.eye(system.nv)))
+        system.loops.closure_error(
+            system.configuration_space.integrate(q, step * np.eye(system.nv))
+        )
         for step in (h, -h)
     )
     rows = ((ahead - back) / (2 * h)).reshape(system.nv, -1)
     return system.nv - int(np.linalg.matrix_rank(rows, tol=1e-6))
 
 
-# ------------------------------------------------------------------ constraints and degrees of freedom
+# ------------------------------------------------------------------ constraints and degrees of
+# freedom
 
 
 def test_a_prismatic_joint_leaves_one_dof_and_imposes_five_constraints():
@@ -54,7 +61,9 @@ def test_a_prismatic_joint_leaves_one_dof_and_imposes_five_constraints():
     assert system.nq == 1, "one parameter specifies the position of B5 relative to B0"
     moved = system.fk([[0.0], [0.1], [-0.7]], "B5")
     np.testing.assert_array_equal(moved[:, :3, :3], np.tile(np.eye(3), (3, 1, 1)))
-    np.testing.assert_array_equal(moved[:, :3, 3], [[0, 0, 0], [0.1, 0, 0], [-0.7, 0, 0]])  # along one fixed axis
+    np.testing.assert_array_equal(
+        moved[:, :3, 3], [[0, 0, 0], [0.1, 0, 0], [-0.7, 0, 0]]
+    )  # along one fixed axis
 
 
 def test_an_unconstrained_rigid_body_has_six_dof():
@@ -72,13 +81,17 @@ def test_an_unconstrained_rigid_body_has_six_dof():
 def test_counting_dof_of_the_planar_system():
     system = kempe.load("four_links")
     kinds = [j.type.type_name for j in system.structure.joints.values()]
-    assert len(system.parent) == 4 and kinds.count("revolute") == 4 and kinds.count("prismatic") == 1
+    assert (
+        len(system.parent) == 4 and kinds.count("revolute") == 4 and kinds.count("prismatic") == 1
+    )
     assert all(j.type.constraints(2) == 2 for j in system.structure.joints.values()), (
         "each joint imposes two constraints"
     )
     assert 4 * 3 == 12 and dof_by_counting(system) == 12 - 5 * 2 == 4 * (3 - 2) - 2 == 2
     tree = [j for j in system.joint_names if j not in system.structure.closures]
-    assert len(tree) == 4 and len(system.structure.closures) == 1, "one joint a link, and for the last one another"
+    assert len(tree) == 4 and len(system.structure.closures) == 1, (
+        "one joint a link, and for the last one another"
+    )
 
 
 def test_the_same_reasoning_in_space():
@@ -86,7 +99,9 @@ def test_the_same_reasoning_in_space():
     assert dof_by_counting(system) == 7 * (6 - 5) == system.nv == 7
 
 
-@pytest.mark.parametrize("name", ["slider", "two_link", "seven_bodies", "four_links", "four_bar", "car"])
+@pytest.mark.parametrize(
+    "name", ["slider", "two_link", "seven_bodies", "four_links", "four_bar", "car"]
+)
 def test_dof_is_the_dimension_of_the_configuration_space(name):
     system = kempe.load(name)
     q = system.q("closed") if system.structure.closures else system.random(0)
@@ -96,7 +111,9 @@ def test_dof_is_the_dimension_of_the_configuration_space(name):
 
 
 def test_the_loop_through_j6():
-    """Its axes are parallel, so counting, which knows no lengths and axes, is three constraints too strict."""
+    """Its axes are parallel, so counting, which knows no lengths and axes, is three constraints too
+    strict.
+    """
     system = kempe.load("seven_bodies_loop")
     assert dof_by_counting(system) == 7 - 5 == 2
     assert dimension_here(system, system.q("closed")) == 8 - 3 == 5
@@ -107,7 +124,14 @@ def test_the_loop_through_j6():
 
 @pytest.mark.parametrize(
     "kind, dof",
-    [("revolute", 1), ("cylindrical", 2), ("planar", 3), ("prismatic", 1), ("universal", 2), ("spherical", 3)],
+    [
+        ("revolute", 1),
+        ("cylindrical", 2),
+        ("planar", 3),
+        ("prismatic", 1),
+        ("universal", 2),
+        ("spherical", 3),
+    ],
 )
 def test_dof_of_the_types(kind, dof):
     assert TYPES[kind]().dof() == dof
@@ -143,7 +167,9 @@ def test_joints_are_combinations_of_revolute_and_prismatic_ones(kind, parts):
 
 
 def test_two_ways_to_give_a_configuration():
-    """Pairs (r, R) of n_b bodies with m_c constraints, or as many generalized positions as there are DoF."""
+    """Pairs (r, R) of n_b bodies with m_c constraints, or as many generalized positions as there
+    are DoF.
+    """
     system = kempe.load("seven_bodies")
     q = system.random(0)
     assert q.shape == (7,)
@@ -152,31 +178,50 @@ def test_two_ways_to_give_a_configuration():
     for body in system.body_names[1:]:
         m.free(f"pair {body}", "B0", m.body(body))
     for joint in system.structure.joints.values():
-        m.joint(joint.name, joint.type, joint.parent, joint.child, at=joint.X_PF, child_at=joint.X_CM, cut=True)
+        m.joint(
+            joint.name,
+            joint.type,
+            joint.parent,
+            joint.child,
+            at=joint.X_PF,
+            child_at=joint.X_CM,
+            cut=True,
+        )
     pairs = m.build()
     assert pairs.structure.closures == system.joint_names
-    space = pairs.configuration_space  # the joints' own coordinates are part of it, as of every configuration
+    space = (
+        pairs.configuration_space
+    )  # the joints' own coordinates are part of it, as of every configuration
     assert space.ambient_dimension - 7 == 7 * 6 == space.constraints and space.dimension == 7
     values = system.q_dict(q)
     for body, X in zip(system.body_names[1:], system.fk(q)[1:], strict=True):
         numbers = [*X[:3, 3], *spatial.matrix_to_quat_wxyz(X[:3, :3])]
-        values |= {f"pair {body}.{c}": x for c, x in zip("x y z qw qx qy qz".split(), numbers, strict=True)}
+        values |= {
+            f"pair {body}.{c}": x for c, x in zip("x y z qw qx qy qz".split(), numbers, strict=True)
+        }
     np.testing.assert_allclose(pairs.loops.closure_error(pairs.q(values)), 0.0, rtol=0, atol=1e-14)
     values["pair B5.x"] += 0.01
-    assert np.abs(pairs.loops.closure_error(pairs.q(values))).max() > 0.005, "now joint J5 is torn apart"
+    assert np.abs(pairs.loops.closure_error(pairs.q(values))).max() > 0.005, (
+        "now joint J5 is torn apart"
+    )
 
 
 def test_open_chains_take_any_joint_angles_and_closed_ones_do_not():
     tree = kempe.load("seven_bodies")
     loop = kempe.load("four_bar")
-    assert tree.structure.closures == () and tree.loops.closure_error(tree.random(0)).shape == (0, 6)
+    assert tree.structure.closures == () and tree.loops.closure_error(tree.random(0)).shape == (
+        0,
+        6,
+    )
     assert np.abs(loop.loops.closure_error(loop.random(0))).max() > 0.01
     np.testing.assert_allclose(loop.loops.closure_error(loop.q("closed")), 0.0, rtol=0, atol=1e-14)
     assert dimension_here(loop, loop.q("closed")) == 1, "only one angle can be set independently"
 
 
 def test_additional_considerations_decide_between_two_assemblies():
-    """The same crank angle, the same loop closed: coupler and rocker mirrored in the line between their ends."""
+    """The same crank angle, the same loop closed: coupler and rocker mirrored in the line between
+    their ends.
+    """
     loop = kempe.load("four_bar")
     first = loop.q_dict(loop.q("closed"))
     a, b, c, d = (loop.structure.parameters[k] for k in "abcd")
@@ -186,18 +231,30 @@ def test_additional_considerations_decide_between_two_assemblies():
     along = (D - B) / np.linalg.norm(D - B)
     mirrored = B + 2 * along * (along @ (C - B)) - (C - B)
     coupler, rocker = (math.atan2(v[1], v[0]) for v in (mirrored - B, mirrored - D))
-    second = loop.q({"A": first["A"], "B": coupler - first["A"], "C": rocker - coupler, "D": rocker})
+    second = loop.q(
+        {"A": first["A"], "B": coupler - first["A"], "C": rocker - coupler, "D": rocker}
+    )
     np.testing.assert_allclose(loop.loops.closure_error(second), 0.0, rtol=0, atol=1e-14)
     assert np.abs(loop.fk(second, "rocker") - loop.fk(first, "rocker")).max() > 0.5
     assert math.dist(mirrored, D) == pytest.approx(c)
 
 
-CLOSED = ["four_links", "seven_bodies_loop", "four_bar", "five_bar", "bennett", "sarrus", "three_rpr"]
+CLOSED = [
+    "four_links",
+    "seven_bodies_loop",
+    "four_bar",
+    "five_bar",
+    "bennett",
+    "sarrus",
+    "three_rpr",
+]
 
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_only_p_joint_angles_of_a_closed_loop_can_be_set_independently(name):
-    """With p of them set, inside a neighbourhood, the loop closes; with one more, set elsewhere, it does not."""
+    """With p of them set, inside a neighbourhood, the loop closes; with one more, set elsewhere, it
+    does not.
+    """
     system = kempe.load(name)
     home = system.q("closed")
     chart = system.independent(home)
@@ -214,14 +271,19 @@ def test_only_p_joint_angles_of_a_closed_loop_can_be_set_independently(name):
 
 
 def test_the_additional_considerations_are_arguments():
-    """Both assemblies of the loop: by start, by name, and listed; limits that only one of them respects choose, too."""
+    """Both assemblies of the loop: by start, by name, and listed; limits that only one of them
+    respects choose, too.
+    """
     system = kempe.load("four_bar")
     q = system.q("closed")
     modes = system.assembly_modes({"A": q[0]}, start=q)
     assert len(modes) == 2 and modes.complete
     np.testing.assert_allclose(modes.q[0], q, rtol=0, atol=1e-12)
     for name, mode in zip(modes.branches, modes.q, strict=True):
-        for found in (system.assemble({"A": q[0]}, mode), system.assemble({"A": q[0]}, branch=name)):
+        for found in (
+            system.assemble({"A": q[0]}, mode),
+            system.assemble({"A": q[0]}, branch=name),
+        ):
             assert found and apart(found.q, tuple(mode)) < 1e-9
     m = system.mechanism
     m.joints["C"] = replace(m.joints["C"], limits={"": (-math.pi, 0.0)})
@@ -233,7 +295,9 @@ def test_the_additional_considerations_are_arguments():
 
 @pytest.mark.parametrize("u", [0.0, 0.4, 0.8])
 def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them(u):
-    """The lecture's pairs (r, R) with constraints; generalized positions, as many as DoF, without any."""
+    """The lecture's pairs (r, R) with constraints; generalized positions, as many as DoF, without
+    any.
+    """
     system = kempe.load("jansen")
     chart = system.independent()
     n_b = len(system.parent)
@@ -244,7 +308,9 @@ def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them(u):
     assert np.abs(kempe.convert.maximal(system).loops.closure_error(at)).max() < 1e-12
     m = kempe.convert.maximal(system).mobility(at)
     assert (m.counting.free, m.counting.taken) == (21, 20) and m.rank_dof == m.dof == chart.dim == 1
-    assert chart.u(kempe.convert.from_maximal(system, pairs, start=q)) == pytest.approx([u], abs=1e-12)
+    assert chart.u(kempe.convert.from_maximal(system, pairs, start=q)) == pytest.approx(
+        [u], abs=1e-12
+    )
 
 
 def test_configuration_space_and_task_space_of_the_two_link_arm():
@@ -269,14 +335,20 @@ def test_fgm_position_and_orientation_separately():
     X = system.fk([q1, q2], "e")
     np.testing.assert_allclose(X[:3, 3], p_e, rtol=0, atol=1e-14)
     np.testing.assert_allclose(X[:3, :3], R01 @ R12, rtol=0, atol=1e-14)
-    formula = [l1 * math.cos(q1) + l2 * math.cos(q1 + q2), l1 * math.sin(q1) + l2 * math.sin(q1 + q2)]
+    formula = [
+        l1 * math.cos(q1) + l2 * math.cos(q1 + q2),
+        l1 * math.sin(q1) + l2 * math.sin(q1 + q2),
+    ]
     np.testing.assert_allclose(p_e[:2], formula, rtol=0, atol=1e-14)
 
 
 def test_fgm_in_symbols():
     pytest.importorskip("sympy")
     T = kempe.load("two_link").symbolic.fk("e")
-    assert str(T[0, 3]) == "l1*cos(q1) + l2*cos(q1 + q2)" and str(T[1, 3]) == "l1*sin(q1) + l2*sin(q1 + q2)"
+    assert (
+        str(T[0, 3]) == "l1*cos(q1) + l2*cos(q1 + q2)"
+        and str(T[1, 3]) == "l1*sin(q1) + l2*sin(q1 + q2)"
+    )
 
 
 def test_fgm_by_multiplying_n_homogeneous_matrices():
@@ -287,10 +359,14 @@ def test_fgm_by_multiplying_n_homogeneous_matrices():
     for i in range(1, 8):
         step = spatial.inverse(poses[i - 1]) @ poses[i]  # the matrix of body i seen from body i - 1
         alone = system.fk(system.q({f"panda_joint{i}": q[i - 1]}))
-        np.testing.assert_allclose(step, spatial.inverse(alone[i - 1]) @ alone[i], rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            step, spatial.inverse(alone[i - 1]) @ alone[i], rtol=0, atol=1e-14
+        )
         product = product @ step
         np.testing.assert_array_equal(product[3], [0, 0, 0, 1])  # again a homogeneous matrix
-        np.testing.assert_allclose(product[:3, :3] @ product[:3, :3].T, np.eye(3), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            product[:3, :3] @ product[:3, :3].T, np.eye(3), rtol=0, atol=1e-14
+        )
         assert np.linalg.det(product[:3, :3]) == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_allclose(product, system.fk(q, "panda_link7"), rtol=0, atol=1e-14)
 
@@ -299,7 +375,9 @@ def test_any_convention_for_the_frames_gives_the_same_end_effector():
     """Frames of one's own, Denavit and Hartenberg's, and screw axes."""
     own = kempe.load("two_link").with_parameters(l1=0.5, l2=0.4)
     table = kempe.from_dh([{"a": 0.5}, {"a": 0.4}]).build()
-    screws = kempe.from_screws([{"axis": (0, 0, 1)}, {"axis": (0, 0, 1), "point": (0.5, 0, 0)}], {"at": (0.9, 0, 0)})
+    screws = kempe.from_screws(
+        [{"axis": (0, 0, 1)}, {"axis": (0, 0, 1), "point": (0.5, 0, 0)}], {"at": (0.9, 0, 0)}
+    )
     q = own.random(0, 10)
     for other in (table, screws.build()):
         np.testing.assert_allclose(other.fk(q, "tool"), own.fk(q, "e"), rtol=0, atol=1e-14)
@@ -308,7 +386,9 @@ def test_any_convention_for_the_frames_gives_the_same_end_effector():
 # ------------------------------------------------------------------ connectivity
 
 
-@pytest.mark.parametrize("name, joints", [("seven_bodies", "1234567"), ("seven_bodies_loop", "1234578")])
+@pytest.mark.parametrize(
+    "name, joints", [("seven_bodies", "1234567"), ("seven_bodies_loop", "1234578")]
+)
 def test_connectivity(name, joints):
     system = kempe.load(name)
     assert system.parent == (0, 1, 2, 1, 4, 4, 2)
@@ -370,9 +450,11 @@ def test_two_configurations_reach_p():
 
 
 @given(
-    radius=st.floats(0.11, 0.89), direction=st.floats(-math.pi, math.pi), elbow=st.sampled_from([0, 1]),
+    radius=st.floats(0.11, 0.89),
+    direction=st.floats(-math.pi, math.pi),
+    elbow=st.sampled_from([0, 1]),
     off=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
-)  # fmt: skip
+)
 def test_the_numerical_igm_finds_the_analytical_solutions(radius, direction, elbow, off):
     """It starts from a guess, and ends in the solution on that side."""
     system = kempe.load("two_link")
@@ -402,11 +484,15 @@ def test_igm_without_a_solution():
     assert closed_form(*p, *system.structure.parameters.values()) == []
     s = system.ik(p, "e")
     assert not s.success and s.status.startswith("outside the workspace by at least 0.1 m")
-    np.testing.assert_allclose(system.fk(s.q, "e")[:2, 3], 0.9 * p, rtol=0, atol=1e-6)  # stretched towards p
+    np.testing.assert_allclose(
+        system.fk(s.q, "e")[:2, 3], 0.9 * p, rtol=0, atol=1e-6
+    )  # stretched towards p
 
 
 def test_more_task_constraints_than_dof():
-    """m = 3 > n = 2: position and orientation, in general, have no solution, though the position alone has."""
+    """m = 3 > n = 2: position and orientation, in general, have no solution, though the position
+    alone has.
+    """
     system = kempe.load("two_link_pose")
     P = system.fk(system.neutral, ["p", "p_down"])
     s = system.ik(P[0], "e")
@@ -434,7 +520,9 @@ def test_zero_lengths():
     """The formulas assume l1, l2 != 0; the model itself does not."""
     system = kempe.load("two_link").with_parameters(l2=0.0)
     assert isinstance(system, System)
-    np.testing.assert_allclose(system.fk([0.3, 1.0], "e")[:3, 3], spatial.rot_z(0.3) @ [0.5, 0, 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        system.fk([0.3, 1.0], "e")[:3, 3], spatial.rot_z(0.3) @ [0.5, 0, 0], rtol=0, atol=1e-14
+    )
     assert system.ik([0.3, 0.4], "e").success
     assert system.ik([0.3, 0.3], "e").status.startswith("outside the workspace")
 
@@ -481,56 +569,147 @@ def test_a_ball_stays_above_the_ground():
 
 SAID = {
     "lecture": [
-        "Gruebler says 6, which is the truth", "(8, 4, 4)", "J1\nJ4\nJ5", "1 parameter, 1 DoF, 5 constraints",
-        "1 DoF of B5 relative to B0: a slide along x", "3 2", "12 - 10 = 2 DoF", "says 2, which is the truth",
-        "says -2, the truth is 1: 3 constraints are redundant", "universal    2 DoF  R(x) R(y)",
-        "cylindrical  2 DoF  R(z) P(z)", "planar       3 DoF  P(x) P(y) R(z)", "7 coordinates, 6 DoF",
-        "T^2, dimension 2", "n_b = 4 pairs (r, R) with m_c = 10 constraints, or n = 2", "(7,) -> (7, 4, 4)",
-        "42 - 35 = 7", "n_b = 1 pair (r, R) with m_c = 0 constraints, or n = 6", "m_c = 3 constraints, or n = 3",
-        "3 x (6 - 5) - 5 = -2", "7 x (3 - 2) - 3 x 2 = 1", "1 independent coordinate: q1", "a*cos(A) + b*cos(A + B)",
-        "1 independent coordinate: A", "2 coordinates are given, but it has 1 freedom",
-        "2 configurations of four_bar; complete", "m = n = 2", "m = 3 > n = 2", "[0.6591 0.5042] FGM", "[0.3 0.8] IGM",
-        "e in B2: p = (l2, 0, 0)", "[0. 0. 0. 1.]", "7 True", "joint = q2, a = l2, alpha = 0, d = 0, theta = q2",
-        "(0, 1, 2, 1, 4, 4, 2)", "(0, 1, 2, 1, 4, 4, 2) ('J6',)", "says 2, the truth is 5: 3 constraints are redundant",
-        "('J1', 'J2', 'J3', 'J7', 'J8')", "[2, 1, 0]", "2 solutions, all of them", "outside the workspace",
-        "3 equations", "meet in one point", "closed form - 8 solutions at most", "are parallel", "q2 = -1.4706",
-        "q2 = 1.4706", "stuck at a singular configuration", "(60, 60) True",
-        "elbow up [ 1.0988 -1.4706] elbow down [-0.1715  1.4706]", "alpha = atan2(p_y, p_x)", "elbow-down elbow-up",
-        "a family with one freedom: q2 is free", "3 DoF", "growth          (2, 3)", "no cusps",
-        "violating 'ground plane'", "bounce on 'ground plane'", "0.8 0.64",
+        "Gruebler says 6, which is the truth",
+        "(8, 4, 4)",
+        "J1\nJ4\nJ5",
+        "1 parameter, 1 DoF, 5 constraints",
+        "1 DoF of B5 relative to B0: a slide along x",
+        "3 2",
+        "12 - 10 = 2 DoF",
+        "says 2, which is the truth",
+        "says -2, the truth is 1: 3 constraints are redundant",
+        "universal    2 DoF  R(x) R(y)",
+        "cylindrical  2 DoF  R(z) P(z)",
+        "planar       3 DoF  P(x) P(y) R(z)",
+        "7 coordinates, 6 DoF",
+        "T^2, dimension 2",
+        "n_b = 4 pairs (r, R) with m_c = 10 constraints, or n = 2",
+        "(7,) -> (7, 4, 4)",
+        "42 - 35 = 7",
+        "n_b = 1 pair (r, R) with m_c = 0 constraints, or n = 6",
+        "m_c = 3 constraints, or n = 3",
+        "3 x (6 - 5) - 5 = -2",
+        "7 x (3 - 2) - 3 x 2 = 1",
+        "1 independent coordinate: q1",
+        "a*cos(A) + b*cos(A + B)",
+        "1 independent coordinate: A",
+        "2 coordinates are given, but it has 1 freedom",
+        "2 configurations of four_bar; complete",
+        "m = n = 2",
+        "m = 3 > n = 2",
+        "[0.6591 0.5042] FGM",
+        "[0.3 0.8] IGM",
+        "e in B2: p = (l2, 0, 0)",
+        "[0. 0. 0. 1.]",
+        "7 True",
+        "joint = q2, a = l2, alpha = 0, d = 0, theta = q2",
+        "(0, 1, 2, 1, 4, 4, 2)",
+        "(0, 1, 2, 1, 4, 4, 2) ('J6',)",
+        "says 2, the truth is 5: 3 constraints are redundant",
+        "('J1', 'J2', 'J3', 'J7', 'J8')",
+        "[2, 1, 0]",
+        "2 solutions, all of them",
+        "outside the workspace",
+        "3 equations",
+        "meet in one point",
+        "closed form - 8 solutions at most",
+        "are parallel",
+        "q2 = -1.4706",
+        "q2 = 1.4706",
+        "stuck at a singular configuration",
+        "(60, 60) True",
+        "elbow up [ 1.0988 -1.4706] elbow down [-0.1715  1.4706]",
+        "alpha = atan2(p_y, p_x)",
+        "elbow-down elbow-up",
+        "a family with one freedom: q2 is free",
+        "3 DoF",
+        "growth          (2, 3)",
+        "no cusps",
+        "violating 'ground plane'",
+        "bounce on 'ground plane'",
+        "0.8 0.64",
     ],
     "dof": [
-        "4 x (3 - 2) - 2 = 2", "in space: -1", "18 - 20 = -2", "4 coordinates - rank 3 of 6 equations = 1 freedom",
-        "proven: tangents of half angles", "3 redundant constraints", "q1 controls the mechanism",
-        "says -2, the truth is 0", "2 configurations of 4R", "30 - 30 = 0", "(My)", "off the line by",
-        "two moments and one force (Mx, My, Fz)", "says 1, which is the truth", "(motions of a plane)",
-        "9 degrees of freedom, 3 of them useful", "rod3b spins", "says -3, the truth is 3 to order 8: 6 constraints",
-        "isolated: the only velocity is obstructed at order 2", "2 freedoms to first order",
+        "4 x (3 - 2) - 2 = 2",
+        "in space: -1",
+        "18 - 20 = -2",
+        "4 coordinates - rank 3 of 6 equations = 1 freedom",
+        "proven: tangents of half angles",
+        "3 redundant constraints",
+        "q1 controls the mechanism",
+        "says -2, the truth is 0",
+        "2 configurations of 4R",
+        "30 - 30 = 0",
+        "(My)",
+        "off the line by",
+        "two moments and one force (Mx, My, Fz)",
+        "says 1, which is the truth",
+        "(motions of a plane)",
+        "9 degrees of freedom, 3 of them useful",
+        "rod3b spins",
+        "says -3, the truth is 3 to order 8: 6 constraints",
+        "isolated: the only velocity is obstructed at order 2",
+        "2 freedoms to first order",
         "1 at other configurations",
-        "2 branches meet, of dimensions 1, 1", "shaky at every configuration", "cusp",
-        "the truth is 2: the largest of 13 branches found here", "13 branches were found",
-        "certain: True", "parallel      2", "antiparallel  1",
+        "2 branches meet, of dimensions 1, 1",
+        "shaky at every configuration",
+        "cusp",
+        "the truth is 2: the largest of 13 branches found here",
+        "13 branches were found",
+        "certain: True",
+        "parallel      2",
+        "antiparallel  1",
         "to order 3: true local DoF 1 (to order 3, not proven)",
-        "to order 8: true local DoF 0", "obstructed at order 4", "A controls 1 of 2 freedoms",
-        "A and D control the mechanism", "redundant actuation", "3 False", "control 2 of 3 freedoms",
+        "to order 8: true local DoF 0",
+        "obstructed at order 4",
+        "A controls 1 of 2 freedoms",
+        "A and D control the mechanism",
+        "redundant actuation",
+        "3 False",
+        "control 2 of 3 freedoms",
         "so nothing is said about rank and true freedoms",
     ],
     "branches": [
-        "2 configurations of four_bar; complete", "+ where C lies to the left", "8 of 8 branches close",
-        "4 of 8 branches close", "not closed", "40 False not proven complete: 40 found", "not finite",
-        "1 multiple root", "2 branches meet", "bifurcation, 2 branches", "another branch: closed curve",
-        "it flips at A / pi = 1.0", "997 samples, 2 change points passed",
-        "[ 1.  1.  1.  1.  1.  1. -1. -1. -1. -1. -1. -1.  1.]", "samples 3 to 4: held at 'S' = 0.4",
-        "[False False False  True  True False False]", "'S' = 0.4", "'S' = 0.2", "dead point",
-        "the upper limit 2 of 'D'", "to 2.0",
+        "2 configurations of four_bar; complete",
+        "+ where C lies to the left",
+        "8 of 8 branches close",
+        "4 of 8 branches close",
+        "not closed",
+        "40 False not proven complete: 40 found",
+        "not finite",
+        "1 multiple root",
+        "2 branches meet",
+        "bifurcation, 2 branches",
+        "another branch: closed curve",
+        "it flips at A / pi = 1.0",
+        "997 samples, 2 change points passed",
+        "[ 1.  1.  1.  1.  1.  1. -1. -1. -1. -1. -1. -1.  1.]",
+        "samples 3 to 4: held at 'S' = 0.4",
+        "[False False False  True  True False False]",
+        "'S' = 0.4",
+        "'S' = 0.2",
+        "dead point",
+        "the upper limit 2 of 'D'",
+        "to 2.0",
     ],
     "exercise": [
-        "7 x (3 - 2) - 3 x 2 = 1", "(20,) True", "(7, 4, 4) 21 20 rank 20", "1 independent coordinate: O",
-        "agree all round", "-++ meets -++ and -+- - the crank swings", "conditioning", "[0.7]", "18 - 20 = -2",
-        "the truth is 1", "20 equations", "18 numbers, 20 constraints of rank 17", "1 independent coordinate: q1",
-        "[0.7]", "seven_bodies_loop    7       42",
+        "7 x (3 - 2) - 3 x 2 = 1",
+        "(20,) True",
+        "(7, 4, 4) 21 20 rank 20",
+        "1 independent coordinate: O",
+        "agree all round",
+        "-++ meets -++ and -+- - the crank swings",
+        "conditioning",
+        "[0.7]",
+        "18 - 20 = -2",
+        "the truth is 1",
+        "20 equations",
+        "18 numbers, 20 constraints of rank 17",
+        "1 independent coordinate: q1",
+        "[0.7]",
+        "seven_bodies_loop    7       42",
     ],
-}  # fmt: skip
+}
 """What the cells of these pages print, in this order: what their text says."""
 
 
@@ -539,8 +718,12 @@ def test_the_page_prints_what_it_says(page, tmp_path, monkeypatch):
     pytest.importorskip("sympy")
     pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)
-    if page == "lecture":  # section by section, as the tour shows them; its pictures are drawn in test_tour
-        text = "\n".join(text for x in lecture.sections() for kind, text in lecture.walk(x) if kind == "output")
+    if (
+        page == "lecture"
+    ):  # section by section, as the tour shows them; its pictures are drawn in test_tour
+        text = "\n".join(
+            text for x in lecture.sections() for kind, text in lecture.walk(x) if kind == "output"
+        )
         assert "False" not in text and "left out" not in text
     else:
         text = printed_by(page)
@@ -559,6 +742,9 @@ def printed_by(page: str) -> str:
     names = {}
     with contextlib.redirect_stdout(printed):
         for cell in cells:
-            exec(compile(re.sub(r"^:\w+:.*$", "", cell, flags=re.MULTILINE), f"{page}.md", "exec"), names)
+            exec(
+                compile(re.sub(r"^:\w+:.*$", "", cell, flags=re.MULTILINE), f"{page}.md", "exec"),
+                names,
+            )
     assert len(cells) >= 15
     return printed.getvalue()

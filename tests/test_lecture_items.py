@@ -1,6 +1,8 @@
-"""The lecture's statements one by one, numbered in their order: each is tried by the calls that a student would type.
+"""The lecture's statements one by one, numbered in their order: each is tried by the calls that a
+student would type.
 
-A test's name has the number, its first line quotes the lecture. Those that `test_lecture` tests are in `ELSEWHERE`.
+A test's name has the number, its first line quotes the lecture. Those that `test_lecture` tests are
+in `ELSEWHERE`.
 """
 
 from __future__ import annotations
@@ -78,7 +80,11 @@ def test_all_statements_are_tried():
 
 def test_1_main_points(arm):
     """'multibody systems, constraints and DoF, forward, inverse geometric model'"""
-    assert arm.mobility().dof == 2 and arm.fk([0, 0], "e")[0, 3] == pytest.approx(0.9) and arm.ik(P, "e")
+    assert (
+        arm.mobility().dof == 2
+        and arm.fk([0, 0], "e")[0, 3] == pytest.approx(0.9)
+        and arm.ik(P, "e")
+    )
 
 
 def test_2_a_particle():
@@ -96,7 +102,11 @@ def test_3_a_rigid_body_is_a_collection_of_particles():
     for a, b in ("ab", "ac", "ad", "bc", "bd", "cd"):
         m.distance(a + b, a, b, length=1.0)
     found = m.build().mobility()
-    assert found.dof == 6 and "4 x 3 = 12 DoF" in found.counting.steps[0] and "12 - 6 = 6" in found.counting.steps[1]
+    assert (
+        found.dof == 6
+        and "4 x 3 = 12 DoF" in found.counting.steps[0]
+        and "12 - 6 = 6" in found.counting.steps[1]
+    )
 
 
 def test_4_how_to_specify_the_position():
@@ -113,7 +123,9 @@ def test_5_bodies_and_joints_have_their_names():
     """'Figure: system (B_i and J_i stand for rigid body i and joint i)'"""
     tree = kempe.load("seven_bodies")
     drawn = artists(tree.plot(labels=("bodies", "joints")))
-    assert {f"label:body:B{i}" for i in range(8)} | {f"label:J{i}" for i in range(1, 8)} <= set(drawn)
+    assert {f"label:body:B{i}" for i in range(8)} | {f"label:J{i}" for i in range(1, 8)} <= set(
+        drawn
+    )
     assert drawn["label:body:B5"].get_text() == "B5"
     with pytest.raises(InputError, match="labels has 'bodie'"):
         tree.plot(labels="bodie")
@@ -130,7 +142,9 @@ def test_7_what_specifies_the_posture_of_each_component():
     """'has to uniquely specify the posture of each component'"""
     system = kempe.load("four_links")
     assert system.independent(prefer=["J1", "J5"]).independent == ("J1", "J5")
-    with pytest.raises(InputError, match="J1, J2 cannot be set independently here.*the best choice is J1, J5"):
+    with pytest.raises(
+        InputError, match="J1, J2 cannot be set independently here.*the best choice is J1, J5"
+    ):
         system.independent(prefer=["J1", "J2"])
 
 
@@ -138,25 +152,34 @@ def test_7_what_specifies_the_posture_of_each_component():
 
 
 def test_9_figure_of_b5_on_j6():
-    """'Figure: B_5 on J_6 relative to B_0': both bodies named, the motion shown by positions beside it."""
+    """'Figure: B_5 on J_6 relative to B_0': both bodies named, the motion shown by positions beside
+    it.
+    """
     drawn = artists(kempe.load("slider").plot(labels=("bodies", "joints"), motion=True))
     assert {"label:J6", "label:body:B0", "ghost0:B5", "ghost1:B5"} <= set(drawn)
     assert any("B5" in name for name in drawn if name.startswith("label:body"))
 
 
 def test_10_a_joint_as_a_constraint():
-    """'J_6 as a constraint that limits the motion of B_5 relative to B_0 to be only along one fixed axis'"""
+    """'J_6 as a constraint that limits the motion of B_5 relative to B_0 to be only along one fixed
+    axis'
+    """
     J6 = kempe.load("slider").structure.joints["J6"]
     assert len(J6.type.forbids()) == 5
-    assert J6.forbids() == ("B5 cannot slide along y or z, nor turn about x, y or z of B0: "
-                            "5 of 6 freedoms are taken away")  # fmt: skip
+    assert J6.forbids() == (
+        "B5 cannot slide along y or z, nor turn about x, y or z of B0: "
+        "5 of 6 freedoms are taken away"
+    )
 
 
 def test_12_constraints_are_limitations():
     """'We will think of constraints as limitations (restrictions) to the motion'"""
     system = kempe.load("seven_bodies_loop")
-    closing, = system.loops.constraints()  # fmt: skip
-    assert closing.name == "J6" and np.abs(system.loops.closure_error(system.assemble().q)).max() < 1e-12
+    (closing,) = system.loops.constraints()
+    assert (
+        closing.name == "J6"
+        and np.abs(system.loops.closure_error(system.assemble().q)).max() < 1e-12
+    )
 
 
 def test_13_independent_variables():
@@ -185,18 +208,30 @@ def test_16_a_free_body():
 
 
 def test_17_figure_of_four_links():
-    """'The figure depicts a planar system with four links, four revolute joints, one prismatic joint'"""
+    """'The figure depicts a planar system with four links, four revolute joints, one prismatic
+    joint'
+    """
     drawn = artists(kempe.load("four_links").plot(labels=("bodies", "joints")))
-    assert {f"label:body:B{i}" for i in (1, 2, 3, 4)} | {"link:B1", "link:B2", "link:B3", "block:J5"} <= set(drawn)
+    assert {f"label:body:B{i}" for i in (1, 2, 3, 4)} | {
+        "link:B1",
+        "link:B2",
+        "link:B3",
+        "block:J5",
+    } <= set(drawn)
 
 
 @pytest.mark.parametrize(
     ("step", "text"),
-    [(0, "4 bodies could move freely in the plane: 4 x 3 = 12 DoF"),
-     (2, "Each body is held by one joint (the last by two): 4 x (3 - 2) - 2 = 2.")], ids=["if no joints", "one each"],
-)  # fmt: skip
+    [
+        (0, "4 bodies could move freely in the plane: 4 x 3 = 12 DoF"),
+        (2, "Each body is held by one joint (the last by two): 4 x (3 - 2) - 2 = 2."),
+    ],
+    ids=["if no joints", "one each"],
+)
 def test_20_and_21_steps_of_counting(step, text):
-    """'If there were no joints ... 12 DoF'; 'each link is constrained by one joint (the last, by two)'"""
+    """'If there were no joints ... 12 DoF'; 'each link is constrained by one joint (the last, by
+    two)'
+    """
     assert text in kempe.load("four_links").mobility().counting.steps[step]
 
 
@@ -212,7 +247,14 @@ def test_22_the_same_in_space_and_where_it_fails():
 
 # ------------------------------------------------------------------ types of joints
 
-LECTURES = {"revolute": 1, "prismatic": 1, "cylindrical": 2, "universal": 2, "planar": 3, "spherical": 3}
+LECTURES = {
+    "revolute": 1,
+    "prismatic": 1,
+    "cylindrical": 2,
+    "universal": 2,
+    "planar": 3,
+    "spherical": 3,
+}
 
 
 def check_figure_of_a_joint(*kinds: str) -> None:
@@ -266,9 +308,13 @@ def test_29_a_spherical_joint_is_three_revolute_ones():
 
 
 def test_30_configuration_space():
-    """'The space of all configurations that a physical system may attain is called configuration space'"""
+    """'The space of all configurations that a physical system may attain is called configuration
+    space'
+    """
     assert str(kempe.load("two_link").configuration_space) == "T^2, dimension 2"
-    assert str(kempe.load("four_links").configuration_space).startswith("dimension 2: the subset of T^4 x R")
+    assert str(kempe.load("four_links").configuration_space).startswith(
+        "dimension 2: the subset of T^4 x R"
+    )
 
 
 def test_31_a_configuration_is_a_point(arm):
@@ -279,7 +325,9 @@ def test_31_a_configuration_is_a_point(arm):
     np.testing.assert_allclose(points, arm.ik_all(P, "e").q, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["two_link", "seven_bodies", "four_links", "four_bar", "joint_spherical", "bennett"])
+@pytest.mark.parametrize(
+    "name", ["two_link", "seven_bodies", "four_links", "four_bar", "joint_spherical", "bennett"]
+)
 def test_32_dof_is_the_dimension(name):
     """'The DoF of a system is equal to the dimension of its configuration space'"""
     system = kempe.load(name)
@@ -300,7 +348,9 @@ def test_33_pairs_and_constraints():
     [("four_links", 2, 4), ("seven_bodies", 7, 7), ("joint_free", 6, 1), ("joint_spherical", 3, 1)],
 )
 def test_34_generalized_positions(name, n, n_b):
-    """'n independent generalized positions (where n <= n_b ...)': so for joints with one DoF, not for others."""
+    """'n independent generalized positions (where n <= n_b ...)': so for joints with one DoF, not
+    for others.
+    """
     system = kempe.load(name)
     assert (system.mobility().dof, len(system.parent)) == (n, n_b)
     if all(j.type.dof() == 1 for j in system.structure.joints.values()):
@@ -309,7 +359,9 @@ def test_34_generalized_positions(name, n, n_b):
 
 @pytest.mark.parametrize(("name", "dim"), [("four_links", 2), ("joint_free", 6), ("rssr", 2)])
 def test_35_minimal_number_of_variables(name, dim):
-    """'a parametrization with minimal number of variables and do not need to explicitly deal with constraints'"""
+    """'a parametrization with minimal number of variables and do not need to explicitly deal with
+    constraints'
+    """
     system = kempe.load(name)
     chart = system.independent()
     u = chart.u(system.assemble().q) + 0.02
@@ -319,7 +371,11 @@ def test_35_minimal_number_of_variables(name, dim):
     np.testing.assert_allclose(chart.u(found.q), u, rtol=0, atol=1e-9)
 
 
-EXERCISE = [("bennett", "3 x (6 - 5) - 5 = -2"), ("jansen", "7 x (3 - 2) - 3 x 2 = 1"), ("rssr", "= 2.")]
+EXERCISE = [
+    ("bennett", "3 x (6 - 5) - 5 = -2"),
+    ("jansen", "7 x (3 - 2) - 3 x 2 = 1"),
+    ("rssr", "= 2."),
+]
 
 
 @pytest.mark.parametrize(("name", "step"), EXERCISE, ids=[name for name, _ in EXERCISE])
@@ -351,9 +407,9 @@ def test_38_find_a_parametrization():
 def test_39_a_loop_is_opened(four_bar):
     """'Figure: open-loop and closed-loop systems'"""
     tree = four_bar.opened("C")
-    assert (four_bar.kind, tree.kind) == ("1 loop", "tree") and set(four_bar.joint_names) - set(tree.joint_names) == {
-        "C"
-    }
+    assert (four_bar.kind, tree.kind) == ("1 loop", "tree") and set(four_bar.joint_names) - set(
+        tree.joint_names
+    ) == {"C"}
     assert "link:coupler" in artists(tree.plot())
 
 
@@ -364,19 +420,29 @@ def test_40_kinds_of_systems():
 
 
 def test_41_all_angles_can_be_set():
-    """'All joint angles could be set independently to generate a unique point in the configuration space'"""
+    """'All joint angles could be set independently to generate a unique point in the configuration
+    space'
+    """
     tree = kempe.load("seven_bodies")
-    assert tree.independent().independent == tree.coordinate_names and tree.independent().dependent == ()
+    assert (
+        tree.independent().independent == tree.coordinate_names
+        and tree.independent().dependent == ()
+    )
 
 
 def test_43_loop_closure_constraints(four_bar):
     """'The remaining joint angles are determined by the loop closure constraints'"""
     pytest.importorskip("sympy")
     said = str(four_bar.symbolic.closure())
-    assert "a*cos(A) + b*cos(A + B) - c*cos(D) - d = 0" in said and "a*sin(A) + b*sin(A + B) - c*sin(D) = 0" in said
+    assert (
+        "a*cos(A) + b*cos(A + B) - c*cos(D) - d = 0" in said
+        and "a*sin(A) + b*sin(A + B) - c*sin(D) = 0" in said
+    )
     q = four_bar.q_dict(four_bar.assemble({"A": 1.0}).q)
     a, b, c, d = (four_bar.structure.parameters[k] for k in "abcd")
-    residual = a * np.exp(1j * q["A"]) + b * np.exp(1j * (q["A"] + q["B"])) - c * np.exp(1j * q["D"]) - d
+    residual = (
+        a * np.exp(1j * q["A"]) + b * np.exp(1j * (q["A"] + q["B"])) - c * np.exp(1j * q["D"]) - d
+    )
     assert abs(residual) < 1e-12
 
 
@@ -388,7 +454,8 @@ def test_45_figure_of_both_assemblies(four_bar):
     assert [over[f"label:configuration{k}"].get_text() for k in range(2)] == ["+", "-"]
 
 
-# ------------------------------------------------------------------ configuration space and task space
+# ------------------------------------------------------------------ configuration space and task
+# space
 
 
 def test_46_one_part_of_a_manipulator(arm):
@@ -397,7 +464,9 @@ def test_46_one_part_of_a_manipulator(arm):
 
 
 def test_47_position_velocity_force(arm):
-    """'we want to control its position, velocity, force, etc.': forces by virtual work, from a difference quotient."""
+    """'we want to control its position, velocity, force, etc.': forces by virtual work, from a
+    difference quotient.
+    """
     q = np.array([0.3, -0.5])
     h = 1e-6
     force = np.array([0.0, -10.0])
@@ -435,7 +504,10 @@ def test_50_m_at_most_n(arm):
 def test_51_figure_of_both_spaces(arm):
     """'Figure: (q1, q2) beside {x0, y0}'"""
     left, right = arm.plot_spaces("e", points=[P, (0.9, 0.5)])
-    assert (left.get_title(), right.get_title()) == ("configuration space", "task space: position of 'e'")
+    assert (left.get_title(), right.get_title()) == (
+        "configuration space",
+        "task space: position of 'e'",
+    )
     far = np.hypot(0.9, 0.5) - 0.9
     assert artists(right)["distance:1:text"].get_text() == f"{far:.3g} m away"
 
@@ -450,11 +522,15 @@ def test_53_x0_and_y0(arm):
     """'the span of vectors x_0, y_0'"""
     assert np.linalg.matrix_rank(arm.jacobian([0.3, -0.5], "e")[:2]) == 2
     drawn = artists(arm.plot(axes=("ground", "e")))
-    assert drawn["label:ground:x"].get_text() == "$x_{0}$" and {"mark:ground:y", "mark:e:x"} <= set(drawn)
+    assert drawn["label:ground:x"].get_text() == "$x_{0}$" and {"mark:ground:y", "mark:e:x"} <= set(
+        drawn
+    )
 
 
 def test_54_the_map_between_the_spaces(arm):
-    """'the map between (q_1, q_2) and the position of the end-effector': lines of a grid and their images."""
+    """'the map between (q_1, q_2) and the position of the end-effector': lines of a grid and their
+    images.
+    """
     left, right = arm.plot_spaces("e", grid=True, resolution=40)
     lines = artists(left)
     images = artists(right)
@@ -463,14 +539,19 @@ def test_54_the_map_between_the_spaces(arm):
     for gid in gids:
         q = lines[gid].get_xydata()
         assert np.ptp(q, axis=0).min() == 0.0, "one coordinate is constant"
-        np.testing.assert_allclose(images[gid].get_xydata(), arm.fk(q, "e")[:, :2, 3], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            images[gid].get_xydata(), arm.fk(q, "e")[:, :2, 3], rtol=0, atol=1e-12
+        )
 
 
-# ------------------------------------------------------------------ forward and inverse geometric models
+# ------------------------------------------------------------------ forward and inverse geometric
+# models
 
 
 def test_55_figure_of_both_models(arm):
-    """'Figure: forward and inverse geometric models': a number on the left stands at the same number on the right."""
+    """'Figure: forward and inverse geometric models': a number on the left stands at the same
+    number on the right.
+    """
     left, right = (artists(ax) for ax in arm.plot_spaces("e", points=[P]))
     for k in range(2):
         q = left[f"solution:0:{k}"].get_xydata()[0]
@@ -481,7 +562,9 @@ def test_55_figure_of_both_models(arm):
 
 def test_57_given_a_pose_find_q(arm):
     """'Given the position and orientation of the end-effector, find a corresponding q'"""
-    np.testing.assert_allclose(arm.ik(arm.fk([0.3, -0.5], "e"), "e").q, [0.3, -0.5], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        arm.ik(arm.fk([0.3, -0.5], "e"), "e").q, [0.3, -0.5], rtol=0, atol=1e-6
+    )
 
 
 # ------------------------------------------------------------------ the forward geometric model
@@ -506,7 +589,9 @@ def test_59_parts_of_the_position(arm):
     for of, frame, length in pairs:
         assert arm.symbolic.fk(frame, relative_to=of)[:3, 3] == sympy.Matrix([length, 0, 0])
     assert str(arm.structure.joints["q2"].X_PF) == "x = l1"
-    np.testing.assert_allclose(arm.fk([0.3, 0.4], "B2", relative_to="B1")[:3, 3], [0.5, 0, 0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        arm.fk([0.3, 0.4], "B2", relative_to="B1")[:3, 3], [0.5, 0, 0], rtol=0, atol=1e-15
+    )
 
 
 def test_60_parts_of_the_orientation(arm):
@@ -526,15 +611,23 @@ def test_61_steps_of_the_product(arm):
     by_hand = steps.R[0] * (steps.p[1] + steps.R[1] * steps.p[2])
     assert (by_hand - steps.products[-1][:3, 3]).expand().is_zero_matrix
     assert (steps.R[0] * steps.R[1] - steps.products[1][:3, :3]).expand().is_zero_matrix
-    assert r"{}^{\mathrm{ground}}_{\mathrm{e}}T &= {}^{\mathrm{ground}}_{\mathrm{B1}}T" in steps.latex()
+    assert (
+        r"{}^{\mathrm{ground}}_{\mathrm{e}}T &= {}^{\mathrm{ground}}_{\mathrm{B1}}T"
+        in steps.latex()
+    )
 
 
 def test_62_figure_with_frames_angles_and_lengths(arm):
     """'Figure: two-link arm with frames, q1, q2, l1, l2'"""
     drawn = artists(arm.plot([0.4, 0.8], axes="all", angles=True, dimensions=True))
-    texts = [drawn[f"label:{name}"].get_text() for name in ("angle:q1", "angle:q2", "dimension:B1:0", "dimension:B2:0")]
+    texts = [
+        drawn[f"label:{name}"].get_text()
+        for name in ("angle:q1", "angle:q2", "dimension:B1:0", "dimension:B2:0")
+    ]
     assert texts == ["q1", "q2", "l1", "l2"]
-    assert {f"mark:{name}:{axis}" for name in ("ground", "B1", "B2", "e") for axis in "xy"} <= set(drawn)
+    assert {f"mark:{name}:{axis}" for name in ("ground", "B1", "B2", "e") for axis in "xy"} <= set(
+        drawn
+    )
 
 
 def test_63_frames_by_name(arm):
@@ -557,7 +650,9 @@ def test_66_n_matrices():
     q = panda.random(0)
     T = panda.symbolic.steps("panda_link7").numbers(q)
     assert len(T) == 7
-    np.testing.assert_allclose(np.linalg.multi_dot(list(T)), panda.fk(q, "panda_link7"), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        np.linalg.multi_dot(list(T)), panda.fk(q, "panda_link7"), rtol=0, atol=1e-13
+    )
 
 
 # ------------------------------------------------------------------ body-fixed frames, connectivity
@@ -607,14 +702,18 @@ def test_74_figure_of_the_tree():
     """'The connectivity of the system in the figure is encoded in C'"""
     drawn = artists(kempe.load("seven_bodies_loop").plot_tree())
     assert drawn["connectivity"].get_text() == "C = {0, 1, 2, 1, 4, 4, 2}"
-    assert {f"body:B{i}" for i in range(8)} | {"cut:J6", "edge:J1"} <= set(drawn) and "edge:J6" not in drawn
+    assert {f"body:B{i}" for i in range(8)} | {"cut:J6", "edge:J1"} <= set(
+        drawn
+    ) and "edge:J6" not in drawn
 
 
 # ------------------------------------------------------------------ the inverse geometric model
 
 
 def test_75_how_many_solutions(arm):
-    """'could have no solutions, one solution or multiple solutions (even when m = n)': or infinitely many."""
+    """'could have no solutions, one solution or multiple solutions (even when m = n)': or
+    infinitely many.
+    """
     assert [len(arm.ik_all([r, 0], "e")) for r in (0.05, 0.1, 0.5, 0.9, 1.0)] == [0, 1, 2, 1, 0]
     folded = arm.with_parameters(l2=0.5).ik_all([0.0, 0.0], "e")
     assert "a family with one freedom: q1 is free while q2 = 3.14159" in folded.status
@@ -631,7 +730,9 @@ def test_76_one_solution_at_the_edge(arm):
 
 
 def test_77_more_constraints_than_dof():
-    """'when m > n, there is no solution (if the m constraints are independent)': x, y, angle as three numbers."""
+    """'when m > n, there is no solution (if the m constraints are independent)': x, y, angle as
+    three numbers.
+    """
     system = kempe.load("two_link_pose")
     status = system.ik([0.6, 0.3, 0.5], "e", task="pose").status
     assert "the task has 3 equations, but the chain moves this frame in 2 freedoms only" in status
@@ -655,20 +756,28 @@ def test_79_figure_of_two_solutions(arm):
 
 
 def test_80_a_specific_orientation():
-    """'If we want to reach p with a specific orientation ... in most cases there will be no solution'"""
+    """'If we want to reach p with a specific orientation ... in most cases there will be no
+    solution'
+    """
     system = kempe.load("two_link_pose")
     X, Y = system.fk(system.neutral, ["p", "p_down"])
-    assert not system.ik_all(X, "e") and system.ik_all(Y, "e").status.startswith("1 solution, the only one")
+    assert not system.ik_all(X, "e") and system.ik_all(Y, "e").status.startswith(
+        "1 solution, the only one"
+    )
 
 
 def test_81_figure_without_a_solution():
     """'Example (IGM with no solution m = n)'"""
     system = kempe.load("unreachable")
     drawn = artists(system.plot(system.ik([0.8, 0.6], "e"), workspace="e"))
-    radii = sorted(np.hypot(*drawn[f"workspace:boundary{k}"].get_xydata().T).max() for k in range(2))
+    radii = sorted(
+        np.hypot(*drawn[f"workspace:boundary{k}"].get_xydata().T).max() for k in range(2)
+    )
     np.testing.assert_allclose(radii, [0.1, 0.9], rtol=0, atol=1e-9)
     centre = system.fk(system.neutral, "p")[:2, 3]
-    np.testing.assert_allclose(drawn["frame:p"].get_path().vertices.mean(axis=0), centre, rtol=0, atol=0.05)
+    np.testing.assert_allclose(
+        drawn["frame:p"].get_path().vertices.mean(axis=0), centre, rtol=0, atol=0.05
+    )
     assert np.hypot(*centre) > radii[1]
 
 
@@ -686,11 +795,17 @@ def test_83_the_workspace(arm):
 def test_84_the_geometric_structure(arm):
     """'analyze the geometric structure of a given manipulator'"""
     said = str(arm.inverse.plan("e"))
-    assert "the position is planned" in said and "closed form" in said and "2 isolated configurations at most" in said
+    assert (
+        "the position is planned" in said
+        and "closed form" in said
+        and "2 isolated configurations at most" in said
+    )
 
 
 def test_85_special_structures():
-    """'3 consecutive rotational joint axes intersect; 3 consecutive rotational joint axes are parallel'"""
+    """'3 consecutive rotational joint axes intersect; 3 consecutive rotational joint axes are
+    parallel'
+    """
     puma, ur5 = (" ".join(kempe.load(x).inverse.plan("tool").relations) for x in ("puma560", "ur5"))
     assert "the axes of q4, q5 and q6 meet in one point" in puma
     assert "the axes of shoulder_lift, elbow and wrist_1 are parallel" in ur5
@@ -721,11 +836,15 @@ def test_87_any_type_of_system():
 def test_88_redundancy(three_links):
     """'very useful in the presence of redundancy with respect to the task'"""
     q = three_links.ik([0.5, 0.3], "e").q
-    for motion in (three_links.inverse.self_motion(q, tasks.Position("e", [0.5, 0.3])),
-                   three_links.inverse.self_motion(q, "e", task="position")):  # fmt: skip
+    for motion in (
+        three_links.inverse.self_motion(q, tasks.Position("e", [0.5, 0.3])),
+        three_links.inverse.self_motion(q, "e", task="position"),
+    ):
         assert motion.closed and motion.freedoms == 1
         tips = three_links.fk(motion.q, "e")[:, :2, 3]
-        np.testing.assert_allclose(tips, np.broadcast_to(three_links.fk(q, "e")[:2, 3], tips.shape), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            tips, np.broadcast_to(three_links.fk(q, "e")[:2, 3], tips.shape), rtol=0, atol=1e-9
+        )
     panda = kempe.load("panda")
     assert panda.ik([0.4, 0.2, 0.3], "tool").self_motion.shape == (7, 4)
 
@@ -742,7 +861,11 @@ def test_90_problems_of_convergence(arm):
     """'can have convergence problems, and produce unexpected results': from the stretched arm."""
     for p in ([0.6, 0.0], [-0.6, 0.0]):
         once = arm.ik(p, "e", start=[0, 0], budget=kempe.Budget(starts=1))
-        assert not once and "the search is stuck at a singular configuration; more starts find an answer" in once.status
+        assert (
+            not once
+            and "the search is stuck at a singular configuration; more starts find an answer"
+            in once.status
+        )
         assert arm.ik(p, "e", start=[0, 0])
 
 
@@ -761,8 +884,10 @@ def test_92_the_initial_guess(arm):
         assert np.sign(arm.ik(P, "e", start={"q2": sign}).q[1]) == sign
     many = arm.ik(P, "e", start=arm.random(0, 9))
     assert many.q.shape == (9, 2) and set(np.sign(many.q[:, 1])) == {-1, 1}
-    assert {x: np.sign(arm.ik("p", "e", start=x, task="position").q[1]) for x in ("elbow_up", "elbow_down")} == {
-        "elbow_up": -1, "elbow_down": 1}  # fmt: skip
+    assert {
+        x: np.sign(arm.ik("p", "e", start=x, task="position").q[1])
+        for x in ("elbow_up", "elbow_down")
+    } == {"elbow_up": -1, "elbow_down": 1}
 
 
 # ------------------------------------------------------------------ the two-link arm
@@ -788,21 +913,27 @@ def test_94_squared_and_summed(arm):
 
 
 def test_95_the_formulas(arm):
-    """'s_2 = +-sqrt(1 - c_2^2), alpha = atan2, beta = atan2, q_1 = alpha - beta, q_2 = atan2(s_2, c_2)'"""
+    """'s_2 = +-sqrt(1 - c_2^2), alpha = atan2, beta = atan2, q_1 = alpha - beta, q_2 = atan2(s_2,
+    c_2)'
+    """
     pytest.importorskip("sympy")
     formulas = arm.symbolic.ik("e")
     names: dict[str, Callable[..., tuple[float, float]]] = {}
     exec(formulas.code(), names)
     for sign, expected in zip((-1, 1), lecture.closed_form(*P, 0.5, 0.4), strict=True):
         np.testing.assert_allclose(formulas(P, sign), expected, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(names["inverse"](*P, sign, 0.5, 0.4), expected, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            names["inverse"](*P, sign, 0.5, 0.4), expected, rtol=0, atol=1e-14
+        )
     assert r"s_{2} &= \pm \sqrt{1 - c_{2}^{2}}" in formulas.latex()
 
 
 def test_96_figure_of_alpha_and_beta(arm):
     """'Figure: alpha, beta, q1, q2, p_e at the two-link arm'"""
     drawn = artists(arm.plot(arm.ik_all(P, "e").q[0], angles="e"))
-    assert {f"label:angle:{name}" for name in ("alpha", "beta", "q1", "q2")} | {"way:e"} <= set(drawn)
+    assert {f"label:angle:{name}" for name in ("alpha", "beta", "q1", "q2")} | {"way:e"} <= set(
+        drawn
+    )
 
 
 def test_97_elbow_up_and_down(arm):
@@ -816,8 +947,9 @@ def test_97_elbow_up_and_down(arm):
 
 
 @pytest.mark.parametrize(
-    ("zero", "p", "free"), [("l2", [0.3, 0.4], "q2 is free"), ("l1", [0.0, 0.4], "q1 + q2 = 1.5708")],
-)  # fmt: skip
+    ("zero", "p", "free"),
+    [("l2", [0.3, 0.4], "q2 is free"), ("l1", [0.0, 0.4], "q1 + q2 = 1.5708")],
+)
 def test_99_zero_lengths(arm, zero, p, free):
     """'l_1 != 0 and l_2 != 0 is assumed': else there is a family."""
     found = arm.with_parameters(**{zero: 0.0}).ik_all(p, "e")
@@ -834,12 +966,17 @@ def test_100_functions_of_the_coordinates(arm):
 
 
 def test_101_a_constraint_of_ones_own_removes_one_dof():
-    """'Each holonomic constraint decreases the dimension of the configuration space, hence removes one DoF'"""
+    """'Each holonomic constraint decreases the dimension of the configuration space, hence removes
+    one DoF'
+    """
     m = kempe.read("two_link")
     m.equation("law", lambda x: x["q1"] - 2 * x["q2"], of=("q1", "q2"))
     system = m.build()
     assert system.mobility().dof == 1
-    assert "2 revolute joints x 2 + 1 equation x 1 = 5, which leaves 6 - 5 = 1" in system.mobility().counting.steps[1]
+    assert (
+        "2 revolute joints x 2 + 1 equation x 1 = 5, which leaves 6 - 5 = 1"
+        in system.mobility().counting.steps[1]
+    )
     way = system.trace("q1").q
     np.testing.assert_allclose(way[:, 0], 2 * way[:, 1], rtol=0, atol=1e-9)
 
@@ -889,12 +1026,16 @@ def test_107_a_ball_on_the_ground():
     """'a ball can not penetrate the ground, but it can bounce up'"""
     ball = kempe.load("ball")
     q = ball.q({"flight.z": 0.1})
-    up = [ball.ik_step(q, np.array([0, 0, v, 0, 0, 0]), "ball", 0.1).velocity[2] for v in (-1.0, 1.0)]
+    up = [
+        ball.ik_step(q, np.array([0, 0, v, 0, 0, 0]), "ball", 0.1).velocity[2] for v in (-1.0, 1.0)
+    ]
     np.testing.assert_allclose(up, [0, 1], rtol=0, atol=1e-9)
     said = str(ball.classify(q))
     assert "5 both ways and 1 one way only" in said and "closed, up but not down" in said
     fall = ball.simulate(1.0, start={"flight.z": 1.1}, restitution=0.8)
-    assert fall.q[:, 2].min() >= 0.1 - 1e-9 and fall.events[0].time == pytest.approx(np.sqrt(2 / 9.81), abs=1e-3)
+    assert fall.q[:, 2].min() >= 0.1 - 1e-9 and fall.events[0].time == pytest.approx(
+        np.sqrt(2 / 9.81), abs=1e-3
+    )
     assert not ball.ik([0.0, 0.0, -1.0], "ball")
     with pytest.raises(KempeError):
         ball.simulate(1.0, start={"flight.z": -1.0})

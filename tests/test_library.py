@@ -1,4 +1,6 @@
-"""The shipped models are what they say: published poses, other libraries' models, closed loops, counted freedoms."""
+"""The shipped models are what they say: published poses, other libraries' models, closed loops,
+counted freedoms.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,46 @@ from kempe.joints import TYPES
 
 MODELS = library.names()
 LECTURE = {
-    "two_link", "two_link_pose", "unreachable", "seven_bodies", "seven_bodies_loop", "four_links", "slider", "car",
+    "two_link",
+    "two_link_pose",
+    "unreachable",
+    "seven_bodies",
+    "seven_bodies_loop",
+    "four_links",
+    "slider",
+    "car",
     "ball",
-}  # fmt: skip
+}
 ROBOTS = {
-    "puma560", "ur5", "cobra600", "stanford", "panda", "ur10e", "irb6640", "jaco2", "crx10ia", "hc10", "xarm6", "gen3",
-    "gen3_lite", "iiwa14", "so101", "youbot",
-}  # fmt: skip
+    "puma560",
+    "ur5",
+    "cobra600",
+    "stanford",
+    "panda",
+    "ur10e",
+    "irb6640",
+    "jaco2",
+    "crx10ia",
+    "hc10",
+    "xarm6",
+    "gen3",
+    "gen3_lite",
+    "iiwa14",
+    "so101",
+    "youbot",
+}
 JOINTS = {
-    "joint_fixed", "joint_revolute", "joint_prismatic", "joint_helical", "joint_cylindrical", "joint_universal",
-    "joint_planar", "joint_translation", "joint_spherical", "joint_free",
-}  # fmt: skip
+    "joint_fixed",
+    "joint_revolute",
+    "joint_prismatic",
+    "joint_helical",
+    "joint_cylindrical",
+    "joint_universal",
+    "joint_planar",
+    "joint_translation",
+    "joint_spherical",
+    "joint_free",
+}
 LINKAGES = {mechanism.name for mechanism in (*PLANAR, *SPATIAL)}
 
 
@@ -42,7 +73,9 @@ def test_what_is_shipped():
 @pytest.mark.parametrize("name", MODELS)
 def test_each_model_loads_and_describes_itself(name):
     text = library.path(name).read_text(encoding="utf-8")
-    assert text.startswith(f"# {library.describe(name)}\n") and 10 < len(library.describe(name)) <= 118
+    assert (
+        text.startswith(f"# {library.describe(name)}\n") and 10 < len(library.describe(name)) <= 118
+    )
     mechanism = read_toml(text, name)
     assert mechanism.name == name and not mechanism.notes
     assert read_toml(write_toml(mechanism)) == mechanism
@@ -151,9 +184,13 @@ def test_toolbox_agrees():
         robot = kempe.load(name)
         for q in robot.random(rng, 5):
             expected = other.fkine(q).A
-            np.testing.assert_allclose(before @ robot.fk(q, frame) @ after, expected, rtol=0, atol=1e-14)
+            np.testing.assert_allclose(
+                before @ robot.fk(q, frame) @ after, expected, rtol=0, atol=1e-14
+            )
         limited = np.isfinite(robot.lower)
-        np.testing.assert_allclose(robot.structure.limits[limited], np.asarray(other.qlim).T[limited], rtol=1e-15)
+        np.testing.assert_allclose(
+            robot.structure.limits[limited], np.asarray(other.qlim).T[limited], rtol=1e-15
+        )
 
 
 def test_toolbox_agrees_on_the_jaco():
@@ -170,16 +207,55 @@ def test_toolbox_agrees_on_the_jaco():
     [
         ("ur10e", "tool", "up", None, (0, -0.17415 - 0.11655, 0.1807 + 0.6127 + 0.57155 + 0.11985)),
         ("iiwa14", "tool", None, np.eye(3), (0, 0, 0.36 + 0.42 + 0.4 + 0.126)),
-        ("irb6640", "tool0", None, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], (0.32 + 1.392 + 0.2, 0, 0.78 + 1.075 + 0.2)),
-        ("crx10ia", "tool0", None, [[0, 0, 1], [0, -1, 0], [1, 0, 0]], (0.54 + 0.16, -0.15, 0.245 + 0.54)),
+        (
+            "irb6640",
+            "tool0",
+            None,
+            [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+            (0.32 + 1.392 + 0.2, 0, 0.78 + 1.075 + 0.2),
+        ),
+        (
+            "crx10ia",
+            "tool0",
+            None,
+            [[0, 0, 1], [0, -1, 0], [1, 0, 0]],
+            (0.54 + 0.16, -0.15, 0.245 + 0.54),
+        ),
         ("hc10", "tool0", None, np.diag([1, -1, -1]), (0, 0.162, 0.275 + 0.7 - 0.5 - 0.13)),
-        ("xarm6", "tool", None, np.diag([1, -1, -1]), (0.0535 + 0.0775 + 0.076, 0, 0.267 + 0.2845 - 0.3425 - 0.097)),
-        ("gen3", "tool", None, np.eye(3), (0, -0.005375 - 3 * 0.006375 - 2 * 0.00017505,
-            0.15643 + 0.12838 + 2 * 0.21038 + 0.20843 + 2 * 0.10593 + 0.061525)),
-        ("gen3_lite", "tool", None, np.eye(3), (0.057, -0.01, 0.12825 + 0.115 + 0.28 + 0.14 + 0.105 + 0.105)),
-        ("youbot", "tool", "candle", np.eye(3), (0.024 + 0.033 - 0.002, 0, 0.096 + 0.019 + 0.155 + 0.135 + 0.13)),
+        (
+            "xarm6",
+            "tool",
+            None,
+            np.diag([1, -1, -1]),
+            (0.0535 + 0.0775 + 0.076, 0, 0.267 + 0.2845 - 0.3425 - 0.097),
+        ),
+        (
+            "gen3",
+            "tool",
+            None,
+            np.eye(3),
+            (
+                0,
+                -0.005375 - 3 * 0.006375 - 2 * 0.00017505,
+                0.15643 + 0.12838 + 2 * 0.21038 + 0.20843 + 2 * 0.10593 + 0.061525,
+            ),
+        ),
+        (
+            "gen3_lite",
+            "tool",
+            None,
+            np.eye(3),
+            (0.057, -0.01, 0.12825 + 0.115 + 0.28 + 0.14 + 0.105 + 0.105),
+        ),
+        (
+            "youbot",
+            "tool",
+            "candle",
+            np.eye(3),
+            (0.024 + 0.033 - 0.002, 0, 0.096 + 0.019 + 0.155 + 0.135 + 0.13),
+        ),
     ],
-)  # fmt: skip
+)
 def test_robots_stretched(name, frame, q, rotation, position):
     """Postures in which the lengths of the data sheet add up."""
     robot = kempe.load(name)
@@ -190,7 +266,12 @@ def test_robots_stretched(name, frame, q, rotation, position):
 
 
 def robot_file(name: str) -> str:
-    folder = Path(sys.prefix) / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+    folder = (
+        Path(sys.prefix)
+        / "lib"
+        / f"python{sys.version_info[0]}.{sys.version_info[1]}"
+        / "site-packages"
+    )
     found = sorted(folder.glob(f"cmeel.prefix/share/example-robot-data/robots/**/{name}"))
     if not found:
         pytest.skip("example-robot-data is not installed")

@@ -1,4 +1,6 @@
-"""The planar mechanisms of the library are what their headers and the table say: counts, ranks, motions, paths."""
+"""The planar mechanisms of the library are what their headers and the table say: counts, ranks,
+motions, paths.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def steps(degrees: list[float]) -> list[float]:
     return np.radians(degrees).tolist()
 
 
-def assert_same_places(found: list[complex], expected: list[complex], tolerance: float = 1e-11) -> None:
+def assert_same_places(
+    found: list[complex], expected: list[complex], tolerance: float = 1e-11
+) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
 
@@ -82,7 +86,9 @@ def assert_same_places(found: list[complex], expected: list[complex], tolerance:
 def test_the_table_has_every_planar_mechanism_with_loops():
     names = [case.name for case in PLANAR]
     systems = {name: kempe.load(name) for name in library.names()}
-    closed = {name for name, system in systems.items() if system.dim == 2 and system.structure.closures}
+    closed = {
+        name for name, system in systems.items() if system.dim == 2 and system.structure.closures
+    }
     assert len(set(names)) == len(names) and set(names) == closed - LECTURE
 
 
@@ -108,10 +114,17 @@ def test_counts_and_what_the_files_say(case: Case):
     bodies = [name for name in mechanism.bodies if name != "ground"]
     assert 3 * len(bodies) - taken == case.count
     text = library.path(case.name).read_text(encoding="utf-8")
-    numbers = re.search(r"# Count in the plane: 3 \* (\d+) bodies - 2 \* (\d+) joints = (-?\d+).*Truth: (\d)", text)
+    numbers = re.search(
+        r"# Count in the plane: 3 \* (\d+) bodies - 2 \* (\d+) joints = (-?\d+).*Truth: (\d)", text
+    )
     if case.name != "four_bar":  # it writes the count in another form
         assert numbers is not None
-        assert tuple(map(int, numbers.groups())) == (len(bodies), len(mechanism.joints), case.count, case.true)
+        assert tuple(map(int, numbers.groups())) == (
+            len(bodies),
+            len(mechanism.joints),
+            case.count,
+            case.true,
+        )
 
 
 def nullity(J: np.ndarray, tolerance: float) -> int:
@@ -131,15 +144,21 @@ def test_rank(case: Case):
     assert nullity(((ahead - behind) / 2e-5).reshape(system.nv, -1).T, 1e-6) == case.rank
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if not case.branches and case.rank == case.count], ids=str)
+@pytest.mark.parametrize(
+    "case", [case for case in CASES if not case.branches and case.rank == case.count], ids=str
+)
 def test_full_rank_is_the_truth(case: Case):
-    """Where the constraints of the count are independent, the implicit function theorem gives the dimension."""
+    """Where the constraints of the count are independent, the implicit function theorem gives the
+    dimension.
+    """
     assert case.true == case.rank
 
 
 @pytest.mark.parametrize("case", MOVING, ids=str)
 def test_motions_through_singular_postures(case: Case):
-    """They close far from the posture, start at it, have their dimension, and differ from each other."""
+    """They close far from the posture, start at it, have their dimension, and differ from each
+    other.
+    """
     system = kempe.load(case.name)
     q0 = system.q(case.posture)
     motions = branches(case.name)
@@ -151,7 +170,9 @@ def test_motions_through_singular_postures(case: Case):
     for dim, motion in motions:
         assert motion(*[0.0] * dim) == pytest.approx(system.q_dict(q0), abs=1e-15)
         for values in rng.uniform(-0.28, 0.28, (5, dim)):
-            np.testing.assert_allclose(system.loops.closure_error(system.q(motion(*values))), 0.0, rtol=0, atol=1e-14)
+            np.testing.assert_allclose(
+                system.loops.closure_error(system.q(motion(*values))), 0.0, rtol=0, atol=1e-14
+            )
         h = 1e-6 * np.eye(dim)
         tangents = np.array([system.q(motion(*e)) - system.q(motion(*-e)) for e in h]) / 2e-6
         np.testing.assert_allclose(J @ tangents.T, 0.0, rtol=0, atol=2e-9)
@@ -159,12 +180,15 @@ def test_motions_through_singular_postures(case: Case):
         spans.append(tangents)
     for i, one in enumerate(spans):
         for other in spans[:i]:
-            assert np.linalg.matrix_rank(np.vstack([one, other]), tol=1e-3) > max(len(one), len(other))
+            assert np.linalg.matrix_rank(np.vstack([one, other]), tol=1e-3) > max(
+                len(one), len(other)
+            )
 
 
 def projected(system: System, q: np.ndarray) -> np.ndarray:
-    """A closed configuration next to an open one, by shortest Newton steps; many, since at shaky postures each step
-    only halves the way, and does less at a cusp."""
+    """A closed configuration next to an open one, by shortest Newton steps; many, since at shaky
+    postures each step only halves the way, and does less at a cusp.
+    """
     for _ in range(100):
         error = closure_rows.residual(system, q)
         if np.abs(error).max() < 1e-16:
@@ -176,30 +200,40 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
 
 
 def kicked(case: Case, size: float, n: int) -> Iterator[np.ndarray]:
-    """Closed configurations next to a posture, from random steps along the null space of the Jacobian."""
+    """Closed configurations next to a posture, from random steps along the null space of the
+    Jacobian.
+    """
     system = kempe.load(case.name)
     q = system.q(case.posture)
     kernel = np.linalg.svd(closure_rows.jacobian(system, q))[2][system.nv - case.rank :]
     steps = np.random.default_rng(3).normal(size=(n, case.rank)) * size
-    return (projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps)
+    return (
+        projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps
+    )
 
 
 def from_motion(system: System, q: np.ndarray, dim: int, motion: Motion) -> float:
     """How far a configuration is from a motion of the table."""
     answer = least_squares(
-        lambda x: system.configuration_space.difference(q, system.q(motion(*x))), np.zeros(dim), xtol=1e-15
+        lambda x: system.configuration_space.difference(q, system.q(motion(*x))),
+        np.zeros(dim),
+        xtol=1e-15,
     )
     return float(np.abs(answer.fun).max())
 
 
 @pytest.mark.parametrize("case", some([*MOVING, *STILL], 3), ids=str)
 def test_nothing_else_moves_through_singular_postures(case: Case):
-    """What random steps find is on one of the motions, and each motion is found; a structure does not move."""
+    """What random steps find is on one of the motions, and each motion is found; a structure does
+    not move.
+    """
     motions = branches(case.name) or [(1, lambda x: {})]
     system = kempe.load(case.name)
     least = 100 if len(motions) > 4 else 12
     hits: set[int] = set()
-    for i, q in enumerate(kicked(case, 0.1, 4 * least)):  # which are hit first depends on the basis of the null space
+    for i, q in enumerate(
+        kicked(case, 0.1, 4 * least)
+    ):  # which are hit first depends on the basis of the null space
         if i >= least and len(hits) == len(motions):
             break
         distances = [from_motion(system, q, *motion) for motion in motions]
@@ -209,7 +243,9 @@ def test_nothing_else_moves_through_singular_postures(case: Case):
 
 
 def test_the_cusp_of_the_double_watt_linkage():
-    """u^2 = (k L / 2) w^3 near the tip, u and w the difference and the sum of the heights of the two middles."""
+    """u^2 = (k L / 2) w^3 near the tip, u and w the difference and the sum of the heights of the
+    two middles.
+    """
     case = next(case for case in PLANAR if case.name == "double_watt")
     system = kempe.load(case.name)
     heights = np.array([system.fk(q, ["p1", "p2"])[:, 1, 3] for q in kicked(case, 0.1, 20)])
@@ -245,9 +281,13 @@ def test_the_shaky_structures_have_no_play(name):
 def test_slider_crank():
     angles = steps([80, 130, 180, 250])
     found = path("slider_crank", "A", angles, "slider")
-    assert_same_places(found, [0.1 * np.cos(t) + np.sqrt(0.09 - (0.1 * np.sin(t)) ** 2) for t in angles])
+    assert_same_places(
+        found, [0.1 * np.cos(t) + np.sqrt(0.09 - (0.1 * np.sin(t)) ** 2) for t in angles]
+    )
     angles = steps([20, -30])
-    assert_same_places(path("slider_crank_equal", "A", angles, "slider"), [0.4 * np.cos(t) for t in angles])
+    assert_same_places(
+        path("slider_crank_equal", "A", angles, "slider"), [0.4 * np.cos(t) for t in angles]
+    )
 
 
 def test_trammel():
@@ -256,18 +296,24 @@ def test_trammel():
     middles = [complex(x, y) / 2 for x, y in zip(feet, tops, strict=True)]
     assert_same_places(path("ladder", "X", feet, "middle"), middles)
     pen = np.array(path("ladder", "X", feet, "pen"))
-    np.testing.assert_allclose((np.real(pen) / 0.75) ** 2 + (np.imag(pen) / 0.25) ** 2, 1.0, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        (np.real(pen) / 0.75) ** 2 + (np.imag(pen) / 0.25) ** 2, 1.0, rtol=0, atol=1e-11
+    )
 
 
 def test_parallelogram_and_antiparallelogram():
     angles = steps([70, 120, 160])
     circle = [0.1 * turn(t) + 0.15 + 0.05j for t in angles]
     assert_same_places(path("parallelogram", "A", angles, "coupler_point"), circle)
-    crossed = [0.5 * (0.1 * turn(t) + 0.3 + 0.1 * turn(antiparallelogram_rocker(t))) for t in angles]
+    crossed = [
+        0.5 * (0.1 * turn(t) + 0.3 + 0.1 * turn(antiparallelogram_rocker(t))) for t in angles
+    ]
     found = path("antiparallelogram", "A", angles, "coupler_point")
     assert_same_places(found, crossed)
     eight = np.array(found) - 0.15
-    np.testing.assert_allclose(np.abs(eight) ** 2, 0.01 - 0.09 * np.sin(np.angle(eight)) ** 2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(eight) ** 2, 0.01 - 0.09 * np.sin(np.angle(eight)) ** 2, rtol=0, atol=1e-12
+    )
 
 
 def test_kite():
@@ -281,7 +327,9 @@ def test_kite():
 
 
 def test_straight_line_four_bars_touch_their_line():
-    """Chebyshev: heights 4 at x = 2, 0 and 4; Hoecken: at 90, 180 and 270 degrees; both at most 0.01 off in between."""
+    """Chebyshev: heights 4 at x = 2, 0 and 4; Hoecken: at 90, 180 and 270 degrees; both at most
+    0.01 off in between.
+    """
     left = kempe.load("chebyshev").q("closed")[0] + np.linspace(0, pi / 2 - np.arcsin(0.8), 9)
     found = np.array(path("chebyshev", "A", left.tolist(), "P")) * 10
     np.testing.assert_allclose(found[[0, -1]], [2 + 4j, 4j], rtol=0, atol=1e-10)
@@ -314,7 +362,9 @@ def test_watt_curve():
     t = np.angle(points)
     s = c * c - (a * np.cos(t)) ** 2
     wanted = (a * np.sin(t)) ** 2 + s
-    np.testing.assert_allclose((b * b - r * r - wanted) ** 2, 4 * (a * np.sin(t)) ** 2 * s, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        (b * b - r * r - wanted) ** 2, 4 * (a * np.sin(t)) ** 2 * s, rtol=0, atol=1e-14
+    )
 
 
 # ------------------------------------------------------------------ more loops
@@ -325,7 +375,9 @@ def test_five_bar():
     for t1, t2 in (steps([120, 40]), steps([150, 80]), steps([95, 30])):
         q = solved(system, {"A": t1, "D": t2}, system.q("closed"))
         x, y = system.fk(q, "tip")[:2, 3]
-        assert_same_places([complex(x, y)], [meet(0.2 * turn(t1), 0.3, 0.2 + 0.2 * turn(t2), 0.3, 1)])
+        assert_same_places(
+            [complex(x, y)], [meet(0.2 * turn(t1), 0.3, 0.2 + 0.2 * turn(t2), 0.3, 1)]
+        )
 
 
 def test_double_parallelogram_and_row_move():
@@ -338,11 +390,15 @@ def test_double_parallelogram_and_row_move():
 
 def test_scissor():
     slides = [0.3, 0.2, 0.45]
-    assert_same_places(path("scissor", "S", slides, "load"), [0.25 + 2j * np.sqrt(0.25 - s * s) for s in slides])
+    assert_same_places(
+        path("scissor", "S", slides, "load"), [0.25 + 2j * np.sqrt(0.25 - s * s) for s in slides]
+    )
 
 
 def test_peaucellier_is_straight():
-    """x = (OA^2 - AC^2) / (2 OQ) = 3.22; O, C and D are on a line, whose angle is half of the crank's."""
+    """x = (OA^2 - AC^2) / (2 OQ) = 3.22; O, C and D are on a line, whose angle is half of the
+    crank's.
+    """
     angles = steps([60, 80, 55, 30, 0, -30, -60, -80])
     found = path("peaucellier", "Q", angles, "D_point")
     assert_same_places(found, [complex(3.22, 3.22 * np.tan(t / 2)) for t in angles])
@@ -364,7 +420,10 @@ def stephenson_six_bar(t: float) -> complex:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name, frame, chain",
-    [("watt_six_bar", "output", watt_six_bar), ("stephenson_six_bar", "coupler_point", stephenson_six_bar)],
+    [
+        ("watt_six_bar", "output", watt_six_bar),
+        ("stephenson_six_bar", "coupler_point", stephenson_six_bar),
+    ],
 )
 def test_six_bars_turn_fully(name, frame, chain):
     start = kempe.load(name).q("closed")[0]
@@ -393,7 +452,9 @@ def jansen(t: float) -> complex:
 
 
 def test_jansen_walks():
-    """Circles that meet; the foot stays within 1 mm (of 92 cm) over 90 degrees of the crank, then it is lifted."""
+    """Circles that meet; the foot stays within 1 mm (of 92 cm) over 90 degrees of the crank, then
+    it is lifted.
+    """
     angles = np.radians(np.arange(0, 361, 20))
     foot = path("jansen", "O", angles.tolist(), "foot")
     assert_same_places(foot, [jansen(t) for t in angles])
@@ -420,7 +481,9 @@ def klann(t: float) -> complex:
 
 @pytest.mark.slow
 def test_klann_walks():
-    """At a turn of 0 the foot is at the origin of the patent's table; half a turn later it has gone one unit."""
+    """At a turn of 0 the foot is at the origin of the patent's table; half a turn later it has gone
+    one unit.
+    """
     angles = np.radians(np.arange(0, 361, 20))
     foot = path("klann", "P15", angles.tolist(), "foot")
     assert_same_places(foot, [klann(t) for t in angles])
@@ -428,7 +491,9 @@ def test_klann_walks():
 
 
 def test_andrews_squeezer():
-    """The six position equations of Hairer and Wanner, at their initial values and after turning the crank."""
+    """The six position equations of Hairer and Wanner, at their initial values and after turning
+    the crank.
+    """
     system = kempe.load("andrews_squeezer")
     c = system.structure.parameters
     q = system.q("closed")
@@ -442,10 +507,14 @@ def test_andrews_squeezer():
         B = complex(c["xb"], c["yb"])
         A = complex(c["xa"], c["ya"])
         assert_same_places(
-            [pin + 1j * c["ss"] * gamma, pin + 1j * c["e"] * turn(v["phi"]) * delta - c["zt"] * delta,
-             pin - c["zf"] * turn(v["omega"]) * epsilon + 1j * c["u"] * epsilon],
-            [B, A, A], 1e-12,
-        )  # fmt: skip
+            [
+                pin + 1j * c["ss"] * gamma,
+                pin + 1j * c["e"] * turn(v["phi"]) * delta - c["zt"] * delta,
+                pin - c["zf"] * turn(v["omega"]) * epsilon + 1j * c["u"] * epsilon,
+            ],
+            [B, A, A],
+            1e-12,
+        )
 
 
 # ------------------------------------------------------------------ parallel robots
@@ -466,17 +535,33 @@ def test_parallel_robots_reach_poses_by_closed_forms(x, y, w):
         q = system.q("closed")
         start = system.q_dict(q)
         for part in (0.25, 0.5, 0.75, 1.0):
-            q = solved(system, {n: start[n] + part * (value - start[n]) for n, value in known.items()}, q)
+            q = solved(
+                system, {n: start[n] + part * (value - start[n]) for n, value in known.items()}, q
+            )
         X = system.fk(q, "tool")
-        np.testing.assert_allclose([*X[:2, 3], atan2(X[1, 0], X[0, 0])], [x, y, w], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(
+            [*X[:2, 3], atan2(X[1, 0], X[0, 0])], [x, y, w], rtol=0, atol=1e-10
+        )
 
 
-@pytest.mark.parametrize("name, posture, free", [
-    ("three_rrr", "closed", 0), ("three_rpr", "closed", 0), ("three_rpr", "concurrent", 1), ("five_bar", "closed", 0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, posture, free",
+    [
+        ("three_rrr", "closed", 0),
+        ("three_rpr", "closed", 0),
+        ("three_rpr", "concurrent", 1),
+        ("five_bar", "closed", 0),
+    ],
+)
 def test_actuators_hold_the_platform(name, posture, free):
-    """Motions left when the actuated joints stand still: the legs' lines of the untwisted 3-RPR meet in a point."""
+    """Motions left when the actuated joints stand still: the legs' lines of the untwisted 3-RPR
+    meet in a point.
+    """
     system = kempe.load(name)
     J = closure_rows.jacobian(system, system.q(posture))
-    passive = [i for i, n in enumerate(system.structure.velocity_names) if not system.structure.joints[n].actuated]
+    passive = [
+        i
+        for i, n in enumerate(system.structure.velocity_names)
+        if not system.structure.joints[n].actuated
+    ]
     assert nullity(J[:, passive], 1e-9) == free

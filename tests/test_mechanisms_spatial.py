@@ -1,4 +1,6 @@
-"""Closed mechanisms in space: published degrees of freedom and motions, other libraries' constraint Jacobians."""
+"""Closed mechanisms in space: published degrees of freedom and motions, other libraries' constraint
+Jacobians.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ PI = np.pi
 
 
 def close(system: System, q: np.ndarray, hold: tuple[str, ...] = ()) -> np.ndarray:
-    """A configuration near q that closes all loops, some coordinates held: scipy's solver, then Newton steps."""
+    """A configuration near q that closes all loops, some coordinates held: scipy's solver, then
+    Newton steps.
+    """
     free = [i for i, name in enumerate(system.structure.velocity_names) if name not in hold]
 
     def moved(x: np.ndarray) -> np.ndarray:
@@ -31,7 +35,9 @@ def close(system: System, q: np.ndarray, hold: tuple[str, ...] = ()) -> np.ndarr
         h = 1e-6 * np.eye(len(free))
         return (residual(system, moved(x + h)) - residual(system, moved(x - h))).T / 2e-6
 
-    found = least_squares(lambda x: residual(system, moved(x)), np.zeros(len(free)), slope, xtol=1e-15, ftol=1e-15)
+    found = least_squares(
+        lambda x: residual(system, moved(x)), np.zeros(len(free)), slope, xtol=1e-15, ftol=1e-15
+    )
     q = moved(found.x)
     for _ in range(4):
         v = np.zeros(system.nv)
@@ -42,7 +48,9 @@ def close(system: System, q: np.ndarray, hold: tuple[str, ...] = ()) -> np.ndarr
 
 
 def driven(name: str, driver: str, angles: np.ndarray) -> tuple[System, list[np.ndarray]]:
-    """Configurations with the driver at each angle, each closed from the one before; the first from the posture."""
+    """Configurations with the driver at each angle, each closed from the one before; the first from
+    the posture.
+    """
     system = kempe.load(name)
     q = system.q("closed")
     start = q[system.coordinate_names.index(driver)]
@@ -101,19 +109,25 @@ def test_one_mechanism_is_not_driven():
     assert [row.name for row in SPATIAL if not motors_of(row.name)] == [NOT_DRIVEN]
 
 
-@pytest.mark.parametrize("row", [r for r in SPATIAL if r.name != NOT_DRIVEN], ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "row", [r for r in SPATIAL if r.name != NOT_DRIVEN], ids=lambda row: row.name
+)
 def test_what_is_idle_moves_when_the_motors_hold(row: Spatial):
     system = kempe.load(row.name)
     motors = motors_of(row.name)
     assert len(motors) == row.dof - row.idle
     A = joint_constraints(system, system.q("closed"), motors)
     left = A.shape[1] - singular_values(A)[1]
-    assert left - row.idle == row.rank - row.dof  # what is neither driven nor idle: of a singular posture only
+    assert (
+        left - row.idle == row.rank - row.dof
+    )  # what is neither driven nor idle: of a singular posture only
 
 
 @every_mechanism
 def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
-    """True freedoms: a step in any direction of the kernel leads to a closed configuration within the step squared."""
+    """True freedoms: a step in any direction of the kernel leads to a closed configuration within
+    the step squared.
+    """
     system = kempe.load(row.name)
     q0 = system.q("closed")
     step = 1e-3
@@ -129,7 +143,9 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
             q = system.configuration_space.integrate(
                 q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0]
             )
-        assert np.abs(residual(system, q)).max() < 5e-13  # rounding, whatever the order of sums on this processor
+        assert (
+            np.abs(residual(system, q)).max() < 5e-13
+        )  # rounding, whatever the order of sums on this processor
         ends.append(system.configuration_space.difference(q0, q) / step - v)
     if row.dof == row.rank:
         assert np.abs(ends).max() < 30 * step
@@ -165,7 +181,9 @@ every_loop = pytest.mark.parametrize("name", LOOPS)
 
 @every_loop
 def test_pinocchio_closes_the_loop_and_finds_its_freedom(name):
-    """The open chain of the published parameters: its end meets its start, its Jacobian has one direction too many."""
+    """The open chain of the published parameters: its end meets its start, its Jacobian has one
+    direction too many.
+    """
     pin = pytest.importorskip("pinocchio")
     model = pin.Model()
     before = pin.SE3.Identity()
@@ -213,7 +231,10 @@ def test_the_paradox_does_not_depend_on_the_numbers(name, parameters):
     before = kempe.load(name)
     system = before.with_parameters(**parameters)
     opened = np.abs(system.loops.closure_error(before.q("closed"))).max()
-    if name in ("bricard_rectangular", "schatz"):  # one length only: the angles are the same in every size
+    if name in (
+        "bricard_rectangular",
+        "schatz",
+    ):  # one length only: the angles are the same in every size
         assert opened < 1e-14
     else:
         assert opened > 1e-3
@@ -231,7 +252,9 @@ def test_bennett_relation():
 
 
 def test_goldberg_is_two_of_bennetts_linkages():
-    """Either side keeps the relation of the linkage that it comes from; the long link's is their product."""
+    """Either side keeps the relation of the linkage that it comes from; the long link's is their
+    product.
+    """
     _, found = driven("goldberg_5r", "q1", np.linspace(2.2, 3.0, 6))
     first, second = (np.sin((0.9 + twist) / 2) / np.sin((0.9 - twist) / 2) for twist in (0.5, 0.7))
     for q in found:
@@ -250,7 +273,9 @@ def test_half_a_turn_takes_the_line_symmetric_loop_to_itself(side):
 
 def test_the_rectangular_loop_lies_on_the_edges_of_a_cube():
     system = kempe.load("bricard_rectangular")
-    corners = system.fk(system.q("closed"), ["ground", *(f"link{i}" for i in range(1, 6))])[:, :3, 3]
+    corners = system.fk(system.q("closed"), ["ground", *(f"link{i}" for i in range(1, 6))])[
+        :, :3, 3
+    ]
     steps = np.diff([*corners, corners[0]], axis=0)
     np.testing.assert_allclose(np.sort(np.abs(steps), axis=1), [[0, 0, 1]] * 6, rtol=0, atol=1e-14)
     np.testing.assert_allclose(np.ptp(corners, axis=0), 1, rtol=0, atol=1e-14)
@@ -278,7 +303,9 @@ def test_the_four_bar_in_space_moves_as_in_the_plane():
 
 
 def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
-    """The ends of the coupler keep their distance: u cos(D) + v sin(D) = w, with two roots for each crank angle."""
+    """The ends of the coupler keep their distance: u cos(D) + v sin(D) = w, with two roots for each
+    crank angle.
+    """
     system, found = driven("rssr", "A", np.linspace(PI / 2, PI / 2 + 2 * PI, 25))
     for q in found:
         values = system.q_dict(q)
@@ -306,9 +333,13 @@ def moved(name: str, seed: int, size: float = 0.1) -> tuple[System, np.ndarray]:
     rng = np.random.default_rng(seed)
     v = rng.normal(size=system.nv)
     for _ in range(6):
-        kernel = np.linalg.svd(jacobian(system, q))[2][np.linalg.matrix_rank(jacobian(system, q), tol=1e-7) :]
+        kernel = np.linalg.svd(jacobian(system, q))[2][
+            np.linalg.matrix_rank(jacobian(system, q), tol=1e-7) :
+        ]
         step = kernel.T @ (kernel @ v)
-        q = close(system, system.configuration_space.integrate(q, size / 6 * step / np.abs(step).max()))
+        q = close(
+            system, system.configuration_space.integrate(q, size / 6 * step / np.abs(step).max())
+        )
     return system, q
 
 
@@ -322,7 +353,9 @@ def test_translational_platforms_do_not_turn(name):
 
 
 def test_delta_arms_are_those_of_the_textbook():
-    """The middles of elbow and platform edge are a rod apart: (r + arm cos - x)^2 + y^2 + (z + arm sin)^2 = rod^2."""
+    """The middles of elbow and platform edge are a rod apart: (r + arm cos - x)^2 + y^2 + (z + arm
+    sin)^2 = rod^2.
+    """
     system, q = moved("delta_uu", 1)
     p = system.fk(q, "platform")[:3, 3]
     for i, phi in enumerate((0.0, 2 * PI / 3, 4 * PI / 3), 1):
@@ -330,10 +363,14 @@ def test_delta_arms_are_those_of_the_textbook():
         y = np.cos(phi) * p[1] - np.sin(phi) * p[0]
         angle = system.q_dict(q)[f"A{i}"]
         reach = 0.2 - 0.05 + 0.25 * np.cos(angle) - x
-        assert reach**2 + y**2 + (p[2] + 0.25 * np.sin(angle)) ** 2 == pytest.approx(0.5**2, abs=1e-13)
+        assert reach**2 + y**2 + (p[2] + 0.25 * np.sin(angle)) ** 2 == pytest.approx(
+            0.5**2, abs=1e-13
+        )
 
 
-@pytest.mark.parametrize("name", ["stewart", "stewart_sps", "stewart_dietmaier", "three_upu", "three_rps"])
+@pytest.mark.parametrize(
+    "name", ["stewart", "stewart_sps", "stewart_dietmaier", "three_upu", "three_rps"]
+)
 def test_a_leg_is_as_long_as_its_coordinate(name):
     system, q = moved(name, 2)
     joints = system.structure.joints
@@ -355,7 +392,9 @@ def test_hunts_platform_has_no_torsion():
 
 
 def test_two_motions_meet_in_the_singular_3_upu():
-    """Away from the posture either of them has three freedoms: one without turning, one in which the platform tilts."""
+    """Away from the posture either of them has three freedoms: one without turning, one in which
+    the platform tilts.
+    """
     system = kempe.load("three_upu_snu")
     q0 = system.q("closed")
     kernel = np.linalg.svd(jacobian(system, q0))[2][-5:].T
@@ -374,7 +413,9 @@ def test_two_motions_meet_in_the_singular_3_upu():
     half = 0.35 / 2
     for a, b in ((0.2, 0.1), (-0.3, 0.2)):
         _, X = nearby(half * b, -half * a, 0.02, a, b)
-        np.testing.assert_allclose(Rotation.from_matrix(X[:3, :3]).as_rotvec(), [a, b, 0], rtol=0, atol=0.02)
+        np.testing.assert_allclose(
+            Rotation.from_matrix(X[:3, :3]).as_rotvec(), [a, b, 0], rtol=0, atol=0.02
+        )
         bisector = X[:3, 2] + [0, 0, 1]  # the platform is the base seen in a mirror (Hunt, 1973)
         np.testing.assert_allclose(np.cross(bisector, X[:3, 3]), 0, rtol=0, atol=1e-12)
 
@@ -382,8 +423,12 @@ def test_two_motions_meet_in_the_singular_3_upu():
 # ------------------------------------------------------------------ Dietmaier's forty poses
 
 
-def forty(base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int = 4000) -> np.ndarray:
-    """Poses (n, 7), position and quaternion wxyz, w > 0, in which the legs have their lengths; Newton's method."""
+def forty(
+    base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int = 4000
+) -> np.ndarray:
+    """Poses (n, 7), position and quaternion wxyz, w > 0, in which the legs have their lengths;
+    Newton's method.
+    """
     rng = np.random.default_rng(0)
     p = rng.normal(size=(starts, 3))
     p *= legs[0] / np.linalg.norm(p, axis=1, keepdims=True)
@@ -394,7 +439,9 @@ def forty(base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int 
         f = (np.einsum("nki,nki->nk", d, d) - legs**2) / 2
         J = np.concatenate([d, np.cross(r, d)], axis=-1)
         JT = J.swapaxes(1, 2)
-        damping = 1e-3 * np.linalg.norm(f, axis=1)[:, None, None] ** 2 * np.eye(6) + 1e-18 * np.eye(6)
+        damping = 1e-3 * np.linalg.norm(f, axis=1)[:, None, None] ** 2 * np.eye(6) + 1e-18 * np.eye(
+            6
+        )
         step = -np.linalg.solve(JT @ J + damping, JT @ f[..., None])[..., 0]
         step *= np.minimum(1, 0.7 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-30))
         p = p + step[:, :3]
@@ -409,12 +456,19 @@ def forty(base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int 
 
 
 def test_dietmaiers_platform_has_forty_poses():
-    """Dietmaier, 1998. From the lengths of the posture and the file's geometry, by Newton from 4000 random poses."""
+    """Dietmaier, 1998. From the lengths of the posture and the file's geometry, by Newton from 4000
+    random poses.
+    """
     system = kempe.load("stewart_dietmaier")
     q = system.q("closed")
     joints = system.structure.joints
     base, platform = (
-        np.array([joints[f"{kind}{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3] for i in range(1, 7)])
+        np.array(
+            [
+                joints[f"{kind}{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3]
+                for i in range(1, 7)
+            ]
+        )
         for kind in "US"
     )
     legs = np.array([system.q_dict(q)[f"leg{i}"] for i in range(1, 7)])
@@ -436,7 +490,9 @@ def numbers(values: object) -> str:
 
 
 def mujoco_freedoms(bodies: str, pairs: list[tuple[str, str]], q: dict[str, list[float]]) -> int:
-    """Velocities that connections between pairs of sites allow, at joint values by name; they must be closed."""
+    """Velocities that connections between pairs of sites allow, at joint values by name; they must
+    be closed.
+    """
     mujoco = pytest.importorskip("mujoco")
     connections = "".join(f'<connect site1="{a}" site2="{b}"/>' for a, b in pairs)
     model = mujoco.MjModel.from_xml_string(
@@ -462,7 +518,9 @@ def platform(system: System, sites: dict[str, np.ndarray]) -> tuple[str, list[fl
 
 @pytest.mark.parametrize("name, freedoms", [("stewart", 6), ("stewart_sps", 12)])
 def test_mujoco_agrees_on_the_hexapod(name, freedoms):
-    """Legs on the ground, a free platform, six connections: written from the dimensions, not from the file."""
+    """Legs on the ground, a free platform, six connections: written from the dimensions, not from
+    the file.
+    """
     system = kempe.load(name)
     values = system.q_dict(system.q("closed"))
     bodies = ""
@@ -481,16 +539,21 @@ def test_mujoco_agrees_on_the_hexapod(name, freedoms):
             low = f'<joint name="ball{i}" type="ball"/>'
             q[f"ball{i}"] = [values[f"B{i + 1}.q{c}"] for c in "wxyz"]
         bodies += (
-            f'<body pos="{numbers([0.3 * np.cos(foot), 0.3 * np.sin(foot), 0])}" euler="0 0 {foot!r}">{low}{BALL}'
-            f'<body><joint name="leg{i}" type="slide" axis="0 0 1"/>{BALL}<site name="top{i}"/></body></body>'
+            f'<body pos="{numbers([0.3 * np.cos(foot), 0.3 * np.sin(foot), 0])}" euler="0 0 '
+            f'{foot!r}">{low}{BALL}<body><joint name="leg{i}" type="slide" axis="0 0 '
+            f'1"/>{BALL}<site name="top{i}"/></body></body>'
         )
         q[f"leg{i}"] = [values[f"leg{i + 1}"]]
     body, q["platform"] = platform(system, heads)
-    assert mujoco_freedoms(bodies + body, [(f"top{i}", f"head{i}") for i in range(6)], q) == freedoms
+    assert (
+        mujoco_freedoms(bodies + body, [(f"top{i}", f"head{i}") for i in range(6)], q) == freedoms
+    )
 
 
 def test_mujoco_agrees_on_the_delta():
-    """Arms on the ground, rods in ball joints, a free platform: 27 coordinates, 18 equations, 9 freedoms."""
+    """Arms on the ground, rods in ball joints, a free platform: 27 coordinates, 18 equations, 9
+    freedoms.
+    """
     system = kempe.load("delta_ss")
     values = system.q_dict(system.q("closed"))
     bodies = ""
@@ -504,8 +567,8 @@ def test_mujoco_agrees_on_the_delta():
             tangent = np.array([-np.sin(phi), np.cos(phi), 0])
             edges[f"edge{i}{k}"] = 0.05 * radial + w * tangent
             rods += (
-                f'<body pos="0.25 {w} 0" quat="{numbers([0.5, -0.5, 0.5, -0.5])}"><joint name="rod{i}{k}" type="ball"/>'
-                f'{BALL}<site name="end{i}{k}" pos="0 0 0.5"/></body>'
+                f'<body pos="0.25 {w} 0" quat="{numbers([0.5, -0.5, 0.5, -0.5])}"><joint '
+                f'name="rod{i}{k}" type="ball"/>{BALL}<site name="end{i}{k}" pos="0 0 0.5"/></body>'
             )
             q[f"rod{i}{k}"] = [values[f"B{i + 1}{k}.q{c}"] for c in "wxyz"]
         arm = f'<joint name="arm{i}" axis="0 1 0"/>{BALL}{rods}'

@@ -26,14 +26,22 @@ def sentence(x) -> str:
     return f"{x + 1} things"
 '''
 EXPECTED = [
-    ("3", "4"), ("0", "1"), ("x < least", "x >= least"),
-    ("raise ValueError(f'{x} is less than {least + 1}')", "pass"), ("x + 1", "x - 1"), ("1", "2"),
-    ("x and least", "x or least"), ("x and least", "not (x and least)"), ("-x", "x"),
-    ("return min(out, SIZE, key=abs)", "return None"), ("min(out, SIZE, key=abs)", "max(out, SIZE, key=abs)"),
-    ("min(out, SIZE, key=abs)", "min(out, SIZE)"), ("0", "1"),
+    ("3", "4"),
+    ("0", "1"),
+    ("x < least", "x >= least"),
+    ("raise ValueError(f'{x} is less than {least + 1}')", "pass"),
+    ("x + 1", "x - 1"),
+    ("1", "2"),
+    ("x and least", "x or least"),
+    ("x and least", "not (x and least)"),
+    ("-x", "x"),
+    ("return min(out, SIZE, key=abs)", "return None"),
+    ("min(out, SIZE, key=abs)", "max(out, SIZE, key=abs)"),
+    ("min(out, SIZE, key=abs)", "min(out, SIZE)"),
+    ("0", "1"),
     ("return [*zip(a, a, strict=True)] or zeros((0, a))", "return None"),
     ("[*zip(a, a, strict=True)] or zeros((0, a))", "[*zip(a, a, strict=True)] and zeros((0, a))"),
-]  # fmt: skip
+]
 
 
 def test_each_change_once_and_no_texts():

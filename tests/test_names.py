@@ -36,9 +36,20 @@ def test_a_mechanism_has_few_names():
     """Its tables (`joints`, `frames`, ...) are attributes of each mechanism besides."""
     assert len(listed(Mechanism)) <= MOST_OF_MECHANISM
     assert {name for name in vars(Mechanism("m")) if not name.startswith("_")} <= {
-        "name", "dim", "bodies", "joints", "frames", "couplings", "constraints", "parameters", "postures", "locks",
-        "notes", "roots", "tolerance",
-    }  # fmt: skip
+        "name",
+        "dim",
+        "bodies",
+        "joints",
+        "frames",
+        "couplings",
+        "constraints",
+        "parameters",
+        "postures",
+        "locks",
+        "notes",
+        "roots",
+        "tolerance",
+    }
 
 
 def test_what_is_no_name_is_no_attribute():
@@ -51,8 +62,22 @@ def test_what_is_no_name_is_no_attribute():
 
 NAMESPACES = {
     "structure": {"closures", "joints", "limits", "frame_name", "hash"},
-    "configuration_space": {"integrate", "difference", "interpolate", "distance", "dimension", "ambient"},
-    "loops": {"assembler", "closed_form", "closure_error", "constraints", "jacobian", "transmission_angle"},
+    "configuration_space": {
+        "integrate",
+        "difference",
+        "interpolate",
+        "distance",
+        "dimension",
+        "ambient",
+    },
+    "loops": {
+        "assembler",
+        "closed_form",
+        "closure_error",
+        "constraints",
+        "jacobian",
+        "transmission_angle",
+    },
     "inverse": {"plan", "sweep", "self_motion", "arm_angle"},
     "reach": {"poses", "place", "capability", "planar"},
     "symbolic": {"fk"},
@@ -103,13 +128,20 @@ def test_a_posture_is_a_configuration_by_name():
 
 
 def test_of_very_many_names_the_nearest_is_found_among_the_like(monkeypatch):
-    """Letters of some hundred names are compared, not of all: 50 000 took 4 seconds for each wrong name."""
+    """Letters of some hundred names are compared, not of all: 50 000 took 4 seconds for each wrong
+    name.
+    """
     names = [f"link_number_{i}" for i in range(30_000)]
     own = difflib.get_close_matches
     compared = list[int]()
     monkeypatch.setattr(
-        difflib, "get_close_matches", lambda given, all, **how: (compared.append(len(all)), own(given, all, **how))[1]
+        difflib,
+        "get_close_matches",
+        lambda given, all, **how: (compared.append(len(all)), own(given, all, **how))[1],
     )
-    for given, right in (("link_nimber_29999", "link_number_29999"), ("lnk_number_1234", "link_number_1234")):
+    for given, right in (
+        ("link_nimber_29999", "link_number_29999"),
+        ("lnk_number_1234", "link_number_1234"),
+    ):
         assert f"did you mean {right!r}" in hint(given, names)
     assert max(compared) <= 500

@@ -45,22 +45,31 @@ class Pinocchio:
         except ValueError:  # it wants the source of a mimic joint before the joint
             self.model = pin.buildModelFromUrdf(str(path))
         self.data = self.model.createData()
-        self.bodies = [f.name for f in self.model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
+        self.bodies = [
+            f.name
+            for f in self.model.frames
+            if f.type == pin.FrameType.BODY and f.name != "universe"
+        ]
 
     def q(self, values: dict[str, float]) -> np.ndarray:
         """Its configuration: circles are (cos, sin), mimic joints have no coordinate."""
         q = pin.neutral(self.model)
-        for name, joint in zip(list(self.model.names)[1:], list(self.model.joints)[1:], strict=True):
+        for name, joint in zip(
+            list(self.model.names)[1:], list(self.model.joints)[1:], strict=True
+        ):
             if joint.shortname() == "JointModelMimic":
                 continue
             x = values[name]
-            q[joint.idx_q : joint.idx_q + joint.nq] = [x] if joint.nq == 1 else [np.cos(x), np.sin(x)]
+            q[joint.idx_q : joint.idx_q + joint.nq] = (
+                [x] if joint.nq == 1 else [np.cos(x), np.sin(x)]
+            )
         return q
 
     def poses(self, values: dict[str, float]) -> dict[str, np.ndarray]:
         pin.framesForwardKinematics(self.model, self.data, self.q(values))
         return {
-            name: self.data.oMf[self.model.getFrameId(name, pin.FrameType.BODY)].homogeneous for name in self.bodies
+            name: self.data.oMf[self.model.getFrameId(name, pin.FrameType.BODY)].homogeneous
+            for name in self.bodies
         }
 
     def jacobian(self, values: dict[str, float], frame: str, kind) -> dict[str, np.ndarray]:
@@ -91,7 +100,9 @@ def test_poses_are_pinocchios(path):
             np.testing.assert_allclose(mine[name], X, rtol=0, atol=1e-12, err_msg=name)
     for name in list(poses)[:: max(1, len(poses) // 5)]:
         np.testing.assert_allclose(s.fk(q, name), poses[name], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(s.fk(np.array([q] * 9), name)[4], poses[name], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            s.fk(np.array([q] * 9), name)[4], poses[name], rtol=0, atol=1e-12
+        )
 
 
 @every_robot
@@ -124,7 +135,9 @@ def test_poses_are_mujocos(path):
     model = mujoco.MjModel.from_xml_string(mujoco_text(path))
     data = mujoco.MjData(model)
     names = [model.body(i).name for i in range(1, model.nbody)]
-    assert {*names, s.body_names[0]} == set(s.body_names)  # MuJoCo may melt the root link into its world
+    assert {*names, s.body_names[0]} == set(
+        s.body_names
+    )  # MuJoCo may melt the root link into its world
     for q in configurations(s, np.random.default_rng(2)):
         values = joint_values(s, path, q)
         for j in range(model.njnt):
@@ -132,7 +145,9 @@ def test_poses_are_mujocos(path):
         mujoco.mj_kinematics(model, data)
         poses = dict(zip(s.body_names, s.fk(q), strict=True))
         for i, name in enumerate(names, start=1):
-            np.testing.assert_allclose(poses[name][:3, 3], data.xpos[i], rtol=0, atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                poses[name][:3, 3], data.xpos[i], rtol=0, atol=1e-12, err_msg=name
+            )
             np.testing.assert_allclose(
                 poses[name][:3, :3], data.xmat[i].reshape(3, 3), rtol=0, atol=1e-12, err_msg=name
             )
@@ -142,7 +157,11 @@ def test_poses_are_mujocos(path):
 def test_limits_and_mimics_are_pinocchios(path):
     s = kempe.load(path)
     model = Pinocchio(path).model
-    plain = {n: j for n, j in zip(list(model.names)[1:], list(model.joints)[1:], strict=True) if j.nq == 1}
+    plain = {
+        n: j
+        for n, j in zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+        if j.nq == 1
+    }
     followed = {source for source, _, _ in mimics(path).values()}
     for name, joint in plain.items():
         if name in s.structure.velocity_names and name not in followed:
@@ -154,20 +173,34 @@ def test_limits_and_mimics_are_pinocchios(path):
         assert coordinate_value(s, q, name) == pytest.approx(x, abs=1e-12)
 
 
-# ------------------------------------------------------------------ joints that no file has: free, spherical, planar
+# ------------------------------------------------------------------ joints that no file has: free,
+# spherical, planar
 
 
-@pytest.mark.parametrize(("kind", "model"), [
-    ("free", pin.JointModelFreeFlyer()), ("spherical", pin.JointModelSpherical()),
-    ("translation", pin.JointModelTranslation()), ("planar", pin.JointModelPlanar()),
-    ("spherical angles", pin.JointModelSphericalZYX()),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "model"),
+    [
+        ("free", pin.JointModelFreeFlyer()),
+        ("spherical", pin.JointModelSpherical()),
+        ("translation", pin.JointModelTranslation()),
+        ("planar", pin.JointModelPlanar()),
+        ("spherical angles", pin.JointModelSphericalZYX()),
+    ],
+)
 def test_joints_with_many_freedoms_are_pinocchios(kind, model):
-    """Velocities of a free joint: Pinocchio has both parts in body axes, here the linear one is in those of F."""
+    """Velocities of a free joint: Pinocchio has both parts in body axes, here the linear one is in
+    those of F.
+    """
     m = kempe.Mechanism()
     placement = pin.XYZQUATToSE3(np.array([0.3, -0.2, 0.5, *np.array([0.1, 0.7, -0.5, 0.5]) / 1.0]))
-    m.joint("j", kind.split()[0], m.ground, m.body("b"), at=place(placement.translation, matrix=placement.rotation),
-            **({"angles": True} if "angles" in kind else {}))  # fmt: skip
+    m.joint(
+        "j",
+        kind.split()[0],
+        m.ground,
+        m.body("b"),
+        at=place(placement.translation, matrix=placement.rotation),
+        **({"angles": True} if "angles" in kind else {}),
+    )
     s = m.build()
     other = pin.Model()
     other.addJoint(0, model, placement, "j")

@@ -1,7 +1,8 @@
 """What the verbs return can be sent to another process, which says of it what this one says.
 
-Only public names are imported: answers, whose explanations and derivatives are found by name, are asked for all that
-is public of them, in a process that has imported no more than `kempe` before it reads them.
+Only public names are imported: answers, whose explanations and derivatives are found by name, are
+asked for all that is public of them, in a process that has imported no more than `kempe` before it
+reads them.
 """
 
 from __future__ import annotations
@@ -207,7 +208,10 @@ def of_tasks() -> Iterable[tuple[str, Any]]:
     yield "ik of tasks", arm.ik([position(tool, p)])
     yield "ik of tasks by priority", arm.ik([position(tool, p), aim], budget=few)
     yield "ik of tasks out of reach", arm.ik([position(tool, p + 9.0)], budget=few)
-    yield "ik of tasks that exclude each other", arm.ik([position(tool, p), position(tool, p + 0.1)], budget=few)
+    yield (
+        "ik of tasks that exclude each other",
+        arm.ik([position(tool, p), position(tool, p + 0.1)], budget=few),
+    )
     yield "ik of tasks of a batch", arm.ik([position(tool, np.stack([p, p + 9.0]))], budget=few)
     yield "ik_path of tasks", arm.ik_path([position(tool, np.stack([p, p + 0.01]))])
     yield "task_space", arm.task_space(tool)
@@ -258,7 +262,10 @@ def of_loops() -> Iterable[tuple[str, Any]]:
     yield "assemble of a batch", linkage.assemble({"D": np.array([1.6, 0.0, np.nan])})
     yield "assembly_modes", linkage.assembly_modes({"A": 0.3})
     yield "assembly_modes, impossible", linkage.assembly_modes({"D": 0.0})
-    yield "ik through a loop", linkage.ik(linkage.fk(closed, "coupler_point")[:2, 3], "coupler_point")
+    yield (
+        "ik through a loop",
+        linkage.ik(linkage.fk(closed, "coupler_point")[:2, 3], "coupler_point"),
+    )
     yield "closed_form", linkage.loops.closed_form(["A"])
     yield "closed_form, incomplete", kempe.load("bennett").loops.closed_form([])
     yield "close", linkage.loops.closed_form(["A"]).close([0.3])
@@ -386,7 +393,9 @@ def bars(joints: str = "AB") -> kempe.Mechanism:
 
 
 def rounded() -> kempe.System:
-    """A planar four-bar linkage built in space, one pin of which is off by a hundredth of a millimetre."""
+    """A planar four-bar linkage built in space, one pin of which is off by a hundredth of a
+    millimetre.
+    """
     m = kempe.Mechanism("rounded")
     a, b, c = (m.body(n) for n in "abc")
     m.revolute("A", m.ground, a)
@@ -408,7 +417,9 @@ def test_another_process_says_the_same(tmp_path):
     file = tmp_path / "sent"
     answer = tmp_path / "said"
     file.write_bytes(pickle.dumps(sent))
-    code = "import sys; sys.path.insert(0, sys.argv.pop()); import test_pickles; test_pickles.other()"
+    code = (
+        "import sys; sys.path.insert(0, sys.argv.pop()); import test_pickles; test_pickles.other()"
+    )
     command = [sys.executable, "-c", code, file, answer, Path(__file__).parent]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert not done.returncode, done.stderr

@@ -20,7 +20,10 @@ COMMANDS = re.compile(r"^\s*(?:- )?run: (.+)$", re.M)
 
 
 def test_one_version_everywhere():
-    assert re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.M)[1] == PROJECT["version"]
+    assert (
+        re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.M)[1]
+        == PROJECT["version"]
+    )
     heading = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.M)
     assert heading[1] == PROJECT["version"]
 
@@ -34,15 +37,24 @@ def test_the_pythons_that_are_promised_are_tested():
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.stem)
 def test_workflows_run_what_the_guide_says(path):
-    """Each command but an installation stands in CONTRIBUTING.md; so each can be run, and was, without a workflow."""
-    commands = [c for c in COMMANDS.findall(path.read_text()) if "pip install" not in c and "--check" not in c]
+    """Each command but an installation stands in CONTRIBUTING.md; so each can be run, and was,
+    without a workflow.
+    """
+    commands = [
+        c
+        for c in COMMANDS.findall(path.read_text())
+        if "pip install" not in c and "--check" not in c
+    ]
     assert commands or path.stem == "wheels"
     for command in commands:
         assert command.removeprefix("python -m ") in CONTRIBUTING, command
 
 
-@pytest.mark.parametrize("path", [*WORKFLOWS, *FORMS, ROOT / ".pre-commit-config.yaml", ROOT / "CITATION.cff"],
-                         ids=lambda p: p.name)  # fmt: skip
+@pytest.mark.parametrize(
+    "path",
+    [*WORKFLOWS, *FORMS, ROOT / ".pre-commit-config.yaml", ROOT / "CITATION.cff"],
+    ids=lambda p: p.name,
+)
 def test_settings_can_be_read(path):
     yaml = pytest.importorskip("yaml")
     assert yaml.safe_load(path.read_text())
@@ -65,10 +77,21 @@ NOT_STRICT = {
 
 def test_types_are_checked_strictly_everywhere_else():
     settings = SETTINGS["tool"]["pyright"]
-    assert settings["typeCheckingMode"] == "strict" and settings["include"] == ["src", "benchmarks/kempe_bench"]
-    roots = {e["root"] for e in settings["executionEnvironments"] if any(key.startswith("report") for key in e)}
+    assert settings["typeCheckingMode"] == "strict" and settings["include"] == [
+        "src",
+        "benchmarks/kempe_bench",
+    ]
+    roots = {
+        e["root"]
+        for e in settings["executionEnvironments"]
+        if any(key.startswith("report") for key in e)
+    }
     modules = (p for folder in settings["include"] for p in (ROOT / folder).rglob("*.py"))
-    own = {p.relative_to(ROOT).as_posix() for p in modules if re.search(r"^# pyright:", p.read_text(), re.M)}
+    own = {
+        p.relative_to(ROOT).as_posix()
+        for p in modules
+        if re.search(r"^# pyright:", p.read_text(), re.M)
+    }
     assert roots | own == NOT_STRICT.keys()
 
 

@@ -1,4 +1,6 @@
-"""Other names and another order of declaration: the same tree, counts, ranks, sets of solutions and single answers."""
+"""Other names and another order of declaration: the same tree, counts, ranks, sets of solutions and
+single answers.
+"""
 
 from __future__ import annotations
 
@@ -20,32 +22,43 @@ NEAR = 0.1
 
 
 def renamed(system: System, rng: np.random.Generator) -> tuple[System, dict[str, str]]:
-    """The same mechanism with other names of bodies and joints, declared in another order; and the new names."""
+    """The same mechanism with other names of bodies and joints, declared in another order; and the
+    new names.
+    """
     m = system.mechanism
     bodies = list(m.bodies)
     joints = list(m.joints)
-    texts = [f"{'xyzabc'[int(rng.integers(6))]}{n}" for n in rng.permutation(2 * (len(bodies) + len(joints)))]
+    texts = [
+        f"{'xyzabc'[int(rng.integers(6))]}{n}"
+        for n in rng.permutation(2 * (len(bodies) + len(joints)))
+    ]
     new = {m.ground.name: m.ground.name}
     for name in (*bodies, *joints):
         new.setdefault(name, texts.pop())
-    coordinates = {c: new[j] + c[len(j) :] for j in joints for c in system.structure.coordinates_of_joint(j)}
+    coordinates = {
+        c: new[j] + c[len(j) :] for j in joints for c in system.structure.coordinates_of_joint(j)
+    }
     coordinates |= {v: new[j] + v[len(j) :] for j in joints for v in velocity_names(system, j)}
     mixed = lambda names: [names[int(k)] for k in rng.permutation(len(names))]  # noqa: E731
     order = [m.ground.name, *mixed([b for b in bodies if b != m.ground.name])]
     m.bodies = {new[b]: replace(m.bodies[b], name=new[b]) for b in order}
     m.joints = {
         new[j]: replace(o, name=new[j], parent=new[o.parent], child=new[o.child])
-        for j in mixed(joints) if (o := m.joints[j])
-    }  # fmt: skip
+        for j in mixed(joints)
+        if (o := m.joints[j])
+    }
     m.couplings = {
-        coordinates[k]: replace(c, of=coordinates[c.of], sources={coordinates[s]: x for s, x in c.sources.items()})
+        coordinates[k]: replace(
+            c, of=coordinates[c.of], sources={coordinates[s]: x for s, x in c.sources.items()}
+        )
         for k, c in m.couplings.items()
     }
     m.locks = {coordinates[k]: x for k, x in m.locks.items()}
     m.frames = {n: replace(f, body=new[f.body]) for n, f in m.frames.items()}
     m.postures = {n: {coordinates[k]: x for k, x in p.items()} for n, p in m.postures.items()}
     m.constraints = {
-        n: replace(c, parent=new.get(c.parent, ""), child=new.get(c.child, "")) for n, c in m.constraints.items()
+        n: replace(c, parent=new.get(c.parent, ""), child=new.get(c.child, ""))
+        for n, c in m.constraints.items()
     }
     return m.build(), coordinates
 
@@ -101,7 +114,9 @@ def row(cells: int) -> System:
 
 
 def tower(floors: int) -> System:
-    """Floors on three legs each in space, every leg of two links with revolute, revolute and spherical joints."""
+    """Floors on three legs each in space, every leg of two links with revolute, revolute and
+    spherical joints.
+    """
     m = Mechanism("tower")
     below = m.ground.name
     for k in range(floors):
@@ -113,8 +128,20 @@ def tower(floors: int) -> System:
                 m.body(f"{part}{leg}_{k}")
             turned = {"rpy": (np.pi / 2.0, 0.0, angle)}
             m.revolute(f"F{leg}_{k}", below, f"u{leg}_{k}", at=foot, **turned)
-            m.revolute(f"K{leg}_{k}", f"u{leg}_{k}", f"v{leg}_{k}", at=(0.3, 0.6, 0.0), child_at=(0.3, -0.6, 0.0))
-            m.spherical(f"S{leg}_{k}", f"v{leg}_{k}", above, child_at=(foot[0], foot[1], -0.05 * k), at=(0.0, 0.0, 0.0))
+            m.revolute(
+                f"K{leg}_{k}",
+                f"u{leg}_{k}",
+                f"v{leg}_{k}",
+                at=(0.3, 0.6, 0.0),
+                child_at=(0.3, -0.6, 0.0),
+            )
+            m.spherical(
+                f"S{leg}_{k}",
+                f"v{leg}_{k}",
+                above,
+                child_at=(foot[0], foot[1], -0.05 * k),
+                at=(0.0, 0.0, 0.0),
+            )
         below = above
     return m.build()
 
@@ -122,8 +149,17 @@ def tower(floors: int) -> System:
 def hunted(dim: int, bodies: int, loops: int, seed: int) -> System:
     """A random closed mechanism; its posture `closed` is where it is closed."""
     rng = np.random.default_rng([seed, bodies])
-    kinds = ["revolute", "prismatic", "revolute"] if dim == 2 else ["revolute", "cylindrical", "spherical", "universal"]
-    shape = closed(rng, dim, bodies, [joint_type(kinds[int(rng.integers(len(kinds)))]) for _ in range(bodies + loops)])
+    kinds = (
+        ["revolute", "prismatic", "revolute"]
+        if dim == 2
+        else ["revolute", "cylindrical", "spherical", "universal"]
+    )
+    shape = closed(
+        rng,
+        dim,
+        bodies,
+        [joint_type(kinds[int(rng.integers(len(kinds)))]) for _ in range(bodies + loops)],
+    )
     system = shape.system()
     m = system.mechanism
     m.posture("closed", system.q_dict(shape.values(system)))
@@ -134,8 +170,14 @@ LARGE: dict[str, Callable[[], System]] = {
     **{f"scissor of {n}": lambda n=n: scissor(n) for n in (4, 12, 40, 99)},
     **{f"row of {n}": lambda n=n: row(n) for n in (3, 10, 40, 75)},
     **{f"tower of {n}": lambda n=n: tower(n) for n in (2, 6, 20)},
-    **{f"plane {n}": lambda n=n, k=k: hunted(2, n, k, 5) for n, k in ((9, 3), (20, 6), (40, 9), (90, 12), (250, 20))},
-    **{f"space {n}": lambda n=n, k=k: hunted(3, n, k, 6) for n, k in ((9, 2), (20, 4), (40, 5), (90, 7), (250, 9))},
+    **{
+        f"plane {n}": lambda n=n, k=k: hunted(2, n, k, 5)
+        for n, k in ((9, 3), (20, 6), (40, 9), (90, 12), (250, 20))
+    },
+    **{
+        f"space {n}": lambda n=n, k=k: hunted(3, n, k, 6)
+        for n, k in ((9, 2), (20, 4), (40, 5), (90, 7), (250, 9))
+    },
 }
 EXAMPLES = {**LARGE, **{name: lambda name=name: shipped()[name] for name in with_loops()}}
 
@@ -156,20 +198,31 @@ def judged(name: str, rng: np.random.Generator, starts: int) -> None:
     one = EXAMPLES[name]()
     other, new = renamed(one, rng)
     names = {j: new[c] for j in one.joint_names for c in one.structure.coordinates_of_joint(j)[:1]}
-    names = {j: n[: len(n) - len(one.structure.coordinates_of_joint(j)[0]) + len(j)] for j, n in names.items()}
+    names = {
+        j: n[: len(n) - len(one.structure.coordinates_of_joint(j)[0]) + len(j)]
+        for j, n in names.items()
+    }
     assert {names[c] for c in one.structure.closures} == {*other.structure.closures}
     q = home(one)
     tolerance = 1e-9
     if one.nq < 150:
-        if one.mobility(q, local=False).singular:  # roots merge there: rounding moves them by its square root
+        if one.mobility(
+            q, local=False
+        ).singular:  # roots merge there: rounding moves them by its square root
             tolerance = 1e-7
         assert facts(one, q) == facts(other, carried(one, other, new, q))
-    at = one.configuration_space.integrate(q, rng.uniform(-NEAR, NEAR, (starts, one.nv)) / np.sqrt(one.nv))
+    at = one.configuration_space.integrate(
+        q, rng.uniform(-NEAR, NEAR, (starts, one.nv)) / np.sqrt(one.nv)
+    )
     want = one.assemble(start=at)
     got = other.assemble(start=carried(one, other, new, at))
     assert np.array_equal(want.success, got.success)
-    good = want.success & (want.starts == 1)  # later starts are drawn at random, coordinate after coordinate
-    np.testing.assert_allclose(got.q[good], carried(one, other, new, want.q)[good], rtol=0, atol=tolerance)
+    good = want.success & (
+        want.starts == 1
+    )  # later starts are drawn at random, coordinate after coordinate
+    np.testing.assert_allclose(
+        got.q[good], carried(one, other, new, want.q)[good], rtol=0, atol=tolerance
+    )
     more = np.abs(got.iterations - want.iterations)[good]
     assert np.all(more <= np.maximum(1, 0.2 * want.iterations[good]))
 
@@ -191,7 +244,9 @@ def test_names_and_orders_change_no_answer_at_length(hunt):
 def test_names_and_orders_change_no_set_of_solutions(name):
     one = kempe.load(name)
     other, new = renamed(one, np.random.default_rng(4))
-    motors = [n for n in one.coordinate_names if one.structure.joints[n].actuated] or [one.coordinate_names[0]]
+    motors = [n for n in one.coordinate_names if one.structure.joints[n].actuated] or [
+        one.coordinate_names[0]
+    ]
     values = {n: one.q_dict(one.q("closed"))[n] for n in motors}
     want = one.assembly_modes(values)
     got = other.assembly_modes({new[k]: x for k, x in values.items()})

@@ -1,4 +1,6 @@
-"""Poses as people have them: the same answers from every form, and what is off by rounding is mended and said."""
+"""Poses as people have them: the same answers from every form, and what is off by rounding is
+mended and said.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ pin = pytest.importorskip("pinocchio")
 
 
 class Listed:
-    """As the classes of the Spatial Math Toolbox: `A` is a matrix, or a list of them where it holds several."""
+    """As the classes of the Spatial Math Toolbox: `A` is a matrix, or a list of them where it holds
+    several.
+    """
 
     def __init__(self, X):
         self.A = X if X.ndim == 2 else list(X)
@@ -27,8 +31,9 @@ class Listed:
 def _ros(X):
     x, y, z, w = Rotation.from_matrix(X[:3, :3]).as_quat()
     px, py, pz = X[:3, 3]
-    return SimpleNamespace(position=SimpleNamespace(x=px, y=py, z=pz),
-                           orientation=SimpleNamespace(x=x, y=y, z=z, w=w))  # fmt: skip
+    return SimpleNamespace(
+        position=SimpleNamespace(x=px, y=py, z=pz), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)
+    )
 
 
 FORMS = {
@@ -39,12 +44,17 @@ FORMS = {
     "drake": lambda X: SimpleNamespace(GetAsMatrix4=lambda: X),
     "sophus": lambda X: SimpleNamespace(matrix=lambda: X),
     "ros": _ros,
-    "ros transform": lambda X: SimpleNamespace(translation=_ros(X).position, rotation=_ros(X).orientation),
+    "ros transform": lambda X: SimpleNamespace(
+        translation=_ros(X).position, rotation=_ros(X).orientation
+    ),
     "pair": lambda X: (X[:3, 3], X[:3, :3]),
     "reversed pair": lambda X: [X[:3, :3].tolist(), X[:3, 3].tolist()],
     "pair with scipy": lambda X: (X[:3, 3], Rotation.from_matrix(X[:3, :3])),
     "wxyz": lambda X: {"at": X[:3, 3], "quat_wxyz": spatial.matrix_to_quat_wxyz(X[:3, :3])},
-    "xyzw": lambda X: {"at": X[:3, 3].tolist(), "quat_xyzw": Rotation.from_matrix(X[:3, :3]).as_quat()},
+    "xyzw": lambda X: {
+        "at": X[:3, 3].tolist(),
+        "quat_xyzw": Rotation.from_matrix(X[:3, :3]).as_quat(),
+    },
     "rpy": lambda X: {"at": X[:3, 3], "rpy": Rotation.from_matrix(X[:3, :3]).as_euler("xyz")},
     "matrix": lambda X: {"at": X[:3, 3], "matrix": X[:3, :3]},
     "matrix of scipy": lambda X: {"at": X[:3, 3], "matrix": Rotation.from_matrix(X[:3, :3])},
@@ -67,9 +77,11 @@ def test_forms_of_many_at_once(hunt):
     X = _poses(hunt.rng(), 4).reshape(2, 2, 4, 4)
     R = Rotation.from_matrix(X[..., :3, :3].reshape(-1, 3, 3))
     for given in (
-        (X[..., :3, 3], X[..., :3, :3]), {"at": X[..., :3, 3], "quat_xyzw": R.as_quat().reshape(2, 2, 4)},
-        [Listed(X[0]), Listed(X[1])], [[pin.SE3(x) for x in row] for row in X],
-    ):  # fmt: skip
+        (X[..., :3, 3], X[..., :3, :3]),
+        {"at": X[..., :3, 3], "quat_xyzw": R.as_quat().reshape(2, 2, 4)},
+        [Listed(X[0]), Listed(X[1])],
+        [[pin.SE3(x) for x in row] for row in X],
+    ):
         np.testing.assert_allclose(rigid.arrays(given, "x"), X, atol=1e-14)
 
 
@@ -92,22 +104,44 @@ def test_plane():
         assert len(arm.ik_all(given, "tip").q) == 2
 
 
-@pytest.mark.parametrize("given", [
-    [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], [np.eye(4), np.eye(4)], [np.zeros(3), np.zeros(3), np.zeros(3)], "text", None,
-    3, [tasks.Position("a", (0, 0, 0))], [[1, 2], [3]], ["l1", 0.0, 0.0], ("l1", 0.0), object(),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given",
+    [
+        [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+        [np.eye(4), np.eye(4)],
+        [np.zeros(3), np.zeros(3), np.zeros(3)],
+        "text",
+        None,
+        3,
+        [tasks.Position("a", (0, 0, 0))],
+        [[1, 2], [3]],
+        ["l1", 0.0, 0.0],
+        ("l1", 0.0),
+        object(),
+    ],
+)
 def test_all_else_is_left_as_it_is(given):
     assert rigid.arrays(given, "x") is given
 
 
-@pytest.mark.parametrize("given, said", [
-    ({"at": (0, 0, 0), "quat": (1, 0, 0, 0)}, "has 'quat'; a pose in words has 'at' and one of rpy"),
-    ({"at": (0, 0, 0), "rpy": (0, 0, 0), "angle": 1.0}, "rpy and angle"), ({}, "is empty"),
-    ({"at": (0, 0, 0, 1)}, r"shape \(4,\)"), ({"quat_xyzw": (0, 0, 1)}, r"shape \(3,\)"),
-    ({"quat_xyzw": (0, 0, 0, 0)}, "must not be zero"), ({"matrix": np.eye(4)}, "rotations"),
-    ({"at": "x"}, "real numbers"), ((np.zeros(3), np.array([1.0, 0, 0, 0])), "order is not named"),
-    ([pin.SE3.Identity(), Rotation.identity()], "different shapes"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given, said",
+    [
+        (
+            {"at": (0, 0, 0), "quat": (1, 0, 0, 0)},
+            "has 'quat'; a pose in words has 'at' and one of rpy",
+        ),
+        ({"at": (0, 0, 0), "rpy": (0, 0, 0), "angle": 1.0}, "rpy and angle"),
+        ({}, "is empty"),
+        ({"at": (0, 0, 0, 1)}, r"shape \(4,\)"),
+        ({"quat_xyzw": (0, 0, 1)}, r"shape \(3,\)"),
+        ({"quat_xyzw": (0, 0, 0, 0)}, "must not be zero"),
+        ({"matrix": np.eye(4)}, "rotations"),
+        ({"at": "x"}, "real numbers"),
+        ((np.zeros(3), np.array([1.0, 0, 0, 0])), "order is not named"),
+        ([pin.SE3.Identity(), Rotation.identity()], "different shapes"),
+    ],
+)
 def test_what_is_no_pose_is_refused(given, said):
     with pytest.raises(kempe.errors.InputError, match=said):
         rigid.arrays(given, "target")
@@ -119,7 +153,9 @@ Q = ARM.random(4)
 GOAL = ARM.fk(Q, TOOL)
 MANY = ARM.fk(np.array([ARM.random(i) for i in range(3)]), TOOL)
 PLATFORM = kempe.load("stewart")
-HELD = PLATFORM.fk(PLATFORM.assemble().q, "platform") @ spatial.pose(spatial.rpy_to_matrix([0.1, 0.05, -0.07]))
+HELD = PLATFORM.fk(PLATFORM.assemble().q, "platform") @ spatial.pose(
+    spatial.rpy_to_matrix([0.1, 0.05, -0.07])
+)
 FREE = kempe.Mechanism("free")
 FREE.free("J", FREE.ground, FREE.body("B"))
 FREE = FREE.build()

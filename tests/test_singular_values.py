@@ -1,4 +1,6 @@
-"""The decomposition that does not fail agrees with numpy's, and is there where numpy's does not converge."""
+"""The decomposition that does not fail agrees with numpy's, and is there where numpy's does not
+converge.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def test_where_numpy_does_not_converge_the_same_comes_out(shape, full, monkeypat
         assert mine.shape == other.shape
     again, sizes, rows = svd(A, full_matrices=full)
     k = sizes.shape[-1]
-    np.testing.assert_allclose((again[..., :k] * sizes[..., None, :]) @ rows[..., :k, :], A, atol=1e-14)
+    np.testing.assert_allclose(
+        (again[..., :k] * sizes[..., None, :]) @ rows[..., :k, :], A, atol=1e-14
+    )
     np.testing.assert_allclose(sizes, s, atol=1e-14)
     np.testing.assert_allclose(svd(A, compute_uv=False), values, atol=1e-14)
 

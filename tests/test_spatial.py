@@ -1,4 +1,6 @@
-"""Rotations and poses against scipy, matrix exponentials and the axioms of groups; the hard places on purpose."""
+"""Rotations and poses against scipy, matrix exponentials and the axioms of groups; the hard places
+on purpose.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,30 @@ angles = arrays(float, 3, elements=st.floats(-np.pi, np.pi))
 quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 1e-3)
 SIZES = [0.0, 1e-300, 1e-160, 1e-16, 1e-9, 1e-8, 1e-5, 9.9e-5, 1.01e-4, 1e-3, 9.9e-3, 1.01e-2, 0.1, 1.0, 3.0,
          np.pi - 1e-2, np.pi - 1e-5, np.pi - 1e-9, np.pi]  # fmt: skip
-DIRECTIONS = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.6, 0, -0.8), (1 / 3, -2 / 3, 2 / 3), (1e-9, 1, 0), (-1, 1e-5, 1e-9)]
+DIRECTIONS = [
+    (1, 0, 0),
+    (0, -1, 0),
+    (0, 0, 1),
+    (0.6, 0, -0.8),
+    (1 / 3, -2 / 3, 2 / 3),
+    (1e-9, 1, 0),
+    (-1, 1e-5, 1e-9),
+]
 
 
 def is_rotation(R, tolerance=1e-14):
     R = np.asarray(R)
-    return (np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() < tolerance
-            and np.abs(np.linalg.det(R) - 1).max() < tolerance)  # fmt: skip
+    return (
+        np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() < tolerance
+        and np.abs(np.linalg.det(R) - 1).max() < tolerance
+    )
 
 
 def random_pose(rng, shape=()):
-    return spatial.pose(Rotation.random(int(np.prod(shape)), rng).as_matrix().reshape(*shape, 3, 3),
-                        rng.normal(size=(*shape, 3)))  # fmt: skip
+    return spatial.pose(
+        Rotation.random(int(np.prod(shape)), rng).as_matrix().reshape(*shape, 3, 3),
+        rng.normal(size=(*shape, 3)),
+    )
 
 
 # ------------------------------------------------------------------ vectors, poses
@@ -43,7 +57,9 @@ def test_skew_is_the_cross_product(a, b):
 @pytest.mark.parametrize("scale", [5e-324, 1e-300, 1e-160, 1.0, 1e160, 1e300])
 def test_unit_at_all_sizes(scale):
     v = spatial.unit(np.array([1.0, -2.0, 2.0]) * scale)
-    expected = np.array([1, -2, 2]) * scale / scale / np.linalg.norm(np.array([1, -2, 2]) * scale / scale)
+    expected = (
+        np.array([1, -2, 2]) * scale / scale / np.linalg.norm(np.array([1, -2, 2]) * scale / scale)
+    )
     np.testing.assert_allclose(v, expected, rtol=0, atol=2e-16)
 
 
@@ -54,10 +70,17 @@ def test_unit_of_nothing_is_nan(bad):
 
 def test_inverse_and_shapes():
     X = random_pose(np.random.default_rng(0), (2, 3))
-    np.testing.assert_allclose(X @ spatial.inverse(X), np.broadcast_to(np.eye(4), X.shape), atol=1e-15)
+    np.testing.assert_allclose(
+        X @ spatial.inverse(X), np.broadcast_to(np.eye(4), X.shape), atol=1e-15
+    )
     np.testing.assert_allclose(spatial.inverse(X), np.linalg.inv(X), atol=1e-14)
     assert spatial.pose().shape == (4, 4) and spatial.pose(p=np.ones((5, 3))).shape == (5, 4, 4)
-    assert spatial.pose(np.broadcast_to(np.eye(3), (2, 1, 3, 3)), np.ones((3, 3))).shape == (2, 3, 4, 4)
+    assert spatial.pose(np.broadcast_to(np.eye(3), (2, 1, 3, 3)), np.ones((3, 3))).shape == (
+        2,
+        3,
+        4,
+        4,
+    )
 
 
 @pytest.mark.parametrize("shape", [(), (0,), (2, 0, 3), (4,), (2, 3)], ids=str)
@@ -69,13 +92,25 @@ def test_every_function_broadcasts(shape):
     R = spatial.exp_so3(three)
     X = spatial.exp_se3(six)
     sizes = {
-        "skew": (three, (3, 3)), "unit": (three, (3,)), "align_z": (three, (3, 3)), "exp_so3": (three, (3, 3)),
-        "rpy_to_matrix": (three, (3, 3)), "matrix_to_rpy": (R, (3,)), "log_so3": (R, (3,)), "exp_se3": (six, (4, 4)),
-        "quat_wxyz_to_matrix": (four, (3, 3)), "matrix_to_quat_wxyz": (R, (4,)), "quat_wxyz_exp": (three, (4,)),
-        "quat_wxyz_log": (four, (3,)), "quat_wxyz_conjugate": (four, (4,)), "inverse": (X, (4, 4)),
-        "log_se3": (X, (6,)), "adjoint": (X, (6, 6)), "pose_from_xyz_rpy": (six, (4, 4)),
+        "skew": (three, (3, 3)),
+        "unit": (three, (3,)),
+        "align_z": (three, (3, 3)),
+        "exp_so3": (three, (3, 3)),
+        "rpy_to_matrix": (three, (3, 3)),
+        "matrix_to_rpy": (R, (3,)),
+        "log_so3": (R, (3,)),
+        "exp_se3": (six, (4, 4)),
+        "quat_wxyz_to_matrix": (four, (3, 3)),
+        "matrix_to_quat_wxyz": (R, (4,)),
+        "quat_wxyz_exp": (three, (4,)),
+        "quat_wxyz_log": (four, (3,)),
+        "quat_wxyz_conjugate": (four, (4,)),
+        "inverse": (X, (4, 4)),
+        "log_se3": (X, (6,)),
+        "adjoint": (X, (6, 6)),
+        "pose_from_xyz_rpy": (six, (4, 4)),
         "xyz_rpy_from_pose": (X, (6,)),
-    }  # fmt: skip
+    }
     for name, (argument, core) in sizes.items():
         function = getattr(spatial, name)
         out = function(argument)
@@ -108,7 +143,9 @@ def test_align_takes_z_to_the_axis_by_the_smallest_rotation(axis):
     np.testing.assert_allclose(angle, np.arctan2(np.hypot(a[0], a[1]), a[2]), rtol=0, atol=3e-8)
 
 
-@pytest.mark.parametrize("axis", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+)
 def test_align_is_exact_along_the_axes(axis):
     for scale in (1.0, 3.0, 1e-200, 1e200):
         R = spatial.align_z(np.array(axis) * scale)
@@ -127,14 +164,19 @@ def test_align_near_the_poles(z, tilt):
 
 
 def test_align_of_no_axis_is_nan():
-    assert np.isnan(spatial.align_z([0, 0, 0])).all() and np.isnan(spatial.align_z([np.inf, 0, 0])).all()
+    assert (
+        np.isnan(spatial.align_z([0, 0, 0])).all()
+        and np.isnan(spatial.align_z([np.inf, 0, 0])).all()
+    )
 
 
 @given(rpy=angles)
 def test_rpy_is_what_urdf_means(rpy):
     R = spatial.rpy_to_matrix(rpy)
     np.testing.assert_allclose(R, Rotation.from_euler("xyz", rpy).as_matrix(), rtol=0, atol=1e-15)
-    np.testing.assert_allclose(spatial.rpy_to_matrix(spatial.matrix_to_rpy(R)), R, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        spatial.rpy_to_matrix(spatial.matrix_to_rpy(R)), R, rtol=0, atol=1e-12
+    )
     assert abs(spatial.matrix_to_rpy(R)[1]) <= np.pi / 2 + 1e-15
 
 
@@ -152,7 +194,9 @@ def test_rpy_at_the_poles(pitch, off):
 def test_quaternions_of_any_length(q):
     R = spatial.quat_wxyz_to_matrix(q)
     assert is_rotation(R, 2e-15)
-    np.testing.assert_allclose(R, Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        R, Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), rtol=0, atol=1e-14
+    )
     for scale in (1e-200, 1e200, -1.0):
         np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(q * scale), R, rtol=0, atol=1e-14)
     back = spatial.matrix_to_quat_wxyz(R)
@@ -168,15 +212,21 @@ def test_zero_quaternion_is_no_rotation():
 def test_quaternion_of_half_turns(direction):
     a = spatial.unit(direction)
     R = 2 * np.outer(a, a) - np.eye(3)
-    np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.matrix_to_quat_wxyz(R)), R, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        spatial.quat_wxyz_to_matrix(spatial.matrix_to_quat_wxyz(R)), R, rtol=0, atol=1e-15
+    )
 
 
 @given(a=quaternions, b=quaternions)
 def test_quaternion_product_is_the_product_of_rotations(a, b):
     A = spatial.quat_wxyz_to_matrix(a)
     B = spatial.quat_wxyz_to_matrix(b)
-    np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_multiply(a, b)), A @ B, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_conjugate(a)), A.T, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_multiply(a, b)), A @ B, rtol=0, atol=1e-13
+    )
+    np.testing.assert_allclose(
+        spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_conjugate(a)), A.T, rtol=0, atol=1e-14
+    )
 
 
 # ------------------------------------------------------------------ exponentials and logarithms
@@ -205,7 +255,9 @@ def test_log_of_quaternions_is_short_and_sign_blind(size):
     np.testing.assert_allclose(spatial.quat_wxyz_log(q), w, rtol=1e-14, atol=1e-320)
     if size < np.pi:
         np.testing.assert_array_equal(spatial.quat_wxyz_log(-q), spatial.quat_wxyz_log(q))
-    far = spatial.quat_wxyz_log(spatial.quat_wxyz_exp(np.array([0.6, -0.8, 0.0]) * (2 * np.pi - size)))
+    far = spatial.quat_wxyz_log(
+        spatial.quat_wxyz_exp(np.array([0.6, -0.8, 0.0]) * (2 * np.pi - size))
+    )
     np.testing.assert_allclose(np.linalg.norm(far), size, rtol=0, atol=1e-14)
 
 
@@ -234,7 +286,9 @@ def test_log_of_a_pose_is_the_matrix_logarithm():
 @pytest.mark.parametrize("turns", [1.0, 10.0, 1e4])
 def test_exp_of_many_turns(turns):
     w = np.array([0.0, 0.6, 0.8]) * (2 * np.pi * turns + 0.5)
-    np.testing.assert_allclose(spatial.exp_so3(w), Rotation.from_rotvec(w).as_matrix(), rtol=0, atol=1e-14 * turns * 10)
+    np.testing.assert_allclose(
+        spatial.exp_so3(w), Rotation.from_rotvec(w).as_matrix(), rtol=0, atol=1e-14 * turns * 10
+    )
 
 
 @given(seed=st.integers(0, 10**6))
@@ -246,14 +300,19 @@ def test_adjoint_moves_twists(seed):
     Ad = spatial.adjoint
     np.testing.assert_allclose(Ad(X_AB) @ Ad(X_BC), Ad(X_AB @ X_BC), rtol=0, atol=1e-13)
     np.testing.assert_allclose(
-        spatial.exp_se3(Ad(X_AB) @ twist), X_AB @ spatial.exp_se3(twist) @ spatial.inverse(X_AB), rtol=0, atol=1e-12
+        spatial.exp_se3(Ad(X_AB) @ twist),
+        X_AB @ spatial.exp_se3(twist) @ spatial.inverse(X_AB),
+        rtol=0,
+        atol=1e-12,
     )
 
 
 @given(seed=st.integers(0, 10**6))
 def test_xyz_rpy_there_and_back(seed):
     X = random_pose(np.random.default_rng(seed))
-    np.testing.assert_allclose(spatial.pose_from_xyz_rpy(spatial.xyz_rpy_from_pose(X)), X, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        spatial.pose_from_xyz_rpy(spatial.xyz_rpy_from_pose(X)), X, rtol=0, atol=1e-12
+    )
 
 
 def test_nan_stays_nan():
@@ -270,9 +329,13 @@ def test_nan_stays_nan():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_pose_is_found_from_its_particles(dim):
-    """Without noise exactly; with noise no pose nearby is better, and scipy finds the same rotation."""
+    """Without noise exactly; with noise no pose nearby is better, and scipy finds the same
+    rotation.
+    """
     rng = np.random.default_rng(3)
-    X = spatial.pose(spatial.rot_z(rng.uniform(-3, 3, 20)), np.pad(rng.normal(size=(20, 2)), ((0, 0), (0, 1))))
+    X = spatial.pose(
+        spatial.rot_z(rng.uniform(-3, 3, 20)), np.pad(rng.normal(size=(20, 2)), ((0, 0), (0, 1)))
+    )
     if dim == 3:
         X = spatial.pose(spatial.exp_so3(rng.normal(size=(20, 3))), rng.normal(size=(20, 3)))
     body = rng.normal(size=(5, dim))
@@ -293,17 +356,22 @@ def test_a_pose_is_found_from_its_particles(dim):
 
         a = body - body.mean(axis=0)
         b = noisy[0] - noisy[0].mean(axis=0)
-        np.testing.assert_allclose(fit.X[0, :3, :3], Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(
+            fit.X[0, :3, :3], Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9
+        )
 
 
 def test_particles_that_do_not_fix_a_pose():
     line = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
     triangle = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     for particles, places, match in (
-        (line, line, "one line"), (triangle, line, "one line"), (triangle[:2], triangle[:2], "at least 3"),
-        (triangle, [[0, 0]] * 3, "shape"), (triangle, [[np.nan, 0, 0], *triangle[1:]], "not finite"),
+        (line, line, "one line"),
+        (triangle, line, "one line"),
+        (triangle[:2], triangle[:2], "at least 3"),
+        (triangle, [[0, 0]] * 3, "shape"),
+        (triangle, [[np.nan, 0, 0], *triangle[1:]], "not finite"),
         ("x", triangle, "x"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match=match):
             spatial.fit_pose(particles, places)
     many = spatial.fit_pose(triangle, [triangle, [[np.nan, 0, 0], *triangle[1:]], line])
@@ -315,9 +383,9 @@ def test_particles_that_do_not_fix_a_pose():
     assert np.linalg.det(mirrored.X[:3, :3]) == pytest.approx(1.0) and mirrored.residual > 0.1
 
 
-@pytest.mark.parametrize("function", [
-    spatial.inverse, spatial.log_se3, spatial.adjoint, spatial.xyz_rpy_from_pose
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "function", [spatial.inverse, spatial.log_se3, spatial.adjoint, spatial.xyz_rpy_from_pose]
+)
 def test_the_last_row_of_a_pose_is_read(function):
     """A NaN there makes the answer NaN, and other numbers are refused: `ik` does the same."""
     good = spatial.pose_from_xyz_rpy([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])

@@ -42,20 +42,31 @@ def test_members_are_numbered_without_gaps_and_each_has_a_sentence_of_its_own():
     assert [int(s) for s in MEMBERS] == list(range(len(Status))) == [s.value for s in Status]
     assert len({s.sentence for s in Status}) == len(Status)
     assert all(s.sentence and s.sentence[-1] != "." and s.proof in (True, False) for s in Status)
-    assert not any(s.proof for s in (Status.SOLVED, Status.NOT_FOUND, Status.OUT_OF_TIME, Status.BAD_INPUT))
+    assert not any(
+        s.proof for s in (Status.SOLVED, Status.NOT_FOUND, Status.OUT_OF_TIME, Status.BAD_INPUT)
+    )
     assert set(PROOFS) == {s for s in Status if s.proof}
 
 
 @pytest.mark.parametrize("status", Status)
 def test_a_member_survives_pickling_and_says_its_name(status):
-    assert pickle.loads(pickle.dumps(status)) is status is Status(status.value) is member(np.int64(status))
+    assert (
+        pickle.loads(pickle.dumps(status))
+        is status
+        is Status(status.value)
+        is member(np.int64(status))
+    )
     assert str(status) == f"{status}" == status.name == named(status)
     assert named(np.array([[status, 0]])) == [[status.name, "SOLVED"]]
 
 
 def test_no_module_but_status_gives_numbers_to_outcomes():
-    """Else they can collide: whole numbers from zero on, given to several names at once, one of a member among them."""
+    """Else they can collide: whole numbers from zero on, given to several names at once, one of a
+    member among them.
+    """
     given = re.compile(r"^((?:[A-Z_]+, )+[A-Z_]+) = 0, 1(?:, \d+)*$", re.M)
-    for path in (p for layer in ("solvers", "analysis", "kinematics") for p in (SOURCE / layer).rglob("*.py")):
+    for path in (
+        p for layer in ("solvers", "analysis", "kinematics") for p in (SOURCE / layer).rglob("*.py")
+    ):
         for names in given.findall(path.read_text()):
             assert not {*names.split(", ")} & {s.name for s in Status}, f"{path}: {names}"

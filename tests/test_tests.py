@@ -10,12 +10,20 @@ from pathlib import Path
 import sources
 
 HERE = Path(__file__).parent
-FILES = [p for folder in (HERE, HERE.parent / "benchmarks" / "tests") for p in sorted(folder.rglob("*.py"))]
+FILES = [
+    p
+    for folder in (HERE, HERE.parent / "benchmarks" / "tests")
+    for p in sorted(folder.rglob("*.py"))
+]
 every_file = sources.each([p for p in FILES if p.stem.startswith("test_")], HERE.parent)
 
 
 def functions_of(path: Path) -> list[ast.FunctionDef]:
-    return [n for n in sources.tree(path).body if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")]
+    return [
+        n
+        for n in sources.tree(path).body
+        if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")
+    ]
 
 
 def own(node: ast.AST) -> Iterator[ast.AST]:
@@ -41,13 +49,19 @@ def is_assertion(node: ast.AST) -> bool:
     if isinstance(node, ast.Raise):
         return "AssertionError" in ast.unparse(node)
     name = name_of(node) if isinstance(node, ast.Call) else ""
-    return isinstance(node, ast.Assert) or name in ("raises", "warns", "fail") or name.startswith("assert_")
+    return (
+        isinstance(node, ast.Assert)
+        or name in ("raises", "warns", "fail")
+        or name.startswith("assert_")
+    )
 
 
 @cache
 def helpers() -> set[str]:
     """Names of functions of the tests that assert something, by themselves or by what they call."""
-    functions = [n for path in FILES for n in ast.walk(sources.tree(path)) if isinstance(n, ast.FunctionDef)]
+    functions = [
+        n for path in FILES for n in ast.walk(sources.tree(path)) if isinstance(n, ast.FunctionDef)
+    ]
     found = {f.name for f in functions if any(map(is_assertion, ast.walk(f)))}
     calls = {f: called(f) for f in functions}
     while more := {f.name for f, names in calls.items() if f.name not in found and names & found}:
@@ -73,9 +87,17 @@ def test_no_test_returns(path):
 
 @every_file
 def test_no_exception_is_swallowed(path):
-    """Where an exception is one of the outcomes, that it is the right one is asserted, or the case is not counted."""
-    handlers = [(f.name, n) for f in functions_of(path) for n in own(f) if isinstance(n, ast.ExceptHandler)]
-    assert not [name for name, n in handlers if not asserts(n) and not uses_error(n) and not called(n) & {"reject"}]
+    """Where an exception is one of the outcomes, that it is the right one is asserted, or the case
+    is not counted.
+    """
+    handlers = [
+        (f.name, n) for f in functions_of(path) for n in own(f) if isinstance(n, ast.ExceptHandler)
+    ]
+    assert not [
+        name
+        for name, n in handlers
+        if not asserts(n) and not uses_error(n) and not called(n) & {"reject"}
+    ]
     assert not [f.name for f in functions_of(path) if "suppress" in called(f)]
 
 
@@ -90,13 +112,21 @@ def uses_error(handler: ast.ExceptHandler) -> bool:
 def test_only_what_is_not_installed_is_skipped(path):
     calls = (n for n in sources.nodes(path) if isinstance(n, ast.Call))
     skips = [n for n in calls if ast.unparse(n.func) == "pytest.skip"]
-    assert not [ast.unparse(n) for n in skips if not ast.unparse(n.args[0]).rstrip("'\"").endswith("is not installed")]
+    assert not [
+        ast.unparse(n)
+        for n in skips
+        if not ast.unparse(n.args[0]).rstrip("'\"").endswith("is not installed")
+    ]
 
 
 @every_file
 def test_loops_that_leave_cases_out_count_the_others(path):
-    """After a loop with `continue` something is asserted, so that it was not all cases that were left out."""
+    """After a loop with `continue` something is asserted, so that it was not all cases that were
+    left out.
+    """
     for function in functions_of(path):
         for k, statement in enumerate(function.body):
             if any(isinstance(n, ast.Continue) for n in own(statement)):
-                assert any(map(asserts, function.body[k + 1 :])), f"{function.name}, line {statement.lineno}"
+                assert any(map(asserts, function.body[k + 1 :])), (
+                    f"{function.name}, line {statement.lineno}"
+                )

@@ -21,12 +21,29 @@ PARAMETERS = {"a": 0.3, "b": -1.7, "l1": 2.5}
 # ------------------------------------------------------------------ expressions
 
 CASES = {
-    "1.5": 1.5, "a": 0.3, "-a": -0.3, "+b": -1.7, "2*l1 + a": 5.3, "(a + b)*l1": (0.3 - 1.7) * 2.5, "l1/2": 1.25,
-    "2**3**2": 512.0, "-a**2": -0.09, "a - b - l1": 0.3 + 1.7 - 2.5, "pi/2": math.pi / 2, "1e3*a": 300.0,
-    "sin(a)": math.sin(0.3), "cos(a + pi)": math.cos(0.3 + math.pi), "tan(a)": math.tan(0.3), "asin(a)": math.asin(0.3),
-    "acos(a)": math.acos(0.3), "atan(b)": math.atan(-1.7), "atan2(b, a)": math.atan2(-1.7, 0.3),
-    "sqrt(l1)": math.sqrt(2.5), "radians(90)": math.pi / 2, "  a  ": 0.3,
-}  # fmt: skip
+    "1.5": 1.5,
+    "a": 0.3,
+    "-a": -0.3,
+    "+b": -1.7,
+    "2*l1 + a": 5.3,
+    "(a + b)*l1": (0.3 - 1.7) * 2.5,
+    "l1/2": 1.25,
+    "2**3**2": 512.0,
+    "-a**2": -0.09,
+    "a - b - l1": 0.3 + 1.7 - 2.5,
+    "pi/2": math.pi / 2,
+    "1e3*a": 300.0,
+    "sin(a)": math.sin(0.3),
+    "cos(a + pi)": math.cos(0.3 + math.pi),
+    "tan(a)": math.tan(0.3),
+    "asin(a)": math.asin(0.3),
+    "acos(a)": math.acos(0.3),
+    "atan(b)": math.atan(-1.7),
+    "atan2(b, a)": math.atan2(-1.7, 0.3),
+    "sqrt(l1)": math.sqrt(2.5),
+    "radians(90)": math.pi / 2,
+    "  a  ": 0.3,
+}
 
 
 @pytest.mark.parametrize("text", CASES)
@@ -39,7 +56,9 @@ def test_expressions_broadcast(text):
     arrays = {k: v + np.array([0.0, 0.1, 0.2]) for k, v in PARAMETERS.items()}
     found = np.broadcast_to(Expression(text).evaluate(arrays), 3)
     for i in range(3):
-        assert found[i] == pytest.approx(Expression(text).evaluate({k: v[i] for k, v in arrays.items()}), rel=1e-15)
+        assert found[i] == pytest.approx(
+            Expression(text).evaluate({k: v[i] for k, v in arrays.items()}), rel=1e-15
+        )
 
 
 def test_names_are_parameters_only():
@@ -47,12 +66,52 @@ def test_names_are_parameters_only():
     assert Expression("2*3").names == ()
 
 
-@pytest.mark.parametrize("text", [
-    "", "1,5", "1 2", "a b", "a +", "(a", "f(a)", "a.b", "a[0]", "lambda: 1", "a if b else 1", "[a]", "'a'", "a == b",
-    "a // b", "a % b", "~a", "not a", "a and b", "1j", "1e999", "True", "None", "sin(a, b)", "atan2(a)", "sin()",
-    "sin(x=a)", "sin(*a)", "__import__('os')", "a := 1", "sin", "2*cos", "a; b", "9" * 400, "-" * 400 + "1",
-    "(" * 300 + "1" + ")" * 300, "a" * 2000, "1" + "+1" * 450, "\x00", "x²", "∞",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1,5",
+        "1 2",
+        "a b",
+        "a +",
+        "(a",
+        "f(a)",
+        "a.b",
+        "a[0]",
+        "lambda: 1",
+        "a if b else 1",
+        "[a]",
+        "'a'",
+        "a == b",
+        "a // b",
+        "a % b",
+        "~a",
+        "not a",
+        "a and b",
+        "1j",
+        "1e999",
+        "True",
+        "None",
+        "sin(a, b)",
+        "atan2(a)",
+        "sin()",
+        "sin(x=a)",
+        "sin(*a)",
+        "__import__('os')",
+        "a := 1",
+        "sin",
+        "2*cos",
+        "a; b",
+        "9" * 400,
+        "-" * 400 + "1",
+        "(" * 300 + "1" + ")" * 300,
+        "a" * 2000,
+        "1" + "+1" * 450,
+        "\x00",
+        "x²",
+        "∞",
+    ],
+)
 def test_other_texts_are_refused(text):
     with pytest.raises(InputError) as error:
         Expression(text)
@@ -60,7 +119,8 @@ def test_other_texts_are_refused(text):
 
 
 @pytest.mark.parametrize(
-    "text", ["1/0", "a/(a - a)", "0**-1", "sqrt(-1)", "(-8)**(1/3)", "asin(2)", "1e308*10", "9.0**9**9**9"]
+    "text",
+    ["1/0", "a/(a - a)", "0**-1", "sqrt(-1)", "(-8)**(1/3)", "asin(2)", "1e308*10", "9.0**9**9**9"],
 )
 def test_what_is_no_number_gives_nan_or_infinity(text):
     with np.errstate(all="ignore"):
@@ -73,15 +133,20 @@ def test_unknown_parameter_is_named():
 
 
 OPERATIONS = {
-    "+": lambda x, y: x + y, "-": lambda x, y: x - y, "*": lambda x, y: x * y, "/": lambda x, y: x / y,
+    "+": lambda x, y: x + y,
+    "-": lambda x, y: x - y,
+    "*": lambda x, y: x * y,
+    "/": lambda x, y: x / y,
     "negative": lambda x, y: -x,
-}  # fmt: skip
+}
 
 
 @given(data=st.data())
 def test_python_arithmetic_writes_expressions(data):
     """Whatever order of operations Python reads, the text must read the same."""
-    terms = [(Expression(n), x) for n, x in PARAMETERS.items()] + [(x, x) for x in (2.0, -0.5, 1e-3)]
+    terms = [(Expression(n), x) for n, x in PARAMETERS.items()] + [
+        (x, x) for x in (2.0, -0.5, 1e-3)
+    ]
     for _ in range(8):
         (e1, n1) = data.draw(st.sampled_from(terms))
         (e2, n2) = data.draw(st.sampled_from(terms))
@@ -108,10 +173,16 @@ def test_expressions_are_values():
     a = Expression("a + 1")
     b = Expression(" a + 1")
     assert a == b and hash(a) == hash(b) and a != Expression("a+1") and a != "a + 1"
-    assert pickle.loads(pickle.dumps(a)) == a and str(a) == "a + 1" and repr(a) == "Expression('a + 1')"
+    assert (
+        pickle.loads(pickle.dumps(a)) == a
+        and str(a) == "a + 1"
+        and repr(a) == "Expression('a + 1')"
+    )
 
 
-@pytest.mark.parametrize("bad", [None, True, 1j, [1], math.nan, math.inf, -math.inf, np.nan, object()])
+@pytest.mark.parametrize(
+    "bad", [None, True, 1j, [1], math.nan, math.inf, -math.inf, np.nan, object()]
+)
 def test_values_must_be_numbers(bad):
     with pytest.raises(InputError, match="length is"):
         value(bad, "length")
@@ -128,9 +199,26 @@ def test_numbers_become_floats():
 
 def test_functions_are_the_usual_ones():
     assert set(FUNCTIONS) == {
-        "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "hypot", "exp", "log", "sinh", "cosh", "tanh",
-        "asinh", "acosh", "atanh", "radians", "degrees",
-    }  # fmt: skip
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sqrt",
+        "hypot",
+        "exp",
+        "log",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "radians",
+        "degrees",
+    }
 
 
 # ------------------------------------------------------------------ placements
@@ -139,7 +227,10 @@ def test_functions_are_the_usual_ones():
 @given(xyz=st.tuples(*[st.floats(-5, 5)] * 3), rpy=st.tuples(*[st.floats(-4, 4)] * 3))
 def test_place_is_position_then_fixed_axis_angles(xyz, rpy):
     np.testing.assert_allclose(
-        place(xyz, rpy=rpy).evaluate({}), reference.placement(xyz, rpy).astype(float), rtol=0, atol=1e-14
+        place(xyz, rpy=rpy).evaluate({}),
+        reference.placement(xyz, rpy).astype(float),
+        rtol=0,
+        atol=1e-14,
     )
 
 
@@ -148,11 +239,19 @@ def test_all_ways_to_say_one_orientation():
     x, y, z, w = R.as_quat()
     X = np.eye(4)
     X[:3, :3] = R.as_matrix()
-    for placement in (place(rpy=(0.3, -0.4, 1.2)), place(quat_wxyz=(w, x, y, z)),
-                      place(quat_wxyz=(-2 * w, -2 * x, -2 * y, -2 * z)), place(matrix=R.as_matrix()),
-                      placement_of_pose(X)):  # fmt: skip
-        np.testing.assert_allclose(placement.evaluate({})[:3, :3], R.as_matrix(), rtol=0, atol=1e-15)
-    np.testing.assert_allclose(place(angle=0.7).evaluate({}), place(rpy=(0, 0, 0.7)).evaluate({}), atol=0)
+    for placement in (
+        place(rpy=(0.3, -0.4, 1.2)),
+        place(quat_wxyz=(w, x, y, z)),
+        place(quat_wxyz=(-2 * w, -2 * x, -2 * y, -2 * z)),
+        place(matrix=R.as_matrix()),
+        placement_of_pose(X),
+    ):
+        np.testing.assert_allclose(
+            placement.evaluate({})[:3, :3], R.as_matrix(), rtol=0, atol=1e-15
+        )
+    np.testing.assert_allclose(
+        place(angle=0.7).evaluate({}), place(rpy=(0, 0, 0.7)).evaluate({}), atol=0
+    )
     np.testing.assert_allclose(place((1, 2)).evaluate({})[:3, 3], [1, 2, 0])
 
 
@@ -166,14 +265,27 @@ def test_axis_is_read_in_the_turned_frame():
 @given(seed=st.integers(0, 10**6))
 def test_inverse_undoes_every_motion(seed):
     rng = np.random.default_rng(seed)
-    X = Placement((("x", (rng.normal(),)), ("ry", (rng.normal(),)), ("align", tuple(rng.normal(size=3))),
-                   ("quat_wxyz", tuple(rng.normal(size=4))),
-                   ("matrix", tuple(Rotation.random(None, rng).as_matrix().ravel())),
-                   ("z", (Expression("2*d"),)), ("unalign", tuple(rng.normal(size=3))), ("rz", (Expression("-alpha"),)),
-                   ("y", (0.3,)), ("rx", (0.1,))))  # fmt: skip
+    X = Placement(
+        (
+            ("x", (rng.normal(),)),
+            ("ry", (rng.normal(),)),
+            ("align", tuple(rng.normal(size=3))),
+            ("quat_wxyz", tuple(rng.normal(size=4))),
+            ("matrix", tuple(Rotation.random(None, rng).as_matrix().ravel())),
+            ("z", (Expression("2*d"),)),
+            ("unalign", tuple(rng.normal(size=3))),
+            ("rz", (Expression("-alpha"),)),
+            ("y", (0.3,)),
+            ("rx", (0.1,)),
+        )
+    )
     parameters = {"d": 0.4, "alpha": 1.1}
-    np.testing.assert_allclose((X @ X.inverse()).evaluate(parameters), np.eye(4), rtol=0, atol=1e-14)
-    np.testing.assert_allclose((X.inverse() @ X).evaluate(parameters), np.eye(4), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        (X @ X.inverse()).evaluate(parameters), np.eye(4), rtol=0, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        (X.inverse() @ X).evaluate(parameters), np.eye(4), rtol=0, atol=1e-14
+    )
     assert X.names == X.inverse().names == {"d", "alpha"}
     batch = X.evaluate({"d": np.array([[0.4], [0.5]]), "alpha": np.array([1.1, 0.2, 0.3])})
     assert batch.shape == (2, 3, 4, 4)
@@ -191,33 +303,48 @@ def test_nearly_rotations_become_rotations():
     np.testing.assert_array_equal(place(matrix=flip).evaluate({})[:3, :3], flip)
 
 
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda: place((1,)), "at has 1 number; it must have 2 or 3"),
-    (lambda: place("origin"), "at is 'origin'; it must have 2 or 3 numbers"),
-    (lambda: place((1, math.nan, 0)), "at is nan; it must be finite"),
-    (lambda: place((1, "1,5", 0)), "'1,5' is not an expression"),
-    (lambda: place(rpy=(1, 2)), "rpy has 2 numbers; it must have 3"),
-    (lambda: place(rpy=(0, 0, 0), angle=1), "orientation given twice, by rpy and angle; give one"),
-    (lambda: place(axis=(0, 0, 0)), "axis is 0.0 0.0 0.0; it must be finite and not zero"),
-    (lambda: place(axis=(math.inf, 0, 0)), "axis is inf; it must be finite"),
-    (lambda: place(axis=("l1", 0, 0)), "it must be plain numbers"),
-    (lambda: place(quat_wxyz=(0, 0, 0, 0)), "quaternion is 0.0 0.0 0.0 0.0; it must be finite and not zero"),
-    (lambda: place(quat_wxyz=(1, 0, 0)), "quat_wxyz has 3 numbers; it must have 4"),
-    (lambda: place(matrix=np.eye(3) * 1.1), "matrix is not a rotation"),
-    (lambda: place(matrix=np.diag([1, 1, -1])), "matrix is not a rotation"),
-    (lambda: place(matrix=np.eye(4)), "matrix is a pose .4, 4.; it must be a rotation .3, 3."),
-    (lambda: place(matrix="eye"), "matrix is 'eye'; it must be an array of real numbers"),
-    (lambda: place(matrix=[[1, 0], [0]]), "it must be an array of real numbers"),
-    (lambda: placement_of_pose(np.eye(3)), r"the matrix of a pose has shape \(3, 3\); it must be \(4, 4\)"),
-    (lambda: placement_of_pose(2 * np.eye(4)), r"last row is \[0.0, 0.0, 0.0, 2.0\]; it must be 0 0 0 1"),
-    (lambda: placement_of_pose("here"), "pose is 'here'"),
-    (lambda: placement_of_pose(np.diag([1, 1, 2, 1])), "matrix is not a rotation"),
-    (lambda: check_step("roll", (1.0,)), "unknown motion 'roll'; allowed are x, y, z, rx"),
-    (lambda: check_step("rx", (1.0, 2.0)), "rx has 2 numbers; it must have 1"),
-    (lambda: steps_from_data(["rx"]), "must be a list of a motion and its numbers"),
-    (lambda: steps_from_data([["rx", None]]), "rx is None"),
-    (lambda: steps_from_data([["matrix", *["a"] * 9]]), "plain numbers only"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: place((1,)), "at has 1 number; it must have 2 or 3"),
+        (lambda: place("origin"), "at is 'origin'; it must have 2 or 3 numbers"),
+        (lambda: place((1, math.nan, 0)), "at is nan; it must be finite"),
+        (lambda: place((1, "1,5", 0)), "'1,5' is not an expression"),
+        (lambda: place(rpy=(1, 2)), "rpy has 2 numbers; it must have 3"),
+        (
+            lambda: place(rpy=(0, 0, 0), angle=1),
+            "orientation given twice, by rpy and angle; give one",
+        ),
+        (lambda: place(axis=(0, 0, 0)), "axis is 0.0 0.0 0.0; it must be finite and not zero"),
+        (lambda: place(axis=(math.inf, 0, 0)), "axis is inf; it must be finite"),
+        (lambda: place(axis=("l1", 0, 0)), "it must be plain numbers"),
+        (
+            lambda: place(quat_wxyz=(0, 0, 0, 0)),
+            "quaternion is 0.0 0.0 0.0 0.0; it must be finite and not zero",
+        ),
+        (lambda: place(quat_wxyz=(1, 0, 0)), "quat_wxyz has 3 numbers; it must have 4"),
+        (lambda: place(matrix=np.eye(3) * 1.1), "matrix is not a rotation"),
+        (lambda: place(matrix=np.diag([1, 1, -1])), "matrix is not a rotation"),
+        (lambda: place(matrix=np.eye(4)), "matrix is a pose .4, 4.; it must be a rotation .3, 3."),
+        (lambda: place(matrix="eye"), "matrix is 'eye'; it must be an array of real numbers"),
+        (lambda: place(matrix=[[1, 0], [0]]), "it must be an array of real numbers"),
+        (
+            lambda: placement_of_pose(np.eye(3)),
+            r"the matrix of a pose has shape \(3, 3\); it must be \(4, 4\)",
+        ),
+        (
+            lambda: placement_of_pose(2 * np.eye(4)),
+            r"last row is \[0.0, 0.0, 0.0, 2.0\]; it must be 0 0 0 1",
+        ),
+        (lambda: placement_of_pose("here"), "pose is 'here'"),
+        (lambda: placement_of_pose(np.diag([1, 1, 2, 1])), "matrix is not a rotation"),
+        (lambda: check_step("roll", (1.0,)), "unknown motion 'roll'; allowed are x, y, z, rx"),
+        (lambda: check_step("rx", (1.0, 2.0)), "rx has 2 numbers; it must have 1"),
+        (lambda: steps_from_data(["rx"]), "must be a list of a motion and its numbers"),
+        (lambda: steps_from_data([["rx", None]]), "rx is None"),
+        (lambda: steps_from_data([["matrix", *["a"] * 9]]), "plain numbers only"),
+    ],
+)
 def test_bad_placements_say_what_is_wrong(call, words):
     with pytest.raises(InputError, match=words):
         call()
@@ -226,6 +353,9 @@ def test_bad_placements_say_what_is_wrong(call, words):
 def test_steps_from_data():
     X = steps_from_data([["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ["y", 1]])
     expected = (
-        reference.slide("z", 0.2) @ reference.turn("x", 0.5) @ reference.turn("x", -np.pi / 2) @ reference.slide("y", 1)
+        reference.slide("z", 0.2)
+        @ reference.turn("x", 0.5)
+        @ reference.turn("x", -np.pi / 2)
+        @ reference.slide("y", 1)
     )
     np.testing.assert_allclose(X.evaluate({"d1": 0.2}), expected.astype(float), rtol=0, atol=1e-15)

@@ -8,7 +8,9 @@ import kempe
 
 
 def spherical_five_bar(a1, b1, b2, a2, d) -> kempe.System:
-    """Five turns whose axes meet in a point; links are arcs of these angles, and A and D are driven."""
+    """Five turns whose axes meet in a point; links are arcs of these angles, and A and D are
+    driven.
+    """
     m = kempe.Mechanism("spherical five-bar")
     m.revolute("A", m.ground, m.body("crank1"), axis="z", actuated=True)
     m.revolute("B", "crank1", m.body("rod1"), rpy=(a1, 0, 0), axis="z")
@@ -81,7 +83,14 @@ def slider_pair(dim: int) -> kempe.System:
     m = kempe.Mechanism("PRRRP", dim=dim)
     on = {} if dim == 2 else {"axis": "z"}
     for k, limits in ((1, (-300.0, 100.0)), (2, (100.0, 500.0))):
-        m.prismatic(f"s{k}", m.ground, m.body(f"cart{k}"), axis=(1, 0, 0)[:dim], limits=limits, actuated=True)
+        m.prismatic(
+            f"s{k}",
+            m.ground,
+            m.body(f"cart{k}"),
+            axis=(1, 0, 0)[:dim],
+            limits=limits,
+            actuated=True,
+        )
         m.revolute(f"A{k}", f"cart{k}", m.body(f"bar{k}"), **on)
     m.revolute("P", "bar1", "bar2", at=(250, 0, 0)[:dim], child_at=(300, 0, 0)[:dim], **on)
     m.frame("tip", "bar1", at=(250, 0, 0)[:dim])
@@ -89,12 +98,16 @@ def slider_pair(dim: int) -> kempe.System:
 
 
 def pointer(lower: str, upper: str, limits=(0.35, 1.0)) -> kempe.System:
-    """A plate on a universal joint, tilted by two legs whose lengths are driven: between joints of these types."""
+    """A plate on a universal joint, tilted by two legs whose lengths are driven: between joints of
+    these types.
+    """
     m = kempe.Mechanism("pointer")
     m.universal("U", m.ground, m.body("plate"), at=(0, 0, 0.5))
     for k, (x, y) in enumerate(FEET):
         getattr(m, lower)(f"F{k}", m.ground, m.body(f"cylinder{k}"), at=(x, y, 0))
-        m.prismatic(f"s{k}", f"cylinder{k}", m.body(f"piston{k}"), axis="z", limits=limits, actuated=True)
+        m.prismatic(
+            f"s{k}", f"cylinder{k}", m.body(f"piston{k}"), axis="z", limits=limits, actuated=True
+        )
         getattr(m, upper)(f"T{k}", f"piston{k}", "plate", child_at=TOPS[k])
     m.frame("camera", "plate", at=(0, 0, 0.1))
     return m.build()
@@ -112,5 +125,7 @@ def lengths_of_pointer(U) -> np.ndarray:
     y_turn[..., 0, 0], y_turn[..., 0, 2], y_turn[..., 1, 1] = np.cos(b), np.sin(b), 1.0
     y_turn[..., 2, 0], y_turn[..., 2, 2] = -np.sin(b), np.cos(b)
     R = turned("x", a) @ y_turn
-    ends = [R @ np.array(t) + [0, 0, 0.5] - [x, y, 0.0] for t, (x, y) in zip(TOPS, FEET, strict=True)]
+    ends = [
+        R @ np.array(t) + [0, 0, 0.5] - [x, y, 0.0] for t, (x, y) in zip(TOPS, FEET, strict=True)
+    ]
     return np.stack([np.linalg.norm(e, axis=-1) for e in ends], axis=-1)

@@ -1,13 +1,14 @@
-"""Record what every verb answers for a fixed set of systems, and compare later answers with the record.
+"""Record what every verb answers for a fixed set of systems, and compare later answers with the
+record.
 
     python tools/golden.py compare                   # with tests/golden.json.xz, bit for bit
     python tools/golden.py compare --rtol 1e-6       # numbers within a tolerance, numbers in sentences left out
     python tools/golden.py record                    # write tests/golden.json.xz anew
     python tools/golden.py compare --systems puma560,jansen --verbs ik,trace
 
-The systems are the shipped models and twenty robots of the package example-robot-data; the inputs are drawn by a seed
-made of the names of the system and the verb. Of an array the record holds a digest and three weighted sums, so that it
-stays small and a difference can still be measured.
+The systems are the shipped models and twenty robots of the package example-robot-data; the inputs
+are drawn by a seed made of the names of the system and the verb. Of an array the record holds a
+digest and three weighted sums, so that it stays small and a difference can still be measured.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ from kempe import Budget, KempeError, library
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = ROOT / "tests" / "golden.json.xz"
-ROBOTS = sorted(Path(sys.prefix).glob("lib/python*/site-packages/cmeel.prefix/share/example-robot-data/robots"))
+ROBOTS = sorted(
+    Path(sys.prefix).glob("lib/python*/site-packages/cmeel.prefix/share/example-robot-data/robots")
+)
 FILES = """
     a1_description/urdf/a1.urdf allegro_hand_description/urdf/allegro_left_hand.urdf
     anymal_b_simple_description/robots/anymal-kinova.urdf asr_twodof_description/urdf/TwoDofs.urdf
@@ -54,7 +57,8 @@ Numbers = dict[str, Any]
 Rng = np.random.Generator
 
 
-# ---------------------------------------------------------------------------------------------- systems and inputs
+# ----------------------------------------------------------------------------------------------
+# systems and inputs
 
 
 def names() -> list[str]:
@@ -69,7 +73,9 @@ def load(name: str) -> kempe.System:
 
 def seed(*words: str) -> Rng:
     """Random numbers that depend on these words only."""
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(" ".join(words).encode()).digest()[:8], "big"))
+    return np.random.default_rng(
+        int.from_bytes(hashlib.sha256(" ".join(words).encode()).digest()[:8], "big")
+    )
 
 
 def has_loops(system: kempe.System) -> bool:
@@ -88,12 +94,19 @@ def configurations(system: kempe.System, rng: Rng, count: int) -> np.ndarray:
 
 
 def closed(system: kempe.System, rng: Rng, count: int) -> Iterator[np.ndarray]:
-    """Configurations of the assemblies found from `count` random starts; of a tree the starts themselves."""
+    """Configurations of the assemblies found from `count` random starts; of a tree the starts
+    themselves.
+    """
     for start in configurations(system, rng, count):
-        yield start if not has_loops(system) else system.assemble(start=start, budget=Budget(starts=4)).q
+        yield (
+            start
+            if not has_loops(system)
+            else system.assemble(start=start, budget=Budget(starts=4)).q
+        )
 
 
-# ---------------------------------------------------------------------------------------------- verbs
+# ----------------------------------------------------------------------------------------------
+# verbs
 
 
 def answer(found: Any, *fields: str) -> Numbers:
@@ -184,7 +197,10 @@ def mobility(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
 def trace(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
     """The answer of `trace`, by its length and where it is singular."""
     found = system.trace()
-    yield answer(found, "length", "closed") | {"ends": found.q[[0, -1]], "singular": len(found.singular_points)}
+    yield answer(found, "length", "closed") | {
+        "ends": found.q[[0, -1]],
+        "singular": len(found.singular_points),
+    }
 
 
 def drive(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
@@ -197,11 +213,17 @@ def drive(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
 
 
 def spaces(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
-    """Dimension, samples, distances and differences of the configuration space, and the task space of a frame."""
+    """Dimension, samples, distances and differences of the configuration space, and the task space
+    of a frame.
+    """
     S = system.configuration_space
     yield answer(S, "dimension", "ambient_dimension")
     q = S.sample(4, rng)
-    yield {"sample": q, "distance": S.distance(q[:2], q[2:]), "difference": S.difference(q[:2], q[2:])}
+    yield {
+        "sample": q,
+        "distance": S.distance(q[:2], q[2:]),
+        "difference": S.difference(q[:2], q[2:]),
+    }
     yield answer(system.task_space(frame_of(system)), "rank", "generic_rank", "redundancy")
 
 
@@ -214,7 +236,9 @@ def workspace(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
 
 def singularities(system: kempe.System, rng: Rng) -> Iterator[Numbers]:
     """The kinds of singular configurations of a frame."""
-    found = system.singularities(frame_of(system) if not has_loops(system) else None, budget=Budget(starts=8))
+    found = system.singularities(
+        frame_of(system) if not has_loops(system) else None, budget=Budget(starts=8)
+    )
     yield {"sets": len(found.sets), "status": str(found.status)}
 
 
@@ -247,7 +271,8 @@ LEFT_OUT = {("row_of_four_bars", "spaces"), ("tiago_description/robots/tiago.urd
 """Pairs of a system and a verb that take minutes."""
 
 
-# ---------------------------------------------------------------------------------------------- the record
+# ---------------------------------------------------------------------------------------------- the
+# record
 
 
 def sums(array: np.ndarray) -> list[float]:
@@ -265,7 +290,11 @@ def entry(value: Any) -> list[Any]:
     array = np.ascontiguousarray(value, dtype=np.float64)
     digest = hashlib.sha256(array.tobytes()).digest()[:6]
     numbers = array.ravel() if array.size <= 3 else np.array(sums(array))
-    return [list(array.shape), base64.b64encode(digest).decode(), base64.b64encode(numbers.tobytes()).decode()]
+    return [
+        list(array.shape),
+        base64.b64encode(digest).decode(),
+        base64.b64encode(numbers.tobytes()).decode(),
+    ]
 
 
 def record(name: str, verbs: Iterable[str]) -> dict[str, list[dict[str, list[Any]]]]:
@@ -332,7 +361,9 @@ def main() -> int:
     """Record or compare, and print a line for each difference."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("action", choices=["record", "compare"])
-    parser.add_argument("--rtol", type=float, help="relative and absolute tolerance; without it bit for bit")
+    parser.add_argument(
+        "--rtol", type=float, help="relative and absolute tolerance; without it bit for bit"
+    )
     parser.add_argument("--systems", type=lambda text: text.split(","), default=names())
     parser.add_argument("--verbs", type=lambda text: text.split(","), default=list(VERBS))
     parser.add_argument("--processes", type=int, default=2)
@@ -342,14 +373,22 @@ def main() -> int:
         if given.action == "record":
             found = stored() if RECORD.exists() else {}
             for name, rows in zip(
-                given.systems, pool.map(record, given.systems, [given.verbs] * len(given.systems)), strict=True
+                given.systems,
+                pool.map(record, given.systems, [given.verbs] * len(given.systems)),
+                strict=True,
             ):
                 found[name] = found.get(name, {}) | rows
                 print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
-            RECORD.write_bytes(lzma.compress(json.dumps(found, separators=(",", ":")).encode(), preset=9))
+            RECORD.write_bytes(
+                lzma.compress(json.dumps(found, separators=(",", ":")).encode(), preset=9)
+            )
             print(f"{RECORD.name}: {RECORD.stat().st_size / 1e6:.2f} MB")
             return 0
-        arguments = given.systems, [given.rtol] * len(given.systems), [given.verbs] * len(given.systems)
+        arguments = (
+            given.systems,
+            [given.rtol] * len(given.systems),
+            [given.verbs] * len(given.systems),
+        )
         lines = [line for found in pool.map(differences, *arguments) for line in found]
     print("\n".join(lines) or "no differences", f"({time.perf_counter() - start:.0f} s)")
     return int(bool(lines))

@@ -1,8 +1,10 @@
-"""The move to the layout of tools/layout.toml: `python tools/layout.py check [--all]`, `python tools/layout.py apply`.
+"""The move to the layout of tools/layout.toml: `python tools/layout.py check [--all]`,
+`python tools/layout.py apply`.
 
-`check` applies the table to the imports of today, also those in functions and for type checking, and to calls of
-methods of `System`, which are imports in disguise: it prints what would go against the order, and the circles.
-`apply` moves the files, merges and splits modules, and rewrites imports and names of modules in code and text.
+`check` applies the table to the imports of today, also those in functions and for type checking,
+and to calls of methods of `System`, which are imports in disguise: it prints what would go against
+the order, and the circles. `apply` moves the files, merges and splits modules, and rewrites imports
+and names of modules in code and text.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ FACADE = {"System", "Inverse", "Loops", "ReachStudies", "Symbolic", "Pictured"}
 SYSTEM = ("model.system", "System")
 MODEL = ("model.compiled_system", "Compiled")
 RENAMES = {tuple(k.rsplit(":", 1)): v for k, v in TABLE.get("renames", {}).items()}
-"""New names of what modules define, by module and name: where merged modules have the same name for two things."""
+"""New names of what modules define, by module and name: where merged modules have the same name for
+two things."""
 
 
 def key_of(path: pathlib.Path) -> str:
@@ -47,7 +50,9 @@ def file_of(key: str) -> str:
 
 
 class Bound(NamedTuple):
-    """What an import binds: a name, of a module (by key) and there a name, or the module itself (None)."""
+    """What an import binds: a name, of a module (by key) and there a name, or the module itself
+    (None).
+    """
 
     name: str
     module: str
@@ -58,7 +63,9 @@ class Bound(NamedTuple):
 
 
 class Old:
-    """A module as it is: its statements at the top, each with the comments before it and the text after it."""
+    """A module as it is: its statements at the top, each with the comments before it and the text
+    after it.
+    """
 
     def __init__(self, key: str, path: pathlib.Path, package: bool = True):
         self.key = key
@@ -88,7 +95,9 @@ class Old:
 
     def span(self, node: ast.AST) -> tuple[int, int]:
         """Where a node begins and ends in the text, with its decorators."""
-        first = min([node, *getattr(node, "decorator_list", [])], key=lambda n: (n.lineno, n.col_offset))
+        first = min(
+            [node, *getattr(node, "decorator_list", [])], key=lambda n: (n.lineno, n.col_offset)
+        )
         start = self.at(first.lineno, first.col_offset)
         if getattr(node, "decorator_list", []):
             start = self.text.rindex("@", 0, start)
@@ -97,8 +106,12 @@ class Old:
 
 def _is_import(node: ast.stmt) -> bool:
     """Whether a statement is an import, or imports for type checking."""
-    checking = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not node.orelse
-    return isinstance(node, (ast.Import, ast.ImportFrom)) or (checking and all(_is_import(n) for n in node.body))
+    checking = (
+        isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not node.orelse
+    )
+    return isinstance(node, (ast.Import, ast.ImportFrom)) or (
+        checking and all(_is_import(n) for n in node.body)
+    )
 
 
 def bound_in(nodes: list[ast.stmt]) -> set[str]:
@@ -126,24 +139,46 @@ def bound_in(nodes: list[ast.stmt]) -> set[str]:
     return found
 
 
-def references(node: ast.AST, hidden: frozenset[str] = frozenset()) -> Iterator[tuple[ast.Name, frozenset[str]]]:
-    """Names that are read or written in a node, with the names that scopes around hide there from the module's."""
+def references(
+    node: ast.AST, hidden: frozenset[str] = frozenset()
+) -> Iterator[tuple[ast.Name, frozenset[str]]]:
+    """Names that are read or written in a node, with the names that scopes around hide there from
+    the module's.
+    """
     if isinstance(node, ast.Name):
         yield node, hidden
     elif isinstance(node, FUNCTIONS):
         own = node.args
-        every = [*own.posonlyargs, *own.args, *own.kwonlyargs, *filter(None, (own.vararg, own.kwarg))]
-        for child in [*getattr(node, "decorator_list", []), *own.defaults, *filter(None, own.kw_defaults),
-                      *(a.annotation for a in every if a.annotation), getattr(node, "returns", None)]:  # fmt: skip
+        every = [
+            *own.posonlyargs,
+            *own.args,
+            *own.kwonlyargs,
+            *filter(None, (own.vararg, own.kwarg)),
+        ]
+        for child in [
+            *getattr(node, "decorator_list", []),
+            *own.defaults,
+            *filter(None, own.kw_defaults),
+            *(a.annotation for a in every if a.annotation),
+            getattr(node, "returns", None),
+        ]:
             if child is not None:
                 yield from references(child, hidden)
         body = node.body if isinstance(node.body, list) else [ast.Expr(node.body)]
-        free = {n for s in body for g in ast.walk(s) if isinstance(g, (ast.Global, ast.Nonlocal)) for n in g.names}
+        free = {
+            n
+            for s in body
+            for g in ast.walk(s)
+            if isinstance(g, (ast.Global, ast.Nonlocal))
+            for n in g.names
+        }
         inner = hidden | frozenset(({a.arg for a in every} | bound_in(body)) - free)
         for child in body:
             yield from references(child, inner)
     elif isinstance(node, COMPREHENSIONS):
-        targets = frozenset(n.id for g in node.generators for n in ast.walk(g.target) if isinstance(n, ast.Name))
+        targets = frozenset(
+            n.id for g in node.generators for n in ast.walk(g.target) if isinstance(n, ast.Name)
+        )
         yield from references(node.generators[0].iter, hidden)
         for child in ast.iter_child_nodes(node):
             if child is not node.generators[0]:
@@ -156,13 +191,16 @@ def references(node: ast.AST, hidden: frozenset[str] = frozenset()) -> Iterator[
             yield from references(child, hidden)
         own_names = frozenset(bound_in(node.body))
         for child in node.body:  # functions of a class do not see its names
-            yield from references(child, hidden if isinstance(child, FUNCTIONS) else hidden | own_names)
+            yield from references(
+                child, hidden if isinstance(child, FUNCTIONS) else hidden | own_names
+            )
     else:
         for child in ast.iter_child_nodes(node):
             yield from references(child, hidden)
 
 
-# ---------------------------------------------------------------------------------------------- the table
+# ---------------------------------------------------------------------------------------------- the
+# table
 
 
 OLD = {key_of(p): Old(key_of(p), p) for p in sorted(SOURCE.rglob("*.py"))}
@@ -180,7 +218,9 @@ for _new, _text in TABLE["modules"].items():
         else:
             REST[_old] = _new
 PLACELESS = [
-    k for k, m in OLD.items() if k not in {*REST, *TABLE["deleted"]} and (len(m.tree.body) > 1 or not m.tree.body)
+    k
+    for k, m in OLD.items()
+    if k not in {*REST, *TABLE["deleted"]} and (len(m.tree.body) > 1 or not m.tree.body)
 ]  # the packages' own files have a docstring and nothing else
 for _old in PLACELESS:  # what is new since stays where it is
     REST[_old] = _old
@@ -197,10 +237,20 @@ LEVEL = {name: i for i, line in enumerate(TABLE["order"]) for name in line.split
 def checked_table() -> list[str]:
     """What is wrong with the table: modules without a place, and names that are nowhere."""
     wrong = [f"no place: {k}" for k in PLACELESS]
-    wrong += [f"a new name that means another module now: {n}" for n in PARTS if n in OLD and REST.get(n, n) != n]
-    wrong += [f"no such module: {p}" for text in TABLE["modules"].values() for p in text.split()
-              if p.partition(":")[0] not in OLD]  # fmt: skip
-    return wrong + [f"no such name: {k}:{n}" for k, n in SPLIT if k in OLD and n not in OLD[k].defines]
+    wrong += [
+        f"a new name that means another module now: {n}"
+        for n in PARTS
+        if n in OLD and REST.get(n, n) != n
+    ]
+    wrong += [
+        f"no such module: {p}"
+        for text in TABLE["modules"].values()
+        for p in text.split()
+        if p.partition(":")[0] not in OLD
+    ]
+    return wrong + [
+        f"no such name: {k}:{n}" for k, n in SPLIT if k in OLD and n not in OLD[k].defines
+    ]
 
 
 def module_at(name: str) -> str | None:
@@ -208,7 +258,15 @@ def module_at(name: str) -> str | None:
     key = name.removeprefix("kempe").removeprefix(".") if name.split(".")[0] == "kempe" else None
     if key is None:
         return None
-    return "__root__" if not key else key if key in OLD else f"{key}.__init__" if f"{key}.__init__" in OLD else None
+    return (
+        "__root__"
+        if not key
+        else key
+        if key in OLD
+        else f"{key}.__init__"
+        if f"{key}.__init__" in OLD
+        else None
+    )
 
 
 def imported(node: ast.stmt, kind: str, unit: int) -> Iterator[Bound]:
@@ -220,14 +278,19 @@ def imported(node: ast.stmt, kind: str, unit: int) -> Iterator[Bound]:
     elif isinstance(node, ast.ImportFrom) and (base := node.module or "").split(".")[0] == "kempe":
         for a in node.names:
             module = module_at(f"{base}.{a.name}")
-            if module is not None and a.name not in OLD.get(module_at(base) or "", OLD["__root__"]).defines:
+            if (
+                module is not None
+                and a.name not in OLD.get(module_at(base) or "", OLD["__root__"]).defines
+            ):
                 yield Bound(a.asname or a.name, module, None, kind, node.lineno, unit)
             elif (module := module_at(base)) is not None:
                 yield Bound(a.asname or a.name, module, a.name, kind, node.lineno, unit)
 
 
 def imports_of(old: Old) -> list[tuple[ast.stmt, list[Bound]]]:
-    """The import statements of a module, each with what it binds: at the top, `lazy` in functions, or `typing`."""
+    """The import statements of a module, each with what it binds: at the top, `lazy` in functions,
+    or `typing`.
+    """
     found: list[tuple[ast.stmt, list[Bound]]] = []
 
     def walk(node: ast.AST, kind: str, unit: int) -> None:
@@ -247,13 +310,18 @@ def imports_of(old: Old) -> list[tuple[ast.stmt, list[Bound]]]:
 
 IMPORTS = {key: imports_of(old) for key, old in OLD.items()}
 TOP_BINDINGS = {
-    key: {b.name: b for _, bounds in rows for b in bounds if b.kind != "lazy"} for key, rows in IMPORTS.items()
+    key: {b.name: b for _, bounds in rows for b in bounds if b.kind != "lazy"}
+    for key, rows in IMPORTS.items()
 }
 
 
 def origin(module: str, name: str | None) -> tuple[str, str | None]:
     """Where a name comes from that a module may only hand on."""
-    while name is not None and not module.endswith(("__init__", "__root__")) and name not in OLD[module].defines:
+    while (
+        name is not None
+        and not module.endswith(("__init__", "__root__"))
+        and name not in OLD[module].defines
+    ):
         bound = TOP_BINDINGS[module].get(name)
         if bound is None:
             break
@@ -268,7 +336,9 @@ def home(module: str, name: str | None) -> str | None:
 
 
 def place(module: str, name: str | None, kind: str, of: str) -> tuple[str | None, str | None]:
-    """New module and name of what a new module imports; below `System` types of systems are the model's."""
+    """New module and name of what a new module imports; below `System` types of systems are the
+    model's.
+    """
     module, name = origin(module, name)
     if (module, name) == SYSTEM and kind == "typing" and below_system(of):
         module, name = MODEL
@@ -287,8 +357,11 @@ def users(old: Old, bound: Bound) -> set[str]:
         return {REST[old.key]}
     if not _is_import(old.units[bound.unit][0]):
         return {unit_home(old, bound.unit)}
-    return {unit_home(old, i) for i, unit in enumerate(old.units) if not _is_import(unit[0])
-            and bound.name.split(".")[0] in names_in(old, i)}  # fmt: skip
+    return {
+        unit_home(old, i)
+        for i, unit in enumerate(old.units)
+        if not _is_import(unit[0]) and bound.name.split(".")[0] in names_in(old, i)
+    }
 
 
 def unit_home(old: Old, i: int) -> str:
@@ -320,12 +393,19 @@ class Arrow(NamedTuple):
 
 
 def facade() -> dict[str, tuple[str, str | None]]:
-    """For each method of `System` that calls another module: the old module and the name that it imports last."""
+    """For each method of `System` that calls another module: the old module and the name that it
+    imports last.
+    """
     found: dict[str, tuple[str, str | None]] = {}
     for _, old in sorted(OLD.items(), key=lambda x: x[0] not in ("model.system", "system")):
         for c in (c for c in old.tree.body if isinstance(c, ast.ClassDef) and c.name in FACADE):
             for f in (f for f in c.body if isinstance(f, ast.FunctionDef) and f.name[0] != "_"):
-                inner = [b for n in ast.walk(f) if isinstance(n, ast.ImportFrom) for b in imported(n, "lazy", 0)]
+                inner = [
+                    b
+                    for n in ast.walk(f)
+                    if isinstance(n, ast.ImportFrom)
+                    for b in imported(n, "lazy", 0)
+                ]
                 if inner:
                     found.setdefault(f.name, (inner[-1].module, inner[-1].of))
     return found
@@ -337,12 +417,16 @@ OTHERS = re.compile(r"(mechanism|loops)$")
 
 
 def calls(old: Old) -> Iterator[tuple[ast.Attribute, int]]:
-    """Attributes of systems that are methods of `System`, with the number of the statement at the top."""
+    """Attributes of systems that are methods of `System`, with the number of the statement at the
+    top.
+    """
     for i, unit in enumerate(old.units):
         for node in (n for s in unit for n in ast.walk(s)):
             if isinstance(node, ast.Attribute) and node.attr in METHODS:
                 of = ast.unparse(node.value)
-                if re.search(r"(^|[._])(system|robot|tree|design|job\.system)$", of) and not OTHERS.search(of):
+                if re.search(
+                    r"(^|[._])(system|robot|tree|design|job\.system)$", of
+                ) and not OTHERS.search(of):
                     yield node, i
 
 
@@ -357,17 +441,35 @@ def arrows() -> list[Arrow]:
             for b in (b for b in bounds if b.module in REST or b.module in DELETED):
                 for of in users(old, b):
                     to, name = place(b.module, b.of, b.kind, of)
-                    found.append(Arrow(of, to or f"(deleted) {b.module}", name or "*", b.kind, f"{where}:{b.line}"))
+                    found.append(
+                        Arrow(
+                            of,
+                            to or f"(deleted) {b.module}",
+                            name or "*",
+                            b.kind,
+                            f"{where}:{b.line}",
+                        )
+                    )
         if key in SPLIT_MODULES:  # what a module needs of its own other parts
             for i in range(len(old.units)):
                 for name in names_in(old, i) & set(old.defines):
                     line = old.units[i][0].lineno
-                    found.append(Arrow(unit_home(old, i), home(key, name) or "", name, "split", f"{where}:{line}"))
+                    found.append(
+                        Arrow(
+                            unit_home(old, i),
+                            home(key, name) or "",
+                            name,
+                            "split",
+                            f"{where}:{line}",
+                        )
+                    )
         if below_system(REST[key]):
             for node, i in calls(old):
                 module, name = origin(*METHODS[node.attr])
                 to = home(module, name) or "(deleted)"
-                found.append(Arrow(unit_home(old, i), to, f".{node.attr}", "call", f"{where}:{node.lineno}"))
+                found.append(
+                    Arrow(unit_home(old, i), to, f".{node.attr}", "call", f"{where}:{node.lineno}")
+                )
     late = set(TABLE.get("late", {}))
     return [a for a in found if a.of != a.to and f"{a.of} -> {a.to}:{a.name}" not in late]
 
@@ -427,7 +529,10 @@ def check() -> None:
     for a in every:
         if a.to.startswith("(") or rank(a.to) > rank(a.of):
             wrong[a.of, a.to].append(a)
-    print(f"---- against the order: {len(wrong)} pairs of modules, {sum(map(len, wrong.values()))} names")
+    print(
+        f"---- against the order: {len(wrong)} pairs of modules, {sum(map(len, wrong.values()))} "
+        "names"
+    )
     for (of, to), rows in sorted(wrong.items()):
         print(f"{of} -> {to}")
         for a in sorted(set(rows), key=lambda a: a.where):
@@ -437,17 +542,29 @@ def check() -> None:
     print(f"---- circles besides: {sum(map(len, rings))} modules in {len(rings)}")
     for ring in rings:
         print("circle:", " ".join(ring))
-        for a in sorted({a for a in every if a.of in ring and a.to in ring and (a.of, a.to) in edges}):
+        for a in sorted(
+            {a for a in every if a.of in ring and a.to in ring and (a.of, a.to) in edges}
+        ):
             print(f"    {a.of} -> {a.to}: {a.name} ({a.kind}) {a.where}")
     runs = collections.defaultdict(set)
     for a in every:
         if a.kind != "typing":
             runs[a.to].add(a.of.removesuffix(".__init__"))
-    lonely = [m for m in PARTS if len(runs[m]) == 1 and next(iter(runs[m])).rpartition(".")[0] == m.rpartition(".")[0]]
+    lonely = [
+        m
+        for m in PARTS
+        if len(runs[m]) == 1 and next(iter(runs[m])).rpartition(".")[0] == m.rpartition(".")[0]
+    ]
     calls_left = [a for a in every if a.kind == "call"]
     whole = circles({(a.of, a.to) for a in every})
-    print(f"---- modules {len(PARTS)}; with one importer beside them {len(lonely)}: {' '.join(lonely)}")
-    print(f"     calls of methods of System {len(calls_left)}; modules in circles now {sum(map(len, whole))}")
+    print(
+        f"---- modules {len(PARTS)}; with one importer beside them {len(lonely)}: "
+        f"{' '.join(lonely)}"
+    )
+    print(
+        f"     calls of methods of System {len(calls_left)}; modules in circles now "
+        f"{sum(map(len, whole))}"
+    )
     for line in collisions():
         print(line)
     notes: list[str] = []
@@ -462,7 +579,8 @@ def check() -> None:
     print("\n".join(note for note in notes if note.startswith("shadowed")))
 
 
-# ---------------------------------------------------------------------------------------------- names that collide
+# ----------------------------------------------------------------------------------------------
+# names that collide
 
 
 def collisions() -> list[str]:
@@ -482,11 +600,21 @@ def collisions() -> list[str]:
                         bound[b.name].add(f"import {to}:{name}")
                     elif name is not None and b.name != name and b.of != name:
                         bound[b.name].add(f"import {to}:{name}")
-        for key in dict.fromkeys(parts):  # a part that uses a builtin which another one defines anew
+        for key in dict.fromkeys(
+            parts
+        ):  # a part that uses a builtin which another one defines anew
             old = OLD[key]
             own = {*old.defines, *TOP_BINDINGS[key]}
-            used = set().union(*(names_in(old, i) for i in range(len(old.units)) if unit_home(old, i) == new)) - own
-            found += [f"collision in {new}: {n}: builtin in {key}" for n in used & set(bound) & set(dir(builtins))]
+            used = (
+                set().union(
+                    *(names_in(old, i) for i in range(len(old.units)) if unit_home(old, i) == new)
+                )
+                - own
+            )
+            found += [
+                f"collision in {new}: {n}: builtin in {key}"
+                for n in used & set(bound) & set(dir(builtins))
+            ]
         for name, what in sorted(bound.items()):  # imports get other names by themselves
             own = sorted(w for w in what if not w.startswith("import "))
             if len({unit_text(k, OLD[k].defines[n]) for k, n in (w.split(":") for w in own)}) > 1:
@@ -494,7 +622,8 @@ def collisions() -> list[str]:
     return found
 
 
-# ---------------------------------------------------------------------------------------------- apply
+# ----------------------------------------------------------------------------------------------
+# apply
 
 
 class Edits:
@@ -525,7 +654,9 @@ def stem(key: str) -> str:
 
 
 class Rewriter:
-    """Rewrites the imports of one file and the names that they bind, for a place in the new module `new`, if any."""
+    """Rewrites the imports of one file and the names that they bind, for a place in the new module
+    `new`, if any.
+    """
 
     def __init__(self, old: Old, new: str | None, idents: dict[str, object]):
         self.old = old
@@ -534,7 +665,9 @@ class Rewriter:
         self.edits = Edits(old.text)
         self.header: set[tuple[str, str, str | None, str]] = set()  # kind, module, name, as
         self.notes: list[str] = []
-        self.names: dict[str, str | tuple[str, str]] = {}  # of the module's scope: new text, or module for attributes
+        self.names: dict[
+            str, str | tuple[str, str]
+        ] = {}  # of the module's scope: new text, or module for attributes
         self.rows = imports_of(old)
 
     def kept(self, i: int) -> bool:
@@ -546,10 +679,16 @@ class Rewriter:
         return place(b.module, b.of, b.kind, self.new or "cli")
 
     def identifier(self, b: Bound, to: str | None, name: str | None) -> str:
-        """What the import will bind: the name as it is, unless another part of the module has that for something."""
+        """What the import will bind: the name as it is, unless another part of the module has that
+        for something.
+        """
         plain = name if b.of == b.name and name and origin(b.module, b.of) in RENAMES else b.name
         if b.of is None and b.name == stem(b.module) and to is not None:
-            plain = stem(to) if stem(to) not in self.old.defines and stem(to) not in self.taken() else b.name
+            plain = (
+                stem(to)
+                if stem(to) not in self.old.defines and stem(to) not in self.taken()
+                else b.name
+            )
         if b.name == dotted(b.module):
             return dotted(to or b.module)
         at = "top" if b.kind != "lazy" else f"{id(self)}{b.line}"
@@ -570,7 +709,9 @@ class Rewriter:
         return self._taken
 
     def run(self, in_place: bool) -> None:
-        """Make all edits; imports at the top are collected in the `header`, or rewritten `in_place`."""
+        """Make all edits; imports at the top are collected in the `header`, or rewritten
+        `in_place`.
+        """
         old = self.old
         scoped: dict[int, list[tuple[Bound, str | None, str | None, str]]] = {}
         for node, bounds in self.rows:
@@ -586,7 +727,9 @@ class Rewriter:
             if self.at_top(node) and not in_place:
                 used = self.used()
                 for b, to, name, ident in rows:
-                    if to != self.new and (old.key not in SPLIT_MODULES or b.name.split(".")[0] in used):
+                    if to != self.new and (
+                        old.key not in SPLIT_MODULES or b.name.split(".")[0] in used
+                    ):
                         self.header.add((b.kind, to or f"deleted.{b.module}", name, ident))
                 self.foreign(node, ours=False)
             elif self.at_top(node) or self.kept(bounds[0].unit):
@@ -608,26 +751,44 @@ class Rewriter:
     def used(self) -> set[str]:
         """Names of the module's scope that the statements need that go to the new module."""
         if not hasattr(self, "_used"):
-            keep = [i for i, unit in enumerate(self.old.units) if self.kept(i) and not _is_import(unit[0])]
+            keep = [
+                i
+                for i, unit in enumerate(self.old.units)
+                if self.kept(i) and not _is_import(unit[0])
+            ]
             self._used = set().union(*(names_in(self.old, i) for i in keep))
         return self._used
 
     def at_top(self, node: ast.stmt) -> bool:
         """Whether an import stands among the imports of the module."""
-        return any(_is_import(u[0]) and any(n is node for n in ast.walk(u[0])) for u in self.old.units)
+        return any(
+            _is_import(u[0]) and any(n is node for n in ast.walk(u[0])) for u in self.old.units
+        )
 
     def foreign(self, node: ast.stmt, ours: bool = True) -> None:
         """An import of another package, for the header."""
         module = getattr(node, "module", "") or ""
         if not ours or module.split(".")[0] == "kempe" or module == "__future__":
             return
-        typing = any(isinstance(u[0], ast.If) and any(n is node for n in ast.walk(u[0])) for u in self.old.units)
+        typing = any(
+            isinstance(u[0], ast.If) and any(n is node for n in ast.walk(u[0]))
+            for u in self.old.units
+        )
         for a in node.names:  # type: ignore[attr-defined]
             name = (a.asname or a.name).split(".")[0]
             if self.old.key not in SPLIT_MODULES or name in self.used():
-                text = f"import {a.name}" if isinstance(node, ast.Import) else f"from {module} import {a.name}"
+                text = (
+                    f"import {a.name}"
+                    if isinstance(node, ast.Import)
+                    else f"from {module} import {a.name}"
+                )
                 self.header.add(
-                    ("typing" if typing else "top", "", text + (f" as {a.asname}" if a.asname else ""), name)
+                    (
+                        "typing" if typing else "top",
+                        "",
+                        text + (f" as {a.asname}" if a.asname else ""),
+                        name,
+                    )
                 )
 
     def bind(self, b: Bound, to: str | None, name: str | None, ident: str) -> None:
@@ -639,7 +800,9 @@ class Rewriter:
             if text != b.name:
                 self.names[b.name] = text or b.name
 
-    def rewrite(self, node: ast.stmt, rows: list[tuple[Bound, str | None, str | None, str]]) -> None:
+    def rewrite(
+        self, node: ast.stmt, rows: list[tuple[Bound, str | None, str | None, str]]
+    ) -> None:
         """Replace an import statement."""
         lines: list[str] = []
         groups: dict[str, list[str]] = {}
@@ -669,8 +832,13 @@ class Rewriter:
                 else:
                     lines.append(f"import {text}")
             else:
-                groups.setdefault(dotted(to), []).append(name if name == ident else f"{name} as {ident}")
-        lines += [f"from {module} import {', '.join(sorted(set(names)))}" for module, names in sorted(groups.items())]
+                groups.setdefault(dotted(to), []).append(
+                    name if name == ident else f"{name} as {ident}"
+                )
+        lines += [
+            f"from {module} import {', '.join(sorted(set(names)))}"
+            for module, names in sorted(groups.items())
+        ]
         start, end = self.old.span(node)
         before = self.old.text.rfind("\n", 0, start) + 1
         indent = self.old.text[before:start]
@@ -688,18 +856,29 @@ class Rewriter:
         around = [f for f in functions if any(n is node for n in ast.walk(f))]
         inner = around[-1] if around else None
         stores = ast.walk(inner) if inner is not None else ()
-        return any(isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id == name for n in stores)
+        return any(
+            isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id == name
+            for n in stores
+        )
 
     def alone(self, node: ast.stmt) -> bool:
         """Whether a statement is the only one of its block."""
         return any(
-            b == [node] for n in ast.walk(self.old.tree) for b in (getattr(n, "body", 0), getattr(n, "orelse", 0))
+            b == [node]
+            for n in ast.walk(self.old.tree)
+            for b in (getattr(n, "body", 0), getattr(n, "orelse", 0))
         )
 
-    def references(self, unit: list[ast.stmt], lazy: list[tuple[Bound, str | None, str | None, str]]) -> None:
+    def references(
+        self, unit: list[ast.stmt], lazy: list[tuple[Bound, str | None, str | None, str]]
+    ) -> None:
         """Rewrite names in a statement at the top."""
-        attributes = {id(n.value): n for s in unit for n in ast.walk(s)
-                      if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)}  # fmt: skip
+        attributes = {
+            id(n.value): n
+            for s in unit
+            for n in ast.walk(s)
+            if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)
+        }
         for s in unit:
             name = getattr(s, "name", None)
             if name in self.names and isinstance(self.names[name], str):
@@ -713,16 +892,23 @@ class Rewriter:
                     b, to, new, ident = row  # an import in a function
                     inner = to == self.new and self.new is not None
                     if b.of is None:
-                        self.name(node, (b.module, "" if inner else ident), attributes.get(id(node)))
+                        self.name(
+                            node, (b.module, "" if inner else ident), attributes.get(id(node))
+                        )
                     else:
                         self.name(node, new if inner else ident, None)
 
     def shadow(self, node: ast.Name, new: str) -> None:
         """Note where a new name would be that of a local variable."""
         if new in self.hidden:
-            self.notes.append(f"shadowed: {self.old.path.relative_to(ROOT)}:{node.lineno}: {node.id} would be {new}")
+            self.notes.append(
+                f"shadowed: {self.old.path.relative_to(ROOT)}:{node.lineno}: {node.id} would be "
+                f"{new}"
+            )
 
-    def name(self, node: ast.Name, new: str | tuple[str, str] | None, attribute: ast.Attribute | None) -> None:
+    def name(
+        self, node: ast.Name, new: str | tuple[str, str] | None, attribute: ast.Attribute | None
+    ) -> None:
         """Replace one name, and where it is a module the attribute that is taken of it."""
         start, end = self.old.span(node)
         if isinstance(new, str):
@@ -732,9 +918,13 @@ class Rewriter:
         elif new is not None:
             module, ident = new
             if attribute is None:
-                moved = [n for (m, n) in SPLIT if m == module] or [m for m in PARTS.get(REST.get(module, ""), [])][1:]
+                moved = [n for (m, n) in SPLIT if m == module] or [
+                    m for m in PARTS.get(REST.get(module, ""), [])
+                ][1:]
                 if moved or not ident:
-                    self.notes.append(f"{self.old.path}:{node.lineno}: the module {module} as a value: {node.id}")
+                    self.notes.append(
+                        f"{self.old.path}:{node.lineno}: the module {module} as a value: {node.id}"
+                    )
                 if ident and ident != node.id:
                     self.edits.put(start, end, ident)
                 return
@@ -774,7 +964,10 @@ def header_text(rows: set[tuple[str, str, str | None, str]]) -> str:
                 named = last if last == ident else f"{last} as {ident}"
                 found.add(f"from {package} import {named}" if package else f"import {named}")
             else:
-                found.add(f"from {dotted(module)} import {name if name == ident else f'{name} as {ident}'}")
+                found.add(
+                    f"from {dotted(module)} import "
+                    f"{name if name == ident else f'{name} as {ident}'}"
+                )
         return sorted(found)
 
     out += lines(top)
@@ -791,7 +984,12 @@ def ordered(new: str) -> list[str]:
         for _, bounds in IMPORTS[p]:
             for b in bounds:
                 module = origin(b.module, b.of)[0]
-                if b.kind == "top" and module in parts and module != p and home(*origin(b.module, b.of)) == new:
+                if (
+                    b.kind == "top"
+                    and module in parts
+                    and module != p
+                    and home(*origin(b.module, b.of)) == new
+                ):
                     needs[p].add(module)
     out: list[str] = []
     while len(out) < len(parts):
@@ -804,7 +1002,11 @@ def ordered(new: str) -> list[str]:
 def docstring(old: Old) -> str:
     """The docstring of a module, as it stands."""
     first = old.tree.body[0] if old.tree.body else None
-    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+    if (
+        isinstance(first, ast.Expr)
+        and isinstance(first.value, ast.Constant)
+        and isinstance(first.value.value, str)
+    ):
         return old.text[slice(*old.span(first))]
     return ""
 
@@ -816,7 +1018,9 @@ def unit_text(key: str, i: int) -> str:
 
 
 def main_part(new: str) -> str:
-    """The part whose history a new module continues, and whose docstring it has: that of its name, or the largest."""
+    """The part whose history a new module continues, and whose docstring it has: that of its name,
+    or the largest.
+    """
     whole = [p for p in PARTS[new] if REST[p] == new] or PARTS[new]
     same = [p for p in whole if stem(p) == stem(new)]
     return (same or sorted(whole, key=lambda p: -len(OLD[p].text)))[0]
@@ -839,7 +1043,9 @@ def merged(new: str, notes: list[str]) -> str:
         notes += one.notes
         text = one.edits.within(0, len(one.old.text))
         if one.header:
-            at = text.index("\n\n", text.index("\nimport ") if "\nimport " in text else text.index("\nfrom "))
+            at = text.index(
+                "\n\n", text.index("\nimport ") if "\nimport " in text else text.index("\nfrom ")
+            )
             text = text[:at] + "\n" + header_text(one.header) + text[at:]
         return text
     header: set[tuple[str, str, str | None, str]] = set()
@@ -857,14 +1063,20 @@ def merged(new: str, notes: list[str]) -> str:
         for i, unit in enumerate(r.old.units):
             start = r.old.span(unit[0])[0]
             end = r.old.span(unit[-1])[1]
-            rest = r.old.text[end : r.old.text.find("\n", end) if "\n" in r.old.text[end:] else len(r.old.text)]
+            rest = r.old.text[
+                end : r.old.text.find("\n", end) if "\n" in r.old.text[end:] else len(r.old.text)
+            ]
             if rest.lstrip().startswith("#"):
                 end += len(rest)
             comments = r.old.text[before:start]
             before = end
             first = unit[0]
             text = r.edits.within(start, end)
-            if _is_import(first) or (i == 0 and docstring(r.old) and isinstance(first, ast.Expr)) or not r.kept(i):
+            if (
+                _is_import(first)
+                or (i == 0 and docstring(r.old) and isinstance(first, ast.Expr))
+                or not r.kept(i)
+            ):
                 continue
             if isinstance(first, ast.Assign) and ast.unparse(first.targets[0]) == "__all__":
                 exported += ast.literal_eval(first.value)
@@ -879,21 +1091,33 @@ def merged(new: str, notes: list[str]) -> str:
         if p != main and text:
             words = re.sub(r'^[rR]?"""|"""$', "", docstring(OLD[p])).strip()
             said = "\n".join(f"# {line}".rstrip() for line in words.splitlines())
-            text = f"# ---- {stem(p).replace('_', ' ')}\n\n" + (f"{said}\n\n\n" if said else "\n") + text
+            text = (
+                f"# ---- {stem(p).replace('_', ' ')}\n\n"
+                + (f"{said}\n\n\n" if said else "\n")
+                + text
+            )
         if text:
             bodies.append(text)
     if exported:
         bodies.insert(0, f"__all__ = {sorted(set(exported))!r}")
     top = docstring(OLD[main])
-    return f"{top}\n\nfrom __future__ import annotations\n\n{header_text(header)}\n\n" + "\n\n\n".join(bodies) + "\n"
+    return (
+        f"{top}\n\nfrom __future__ import annotations\n\n{header_text(header)}\n\n"
+        + "\n\n\n".join(bodies)
+        + "\n"
+    )
 
 
 # ---- names of modules in text
 
 
-NAMES = sorted((k for k in REST if k != "__root__" and not k.endswith("__init__")), key=len, reverse=True)
+NAMES = sorted(
+    (k for k in REST if k != "__root__" and not k.endswith("__init__")), key=len, reverse=True
+)
 FULL = re.compile(r"(?<![\w.])kempe\.((?:\w+\.)*\w+)(?::([A-Za-z_]\w*))?")
-SHORT = re.compile(r"(?<![\w./])(" + "|".join(re.escape(n) for n in NAMES if "." in n) + r")(?:\.(\w+))?(?![\w/])")
+SHORT = re.compile(
+    r"(?<![\w./])(" + "|".join(re.escape(n) for n in NAMES if "." in n) + r")(?:\.(\w+))?(?![\w/])"
+)
 TICKED = re.compile(r"`(~?)([A-Za-z_]\w*(?:\.\w+)+)(\(\))?`")
 FILES = re.compile(r"(?<![\w/])((?:src/)?(?:kempe/)?)((?:\w+/)*\w+)\.py\b")
 STATEMENT = re.compile(r"from (kempe[\w.]*) import (\([^)]*\)|[^\n(;\"'`]+)")
@@ -902,7 +1126,9 @@ STATEMENT = re.compile(r"from (kempe[\w.]*) import (\([^)]*\)|[^\n(;\"'`]+)")
 def new_name(key: str, name: str | None) -> str:
     """The new full name of a module, or of a name in it."""
     if name is not None and name in OLD[key].defines:
-        return f"{dotted(home(key, name) or '')}.{RENAMES.get((key, name), name)}".removeprefix("kempe.")
+        return f"{dotted(home(key, name) or '')}.{RENAMES.get((key, name), name)}".removeprefix(
+            "kempe."
+        )
     return dotted(REST[key]).removeprefix("kempe.") + (f".{name}" if name else "")
 
 
@@ -961,7 +1187,9 @@ def statement(m: re.Match[str]) -> str:
         else:
             return m[0]
     end = re.search(r"\s*$", m[2])
-    return "; ".join(f"from {k} import {', '.join(v)}" for k, v in groups.items()) + (end[0] if end else "")
+    return "; ".join(f"from {k} import {', '.join(v)}" for k, v in groups.items()) + (
+        end[0] if end else ""
+    )
 
 
 def file_name(m: re.Match[str]) -> str:
@@ -1008,12 +1236,16 @@ def apply() -> None:
         PARTS[key] = [key]
     texts = {new: merged(new, notes) for new in PARTS}
     others: dict[pathlib.Path, str] = {}
-    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split(
-        "\n"
-    )
+    listed = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split("\n")
     for name in filter(None, listed):
         path = ROOT / name
-        if name.startswith(("src/kempe/", "tools/layout")) and path.suffix in (".py", ".toml") or not path.is_file():
+        if (
+            name.startswith(("src/kempe/", "tools/layout"))
+            and path.suffix in (".py", ".toml")
+            or not path.is_file()
+        ):
             if not (name.startswith("src/kempe/library") and path.suffix != ".py"):
                 continue
         if path.suffix == ".py":
@@ -1022,9 +1254,18 @@ def apply() -> None:
             text = r.edits.within(0, len(r.old.text))
             if r.header:
                 at = r.old.span(
-                    next(u[0] for u in r.old.units if _is_import(u[0]) and "__future__" not in ast.unparse(u[0]))
+                    next(
+                        u[0]
+                        for u in r.old.units
+                        if _is_import(u[0]) and "__future__" not in ast.unparse(u[0])
+                    )
                 )[0]
-                text = r.edits.within(0, at) + header_text(r.header) + "\n" + r.edits.within(at, len(r.old.text))
+                text = (
+                    r.edits.within(0, at)
+                    + header_text(r.header)
+                    + "\n"
+                    + r.edits.within(at, len(r.old.text))
+                )
             notes += r.notes
             others[path] = in_code(text)
         elif path.suffix in (".md", ".toml", ".txt", ".yml", ".yaml", ".json", ".cfg", ".svg"):
@@ -1044,13 +1285,20 @@ def apply() -> None:
     for path, text in others.items():
         path.write_text(text, encoding="utf-8")
     for folder in sorted(SOURCE.rglob("*"), reverse=True):
-        if folder.is_dir() and not any(p.is_file() and p.suffix != ".pyc" for p in folder.rglob("*")):
+        if folder.is_dir() and not any(
+            p.is_file() and p.suffix != ".pyc" for p in folder.rglob("*")
+        ):
             for p in sorted(folder.rglob("*"), reverse=True):
                 p.rmdir() if p.is_dir() else p.unlink()
             folder.rmdir()
-    subprocess.run(["ruff", "check", "-q", "--select", "I,F401", "--fix", "src", "tests", "benchmarks"], cwd=ROOT)
+    subprocess.run(
+        ["ruff", "check", "-q", "--select", "I,F401", "--fix", "src", "tests", "benchmarks"],
+        cwd=ROOT,
+    )
     subprocess.run(["ruff", "format", "-q", "src"], cwd=ROOT)
-    subprocess.run(["git", "add", "-A", "src", "tests", "benchmarks", "docs", "native"], cwd=ROOT, check=True)
+    subprocess.run(
+        ["git", "add", "-A", "src", "tests", "benchmarks", "docs", "native"], cwd=ROOT, check=True
+    )
     print("\n".join(notes))
 
 

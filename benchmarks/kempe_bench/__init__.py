@@ -1,4 +1,6 @@
-"""Kempe beside other kinematics libraries, in one run on one machine: `benchmark` yields the tables."""
+"""Kempe beside other kinematics libraries, in one run on one machine: `benchmark` yields the
+tables.
+"""
 
 from __future__ import annotations
 
@@ -26,22 +28,38 @@ from kempe_bench import (
     ways,
     whole,
     workspaces,
-)  # fmt: skip
+)
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Table
 
 SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
-    "batch": forward.batch, "single": forward.single, "tree": trees.humanoid, "threads": forward.threads,
-    "growth": trees.growth, "inverse": inverse.single,
-    "numeric": numeric.random, "numeric_limits": numeric.limits, "numeric_warm": numeric.warm,
-    "whole_body": whole.anywhere, "whole_body_near": whole.standing, "parallel": parallel.platforms,
-    "closed": analytic.closed, "general": analytic.general,
-    "assembly": loops.assembly, "success": loops.success,
-    "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
-    "classify": holding.classify, "laws": holding.laws,
-    "workspace": workspaces.binned, "paths": ways.planar,
-    "startup": process.startup, "memory": process.memory,
-}  # fmt: skip
+    "batch": forward.batch,
+    "single": forward.single,
+    "tree": trees.humanoid,
+    "threads": forward.threads,
+    "growth": trees.growth,
+    "inverse": inverse.single,
+    "numeric": numeric.random,
+    "numeric_limits": numeric.limits,
+    "numeric_warm": numeric.warm,
+    "whole_body": whole.anywhere,
+    "whole_body_near": whole.standing,
+    "parallel": parallel.platforms,
+    "closed": analytic.closed,
+    "general": analytic.general,
+    "assembly": loops.assembly,
+    "success": loops.success,
+    "dyads": cranks.dyads,
+    "row": cranks.row,
+    "dof": freedoms.dof,
+    "mobility": freedoms.mobility,
+    "classify": holding.classify,
+    "laws": holding.laws,
+    "workspace": workspaces.binned,
+    "paths": ways.planar,
+    "startup": process.startup,
+    "memory": process.memory,
+}
 """The parts of the benchmark, in their order."""
 
 
@@ -51,11 +69,12 @@ def benchmark(
     say: Callable[[str], None] = lambda text: None,
     targets: int | None = None,
 ) -> Iterator[Table]:
-    """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
+    """Measured tables, one by one as they are done, so that an interruption loses only the section
+    in work.
 
-    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` receives what is being measured. `targets` of
-    each robot are given to the numerical inverse model, of chains and whole bodies, instead of as many as fit into a
-    minute or two.
+    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` receives what is being
+    measured. `targets` of each robot are given to the numerical inverse model, of chains and whole
+    bodies, instead of as many as fit into a minute or two.
     Errors: `UnknownNameError`.
     """
     names = list(SECTIONS if sections is None else sections)
@@ -79,13 +98,18 @@ def page(tables: Iterable[Table], wanted: list[str] | None = None) -> str:
 
     versions = {"kempe": __version__, **peers.installed(wanted)}
     head = [
-        "# Benchmark", "",
-        "Medians of one run in which the libraries take turns: ratios hold although times differ from",
-        "machine to machine. A ratio is to the first line of its table. Goals for absolute times judge the best turn.",
+        "# Benchmark",
         "",
-        f"- Machine: {peers.machine()}", f"- Versions: {', '.join(f'{k} {v}' for k, v in versions.items())}",
-        f"- Date: {datetime.date.today().isoformat()}", "",
-    ]  # fmt: skip
+        "Medians of one run in which the libraries take turns: ratios hold although times differ "
+        "from",
+        "machine to machine. A ratio is to the first line of its table. Goals for absolute times "
+        "judge the best turn.",
+        "",
+        f"- Machine: {peers.machine()}",
+        f"- Versions: {', '.join(f'{k} {v}' for k, v in versions.items())}",
+        f"- Date: {datetime.date.today().isoformat()}",
+        "",
+    ]
     return "\n".join([*head, *(t.markdown() for t in tables)])
 
 

@@ -1,4 +1,6 @@
-"""All solutions of the inverse model against the peers: time of a pose, completeness, wrong answers, preparation."""
+"""All solutions of the inverse model against the peers: time of a pose, completeness, wrong
+answers, preparation.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,18 @@ import kempe
 from kempe.errors import UnsupportedError
 from kempe.spatial import Array
 from kempe_bench import analytic_arms, analytic_peers
-from kempe_bench.analytic_arms import ANY, ARMS, FRAME, LOCKED, OFFSET, PARALLEL, WRIST, Arm, Verdict, judged
+from kempe_bench.analytic_arms import (
+    ANY,
+    ARMS,
+    FRAME,
+    LOCKED,
+    OFFSET,
+    PARALLEL,
+    WRIST,
+    Arm,
+    Verdict,
+    judged,
+)
 from kempe_bench.analytic_peers import Solver
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Grid, Row, measure
@@ -73,7 +86,9 @@ class Kempe(Solver):
 
 def closed(bench: Bench) -> Grid:
     """All solutions, arms with a closed form: time of a pose, and which solutions are found."""
-    table = Grid("All solutions of the inverse model: spherical wrist, and three parallel axes", "arm")
+    table = Grid(
+        "All solutions of the inverse model: spherical wrist, and three parallel axes", "arm"
+    )
     arms = [arm for arm in ARMS if arm.family in (WRIST, PARALLEL)]
     _fill(table, bench, arms, BATCH)
     _goals(table, arms, "closed form", many=0.4, one=5.0)
@@ -82,17 +97,27 @@ def closed(bench: Bench) -> Grid:
 
 
 def general(bench: Bench) -> Grid:
-    """All solutions, arms without a spherical wrist or three parallel axes, and arms of seven joints with one held."""
+    """All solutions, arms without a spherical wrist or three parallel axes, and arms of seven
+    joints with one held.
+    """
     table = Grid("All solutions of the inverse model: any six turns, and one of seven held", "arm")
     arms = [arm for arm in ARMS if arm.family in (OFFSET, ANY, LOCKED)]
     _fill(table, bench, arms, GENERAL_BATCH)
     _goals(table, [a for a in arms if a.family != LOCKED], "general 6R", many=120.0, one=150.0)
-    _goals(table, [a for a in arms if a.family == LOCKED], "7R with a joint held", many=120.0, one=150.0)
+    _goals(
+        table,
+        [a for a in arms if a.family == LOCKED],
+        "7R with a joint held",
+        many=120.0,
+        one=150.0,
+    )
     table.remarks += [
         *how(),
-        "EAIK, ik-geo, OPW: what is missing they refuse, or solve by a search that finds no answer to 1e-6 (ik-geo)",
-        "ssik: offset wrists are modules that come with it, judged by poses of their own description of the arm; "
-        "a random, a calibrated arm and the held Panda it would prepare for a minute or more, as would roboticstoolbox",
+        "EAIK, ik-geo, OPW: what is missing they refuse, or solve by a search that finds no answer "
+        "to 1e-6 (ik-geo)",
+        "ssik: offset wrists are modules that come with it, judged by poses of their own "
+        "description of the arm; a random, a calibrated arm and the held Panda it would prepare "
+        "for a minute or more, as would roboticstoolbox",
     ]
     return table
 
@@ -100,15 +125,17 @@ def general(bench: Bench) -> Grid:
 def how() -> list[str]:
     """How the libraries are used and judged."""
     return [
-        f"poses of configurations uniform in a full turn of each joint; found: the configuration itself is among the "
-        f"answers, to {analytic_arms.TOLERANCE:g} rad; wrong: an answer misses the pose by more than "
-        f"{analytic_arms.TOLERANCE:g} m or rad by plain matrix products",
-        "limits are ignored by all; answers that a library itself marks as least squares are left out",
-        f"Kempe's batch: {BATCH:,} or {GENERAL_BATCH:,} poses in one call, one thread, all judged; others: "
-        f"{JUDGED:,} poses judged, {SLOW_JUDGED} where a pose takes long",
-        "batches: EAIK IK_batched, one worker, its answers not yet read; OPW reach, which adds margins; "
-        "fastest way: the better of a library's batch and its single call",
-        "preparation: Kempe a fresh System and its plan; ssik writing and loading a module; imports are not counted",
+        "poses of configurations uniform in a full turn of each joint; found: the configuration "
+        f"itself is among the answers, to {analytic_arms.TOLERANCE:g} rad; wrong: an answer misses "
+        f"the pose by more than {analytic_arms.TOLERANCE:g} m or rad by plain matrix products",
+        "limits are ignored by all; answers that a library itself marks as least squares are left "
+        "out",
+        f"Kempe's batch: {BATCH:,} or {GENERAL_BATCH:,} poses in one call, one thread, all judged; "
+        f"others: {JUDGED:,} poses judged, {SLOW_JUDGED} where a pose takes long",
+        "batches: EAIK IK_batched, one worker, its answers not yet read; OPW reach, which adds "
+        "margins; fastest way: the better of a library's batch and its single call",
+        "preparation: Kempe a fresh System and its plan; ssik writing and loading a module; "
+        "imports are not counted",
     ]
 
 
@@ -138,7 +165,11 @@ def _fill(table: Grid, bench: Bench, arms: Sequence[Arm], batch: int) -> None:
             if library == "Kempe" or not arm.prebuilt:
                 table.rows.append(Row(library, f"{arm.title}: {PREPARED}", *ready[library]))
         _ratios(table, arm)
-    order = [f"{a.title}: {x}" for a in arms for x in (ONE, MANY, ONE_RATIO, MANY_RATIO, FOUND, WRONG, PREPARED)]
+    order = [
+        f"{a.title}: {x}"
+        for a in arms
+        for x in (ONE, MANY, ONE_RATIO, MANY_RATIO, FOUND, WRONG, PREPARED)
+    ]
     libraries = list(dict.fromkeys(["Kempe", *(row.library for row in table.rows)]))
     table.rows.sort(key=lambda row: (order.index(row.call), libraries.index(row.library)))
 

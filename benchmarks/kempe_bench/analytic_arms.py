@@ -1,4 +1,6 @@
-"""Arms for the analytical inverse model, from published tables, and each of them as a plain chain of six turns."""
+"""Arms for the analytical inverse model, from published tables, and each of them as a plain chain
+of six turns.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ Row = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Chain:
-    """Six turns about z: the placements X (6, 4, 4) before them, and the `tool` (4, 4) after the last."""
+    """Six turns about z: the placements X (6, 4, 4) before them, and the `tool` (4, 4) after the
+    last.
+    """
 
     X: Array
     tool: Array
@@ -63,16 +67,22 @@ class Chain:
         return np.array(out)
 
     def wrong(self, q: Array, targets: Array) -> int:
-        """How many of the answers q (k, 6) miss their targets (k, 4, 4) by more than `TOLERANCE`, or are no numbers."""
+        """How many of the answers q (k, 6) miss their targets (k, 4, 4) by more than `TOLERANCE`,
+        or are no numbers.
+        """
         X = self.pose(q)
         position = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
-        turn = np.linalg.norm(spatial.log_so3(np.swapaxes(X[:, :3, :3], -1, -2) @ targets[:, :3, :3]), axis=-1)
+        turn = np.linalg.norm(
+            spatial.log_so3(np.swapaxes(X[:, :3, :3], -1, -2) @ targets[:, :3, :3]), axis=-1
+        )
         return int(np.sum(~((position <= TOLERANCE) & (turn <= TOLERANCE))))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of many poses: for how many the configuration that they were made from is found, and how many answers miss."""
+    """Of many poses: for how many the configuration that they were made from is found, and how many
+    answers miss.
+    """
 
     poses: int
     found: int
@@ -92,7 +102,9 @@ def judged(chain: Chain, q: Array, answers: Sequence[Array]) -> Verdict:
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm of the benchmark: what makes its mechanism, all lengths times a factor, and the joint that is held."""
+    """An arm of the benchmark: what makes its mechanism, all lengths times a factor, and the joint
+    that is held.
+    """
 
     title: str
     family: str
@@ -138,7 +150,10 @@ def random(n: int) -> Array:
 
 def table(rows: Sequence[Row], name: str, scale: float, convention: str = "standard") -> Mechanism:
     """Mechanism of a Denavit-Hartenberg table."""
-    numbers = [{"a": scale * a, "alpha": alpha, "d": scale * d, "theta": theta} for a, alpha, d, theta in rows]
+    numbers = [
+        {"a": scale * a, "alpha": alpha, "d": scale * d, "theta": theta}
+        for a, alpha, d, theta in rows
+    ]
     return kempe.from_dh(numbers, convention, name)
 
 
@@ -164,11 +179,15 @@ def placed(X: Sequence[Array], name: str, scale: float) -> Mechanism:
 
 
 def calibrated(rows: Sequence[Row], scale: float) -> Mechanism:
-    """A table whose placements all have an error in each of their six freedoms, the same ones each time."""
+    """A table whose placements all have an error in each of their six freedoms, the same ones each
+    time.
+    """
     twist = ERRORS * np.random.default_rng(10).standard_normal((len(rows), 6))
     frames = peers.arm_of(table(rows, "nominal", 1.0).build(), FRAME, Path())
     steps = [link.X for link in frames.links]
-    return placed([X @ spatial.exp_se3(t) for X, t in zip(steps, twist, strict=True)], "calibrated", scale)
+    return placed(
+        [X @ spatial.exp_se3(t) for X, t in zip(steps, twist, strict=True)], "calibrated", scale
+    )
 
 
 def any_6r(seed: int, scale: float) -> Mechanism:
@@ -180,7 +199,8 @@ def any_6r(seed: int, scale: float) -> Mechanism:
     return table([(*row, 0.0) for row in zip(a, alpha, d, strict=True)], f"any_6r_{seed}", scale)
 
 
-# ABB, product specification of the IRB 6640-180/2.55 (3HAC028284): 780, 320, 1075, 200, 1142.5 and 200 mm.
+# ABB, product specification of the IRB 6640-180/2.55 (3HAC028284): 780, 320, 1075, 200, 1142.5 and
+# 200 mm.
 IRB_6640 = (
     (0.32, -pi / 2, 0.78, 0.0), (1.075, 0.0, 0.0, -pi / 2), (0.2, -pi / 2, 0.0, 0.0), (0.0, pi / 2, 1.1425, 0.0),
     (0.0, -pi / 2, 0.0, 0.0), (0.0, 0.0, 0.2, pi),
@@ -190,15 +210,19 @@ UR10E = (
     (0.0, pi / 2, 0.1807, 0.0), (-0.6127, 0.0, 0.0, 0.0), (-0.57155, 0.0, 0.0, 0.0), (0.0, pi / 2, 0.17415, 0.0),
     (0.0, -pi / 2, 0.11985, 0.0), (0.0, 0.0, 0.11655, 0.0),
 )  # fmt: skip
-# Kinova, user guide of the JACO 2 with the curved wrist, "classic DH parameters": D1 = 0.2755, D2 = 0.41, D3 = 0.2073,
-# D4 = D5 = 0.0741, D6 = 0.16, e2 = 0.0098 m, and bends of twice 30 degrees, sin(30)/sin(60) = 1/sqrt(3).
+# Kinova, user guide of the JACO 2 with the curved wrist, "classic DH parameters": D1 = 0.2755, D2 =
+# 0.41, D3 = 0.2073, D4 = D5 = 0.0741, D6 = 0.16, e2 = 0.0098 m, and bends of twice 30 degrees,
+# sin(30)/sin(60) =
+# 1/sqrt(3).
 _BEND = 0.0741 / 3**0.5
 JACO_2 = (
     (0.0, pi / 2, 0.2755, 0.0), (0.41, pi, 0.0, 0.0), (0.0, pi / 2, -0.0098, 0.0),
     (0.0, pi / 3, -0.2073 - _BEND, 0.0), (0.0, pi / 3, -2 * _BEND, 0.0), (0.0, pi, -_BEND - 0.16, 0.0),
 )  # fmt: skip
-# FANUC CRX-10iA: M. Abbes and G. Poisson, "Geometric approach for inverse kinematics of the FANUC CRX collaborative
-# robot", Robotics 13(6), 2024, modified convention, with the lengths of the CRX-10iA (540, 540, 150, 160 mm).
+# FANUC CRX-10iA: M. Abbes and G. Poisson, "Geometric approach for inverse kinematics of the FANUC
+# CRX collaborative robot", Robotics 13(6), 2024, modified convention, with the lengths of the
+# CRX-10iA (540, 540,
+# 150, 160 mm).
 CRX_10IA = (
     (0.0, 0.0, 0.0, 0.0), (0.0, -pi / 2, 0.0, -pi / 2), (0.54, pi, 0.0, 0.0), (0.0, -pi / 2, -0.54, 0.0),
     (0.0, pi / 2, 0.15, 0.0), (0.0, -pi / 2, -0.16, 0.0),
@@ -209,7 +233,8 @@ XARM_6 = (
     (0.0, -pi / 2, 0.267, 0.0), (float(np.hypot(0.2845, 0.0535)), 0.0, 0.0, -_TILT), (0.0775, -pi / 2, 0.0, _TILT),
     (0.0, pi / 2, 0.3425, 0.0), (0.076, -pi / 2, 0.0, 0.0), (0.0, 0.0, 0.097, 0.0),
 )  # fmt: skip
-# AgileX, piper_description.urdf: origins of the joints (xyz, rpy), rounded there so that no two axes are parallel.
+# AgileX, piper_description.urdf: origins of the joints (xyz, rpy), rounded there so that no two
+# axes are parallel.
 PIPER = (
     ((0.0, 0.0, 0.123), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (1.5708, -0.1359, -3.1416)),
     ((0.28503, 0.0, 0.0), (0.0, 0.0, -1.7939)), ((-0.021984, -0.25075, 0.0), (1.5708, 0.0, 0.0)),
@@ -223,7 +248,9 @@ IIWA_14 = (
 
 
 def _piper(scale: float) -> Mechanism:
-    return placed([spatial.pose(spatial.rpy_to_matrix(rpy), xyz) for xyz, rpy in PIPER], "piper", scale)
+    return placed(
+        [spatial.pose(spatial.rpy_to_matrix(rpy), xyz) for xyz, rpy in PIPER], "piper", scale
+    )
 
 
 ARMS = (
@@ -232,7 +259,12 @@ ARMS = (
     Arm("UR5", PARALLEL, partial(shipped, "ur5")),
     Arm("UR10e", PARALLEL, partial(table, UR10E, "ur10e")),
     Arm("Jaco 2", OFFSET, partial(table, JACO_2, "jaco2"), prebuilt="jaco2"),
-    Arm("CRX-10iA", OFFSET, partial(table, CRX_10IA, "crx10ia", convention="modified"), prebuilt="crx10ia"),
+    Arm(
+        "CRX-10iA",
+        OFFSET,
+        partial(table, CRX_10IA, "crx10ia", convention="modified"),
+        prebuilt="crx10ia",
+    ),
     Arm("xArm 6", OFFSET, partial(table, XARM_6, "xarm6"), prebuilt="xarm6"),
     Arm("PiPER", OFFSET, _piper, prebuilt="piper"),
     Arm("random 6R", ANY, partial(any_6r, 6)),

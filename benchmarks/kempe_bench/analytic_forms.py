@@ -27,17 +27,23 @@ def chain_of(kinbody: Any) -> Chain:
 
 
 def dh_table(chain: Chain) -> tuple[list[tuple[float, float, float]], Array, Array, Array]:
-    """Rows (a, alpha, d) in the standard convention, zeros of the joints, and what makes a target of a pose.
+    """Rows (a, alpha, d) in the standard convention, zeros of the joints, and what makes a target
+    of a pose.
 
-    The target is base @ pose @ tool, the pose of the table's last frame in its first. A placement before a joint is
-    Tx(a) Rx(alpha) of one row and Rz(theta) Tz(d) of the next (Denavit and Hartenberg, 1955). Errors:
-    `UnsupportedError` where it is not.
+    The target is base @ pose @ tool, the pose of the table's last frame in its first. A placement
+    before a joint is Tx(a) Rx(alpha) of one row and Rz(theta) Tz(d) of the next (Denavit and
+    Hartenberg, 1955). Errors: `UnsupportedError` where it is not.
     """
     x, z = zip(*(_screws(X) for X in (*chain.X, chain.tool)), strict=True)
     rows = [(a, alpha, d) for (a, alpha), (d, _) in zip(x[1:], z[:-1], strict=True)]
     first = spatial.pose(spatial.rot_x(x[0][1]), [x[0][0], 0.0, 0.0])
     last = spatial.pose(spatial.rot_z(z[-1][1]), [0.0, 0.0, z[-1][0]])
-    return rows, np.array([theta for _, theta in z[:-1]]), spatial.inverse(first), spatial.inverse(last)
+    return (
+        rows,
+        np.array([theta for _, theta in z[:-1]]),
+        spatial.inverse(first),
+        spatial.inverse(last),
+    )
 
 
 def _screws(X: Array) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -46,17 +52,23 @@ def _screws(X: Array) -> tuple[tuple[float, float], tuple[float, float]]:
     theta = float(np.arctan2(-X[0, 1], X[0, 0]))
     a = float(X[0, 3])
     d = float(X[2, 3] * np.cos(alpha) - X[1, 3] * np.sin(alpha))
-    made = spatial.pose(spatial.rot_x(alpha), [a, 0.0, 0.0]) @ spatial.pose(spatial.rot_z(theta), [0.0, 0.0, d])
+    made = spatial.pose(spatial.rot_x(alpha), [a, 0.0, 0.0]) @ spatial.pose(
+        spatial.rot_z(theta), [0.0, 0.0, d]
+    )
     if np.max(np.abs(made - X)) > STRAIGHT:
-        raise UnsupportedError("a placement has six freedoms: no Denavit-Hartenberg table has it in one row")
+        raise UnsupportedError(
+            "a placement has six freedoms: no Denavit-Hartenberg table has it in one row"
+        )
     return (a, alpha), (d, theta)
 
 
 def decomposed(chain: Chain) -> tuple[str, Array, Array]:
-    """ik-geo's name of the chain's family, its axes h (6, 3) and the steps p (7, 3) between points on them, at q = 0.
+    """ik-geo's name of the chain's family, its axes h (6, 3) and the steps p (7, 3) between points
+    on them, at q = 0.
 
-    Steps vanish between axes that meet, as the closed forms want it. Errors: `UnsupportedError` where a search over
-    one or two angles would be needed: with the published package such searches find no answers of these arms.
+    Steps vanish between axes that meet, as the closed forms want it. Errors: `UnsupportedError`
+    where a search over one or two angles would be needed: with the published package such searches
+    find no answers of these arms.
     """
     h = chain.frames[:6, :3, 2]
     o = chain.frames[:6, :3, 3].copy()
@@ -87,11 +99,12 @@ def _meeting(h: Array, o: Array, i: int) -> Array | None:
 
 
 def opw_parameters(chain: Chain) -> tuple[dict[str, float], Array, Array, Array, Array]:
-    """Ortho-parallel parameters, directions and zeros of the joints, and what makes a target of a pose.
+    """Ortho-parallel parameters, directions and zeros of the joints, and what makes a target of a
+    pose.
 
-    The chain's q = zeros + directions * (angles of the parameters' arm), whose target is base @ pose @ tool. That arm
-    stands upright at zero, axes z, y, y, z, y, z (Brandstoetter, Angerer and Hofbaur, 2014). Errors:
-    `UnsupportedError` for other arms.
+    The chain's q = zeros + directions * (angles of the parameters' arm), whose target is base @
+    pose @ tool. That arm stands upright at zero, axes z, y, y, z, y, z (Brandstoetter, Angerer and
+    Hofbaur, 2014). Errors: `UnsupportedError` for other arms.
     """
     q = np.zeros(6)
     (h, o) = _axes(chain, np.zeros(6))
@@ -101,7 +114,9 @@ def opw_parameters(chain: Chain) -> tuple[dict[str, float], Array, Array, Array,
     wrist = _meeting(h, o, 4)
     elbow = _meeting(h, o, 3)
     right = [h[i] @ h[j] for i, j in ((0, 1), (2, 3), (3, 4), (4, 5))]
-    concurrent = wrist is not None and elbow is not None and np.linalg.norm(wrist - elbow) < STRAIGHT
+    concurrent = (
+        wrist is not None and elbow is not None and np.linalg.norm(wrist - elbow) < STRAIGHT
+    )
     if not concurrent or np.max(np.abs([*right, *np.cross(h[1], h[2])])) > STRAIGHT:
         raise UnsupportedError("the arm has no ortho-parallel basis with a spherical wrist")
     upper = o[2] - o[1] - ((o[2] - o[1]) @ y) * y
@@ -115,9 +130,14 @@ def opw_parameters(chain: Chain) -> tuple[dict[str, float], Array, Array, Array,
     centre = _meeting(h, o, 4)
     assert centre is not None
     numbers = {
-        "a1": float((o[1] - o[0]) @ x), "a2": float((centre - o[2]) @ x), "b": float((centre - o[0]) @ y), "c1": 0.0,
-        "c2": float((o[2] - o[1]) @ z), "c3": float((centre - o[2]) @ z), "c4": 0.0,
-    }  # fmt: skip
+        "a1": float((o[1] - o[0]) @ x),
+        "a2": float((centre - o[2]) @ x),
+        "b": float((centre - o[0]) @ y),
+        "c1": 0.0,
+        "c2": float((o[2] - o[1]) @ z),
+        "c3": float((centre - o[2]) @ z),
+        "c4": 0.0,
+    }
     ways = np.array([1.0 if h[i] @ aim > 0.0 else -1.0 for i, aim in enumerate((z, y, y, z, y, z))])
     base = spatial.pose(np.stack([x, y, z], axis=-1), o[0] + ((o[1] - o[0]) @ z) * z)
     place = [numbers["a1"] + numbers["a2"], numbers["b"], numbers["c2"] + numbers["c3"]]
@@ -138,4 +158,6 @@ def _axes(chain: Chain, q: Array) -> tuple[Array, Array]:
 
 def _angle(axis: Array, start: Array, end: Array) -> float:
     """Angle about the axis from one direction to another."""
-    return float(np.arctan2(axis @ np.cross(start, end), start @ end - (start @ axis) * (end @ axis)))
+    return float(
+        np.arctan2(axis @ np.cross(start, end), start @ end - (start @ axis) * (end @ axis))
+    )

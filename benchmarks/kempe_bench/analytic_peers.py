@@ -1,4 +1,6 @@
-"""Libraries that give all solutions of the inverse model of six turns, each given an arm in its own way."""
+"""Libraries that give all solutions of the inverse model of six turns, each given an arm in its own
+way.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,12 @@ from kempe_bench.analytic_forms import chain_of, decomposed, dh_table, opw_param
 
 
 class Solver:
-    """All solutions by one library; making it is the preparation of the robot. Errors: `UnsupportedError`.
+    """All solutions by one library; making it is the preparation of the robot. Errors:
+    `UnsupportedError`.
 
-    `ready` makes a library's own kind of target, `call` is what is timed, `read` makes answers (k, 6) of what it gave,
-    in the coordinates of `chain`, which the library may describe itself. Answers that the library marks as least
-    squares are no answers.
+    `ready` makes a library's own kind of target, `call` is what is timed, `read` makes answers (k,
+    6) of what it gave, in the coordinates of `chain`, which the library may describe itself.
+    Answers that the library marks as least squares are no answers.
     """
 
     chain: Chain
@@ -61,7 +64,9 @@ class Solver:
 
 
 class Eaik(Solver):
-    """EAIK, given the poses of the joints: it finds out the family by itself (Ostermeier and others, 2024)."""
+    """EAIK, given the poses of the joints: it finds out the family by itself (Ostermeier and
+    others, 2024).
+    """
 
     batches = True
 
@@ -101,9 +106,13 @@ class IkGeo(Solver):
         self.home = self.chain.frames[-1, :3, :3]
 
     def ready(self, targets: Array) -> Sequence[Any]:
-        """Rotations of the tool from its place at q = 0, by columns as this package reads them, and positions."""
+        """Rotations of the tool from its place at q = 0, by columns as this package reads them, and
+        positions.
+        """
         turns = np.swapaxes(targets[:, :3, :3] @ self.home.T, -1, -2)
-        return list(zip(np.ascontiguousarray(turns), np.ascontiguousarray(targets[:, :3, 3]), strict=True))
+        return list(
+            zip(np.ascontiguousarray(turns), np.ascontiguousarray(targets[:, :3, 3]), strict=True)
+        )
 
     def call(self, target: Any, /) -> Any:
         """Configurations, each with whether it is least squares."""
@@ -115,7 +124,9 @@ class IkGeo(Solver):
 
 
 class Opw(Solver):
-    """py-opw-kinematics: arms with ortho-parallel basis and spherical wrist (Brandstoetter and others, 2014)."""
+    """py-opw-kinematics: arms with ortho-parallel basis and spherical wrist (Brandstoetter and
+    others, 2014).
+    """
 
     batches = True
 
@@ -157,7 +168,8 @@ class Opw(Solver):
 class Ssik(Solver):
     """ssik: a module written for the arm, as by its command `build`, or the one that comes with it.
 
-    The latter describes the arm by itself, so that it is requested, and judged by, poses of its own.
+    The latter describes the arm by itself, so that it is requested, and judged by, poses of its
+    own.
     """
 
     slow = True
@@ -169,7 +181,9 @@ class Ssik(Solver):
             self.chain = chain_of(robot.kinbody)
             self.solve = robot.solve
         else:
-            robot = peers.module("ssik").Manipulator.from_transforms(np.array([*self.chain.X, self.chain.tool]))
+            robot = peers.module("ssik").Manipulator.from_transforms(
+                np.array([*self.chain.X, self.chain.tool])
+            )
             if robot.solver_name == "ikgeo.general_6r":
                 raise UnsupportedError("ssik would prepare this arm for a minute or more")
             self.solve = self._written(robot, arm).solve
@@ -197,7 +211,9 @@ class Ssik(Solver):
 
 
 class Toolbox(Solver):
-    """roboticstoolbox's analytic inverse model, derived with sympy; arms are tables in the standard convention."""
+    """roboticstoolbox's analytic inverse model, derived with sympy; arms are tables in the standard
+    convention.
+    """
 
     slow = True
 
@@ -227,7 +243,10 @@ class Toolbox(Solver):
 
 
 SOLVERS: dict[str, tuple[str, type[Solver]]] = {
-    "EAIK": ("EAIK", Eaik), "ik-geo": ("ik-geo", IkGeo), "ssik": ("ssik", Ssik),
-    "py-opw-kinematics": ("OPW", Opw), "roboticstoolbox-python": ("roboticstoolbox", Toolbox),
-}  # fmt: skip
+    "EAIK": ("EAIK", Eaik),
+    "ik-geo": ("ik-geo", IkGeo),
+    "ssik": ("ssik", Ssik),
+    "py-opw-kinematics": ("OPW", Opw),
+    "roboticstoolbox-python": ("roboticstoolbox", Toolbox),
+}
 """Name in the tables and class by package."""

@@ -1,4 +1,6 @@
-"""What the sections of the benchmark share: which peers take part, the arm, and how progress is reported."""
+"""What the sections of the benchmark share: which peers take part, the arm, and how progress is
+reported.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,11 @@ from kempe_bench import peers
 
 
 class Bench:
-    """One run: `versions` of the peers that take part, the arm for all, and `say` to tell of progress.
+    """One run: `versions` of the peers that take part, the arm for all, and `say` to tell of
+    progress.
 
-    `targets` of each robot are given to the numerical inverse model, where that is not left to the sections.
+    `targets` of each robot are given to the numerical inverse model, where that is not left to the
+    sections.
     """
 
     def __init__(
@@ -34,7 +38,9 @@ class Bench:
 
     @cached_property
     def arm(self) -> peers.Arm:
-        """Panda's arm up to its hand: of example-robot-data, or the shipped one, written as URDF for the others."""
+        """Panda's arm up to its hand: of example-robot-data, or the shipped one, written as URDF
+        for the others.
+        """
         file = peers.robot_file("panda.urdf")
         if file is None:
             file = Path(self._folder.name) / "panda.urdf"

@@ -38,7 +38,9 @@ DRIVES = {
 
 @dataclass(frozen=True)
 class Linkage:
-    """pylinkage's model: `reset` puts it where it started, and `spots` tells the points of its columns."""
+    """pylinkage's model: `reset` puts it where it started, and `spots` tells the points of its
+    columns.
+    """
 
     model: Any
     coords: list[tuple[float, float]]
@@ -79,7 +81,9 @@ class _Points:
 
     def turn(self, anchor: Any, joint: str, radius: float) -> Any:
         rate = {"angular_velocity": self.step, "initial_angle": self.drive.start}
-        return self._add(self.crank(anchor=anchor, radius=radius, name=joint, **rate), ("joint", joint))
+        return self._add(
+            self.crank(anchor=anchor, radius=radius, name=joint, **rate), ("joint", joint)
+        )
 
     def meet(self, a: Any, b: Any, distances: tuple[float, float], joint: str) -> Any:
         spot = ("joint", joint)
@@ -119,13 +123,17 @@ def _jansen(p: _Points, v: dict[str, float]) -> None:
 
 
 BUILDERS: dict[str, Callable[[_Points, dict[str, float]], None]] = {
-    "four_bar": _four_bar, "peaucellier": _peaucellier, "jansen": _jansen,
-}  # fmt: skip
+    "four_bar": _four_bar,
+    "peaucellier": _peaucellier,
+    "jansen": _jansen,
+}
 """How each mechanism is given to pylinkage."""
 
 
 def place(system: System, q: Array, spot: Spot) -> Array:
-    """Position (..., 2) of a point at configurations q (..., nq): of a joint, on its parent; or of a frame."""
+    """Position (..., 2) of a point at configurations q (..., nq): of a joint, on its parent; or of
+    a frame.
+    """
     kind, name = spot
     if kind == "frame":
         return system.fk(q, name)[..., :2, 3]

@@ -1,4 +1,6 @@
-"""Mechanisms of many positions or many loops: a crank's turn in closed form, and long rows of four-bars."""
+"""Mechanisms of many positions or many loops: a crank's turn in closed form, and long rows of
+four-bars.
+"""
 
 from __future__ import annotations
 
@@ -41,18 +43,40 @@ def dyads(bench: Bench) -> Grid:
         system = kempe.load(name)
         names = turn(system, drive)
         timed = [
-            Case(SWEEP, name, "system.assemble({crank: values}, branch=branch, budget=budget)", names, STEPS),
+            Case(
+                SWEEP,
+                name,
+                "system.assemble({crank: values}, branch=branch, budget=budget)",
+                names,
+                STEPS,
+            ),
             Case(ONE, name, "bound({crank: one}, start)", names),
         ]
         if "pylinkage" in bench.versions:
             reported = linkage(system, STEPS)
-            names = {"reset": reported.reset, "fast": reported.model.step_fast, "step": reported.model.step}
+            names = {
+                "reset": reported.reset,
+                "fast": reported.model.step_fast,
+                "step": reported.model.step,
+            }
             if compiled:
                 code = "reset(); fast(iterations=steps)"
-                timed.append(Case("pylinkage, step_fast", name, code, names | {"steps": STEPS}, STEPS))
-            timed.append(Case("pylinkage, step", name, _PYLINKAGE_LOOP, names | {"steps": SINGLE_STEPS}, SINGLE_STEPS))
+                timed.append(
+                    Case("pylinkage, step_fast", name, code, names | {"steps": STEPS}, STEPS)
+                )
+            timed.append(
+                Case(
+                    "pylinkage, step",
+                    name,
+                    _PYLINKAGE_LOOP,
+                    names | {"steps": SINGLE_STEPS},
+                    SINGLE_STEPS,
+                )
+            )
         table.rows += measure(timed, 1e6)
-        table.at_most(f"{name}, array of angles, at most 0.3 us a step", table.best(SWEEP, name), 0.3)
+        table.at_most(
+            f"{name}, array of angles, at most 0.3 us a step", table.best(SWEEP, name), 0.3
+        )
     if "pylinkage" in bench.versions:
         table.remarks.append(
             "pylinkage has its numba, without which step_fast is Python"
@@ -60,15 +84,17 @@ def dyads(bench: Bench) -> Grid:
             else "numba is missing, without which pylinkage's step_fast is Python: it is not measured"
         )
     table.remarks += [
-        f"{STEPS:,} steps a call, one thread; step: a loop in Python; one angle: from a start one radian away at most. "
-        "Kempe answers joint angles, pylinkage points",
+        f"{STEPS:,} steps a call, one thread; step: a loop in Python; one angle: from a start one "
+        "radian away at most. Kempe answers joint angles, pylinkage points",
         "peaucellier: the crank swings from -1.2 to 1.2, since it cannot turn fully",
     ]
     return table
 
 
 def turn(system: System, drive: Drive) -> dict[str, Any]:
-    """What the calls for a turn of the crank need, by the names in their code: angles, a start and its branch."""
+    """What the calls for a turn of the crank need, by the names in their code: angles, a start and
+    its branch.
+    """
     import kempe
 
     start = system.assemble({drive.crank: drive.start}, start=system.q("closed"))
@@ -76,11 +102,15 @@ def turn(system: System, drive: Drive) -> dict[str, Any]:
     assert plan, f"{system.name} is made of dyads"
     values = angles(drive, STEPS)
     return {
-        "system": system, "crank": drive.crank, "values": values, "start": start.q,
-        "one": drive.start + 0.1 * (drive.end - drive.start), "bound": system.loops.assembler((drive.crank,)),
+        "system": system,
+        "crank": drive.crank,
+        "values": values,
+        "start": start.q,
+        "one": drive.start + 0.1 * (drive.end - drive.start),
+        "bound": system.loops.assembler((drive.crank,)),
         "branch": "".join("-" if sign < 0 else "+" for sign in plan.branch_of(start.q)),
         "budget": kempe.Budget(threads=1),
-    }  # fmt: skip
+    }
 
 
 def row(bench: Bench) -> Grid:
@@ -101,14 +131,18 @@ def row(bench: Bench) -> Grid:
             q[system.coordinate_names.index("A0")] = 0.2
             guess = peer.ready(q[None])[0]
             if peer.opening([peer.call(guess)])[0] <= peer.tolerance:
-                timed += cases("MuJoCo, SciPy", {"solve": peer.call, "guess": guess}, (line, "solve(guess)"))
+                timed += cases(
+                    "MuJoCo, SciPy", {"solve": peer.call, "guess": guess}, (line, "solve(guess)")
+                )
             else:
-                table.remarks.append(f"{line} four-bars: Gauss-Newton on MuJoCo's constraints did not close")
+                table.remarks.append(
+                    f"{line} four-bars: Gauss-Newton on MuJoCo's constraints did not close"
+                )
         table.rows += measure(timed, 1e3)
     table.at_most(f"{ROWS[-1]:,} four-bars under 20 ms", table.best("Kempe", f"{ROWS[-1]:,}"), 20)
     table.remarks.append(
-        f"from {NOISE} rad of noise, the first crank known; MuJoCo: Gauss-Newton on its sparse constraints, with the "
-        "sparse factorisation of SciPy"
+        f"from {NOISE} rad of noise, the first crank known; MuJoCo: Gauss-Newton on its sparse "
+        "constraints, with the sparse factorisation of SciPy"
     )
     return table
 

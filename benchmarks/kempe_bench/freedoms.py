@@ -12,11 +12,26 @@ from kempe_bench.loop_trees import Tree
 from kempe_bench.timing import Case, Grid, Row, measure
 
 TRUTH = {
-    "four_bar": 1, "slider_crank": 1, "double_parallelogram": 1, "bennett": 1, "sarrus": 1, "bricard_trihedral": 1,
-    "goldberg_5r": 1, "stewart": 6, "peaucellier": 1, "jansen": 1, "three_rrr": 3, "delta_ss": 9, "delta_uu": 3,
-    "shaky_3r": 0, "parallelogram": 1, "pendulum_dead_centre": 1, "wunderlich": 2,
-}  # fmt: skip
-"""Published local degrees of freedom: the dimension of the set of closed configurations through the posture."""
+    "four_bar": 1,
+    "slider_crank": 1,
+    "double_parallelogram": 1,
+    "bennett": 1,
+    "sarrus": 1,
+    "bricard_trihedral": 1,
+    "goldberg_5r": 1,
+    "stewart": 6,
+    "peaucellier": 1,
+    "jansen": 1,
+    "three_rrr": 3,
+    "delta_ss": 9,
+    "delta_uu": 3,
+    "shaky_3r": 0,
+    "parallelogram": 1,
+    "pendulum_dead_centre": 1,
+    "wunderlich": 2,
+}
+"""Published local degrees of freedom: the dimension of the set of closed configurations through the
+posture."""
 POSTURES = {"parallelogram": "flat"}
 """Postures other than 'closed'."""
 LARGE = ("delta_uu", "delta_ss")
@@ -49,14 +64,17 @@ def dof(bench: Bench) -> Grid:
         table.rows += [Row(who, name, float(n)) for who, n in answers.items() if n is not None]
     n = len(TRUTH)
     for who in dict.fromkeys(row.library for row in table.rows):
-        right = [row for row in table.rows if row.library == who and row.value == TRUTH.get(row.call)]
+        right = [
+            row for row in table.rows if row.library == who and row.value == TRUTH.get(row.call)
+        ]
         table.rows.append(Row(who, f"right, of {n}", float(len(right))))
     table.at_least(f"dof as published, of {n}", table.value(TRUE, "right"), n)
     table.remarks += [
-        "dof is the dimension of the set of closed configurations through the posture; at wunderlich's flat pose "
-        "branches of dimensions 1 and 2 meet, at the parallelogram's two of dimension 1",
-        "Exudyn counts by the rank of its constraint Jacobian; MuJoCo does not count: rank of its Jacobian, by hand; "
-        "a dash: a cut universal joint, which has no equality constraint there",
+        "dof is the dimension of the set of closed configurations through the posture; at "
+        "wunderlich's flat pose branches of dimensions 1 and 2 meet, at the parallelogram's two of "
+        "dimension 1",
+        "Exudyn counts by the rank of its constraint Jacobian; MuJoCo does not count: rank of its "
+        "Jacobian, by hand; a dash: a cut universal joint, which has no equality constraint there",
         "Pinocchio, Drake and pylinkage have no count of their own",
     ]
     return table
@@ -88,14 +106,18 @@ def mobility(bench: Bench) -> Grid:
             Case("Kempe, all", line, "mobility(system, q)", names),
         ]
         if "exudyn" in bench.versions:
-            timed.append(Case("Exudyn", line, "count()", {"count": Exudyn(Tree(system), q).freedoms}))
+            timed.append(
+                Case("Exudyn", line, "count()", {"count": Exudyn(Tree(system), q).freedoms})
+            )
         table.rows += measure(timed, 1e3)
     for library, bound in (("Kempe, rank and redundancy", 5), ("Kempe, all", 100)):
-        worst = max(row.best or row.value for row in table.rows if row.library == library and _judged(row))
+        worst = max(
+            row.best or row.value for row in table.rows if row.library == library and _judged(row)
+        )
         table.at_most(f"{library[7:]}, 15 joints, at most {bound} ms", worst, bound)
     table.remarks.append(
-        "all: with the local dimension by Taylor coefficients and by sampling where the rank does not prove it; "
-        "Exudyn: number of freedoms and of redundant equations only"
+        "all: with the local dimension by Taylor coefficients and by sampling where the rank does "
+        "not prove it; Exudyn: number of freedoms and of redundant equations only"
     )
     return table
 

@@ -1,4 +1,6 @@
-"""Constraints: what motions reach, beside brackets in symbols; laws written as text beside those that are built in."""
+"""Constraints: what motions reach, beside brackets in symbols; laws written as text beside those
+that are built in.
+"""
 
 from __future__ import annotations
 
@@ -53,8 +55,8 @@ def classify(bench: Bench) -> Grid:
         row = next(r for r in table.rows if r.call == f"{n} trailers")
         table.at_most(f"{n} trailers, at most {bound:g} ms", row.best or row.value, bound)
     table.remarks.append(
-        "SymPy: brackets of the fields in symbols up to the same length, evaluated at the configuration; it is listed "
-        "where both give the same growth vector"
+        "SymPy: brackets of the fields in symbols up to the same length, evaluated at the "
+        "configuration; it is listed where both give the same growth vector"
     )
     return table
 
@@ -77,7 +79,9 @@ def _symbols(n: int) -> tuple[int, ...]:
     speed = sp.Integer(1)
     rate_before = sp.Integer(0)
     rate_turn = sp.Integer(1)
-    for a in hitches:  # the axle of a trailer, one metre behind its hitch on the axle before, does not slip
+    for a in (
+        hitches
+    ):  # the axle of a trailer, one metre behind its hitch on the axle before, does not slip
         rate = -speed * sp.sin(a)
         ahead.append(rate - rate_before)
         turn.append(-rate_turn)
@@ -104,7 +108,10 @@ def laws(bench: Bench) -> Grid:
     timed = []
     for who, declare in (
         ("built in (rod)", lambda m: m.constrain(constraints.Distance("tip", "pin", 0.9), "law")),
-        ("text", lambda m: m.constrain(constraints.OnSurface("tip", "(x - 1)^2 + y^2 = 0.81"), "law")),
+        (
+            "text",
+            lambda m: m.constrain(constraints.OnSurface("tip", "(x - 1)^2 + y^2 = 0.81"), "law"),
+        ),
     ):
         m = Mechanism("two-link", dim=2)
         upper = m.body("upper")
@@ -117,7 +124,14 @@ def laws(bench: Bench) -> Grid:
         s = m.build()
         known = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}
         one = Budget(threads=1)
-        timed.append(Case("Kempe", who, "s.assemble(known, budget=budget)", {"s": s, "known": known, "budget": one}))
+        timed.append(
+            Case(
+                "Kempe",
+                who,
+                "s.assemble(known, budget=budget)",
+                {"s": s, "known": known, "budget": one},
+            )
+        )
     table.rows += measure(timed, 1.0)
     built_in, text = (row.value for row in table.rows)
     table.at_most("text beside built in, at most 3 times", text / built_in, 3.0)

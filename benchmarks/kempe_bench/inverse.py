@@ -32,7 +32,10 @@ def single(bench: Bench) -> Table:
     if "roboticstoolbox-python" in bench.versions:
         ets = peers.toolbox_arm(arm)
         # its residual is half the squared norm of the error
-        solvers["roboticstoolbox (C++ ik_LM)"] = (lambda X: ets.ik_LM(X, tol=0.5 * TOLERANCE**2).q, TARGETS)
+        solvers["roboticstoolbox (C++ ik_LM)"] = (
+            lambda X: ets.ik_LM(X, tol=0.5 * TOLERANCE**2).q,
+            TARGETS,
+        )
     if "ikpy" in bench.versions:
         solvers["ikpy"] = (_ikpy(arm), SLOW_TARGETS)
     found, times = _turns(solvers, targets)
@@ -51,7 +54,8 @@ def single(bench: Bench) -> Table:
         )
     _batch(table, arm, targets)
     table.remarks.append(
-        "success: errors within 1e-6 m and 1e-6 rad and limits respected, judged by plain matrix products"
+        "success: errors within 1e-6 m and 1e-6 rad and limits respected, judged by plain matrix "
+        "products"
     )
     return table
 
@@ -59,7 +63,9 @@ def single(bench: Bench) -> Table:
 def _ikpy(arm: peers.Arm) -> Callable[[np.ndarray], np.ndarray]:
     chain = peers.ikpy_arm(arm)
     middle = np.array([0.0, *(np.mean(link.limits) for link in arm.links), 0.0])
-    return lambda X: chain.inverse_kinematics_frame(X, initial_position=middle, orientation_mode="all")[1:-1]
+    return lambda X: chain.inverse_kinematics_frame(
+        X, initial_position=middle, orientation_mode="all"
+    )[1:-1]
 
 
 def _turns(
@@ -97,14 +103,18 @@ def _batch(table: Table, arm: peers.Arm, targets: np.ndarray) -> None:
             q = arm.system.ik(targets, arm.frame, budget=kempe.Budget(threads=threads)).q
             turns.append((time.perf_counter_ns() - start) / len(targets) * 1e-3)
         call = f"one batch of {len(targets):,}, {threads} thread{'s' * (threads > 1)}"
-        table.rows += [Row("Kempe", f"{call}: success, %", 100.0 * float(np.mean(reached(arm, q, targets)))),
-                       Row("Kempe", f"{call}: us a target", float(np.median(turns)))]  # fmt: skip
+        table.rows += [
+            Row("Kempe", f"{call}: success, %", 100.0 * float(np.mean(reached(arm, q, targets)))),
+            Row("Kempe", f"{call}: us a target", float(np.median(turns))),
+        ]
 
 
 def reached(arm: peers.Arm, q: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Which rows of q (n, number of joints) reach their targets (n, 4, 4), inside the limits."""
     X = arm.pose(q)
     position = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
-    turn = np.linalg.norm(spatial.log_so3(np.swapaxes(X[:, :3, :3], -1, -2) @ targets[:, :3, :3]), axis=-1)
+    turn = np.linalg.norm(
+        spatial.log_so3(np.swapaxes(X[:, :3, :3], -1, -2) @ targets[:, :3, :3]), axis=-1
+    )
     inside = ((q >= arm.limits[:, 0] - 1e-12) & (q <= arm.limits[:, 1] + 1e-12)).all(axis=-1)
     return (position <= 1.0001 * TOLERANCE) & (turn <= 1.0001 * TOLERANCE) & inside

@@ -1,4 +1,6 @@
-"""Assembly with libraries that have a solver of their own: Drake's inverse kinematics, Exudyn's static solver."""
+"""Assembly with libraries that have a solver of their own: Drake's inverse kinematics, Exudyn's
+static solver.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,11 @@ from kempe_bench.loop_trees import Link, Tree, worst
 
 
 class Drake(Assembler):
-    """Drake's inverse kinematics solved by SNOPT: a point of one side of each cut held at its place on the other.
+    """Drake's inverse kinematics solved by SNOPT: a point of one side of each cut held at its place
+    on the other.
 
-    SNOPT scales its equations: where 1e-9 is requested, 1e-7 is usual, so that answers are judged less strictly.
+    SNOPT scales its equations: where 1e-9 is requested, 1e-7 is usual, so that answers are judged
+    less strictly.
     """
 
     tolerance = 1e-5
@@ -57,7 +61,9 @@ class Drake(Assembler):
         out = np.empty((len(q), self.plant.num_positions()))
         for move, i, j in zip(self.tree.moves, self.first, self.tree.firsts, strict=False):
             if move.kind == BALL:
-                out[:, i : i + 3] = spatial.matrix_to_rpy(spatial.quat_wxyz_to_matrix(x[:, j : j + 4]))
+                out[:, i : i + 3] = spatial.matrix_to_rpy(
+                    spatial.quat_wxyz_to_matrix(x[:, j : j + 4])
+                )
             else:
                 out[:, i] = x[:, j]
         return list(out)
@@ -72,14 +78,18 @@ class Drake(Assembler):
         x = np.empty((len(y), self.tree.nx))
         for move, i, j in zip(self.tree.moves, self.first, self.tree.firsts, strict=False):
             if move.kind == BALL:
-                x[:, j : j + 4] = spatial.matrix_to_quat_wxyz(spatial.rpy_to_matrix(y[:, i : i + 3]))
+                x[:, j : j + 4] = spatial.matrix_to_quat_wxyz(
+                    spatial.rpy_to_matrix(y[:, i : i + 3])
+                )
             else:
                 x[:, j] = y[:, i]
         return self.tree.opening(x)
 
 
 def drake_plant(tree: Tree) -> tuple[Any, list[Any], list[int]]:
-    """The tree as a Drake plant, the frames of its bodies, and where the coordinates of its moves begin."""
+    """The tree as a Drake plant, the frames of its bodies, and where the coordinates of its moves
+    begin.
+    """
     tree_module = peers.module("pydrake.multibody.tree")
     plants = peers.module("pydrake.multibody.plant")
     place = peers.module("pydrake.math").RigidTransform
@@ -88,18 +98,24 @@ def drake_plant(tree: Tree) -> tuple[Any, list[Any], list[int]]:
     frames = [plant.world_frame()]
     joints = []
     for limb in tree.limbs:
-        offset = tree_module.FixedOffsetFrame(f"{limb.name}_before", frames[limb.parent], place(limb.before))
+        offset = tree_module.FixedOffsetFrame(
+            f"{limb.name}_before", frames[limb.parent], place(limb.before)
+        )
         here = plant.AddFrame(offset)
         for move in limb.moves:
             body = plant.AddRigidBody(move.name, inertia).body_frame()
             if move.kind == BALL:
                 joint = tree_module.BallRpyJoint(move.name, here, body)
             else:
-                kind = tree_module.RevoluteJoint if move.kind == TURN else tree_module.PrismaticJoint
+                kind = (
+                    tree_module.RevoluteJoint if move.kind == TURN else tree_module.PrismaticJoint
+                )
                 joint = kind(move.name, here, body, np.eye(3)[move.axis])
             joints.append(plant.AddJoint(joint))
             here = body
-        frames.append(plant.AddFrame(tree_module.FixedOffsetFrame(limb.name, here, place(limb.after))))
+        frames.append(
+            plant.AddFrame(tree_module.FixedOffsetFrame(limb.name, here, place(limb.after)))
+        )
     plant.Finalize()
     return plant, frames, [joint.position_start() for joint in joints]
 
@@ -107,11 +123,16 @@ def drake_plant(tree: Tree) -> tuple[Any, list[Any], list[int]]:
 class Exudyn(Assembler):
     """Exudyn's static solver without loads: a body's pose each, and all joints as equations.
 
-    Coordinates: in the plane x, y and angle of each body; in space position and quaternion less the identity.
+    Coordinates: in the plane x, y and angle of each body; in space position and quaternion less the
+    identity.
     """
 
     slow = True
-    HELD = {"revolute": (1, 1, 1, 1, 1, 0), "prismatic": (1, 1, 0, 1, 1, 1), "universal": (1, 1, 1, 0, 0, 1)}
+    HELD = {
+        "revolute": (1, 1, 1, 1, 1, 0),
+        "prismatic": (1, 1, 0, 1, 1, 1),
+        "universal": (1, 1, 1, 0, 0, 1),
+    }
     """What joints hold, in axes of F: slides, then turns."""
 
     def __init__(self, tree: Tree, q: Array | None = None):
@@ -129,7 +150,9 @@ class Exudyn(Assembler):
         self.current = self.exudyn.ConfigurationType.Current
         self.settings = self._settings()
         if q is not None:
-            self.bodies.systemData.SetODE2Coordinates(self.ready(q[None])[0], configuration=self.initial)
+            self.bodies.systemData.SetODE2Coordinates(
+                self.ready(q[None])[0], configuration=self.initial
+            )
 
     def _describe(self, items: Any) -> None:
         add = self.bodies.AddObject
@@ -140,15 +163,31 @@ class Exudyn(Assembler):
                 node = self.bodies.AddNode(items.NodeRigidBody2D())
                 numbers.append(add(items.ObjectRigidBody2D(mass=1.0, inertia=1.0, nodeNumber=node)))
             else:
-                node = self.bodies.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[0, 0, 0, 1, 0, 0, 0]))
-                numbers.append(add(items.ObjectRigidBody(mass=1.0, inertia=[1, 1, 1, 0, 0, 0], nodeNumber=node)))
+                node = self.bodies.AddNode(
+                    items.NodeRigidBodyEP(referenceCoordinates=[0, 0, 0, 1, 0, 0, 0])
+                )
+                numbers.append(
+                    add(
+                        items.ObjectRigidBody(mass=1.0, inertia=[1, 1, 1, 0, 0, 0], nodeNumber=node)
+                    )
+                )
         for link in self.tree.links.values():
             sides = ((link.a, link.X_a), (link.b, link.X_b))
-            self._join(items, link, {"markerNumbers": [self._marker(items, numbers[i], X) for i, X in sides]})
+            self._join(
+                items,
+                link,
+                {"markerNumbers": [self._marker(items, numbers[i], X) for i, X in sides]},
+            )
 
     def _marker(self, items: Any, body: int, X: Array) -> int:
-        """A place on a body; in the plane its axes are those of the joint, which does not read the place's."""
-        at = {"localPosition": list(X[:3, 3])} if self.planar else {"localHT": np.ascontiguousarray(X)}
+        """A place on a body; in the plane its axes are those of the joint, which does not read the
+        place's.
+        """
+        at = (
+            {"localPosition": list(X[:3, 3])}
+            if self.planar
+            else {"localHT": np.ascontiguousarray(X)}
+        )
         return self.bodies.AddMarker(items.MarkerBodyRigid(bodyNumber=body, **at))
 
     def _join(self, items: Any, link: Link, ends: dict[str, Any]) -> None:
@@ -160,14 +199,22 @@ class Exudyn(Assembler):
             add(items.ObjectJointRevolute2D(**ends))
         elif self.planar and kind == "prismatic":
             normal = np.cross([0.0, 0.0, 1.0], link.X_b[:3, 2])
-            add(items.ObjectJointPrismatic2D(axisMarker0=list(link.X_a[:3, 2]), normalMarker1=list(normal), **ends))
+            add(
+                items.ObjectJointPrismatic2D(
+                    axisMarker0=list(link.X_a[:3, 2]), normalMarker1=list(normal), **ends
+                )
+            )
         elif kind in self.HELD:
             add(items.ObjectJointGeneric(constrainedAxes=list(self.HELD[kind]), **ends))
         else:
-            raise UnsupportedError(f"{self.system.name}: {kind} joint {link.joint.name!r} is not given to Exudyn")
+            raise UnsupportedError(
+                f"{self.system.name}: {kind} joint {link.joint.name!r} is not given to Exudyn"
+            )
 
     def _settings(self) -> Any:
-        """Full Newton, one load step, and a factorisation that bears redundant equations and free bodies."""
+        """Full Newton, one load step, and a factorisation that bears redundant equations and free
+        bodies.
+        """
         out = self.exudyn.SimulationSettings()
         out.linearSolver.solverType = self.exudyn.LinearSolverType.EigenDense
         out.linearSolver.ignoreSingularJacobian = True
@@ -211,7 +258,9 @@ class Exudyn(Assembler):
         size = 3 if self.planar else 7
         for part in np.moveaxis(y.reshape(len(y), -1, size), 1, 0):
             if self.planar:
-                X.append(spatial.pose(spatial.rot_z(part[:, 2]), np.insert(part[:, :2], 2, 0.0, axis=-1)))
+                X.append(
+                    spatial.pose(spatial.rot_z(part[:, 2]), np.insert(part[:, :2], 2, 0.0, axis=-1))
+                )
             else:
                 quat = spatial.unit(part[:, 3:] + [1, 0, 0, 0])
                 X.append(spatial.pose(spatial.quat_wxyz_to_matrix(quat), part[:, :3]))

@@ -1,4 +1,6 @@
-"""Assembly with other libraries: Gauss-Newton by hand on the equations that MuJoCo and Pinocchio evaluate."""
+"""Assembly with other libraries: Gauss-Newton by hand on the equations that MuJoCo and Pinocchio
+evaluate.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ LONGEST = 1.0
 
 
 class Assembler:
-    """A library that assembles: `ready` for guesses, the call itself, and how far its answers are from closed.
+    """A library that assembles: `ready` for guesses, the call itself, and how far its answers are
+    from closed.
 
     Only the call is timed; guesses and answers are in the library's own coordinates.
     """
@@ -40,21 +43,27 @@ class Assembler:
         raise NotImplementedError
 
     def opening(self, answers: Sequence[Any]) -> Array:
-        """How far (n,) the answers are from closed, by plain products; infinite where the library itself gave up."""
+        """How far (n,) the answers are from closed, by plain products; infinite where the library
+        itself gave up.
+        """
         raise NotImplementedError
 
 
 class GaussNewton(Assembler):
-    """Steps of minimum norm v = -J^T (J J^T + m I)^-1 r, with a damping m in proportion to the residual r.
+    """Steps of minimum norm v = -J^T (J J^T + m I)^-1 r, with a damping m in proportion to the
+    residual r.
 
-    A subclass evaluates r and J at the library's coordinates and adds steps to them. `place` says where in these the
-    coordinates of the tree are, `first` where the velocities of its moves begin; `known` ones of the system stay.
+    A subclass evaluates r and J at the library's coordinates and adds steps to them. `place` says
+    where in these the coordinates of the tree are, `first` where the velocities of its moves begin;
+    `known` ones of the system stay.
     """
 
     damping = 1e-2
     """As a part of the residual: of 1e-4 to 1e-1 the one with which most guesses close."""
 
-    def __init__(self, tree: Tree, nv: int, place: np.ndarray, first: Sequence[int], known: Iterable[str]):
+    def __init__(
+        self, tree: Tree, nv: int, place: np.ndarray, first: Sequence[int], known: Iterable[str]
+    ):
         self.tree = tree
         self.nv = nv
         self.place = place
@@ -137,7 +146,9 @@ class Mujoco(GaussNewton):
         return data
 
     def equations(self, x: Array) -> tuple[Array, Array]:
-        """Residual and Jacobian of all connects: MuJoCo's own arrays, which the next call overwrites."""
+        """Residual and Jacobian of all connects: MuJoCo's own arrays, which the next call
+        overwrites.
+        """
         data = self.evaluate(x)
         return data.efc_pos, data.efc_J.reshape(-1, self.nv)
 
@@ -165,7 +176,9 @@ class SparseMujoco(Mujoco):
         data = self.evaluate(x)
         starts = np.append(data.efc_J_rowadr, data.efc_J_rowadr[-1] + data.efc_J_rownnz[-1])
         filled = int(starts[-1])
-        J = self.csr((data.efc_J[:filled], data.efc_J_colind[:filled], starts), shape=(data.nefc, self.nv))
+        J = self.csr(
+            (data.efc_J[:filled], data.efc_J_colind[:filled], starts), shape=(data.nefc, self.nv)
+        )
         return data.efc_pos, J
 
     def step(self, r: Array, J: Any, damping: float) -> Array:
@@ -187,13 +200,17 @@ class Pinocchio(GaussNewton):
         self.update = pin.updateFramePlacement
         self.read = pin.getFrameJacobian
         names = [f"{cut.joint.name}_{k}" for cut in tree.cuts for k in range(len(tree.points(cut)))]
-        self.pairs = [tuple(self.model.getFrameId(f"{name}_{side}") for side in "ab") for name in names]
+        self.pairs = [
+            tuple(self.model.getFrameId(f"{name}_{side}") for side in "ab") for name in names
+        ]
         self.size = tree.system.dim
         n = self.size * len(self.pairs)
         self.r = np.empty(n)
         self.J = np.empty((n, self.model.nv))
         parts = zip((self.model.joints[j] for j in joints), tree.moves, strict=True)
-        place = [j.idx_q + (np.array([3, 0, 1, 2]) if m.kind == BALL else np.arange(1)) for j, m in parts]
+        place = [
+            j.idx_q + (np.array([3, 0, 1, 2]) if m.kind == BALL else np.arange(1)) for j, m in parts
+        ]
         first = [self.model.joints[j].idx_v for j in joints]
         super().__init__(tree, self.model.nv, np.concatenate(place), first, known)
 
@@ -208,7 +225,9 @@ class Pinocchio(GaussNewton):
         self.jacobians(model, data, x)
         for k, (a, b) in enumerate(self.pairs):
             rows = slice(n * k, n * k + n)
-            self.r[rows] = (update(model, data, a).translation - update(model, data, b).translation)[:n]
+            self.r[rows] = (
+                update(model, data, a).translation - update(model, data, b).translation
+            )[:n]
             self.J[rows] = read(model, data, a, axes)[:n] - read(model, data, b, axes)[:n]
         return self.r, self.J
 
@@ -218,7 +237,9 @@ class Pinocchio(GaussNewton):
 
 
 def pinocchio_tree(tree: Tree) -> tuple[Any, list[int]]:
-    """The tree as a Pinocchio model with frames at both ends of each cut, and the number of each move's joint."""
+    """The tree as a Pinocchio model with frames at both ends of each cut, and the number of each
+    move's joint.
+    """
     pin = peers.module("pinocchio")
     model = pin.Model()
     ids = [0]

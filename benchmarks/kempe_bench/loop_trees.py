@@ -1,4 +1,6 @@
-"""A system with loops, written out plainly for libraries that know trees and points: its spanning tree and its cuts."""
+"""A system with loops, written out plainly for libraries that know trees and points: its spanning
+tree and its cuts.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Move:
-    """One elementary motion of the tree: kind and axis (0, 1, 2), its column in q, and +1 or, walked backwards, -1."""
+    """One elementary motion of the tree: kind and axis (0, 1, 2), its column in q, and +1 or,
+    walked backwards, -1.
+    """
 
     name: str
     kind: int
@@ -39,7 +43,9 @@ class Move:
 
 @dataclass(frozen=True)
 class Limb:
-    """A body of the tree: its parent's number, the placement before its moves, the moves, the placement after them."""
+    """A body of the tree: its parent's number, the placement before its moves, the moves, the
+    placement after them.
+    """
 
     name: str
     parent: int
@@ -59,7 +65,9 @@ class Link:
     X_b: spatial.Array
 
     def opening(self, X: list[spatial.Array]) -> spatial.Array:
-        """How far (...) the joint is from assembled, in metres and sines of angles, for poses X of all bodies."""
+        """How far (...) the joint is from assembled, in metres and sines of angles, for poses X of
+        all bodies.
+        """
         between = spatial.inverse(X[self.a] @ self.X_a) @ (X[self.b] @ self.X_b)
         form = implicit_form(self.joint.type)
         if form is None:
@@ -79,7 +87,8 @@ class Link:
 
 
 class Tree:
-    """The spanning tree of a system, and its cuts. Coordinates x (..., nx) are those of its moves, quaternions wxyz.
+    """The spanning tree of a system, and its cuts. Coordinates x (..., nx) are those of its moves,
+    quaternions wxyz.
 
     Errors: `UnsupportedError` for what the other libraries have no counterpart of.
     """
@@ -103,7 +112,9 @@ class Tree:
         self.cuts = tuple(self.links[name] for name in system.structure.closures)
 
     def _link(self, joint: Joint) -> Link:
-        X_a, X_b = (place.evaluate(self.system.structure.parameters) for place in (joint.X_PF, joint.X_CM))
+        X_a, X_b = (
+            place.evaluate(self.system.structure.parameters) for place in (joint.X_PF, joint.X_CM)
+        )
         return Link(joint, self.numbers[joint.parent], X_a, self.numbers[joint.child], X_b)
 
     def _limb(self, i: int) -> Limb:
@@ -114,23 +125,31 @@ class Tree:
         moves = []
         for k, p in enumerate(link.joint.type.layout(system.dim)[1]):
             if p.multiplier != 1.0:
-                raise UnsupportedError(f"{system.name}: joint {link.joint.name!r} couples a turn and a slide")
+                raise UnsupportedError(
+                    f"{system.name}: joint {link.joint.name!r} couples a turn and a slide"
+                )
             column = self.columns[names[p.coordinate]]
             axis = "xyz".index(p.axis)
             moves.append(Move(f"{link.joint.name}_{k}", p.kind, axis, column, -1 if back else 1))
         ends = (link.X_b, link.X_a) if back else (link.X_a, link.X_b)
         order = tuple(reversed(moves)) if back else tuple(moves)
-        return Limb(system.body_names[i + 1], system.parent[i], ends[0], order, spatial.inverse(ends[1]))
+        return Limb(
+            system.body_names[i + 1], system.parent[i], ends[0], order, spatial.inverse(ends[1])
+        )
 
     def points(self, cut: Link) -> spatial.Array:
-        """Points (k, 3) of both frames of a cut joint that coincide where it is assembled, and only there.
+        """Points (k, 3) of both frames of a cut joint that coincide where it is assembled, and only
+        there.
 
-        One for a ball joint, and for a hinge in the plane; two, a typical length apart, for a hinge in space.
+        One for a ball joint, and for a hinge in the plane; two, a typical length apart, for a hinge
+        in space.
         """
         kind = cut.joint.type.type_name
         if kind not in ("revolute", "spherical"):
             reported = "only hinges and ball joints can be given by points"
-            raise UnsupportedError(f"{self.system.name}: joint {cut.joint.name!r} is cut, and {kind}; {reported}")
+            raise UnsupportedError(
+                f"{self.system.name}: joint {cut.joint.name!r} is cut, and {kind}; {reported}"
+            )
         if kind == "spherical" or self.system.dim == 2:
             return np.zeros((1, 3))
         return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, characteristic_length(self.system)]])
@@ -145,10 +164,14 @@ class Tree:
         return np.array([name not in cut for name in self.system.structure.velocity_names])
 
     def guesses(self, sigma: float, n: int, known: Iterable[str] = ()) -> spatial.Array:
-        """Configurations q (n, nq): the posture 'closed' with normal noise on all coordinates of the tree not known."""
+        """Configurations q (n, nq): the posture 'closed' with normal noise on all coordinates of
+        the tree not known.
+        """
         system = self.system
         held = set(known)
-        moved = self.in_tree & np.array([name not in held for name in system.structure.velocity_names])
+        moved = self.in_tree & np.array(
+            [name not in held for name in system.structure.velocity_names]
+        )
         noise = sigma * np.random.default_rng(7).normal(size=(n, system.nv)) * moved
         return system.configuration_space.integrate(system.q("closed"), noise)
 
@@ -199,20 +222,27 @@ def motion(move: Move, x: spatial.Array) -> spatial.Array:
 
 
 def mjcf(tree: Tree, sparse: bool = False) -> str:
-    """The tree as an MJCF document: nested bodies, and for each point of a cut two sites that a `connect` joins.
+    """The tree as an MJCF document: nested bodies, and for each point of a cut two sites that a
+    `connect` joins.
 
-    Sites, since a `connect` of bodies takes the reference position, which is not assembled, for assembled. With
-    `sparse` MuJoCo keeps the Jacobian of the constraints as a sparse matrix.
+    Sites, since a `connect` of bodies takes the reference position, which is not assembled, for
+    assembled. With `sparse` MuJoCo keeps the Jacobian of the constraints as a sparse matrix.
     """
     root = ElementTree.Element("mujoco", model=tree.system.name)
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="false")
-    option = ElementTree.SubElement(root, "option", gravity="0 0 0", jacobian="sparse" if sparse else "dense")
+    option = ElementTree.SubElement(
+        root, "option", gravity="0 0 0", jacobian="sparse" if sparse else "dense"
+    )
     ElementTree.SubElement(option, "flag", contact="disable")
     bodies = [ElementTree.SubElement(root, "worldbody")]
     offsets = [np.eye(4)]
     for limb in tree.limbs:
         X = offsets[limb.parent] @ limb.before
-        at = {"name": limb.name, "pos": _text(X[:3, 3]), "quat": _text(spatial.matrix_to_quat_wxyz(X[:3, :3]))}
+        at = {
+            "name": limb.name,
+            "pos": _text(X[:3, 3]),
+            "quat": _text(spatial.matrix_to_quat_wxyz(X[:3, :3])),
+        }
         body = ElementTree.SubElement(bodies[limb.parent], "body", at)
         ElementTree.SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
         for move in limb.moves:
@@ -228,7 +258,9 @@ def mjcf(tree: Tree, sparse: bool = False) -> str:
             for side, number, X in (("site1", cut.a, cut.X_a), ("site2", cut.b, cut.X_b)):
                 place = offsets[number] @ X @ np.append(point, 1.0)
                 sites[side] = f"{cut.joint.name}_{k}_{side}"
-                ElementTree.SubElement(bodies[number], "site", name=sites[side], pos=_text(place[:3]))
+                ElementTree.SubElement(
+                    bodies[number], "site", name=sites[side], pos=_text(place[:3])
+                )
             ElementTree.SubElement(equality, "connect", sites)
     return ElementTree.tostring(root, encoding="unicode")
 

@@ -1,4 +1,6 @@
-"""Assembly of closed loops against the peers: how long it takes from a guess nearby, and how often it succeeds."""
+"""Assembly of closed loops against the peers: how long it takes from a guess nearby, and how often
+it succeeds.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,18 @@ from kempe_bench.loop_trees import Tree
 from kempe_bench.timing import Grid, Row
 
 MECHANISMS = (
-    "four_bar", "slider_crank", "double_parallelogram", "bennett", "sarrus", "stewart", "peaucellier", "jansen",
-    "three_rrr", "delta_ss", "bricard_trihedral",
-)  # fmt: skip
+    "four_bar",
+    "slider_crank",
+    "double_parallelogram",
+    "bennett",
+    "sarrus",
+    "stewart",
+    "peaucellier",
+    "jansen",
+    "three_rrr",
+    "delta_ss",
+    "bricard_trihedral",
+)
 """The mechanisms, each from its posture 'closed'."""
 KNOWN = {"four_bar": ("A",), "stewart": tuple(f"leg{i}" for i in range(1, 7))}
 """What is given in the lines with known inputs: the crank, the lengths of the legs."""
@@ -46,12 +57,15 @@ USUAL = "Kempe"
 def how() -> list[str]:
     """How the libraries are used, and what they are not given."""
     return [
-        "guesses: the closed posture with normal noise on all coordinates of the spanning tree, in radians and metres",
-        "closed: 1e-8 m and rad by plain matrix products (Drake 1e-5, as SNOPT scales its equations)",
-        "MuJoCo, Pinocchio: Gauss-Newton written in numpy on their equality constraints and frame placements; Drake: "
-        "inverse kinematics by SNOPT, without building the program; Exudyn: static solver, full-pivot factorisation",
-        "Exudyn is not given the overconstrained spatial mechanisms, where this factorisation seldom gets over the "
-        "redundant equations, nor known inputs",
+        "guesses: the closed posture with normal noise on all coordinates of the spanning tree, in "
+        "radians and metres",
+        "closed: 1e-8 m and rad by plain matrix products (Drake 1e-5, as SNOPT scales its "
+        "equations)",
+        "MuJoCo, Pinocchio: Gauss-Newton written in numpy on their equality constraints and frame "
+        "placements; Drake: inverse kinematics by SNOPT, without building the program; Exudyn: "
+        "static solver, full-pivot factorisation",
+        "Exudyn is not given the overconstrained spatial mechanisms, where this factorisation "
+        "seldom gets over the redundant equations, nor known inputs",
         f"Drake and Exudyn: {SLOW_GUESSES} guesses, the others {GUESSES}",
     ]
 
@@ -70,7 +84,9 @@ class Kempe(Assembler):
     def opening(self, answers: Sequence[Any]) -> Array:
         """Of the cut joints; infinite where Kempe says that it did not succeed."""
         q = np.array([a.q for a in answers])
-        return np.where([a.success for a in answers], self.tree.opening(self.tree.coordinates(q)), np.inf)
+        return np.where(
+            [a.success for a in answers], self.tree.opening(self.tree.coordinates(q)), np.inf
+        )
 
 
 def assembly(bench: Bench) -> Grid:
@@ -87,7 +103,8 @@ def assembly(bench: Bench) -> Grid:
             _line(table, bench, tree, known_line(name), TIMED[0], KNOWN[name])
     _goals(table)
     table.remarks += [
-        "nearest: with prefer='nearest', the closed configuration nearest to the guess; all others find any near it",
+        "nearest: with prefer='nearest', the closed configuration nearest to the guess; all others "
+        "find any near it",
         f"bound: a prepared assembler; batch: {BATCH:,} guesses in one call, one thread",
         *how(),
     ]
@@ -99,7 +116,9 @@ def known_line(name: str) -> str:
     return f"{name}, {TIMED[0]:g}, {'legs' if len(KNOWN[name]) > 1 else 'crank'} known"
 
 
-def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known: tuple[str, ...]) -> None:
+def _line(
+    table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known: tuple[str, ...]
+) -> None:
     system = tree.system
     home = tree.system.q("closed")
     given = {n: float(home[tree.columns[n]]) for n in known}
@@ -138,7 +157,8 @@ def peers_of(bench: Bench, tree: Tree, known: Iterable[str] = ()) -> dict[str, A
 
 
 def timed(solvers: dict[str, Assembler], q: Array) -> dict[str, tuple[float, float]]:
-    """Microseconds of one call to each solver, those that close: the median, and that of the best turn.
+    """Microseconds of one call to each solver, those that close: the median, and that of the best
+    turn.
 
     The solvers take turns; a turn goes through all guesses q (n, nq), with garbage collection off.
     """
@@ -150,7 +170,9 @@ def timed(solvers: dict[str, Assembler], q: Array) -> dict[str, tuple[float, flo
     for _ in range(TURNS):
         for name, s in solvers.items():
             if closed[name].any():
-                turns[name].append(float(np.median(_turn(s.call, ready[name])[closed[name]])) * 1e-3)
+                turns[name].append(
+                    float(np.median(_turn(s.call, ready[name])[closed[name]])) * 1e-3
+                )
     return {name: (statistics.median(t), min(t)) for name, t in turns.items() if t}
 
 
@@ -172,18 +194,27 @@ def _turn(call: Callable[[Any], Any], guesses: Sequence[Any]) -> np.ndarray:
 
 
 def _goals(table: Grid) -> None:
-    for name, title, one, many, times in (("four_bar", "four-bar", 10, 2, 4), ("stewart", "Stewart", 30, 12, 2)):
+    for name, title, one, many, times in (
+        ("four_bar", "four-bar", 10, 2, 4),
+        ("stewart", "Stewart", 30, 12, 2),
+    ):
         line = f"{name}, {TIMED[0]:g}"
         known = known_line(name)
         fast = table.best(CALL, line)
-        table.at_most(f"{title} with known inputs, one call, at most {one} us", table.best(CALL, known), one)
+        table.at_most(
+            f"{title} with known inputs, one call, at most {one} us", table.best(CALL, known), one
+        )
         table.at_most(f"{title}, one call, at most {one} us", fast, one)
-        table.at_most(f"{title} with known inputs, batch, at most {many} us", table.best(MANY, known), many)
+        table.at_most(
+            f"{title} with known inputs, batch, at most {many} us", table.best(MANY, known), many
+        )
         table.at_most(f"{title}, batch, at most {many} us", table.best(MANY, line), many)
         other = table.value("MuJoCo", line)
         mine = table.value(CALL, line)
         if other is not None and mine is not None:
-            text = f"{title}, at least {times} times as fast as Gauss-Newton on MuJoCo's constraints"
+            text = (
+                f"{title}, at least {times} times as fast as Gauss-Newton on MuJoCo's constraints"
+            )
             table.at_least(text, other / mine, times)
 
 
@@ -206,10 +237,15 @@ def success(bench: Bench) -> Grid:
                 table.rows.append(Row(library, line, share(opening, Assembler.tolerance)))
             for library, s in solvers.items():
                 guesses = s.ready(q[: SLOW_GUESSES if s.slow else GUESSES])
-                table.rows.append(Row(library, line, share(s.opening([s.call(g) for g in guesses]), s.tolerance)))
+                table.rows.append(
+                    Row(library, line, share(s.opening([s.call(g) for g in guesses]), s.tolerance))
+                )
     least = min(row.value for row in table.rows if row.library == USUAL)
     table.at_least("each mechanism, all noises, at least 95 %", least, 95)
-    table.remarks += [f"Kempe: {BATCH:,} guesses each, with the usual {_starts()} starts, and with one start", *how()]
+    table.remarks += [
+        f"Kempe: {BATCH:,} guesses each, with the usual {_starts()} starts, and with one start",
+        *how(),
+    ]
     return table
 
 

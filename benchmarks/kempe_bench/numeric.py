@@ -1,4 +1,6 @@
-"""The numerical inverse model against all libraries that have one: how often a target is reached, how long it takes."""
+"""The numerical inverse model against all libraries that have one: how often a target is reached,
+how long it takes.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,11 @@ TARGETS = 2_000
 """Targets of a robot; a slow library gets as many of them as fit into its share of the time."""
 SHARE = 0.25
 SMALL_SHARE = 0.1
-"""Seconds of a library on a robot: for targets anywhere, and for the other sets, without the slow libraries."""
+"""Seconds of a library on a robot: for targets anywhere, and for the other sets, without the slow
+libraries."""
 OFF = 0.05
-"""How far each joint of a near start is from the configuration that the target was made from [rad, m]."""
+"""How far each joint of a near start is from the configuration that the target was made from [rad,
+m]."""
 SLACK = 1e-9
 """How far beyond a limit an answer may be [rad, m]."""
 FIGURES = SUCCESS, MEDIAN, P99 = "success, %", "median, us", "99th percentile, us"
@@ -34,7 +38,9 @@ Draw = Callable[[peers.Arm, int], tuple[Array, Array]]
 
 
 def anywhere(arm: peers.Arm, n: int) -> tuple[Array, Array]:
-    """Configurations (n, number of joints) uniform inside the limits, and starts that have nothing to do with them."""
+    """Configurations (n, number of joints) uniform inside the limits, and starts that have nothing
+    to do with them.
+    """
     random = np.random.default_rng(1)
     return _uniform(arm, n, random), _uniform(arm, n, random)
 
@@ -50,7 +56,9 @@ def at_limits(arm: peers.Arm, n: int) -> tuple[Array, Array]:
 
 
 def nearby(arm: peers.Arm, n: int) -> tuple[Array, Array]:
-    """Configurations as in `anywhere`, and starts in which each joint is `OFF` away, inside the limits."""
+    """Configurations as in `anywhere`, and starts in which each joint is `OFF` away, inside the
+    limits.
+    """
     q, _ = anywhere(arm, n)
     side = np.random.default_rng(3).choice([-OFF, OFF], q.shape)
     return q, np.clip(q + side, *arm.limits.T)
@@ -64,7 +72,9 @@ def _uniform(arm: peers.Arm, n: int, random: np.random.Generator) -> Array:
 
 
 def poses(arm: peers.Arm, q: Array) -> Array:
-    """Poses (n, 4, 4) of the chain's end for q (n, number of joints): Pinocchio's, or plain products without it."""
+    """Poses (n, 4, 4) of the chain's end for q (n, number of joints): Pinocchio's, or plain
+    products without it.
+    """
     if importlib.util.find_spec("pinocchio") is None:
         return arm.pose(q)
     pin = peers.module("pinocchio")
@@ -77,7 +87,8 @@ def poses(arm: peers.Arm, q: Array) -> Array:
 
 
 def reached(arm: peers.Arm, q: Array, targets: Array) -> np.ndarray:
-    """Which rows of q (n, number of joints) reach their targets (n, 4, 4) inside the limits; NaN rows do not.
+    """Which rows of q (n, number of joints) reach their targets (n, 4, 4) inside the limits; NaN
+    rows do not.
 
     The distance of the positions and the angle between the orientations are at most `TOLERANCE`.
     """
@@ -135,8 +146,15 @@ def _section(bench: Bench, title: str, draw: Draw, share: float, near: bool) -> 
                     tried[library].append(len(hit))
                 if answer.trouble:
                     table.remarks.append(f"{library} fails on {name}: {answer.trouble[:100]}")
-    sort(table, list(arms), FIGURES, [SOLVERS[KEMPE][0], BATCH, *(title for title, _ in SOLVERS.values())])
-    worst = min(r.value for r in table.rows if r.library in ("Kempe", BATCH) and r.call.endswith(SUCCESS))
+    sort(
+        table,
+        list(arms),
+        FIGURES,
+        [SOLVERS[KEMPE][0], BATCH, *(title for title, _ in SOLVERS.values())],
+    )
+    worst = min(
+        r.value for r in table.rows if r.library in ("Kempe", BATCH) and r.call.endswith(SUCCESS)
+    )
     goal = 99.9 if draw is at_limits else 100.0
     table.at_least(f"Kempe reaches at least {goal:g} % of the targets of each robot", worst, goal)
     table.remarks += _remarks(bench, tried, missing, near)
@@ -156,7 +174,9 @@ def _arms(folder: Path) -> tuple[dict[str, peers.Arm], list[str]]:
     return arms, missing
 
 
-def _case(folder: Path, arm: peers.Arm, targets: Array, starts: Array, near: bool, seconds: float) -> Case:
+def _case(
+    folder: Path, arm: peers.Arm, targets: Array, starts: Array, near: bool, seconds: float
+) -> Case:
     folder.mkdir()
     np.save(folder / "targets.npy", targets)
     np.save(folder / "starts.npy", starts)
@@ -172,7 +192,10 @@ def _batch(name: str, arm: peers.Arm, targets: Array, starts: Array | None) -> l
         q = arm.system.ik(targets, TIP, start=starts, budget=kempe.Budget(threads=1)).q
         turns.append(1e6 * (time.perf_counter() - start) / len(targets))
     success = percent(reached(arm, q, targets))
-    return [Row(BATCH, f"{name}: {SUCCESS}", success), Row(BATCH, f"{name}: {MEDIAN}", float(np.median(turns)))]
+    return [
+        Row(BATCH, f"{name}: {SUCCESS}", success),
+        Row(BATCH, f"{name}: {MEDIAN}", float(np.median(turns))),
+    ]
 
 
 def percent(hit: np.ndarray) -> float:
@@ -180,34 +203,53 @@ def percent(hit: np.ndarray) -> float:
     return 0.1 * (1_000 * int(np.sum(hit)) // len(hit))
 
 
-def rows_of(library: str, name: str, hit: np.ndarray, times: Array, figures: tuple[str, str, str]) -> list[Row]:
-    """How often a library succeeds, and median and 99th percentile of its times, under their figures' names."""
+def rows_of(
+    library: str, name: str, hit: np.ndarray, times: Array, figures: tuple[str, str, str]
+) -> list[Row]:
+    """How often a library succeeds, and median and 99th percentile of its times, under their
+    figures' names.
+    """
     values = (percent(hit), np.median(times), np.percentile(times, 99))
-    return [Row(library, f"{name}: {figure}", float(value)) for figure, value in zip(figures, values, strict=True)]
+    return [
+        Row(library, f"{name}: {figure}", float(value))
+        for figure, value in zip(figures, values, strict=True)
+    ]
 
 
-def sort(table: Grid, names: list[str], figures: tuple[str, str, str], libraries: list[str]) -> None:
+def sort(
+    table: Grid, names: list[str], figures: tuple[str, str, str], libraries: list[str]
+) -> None:
     """Figure by figure, the names below each other; the libraries in their order."""
     calls = [f"{name}: {figure}" for figure in figures for name in names]
     table.rows.sort(key=lambda row: (calls.index(row.call), libraries.index(row.library)))
 
 
-def _remarks(bench: Bench, tried: dict[str, list[int]], missing: list[str], near: bool) -> list[str]:
+def _remarks(
+    bench: Bench, tried: dict[str, list[int]], missing: list[str], near: bool
+) -> list[str]:
     """How it was done, and what is missing."""
-    judge = "Pinocchio" if importlib.util.find_spec("pinocchio") is not None else "plain matrix products"
+    judge = (
+        "Pinocchio"
+        if importlib.util.find_spec("pinocchio") is not None
+        else "plain matrix products"
+    )
     start = "" if near else "; starts are random, but Kempe and roboticstoolbox choose their own"
     out = [
-        f"success, rounded down: distance and angle at most {TOLERANCE:g} m and rad, limits respected, by {judge}",
-        f"times are of one call from Python, success or not, at most {1e3 * LIMIT:g} ms and what is in work then; "
-        f"batch: all targets in one call, one thread, us a target{start}",
-        "Klampt, mink, pink, placo, Drake and ikpy have no restarts: they start again at random until time is over; "
-        "Drake and ikpy are given targets anywhere only",
-        "each library runs in a process of its own; TRAC-IK in two threads; the same URDF file of the chain alone for "
-        "all; targets, fewest on a robot: " + ", ".join(f"{name} {min(n):,}" for name, n in tried.items() if n),
+        f"success, rounded down: distance and angle at most {TOLERANCE:g} m and rad, limits "
+        f"respected, by {judge}",
+        f"times are of one call from Python, success or not, at most {1e3 * LIMIT:g} ms and what "
+        f"is in work then; batch: all targets in one call, one thread, us a target{start}",
+        "Klampt, mink, pink, placo, Drake and ikpy have no restarts: they start again at random "
+        "until time is over; Drake and ikpy are given targets anywhere only",
+        "each library runs in a process of its own; TRAC-IK in two threads; the same URDF file of "
+        "the chain alone for all; targets, fewest on a robot: "
+        + ", ".join(f"{name} {min(n):,}" for name, n in tried.items() if n),
     ]
     absent = [p for p in SOLVERS if p != KEMPE and importlib.util.find_spec(peers.PEERS[p]) is None]
     if absent:
-        alone = "; placo only in an environment without the others, as it needs Pinocchio 3" * ("placo" in absent)
+        alone = "; placo only in an environment without the others, as it needs Pinocchio 3" * (
+            "placo" in absent
+        )
         out.append(f"not installed: pip install {' '.join(absent)}{alone}")
     if missing:
         out.append(f"no description of {', '.join(missing)}: pip install example-robot-data")

@@ -1,4 +1,6 @@
-"""Libraries that solve the inverse model numerically, with the same chain, with restarts and a time limit."""
+"""Libraries that solve the inverse model numerically, with the same chain, with restarts and a time
+limit.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ ATTEMPT = 30
 STEPS = 15
 """Iterations of a start, and steps of a start by libraries that give velocities."""
 DAMPING = 1e-2
-"""Levenberg and Marquardt's factor of libraries that give velocities: of 1e-6 to 1 the one with the best times."""
+"""Levenberg and Marquardt's factor of libraries that give velocities: of 1e-6 to 1 the one with the
+best times."""
 REGULARISED = 1e-6
 """Weight of placo's regularisation."""
 BASE_AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -33,12 +36,13 @@ MANY = 1_000_000
 class Solver:
     """The inverse model by one library; making it is the preparation of the robot.
 
-    `ready` makes a library's own kind of targets, `solve` is what is timed: a configuration (n,) for a target and a
-    start (n,), or None where the library says that it found none.
+    `ready` makes a library's own kind of targets, `solve` is what is timed: a configuration (n,)
+    for a target and a start (n,), or None where the library says that it found none.
     """
 
     seedless = False
-    """Whether the library needs no start, so that it gets one only where the start is near the answer."""
+    """Whether the library needs no start, so that it gets one only where the start is near the
+    answer."""
     slow = False
     """Whether the library solves one set of targets only."""
 
@@ -73,13 +77,17 @@ class Kempe(Solver):
 
 
 class OptIK(Solver):
-    """OptIK: sequential quadratic programming with restarts in Rust; its goal is the squared norm of the error."""
+    """OptIK: sequential quadratic programming with restarts in Rust; its goal is the squared norm
+    of the error.
+    """
 
     def __init__(self, arm: peers.Arm):
         optik = peers.module("optik")
         self.robot = optik.Robot.from_urdf_file(str(arm.file), BASE, TIP)
         self.robot.set_parallelism(1)
-        self.config = optik.SolverConfig("speed", max_time=LIMIT, max_restarts=MANY, tol_f=TOLERANCE**2)
+        self.config = optik.SolverConfig(
+            "speed", max_time=LIMIT, max_restarts=MANY, tol_f=TOLERANCE**2
+        )
 
     def solve(self, target: Any, start: Array | None) -> Any:
         """One public call."""
@@ -88,7 +96,9 @@ class OptIK(Solver):
 
 
 class TracIK(Solver):
-    """TRAC-IK (Beeson and Ames, 2015), two threads; its tolerance is one of each component, not of the norm."""
+    """TRAC-IK (Beeson and Ames, 2015), two threads; its tolerance is one of each component, not of
+    the norm.
+    """
 
     def __init__(self, arm: peers.Arm):
         self.module = peers.module("pytracik")
@@ -115,7 +125,9 @@ class TracIK(Solver):
 
 
 class Toolbox(Solver):
-    """roboticstoolbox, its C++ Levenberg-Marquardt with restarts, whose residual is half the squared norm."""
+    """roboticstoolbox, its C++ Levenberg-Marquardt with restarts, whose residual is half the
+    squared norm.
+    """
 
     seedless = True
 
@@ -124,7 +136,9 @@ class Toolbox(Solver):
 
     def solve(self, target: Any, start: Array | None) -> Any:
         """One public call."""
-        answer = self.chain.ik_LM(target, q0=start, tol=0.5 * TOLERANCE**2, slimit=100, method="chan", k=0.1)
+        answer = self.chain.ik_LM(
+            target, q0=start, tol=0.5 * TOLERANCE**2, slimit=100, method="chan", k=0.1
+        )
         return answer.q if answer.success else None
 
 
@@ -138,9 +152,16 @@ class RoboPlan(Solver):
         scene = core.Scene("benchmark", core.loadUrdfSceneDescriptionFromXml(text))
         scene.addGroupFromChain("chain", BASE, TIP)
         options = simple.SimpleIkOptions(
-            "chain", max_iters=ATTEMPT, max_time=LIMIT, max_restarts=MANY, step_size=1.0, damping=1e-6,
-            max_linear_error_norm=TOLERANCE, max_angular_error_norm=TOLERANCE, check_collisions=False,
-        )  # fmt: skip
+            "chain",
+            max_iters=ATTEMPT,
+            max_time=LIMIT,
+            max_restarts=MANY,
+            step_size=1.0,
+            damping=1e-6,
+            max_linear_error_norm=TOLERANCE,
+            max_angular_error_norm=TOLERANCE,
+            check_collisions=False,
+        )
         self.core = core
         self.scene = scene
         self.robot = simple.SimpleIk(scene, options)
@@ -158,7 +179,9 @@ class RoboPlan(Solver):
 
 
 class Restarted(Solver):
-    """A library without restarts of its own: it starts again at random until it succeeds or the time is over."""
+    """A library without restarts of its own: it starts again at random until it succeeds or the
+    time is over.
+    """
 
     limits: Array
     """Bounds (n, 2)."""
@@ -197,7 +220,10 @@ class Klampt(Restarted):
 
     def ready(self, targets: Array) -> Sequence[Any]:
         """Objectives."""
-        return [self.ik.objective(self.link, R=X[:3, :3].T.ravel().tolist(), t=X[:3, 3].tolist()) for X in targets]
+        return [
+            self.ik.objective(self.link, R=X[:3, :3].T.ravel().tolist(), t=X[:3, 3].tolist())
+            for X in targets
+        ]
 
     def attempt(self, target: Any, start: Array) -> Any:
         """One solve."""
@@ -209,7 +235,9 @@ class Klampt(Restarted):
 
 
 class Steps(Restarted):
-    """A library that gives the velocity to a target: steps until the errors are small, at most `STEPS` of them."""
+    """A library that gives the velocity to a target: steps until the errors are small, at most
+    `STEPS` of them.
+    """
 
     configuration: Any
     task: Any
@@ -248,7 +276,9 @@ class Mink(Steps):
         self.SE3 = mink.SE3
         self.solve_ik = mink.solve_ik
         self.configuration = mink.Configuration(model)
-        self.task = mink.FrameTask(TIP, "body", position_cost=1.0, orientation_cost=1.0, lm_damping=DAMPING)
+        self.task = mink.FrameTask(
+            TIP, "body", position_cost=1.0, orientation_cost=1.0, lm_damping=DAMPING
+        )
         bounds = [mink.ConfigurationLimit(model, gain=1.0)]
         self.options = {"solver": "daqp", "damping": 1e-9, "limits": bounds}
         self.limits = arm.limits
@@ -316,7 +346,9 @@ class Placo(Restarted):
 
 
 class Drake(Restarted):
-    """Drake: SNOPT on three points of the frame, as bounds on an angle are squared there and cannot be that small."""
+    """Drake: SNOPT on three points of the frame, as bounds on an angle are squared there and cannot
+    be that small.
+    """
 
     slow = True
     POINTS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]).T
@@ -350,7 +382,9 @@ class Drake(Restarted):
 
 
 class Ikpy(Restarted):
-    """ikpy: least squares of SciPy, judged by a forward pass of its own; it is interrupted, as it can last."""
+    """ikpy: least squares of SciPy, judged by a forward pass of its own; it is interrupted, as it
+    can last.
+    """
 
     slow = True
 
@@ -375,12 +409,16 @@ class Ikpy(Restarted):
     def attempt(self, target: Any, start: Array) -> Any:
         """One fit."""
         first = np.concatenate([[0.0], start, [0.0]])
-        q = self.chain.inverse_kinematics_frame(target, initial_position=first, orientation_mode="all")
+        q = self.chain.inverse_kinematics_frame(
+            target, initial_position=first, orientation_mode="all"
+        )
         return q[1:-1] if _near(self.chain.forward_kinematics(q), target) else None
 
 
 def _near(X: Array, target: Array) -> bool:
-    """Whether a library may stop at a pose; ||A - B|| is sqrt(2) times a small angle between rotations."""
+    """Whether a library may stop at a pose; ||A - B|| is sqrt(2) times a small angle between
+    rotations.
+    """
     miss = X - target
     p = miss[:3, 3]
     R = miss[:3, :3].ravel()
@@ -389,10 +427,16 @@ def _near(X: Array, target: Array) -> bool:
 
 KEMPE = "kempe"
 SOLVERS: dict[str, tuple[str, type[Solver]]] = {
-    KEMPE: ("Kempe", Kempe), "optik-py": ("OptIK", OptIK), "pytracik": ("TRAC-IK", TracIK),
-    "roboticstoolbox-python": ("roboticstoolbox", Toolbox), "roboplan": ("RoboPlan", RoboPlan),
-    "klampt": ("Klampt", Klampt), "mink": ("mink", Mink), "pin-pink": ("pink", Pink), "placo": ("placo", Placo),
+    KEMPE: ("Kempe", Kempe),
+    "optik-py": ("OptIK", OptIK),
+    "pytracik": ("TRAC-IK", TracIK),
+    "roboticstoolbox-python": ("roboticstoolbox", Toolbox),
+    "roboplan": ("RoboPlan", RoboPlan),
+    "klampt": ("Klampt", Klampt),
+    "mink": ("mink", Mink),
+    "pin-pink": ("pink", Pink),
+    "placo": ("placo", Placo),
     "drake": ("Drake", Drake),
     "ikpy": ("ikpy", Ikpy),
-}  # fmt: skip
+}
 """Title and class of each library, by package."""

@@ -1,4 +1,6 @@
-"""Chains for the numerical inverse model, each written as a URDF file without anything beside it, the same for all."""
+"""Chains for the numerical inverse model, each written as a URDF file without anything beside it,
+the same for all.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,11 @@ BEND = 2.0
 
 @dataclass(frozen=True)
 class Robot:
-    """A chain of the benchmark: where its description comes from, the frame, and how many joints of the trunk to drop.
+    """A chain of the benchmark: where its description comes from, the frame, and how many joints of
+    the trunk to drop.
 
-    `file` is a URDF file of the package example-robot-data; without one, `model` is a model of the library.
-    A snake is `joints` parallel turns.
+    `file` is a URDF file of the package example-robot-data; without one, `model` is a model of the
+    library. A snake is `joints` parallel turns.
     """
 
     title: str
@@ -74,11 +77,15 @@ ROBOTS = (
 def snake(n: int) -> tuple[tuple[Link, ...], spatial.Array]:
     """Links and tool of n parallel turns, one metre long in all."""
     step = spatial.pose(None, [1.0 / n, 0.0, 0.0])
-    return tuple(Link(f"q{i + 1}", step if i else np.eye(4), False, (-BEND, BEND)) for i in range(n)), step
+    return tuple(
+        Link(f"q{i + 1}", step if i else np.eye(4), False, (-BEND, BEND)) for i in range(n)
+    ), step
 
 
 def written(title: str, links: Iterable[Link], tool: spatial.Array, folder: Path) -> peers.Arm:
-    """The chain as a URDF file of its own, read again: its joints are called q1, q2 and so on, its frame `TIP`."""
+    """The chain as a URDF file of its own, read again: its joints are called q1, q2 and so on, its
+    frame `TIP`.
+    """
     slug = "".join(c if c.isalnum() else "_" for c in title.lower())
     path = folder / f"{slug}_chain.urdf"
     path.write_text(urdf(slug, links, tool), encoding="utf-8")
@@ -86,16 +93,22 @@ def written(title: str, links: Iterable[Link], tool: spatial.Array, folder: Path
 
 
 def urdf(name: str, links: Iterable[Link], tool: spatial.Array) -> str:
-    """URDF text of a chain: numbers with all their digits, each body a ball of one kilogram, fast motors."""
+    """URDF text of a chain: numbers with all their digits, each body a ball of one kilogram, fast
+    motors.
+    """
     root = ElementTree.Element("robot", name=name)
     parent = BASE
     ElementTree.SubElement(root, "link", name=BASE)
     for i, link in enumerate(links, start=1):
         child = _body(root, f"body{i}")
-        joint = _joint(root, f"q{i}", "prismatic" if link.slides else "revolute", parent, child, link.X)
+        joint = _joint(
+            root, f"q{i}", "prismatic" if link.slides else "revolute", parent, child, link.X
+        )
         ElementTree.SubElement(joint, "axis", xyz="0 0 1")
         lower, upper = (repr(float(x)) for x in link.limits)
-        ElementTree.SubElement(joint, "limit", lower=lower, upper=upper, effort="1000", velocity="1000")
+        ElementTree.SubElement(
+            joint, "limit", lower=lower, upper=upper, effort="1000", velocity="1000"
+        )
         parent = child
     _joint(root, "tool", "fixed", parent, _body(root, TIP), tool)
     return ElementTree.tostring(root, encoding="unicode")
@@ -104,7 +117,9 @@ def urdf(name: str, links: Iterable[Link], tool: spatial.Array) -> str:
 def _body(root: ElementTree.Element, name: str) -> str:
     inertial = ElementTree.SubElement(ElementTree.SubElement(root, "link", name=name), "inertial")
     ElementTree.SubElement(inertial, "mass", value="1")
-    ElementTree.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+    ElementTree.SubElement(
+        inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1"
+    )
     return name
 
 

@@ -1,9 +1,11 @@
-"""One library's answers to many targets, in a process of its own: `python -m kempe_bench.numeric_worker JOB`.
+"""One library's answers to many targets, in a process of its own:
+`python -m kempe_bench.numeric_worker JOB`.
 
-The job is a JSON file: the package, and cases. A case is a URDF file, a folder with `targets.npy` (n, 4, 4) and
-`starts.npy` (n, number of joints), whether the starts are near the answers, and the seconds that it may take. A whole
-body has goals of several frames (n, k, 4, 4), and may ask for more. Answers are written as they come, so that what is
-done survives when the library ends the process.
+The job is a JSON file: the package, and cases. A case is a URDF file, a folder with `targets.npy`
+(n, 4, 4) and `starts.npy` (n, number of joints), whether the starts are near the answers, and the
+seconds that it may take. A whole body has goals of several frames (n, k, 4, 4), and may ask for
+more. Answers are written as they come, so that what is done survives when the library ends the
+process.
 """
 
 from __future__ import annotations
@@ -33,13 +35,17 @@ FEWEST = 20
 """Targets that a library gets however long they take."""
 PATIENCE = 60.0
 """Seconds beyond its share after which a process that does not end is ended."""
-ALONE = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")}
+ALONE = {
+    name: "1"
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
+}
 """Environment in which numerical libraries start no threads."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """The targets of one robot: its URDF file, their folder, whether starts are near, seconds that it may take.
+    """The targets of one robot: its URDF file, their folder, whether starts are near, seconds that
+    it may take.
 
     `requested` is what `whole_peers.prepared` gets of a whole body; a chain has none.
     """
@@ -53,7 +59,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Answers:
-    """Configurations (k, number of joints) for the first k targets, NaN where there is none; nanoseconds of each.
+    """Configurations (k, number of joints) for the first k targets, NaN where there is none;
+    nanoseconds of each.
 
     `trouble` says why the process ended early; the target that it ended on counts as tried.
     """
@@ -64,12 +71,17 @@ class Answers:
 
 
 def answers(package: str, cases: Sequence[Case]) -> list[Answers]:
-    """Answers of one library to all cases; a process that ends early is followed by one for the other cases."""
+    """Answers of one library to all cases; a process that ends early is followed by one for the
+    other cases.
+    """
     troubles: dict[int, str] = {}
     first = 0
     while first < len(cases):
         trouble = _process(package, cases[first:])
-        done = next((i for i in range(first, len(cases)) if not _path(cases[i], package, "done").exists()), len(cases))
+        done = next(
+            (i for i in range(first, len(cases)) if not _path(cases[i], package, "done").exists()),
+            len(cases),
+        )
         if done == len(cases):
             break
         troubles[done] = trouble or "ended early"
@@ -82,11 +94,21 @@ def _process(package: str, cases: Sequence[Case]) -> str:
     patience = PATIENCE + sum(3.0 * case.seconds + 2.0 * FEWEST * LIMIT for case in cases)
     with tempfile.TemporaryDirectory() as folder:
         job = Path(folder) / "job.json"
-        job.write_text(json.dumps({"package": package, "cases": [asdict(case) for case in cases]}), encoding="utf-8")
+        job.write_text(
+            json.dumps({"package": package, "cases": [asdict(case) for case in cases]}),
+            encoding="utf-8",
+        )
         command = [sys.executable, "-m", __name__, str(job)]
-        environment = {**os.environ, **ALONE, "KEMPE_QUIET": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+        environment = {
+            **os.environ,
+            **ALONE,
+            "KEMPE_QUIET": "1",
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        }
         try:
-            run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=patience)
+            run = subprocess.run(
+                command, env=environment, capture_output=True, text=True, timeout=patience
+            )
         except subprocess.TimeoutExpired:
             return f"no answer for {patience:.0f} s"
     if run.returncode < 0:
@@ -98,7 +120,9 @@ def _process(package: str, cases: Sequence[Case]) -> str:
 def _read(package: str, case: Case, trouble: str) -> Answers:
     path = _path(case, package, "q.npy")
     if not path.exists():  # the library could not even be given the robot
-        return Answers(np.full((1, np.load(_path(case, "starts.npy")).shape[1]), np.nan), np.empty(0), trouble)
+        return Answers(
+            np.full((1, np.load(_path(case, "starts.npy")).shape[1]), np.nan), np.empty(0), trouble
+        )
     q = np.load(path)
     ns = np.load(_path(case, package, "ns.npy"))
     tried = int(np.sum(ns >= 0))

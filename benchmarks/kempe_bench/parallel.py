@@ -1,4 +1,6 @@
-"""Parallel robots: joint coordinates, all of them, for a pose of the platform, with the loops closed."""
+"""Parallel robots: joint coordinates, all of them, for a pose of the platform, with the loops
+closed.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from kempe_bench.timing import Grid, Row
 ROBOTS = {"stewart": "pose", "delta_ss": "position", "three_rrr": "pose"}
 """The robots, and what of their platform is held."""
 SIGMA = 0.3
-"""Standard deviation of the noise on the coordinates of the tree from which goals are assembled, in radians, metres."""
+"""Standard deviation of the noise on the coordinates of the tree from which goals are assembled, in
+radians, metres."""
 GOALS = 100
 BATCH = 1000
 TURNS = 5
@@ -36,7 +39,9 @@ MEDIAN = "median, us"
 
 
 class Goals:
-    """The poses of the platform at closed configurations, as plain products have them, and what of them is held."""
+    """The poses of the platform at closed configurations, as plain products have them, and what of
+    them is held.
+    """
 
     def __init__(self, tree: Tree, what: str):
         self.tree = tree
@@ -61,7 +66,9 @@ class Goals:
 
     def opening(self, x: Array) -> Array:
         """How far (n,) x (n, nx) are from closed loops and from the goals that are kept."""
-        return np.maximum(self.tree.opening(x), np.linalg.norm(self.error(self.at(x), self.X), axis=-1))
+        return np.maximum(
+            self.tree.opening(x), np.linalg.norm(self.error(self.at(x), self.X), axis=-1)
+        )
 
 
 class Kempe(Assembler):
@@ -96,7 +103,9 @@ class Kempe(Assembler):
 
 
 class Holding(GaussNewton):
-    """Gauss-Newton on the loops and on the pose of the platform together, from the posture 'closed'."""
+    """Gauss-Newton on the loops and on the pose of the platform together, from the posture
+    'closed'.
+    """
 
     tolerance = 1e-6
 
@@ -143,7 +152,10 @@ class MujocoHolding(Holding, Mujoco):
 
     def platform(self) -> tuple[Array, Array]:
         """Read off MuJoCo's data, whose bodies end before the last placement."""
-        X = spatial.pose(self.data.xmat[self.number].reshape(3, 3), self.data.xpos[self.number]) @ self.after
+        X = (
+            spatial.pose(self.data.xmat[self.number].reshape(3, 3), self.data.xpos[self.number])
+            @ self.after
+        )
         self.jacobian(self.model, self.data, self.move[:3], self.move[3:], X[:3, 3], self.number)
         return X, self.move
 
@@ -162,10 +174,14 @@ class PinocchioHolding(Holding, Pinocchio):
 
 
 def legs(tree: Tree, X: Array) -> Array:
-    """Lengths (n, 6) of the legs of a Stewart platform at poses X (n, 4, 4), by the distance of their ends' centres."""
+    """Lengths (n, 6) of the legs of a Stewart platform at poses X (n, 4, 4), by the distance of
+    their ends' centres.
+    """
     low = np.array([tree.links[f"U{i}"].X_a[:3, 3] for i in range(1, 7)])
     high = np.array([tree.links[f"S{i}"].X_a[:3, 3] for i in range(1, 7)])
-    return np.linalg.norm(high @ np.swapaxes(X[:, :3, :3], -1, -2) + X[:, None, :3, 3] - low, axis=-1)
+    return np.linalg.norm(
+        high @ np.swapaxes(X[:, :3, :3], -1, -2) + X[:, None, :3, 3] - low, axis=-1
+    )
 
 
 def platforms(bench: Bench) -> Grid:
@@ -176,14 +192,19 @@ def platforms(bench: Bench) -> Grid:
         bench.say(f"  {name}")
         _robot(table, bench, Tree(kempe.load(name)), what)
     table.rows.sort(key=lambda row: row.call.endswith(MEDIAN))
-    worst = min(row.value for row in table.rows if row.library in (ONE, MANY) and row.call.endswith(SUCCESS))
+    worst = min(
+        row.value for row in table.rows if row.library in (ONE, MANY) and row.call.endswith(SUCCESS)
+    )
     table.at_least("Kempe reaches all goals of each robot", worst, 100.0)
     table.remarks += [
-        f"goals: the platform at configurations closed near the posture 'closed' with normal noise of {SIGMA:g} on all "
-        "coordinates of the spanning tree; all start from that posture; delta_ss: position only",
+        "goals: the platform at configurations closed near the posture 'closed' with normal noise "
+        f"of {SIGMA:g} on all coordinates of the spanning tree; all start from that posture; "
+        "delta_ss: position only",
         "success: loops closed and goal held to 1e-6 m and rad by plain matrix products",
-        "MuJoCo, Pinocchio: Gauss-Newton written in numpy on their equations of loops and platform, without limits",
-        f"{FORMULA}: distances of the ends of a Stewart platform's legs, in numpy, without the passive joints",
+        "MuJoCo, Pinocchio: Gauss-Newton written in numpy on their equations of loops and "
+        "platform, without limits",
+        f"{FORMULA}: distances of the ends of a Stewart platform's legs, in numpy, without the "
+        "passive joints",
         f"batch and formula: {BATCH:,} goals in one call, one thread; the others {GOALS}",
     ]
     return table
@@ -203,12 +224,16 @@ def _robot(table: Grid, bench: Bench, tree: Tree, what: str) -> None:
     success = {library: _success(s, q[:GOALS]) for library, s in solvers.items()}
     times = timed(solvers, q[:GOALS])
     wanted = solver.held(goals.of(q))
-    answer, times[MANY] = _batch(lambda: system.ik(wanted, start=solver.home, budget=Budget(threads=1)), len(q))
+    answer, times[MANY] = _batch(
+        lambda: system.ik(wanted, start=solver.home, budget=Budget(threads=1)), len(q)
+    )
     opening = np.where(answer.success, goals.opening(tree.coordinates(answer.q)), np.inf)
     success[MANY] = share(opening, solver.tolerance)
     if system.name == "stewart":
         lengths, times[FORMULA] = _batch(lambda: legs(tree, goals.X), len(q))
-        own = np.abs(q[:, [tree.columns[f"leg{i}"] for i in range(1, 7)]])  # a leg turned round has a negative one
+        own = np.abs(
+            q[:, [tree.columns[f"leg{i}"] for i in range(1, 7)]]
+        )  # a leg turned round has a negative one
         success[FORMULA] = share(np.abs(lengths - own).max(axis=-1), solver.tolerance)
     for library in (ONE, MANY, *(x for x in solvers if x != ONE), FORMULA):
         if library in success:

@@ -21,22 +21,43 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 PEERS = {
-    "pin": "pinocchio", "mujoco": "mujoco", "roboticstoolbox-python": "roboticstoolbox", "ikpy": "ikpy",
-    "pytorch-kinematics": "pytorch_kinematics", "exudyn": "exudyn", "drake": "pydrake", "pylinkage": "pylinkage",
-    "EAIK": "eaik", "ik-geo": "ik_geo", "ssik": "ssik", "py-opw-kinematics": "py_opw_kinematics",
-    "optik-py": "optik", "pytracik": "pytracik", "roboplan": "roboplan", "klampt": "klampt", "mink": "mink",
-    "pin-pink": "pink", "placo": "placo", "ompl": "ompl",
-}  # fmt: skip
+    "pin": "pinocchio",
+    "mujoco": "mujoco",
+    "roboticstoolbox-python": "roboticstoolbox",
+    "ikpy": "ikpy",
+    "pytorch-kinematics": "pytorch_kinematics",
+    "exudyn": "exudyn",
+    "drake": "pydrake",
+    "pylinkage": "pylinkage",
+    "EAIK": "eaik",
+    "ik-geo": "ik_geo",
+    "ssik": "ssik",
+    "py-opw-kinematics": "py_opw_kinematics",
+    "optik-py": "optik",
+    "pytracik": "pytracik",
+    "roboplan": "roboplan",
+    "klampt": "klampt",
+    "mink": "mink",
+    "pin-pink": "pink",
+    "placo": "placo",
+    "ompl": "ompl",
+}
 """Package name and module name of each peer."""
 
 
 def installed(wanted: list[str] | None = None) -> dict[str, str]:
-    """Versions of the peers that are installed (of those `wanted`, if given). Errors: `UnknownNameError`."""
+    """Versions of the peers that are installed (of those `wanted`, if given). Errors:
+    `UnknownNameError`.
+    """
     for name in wanted or ():
         if name not in PEERS:
             raise UnknownNameError("peer", name, PEERS)
     names = PEERS if wanted is None else wanted
-    return {n: importlib.metadata.version(n) for n in names if importlib.util.find_spec(PEERS[n]) is not None}
+    return {
+        n: importlib.metadata.version(n)
+        for n in names
+        if importlib.util.find_spec(PEERS[n]) is not None
+    }
 
 
 def robot_file(name: str) -> Path | None:
@@ -50,7 +71,9 @@ def robot_file(name: str) -> Path | None:
 
 
 def machine() -> str:
-    """Processor, number of usable processors, versions and variant of the kernels of the machine that measures."""
+    """Processor, number of usable processors, versions and variant of the kernels of the machine
+    that measures.
+    """
     from kempe.kernels.compiled import VARIANT
     from kempe.kinematics.common.parallel import processors
 
@@ -60,11 +83,15 @@ def machine() -> str:
         lines = [x for x in cpuinfo.read_text().splitlines() if x.startswith("model name")]
         model = lines[0].split(":", 1)[1].strip() if lines else model
     system = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    return f"{model}, {processors()} processors; {system}, numpy {np.__version__}, kernels {VARIANT}"
+    return (
+        f"{model}, {processors()} processors; {system}, numpy {np.__version__}, kernels {VARIANT}"
+    )
 
 
 def load() -> float:
-    """Processes that wanted to run in the last minute, on average: above 1 or 2, figures are of a busy machine."""
+    """Processes that wanted to run in the last minute, on average: above 1 or 2, figures are of a
+    busy machine.
+    """
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
 
 
@@ -78,7 +105,9 @@ def module(name: str) -> Any:
 
 @dataclass(frozen=True)
 class Link:
-    """A moving joint of a serial chain: the placement before it, whether it slides along z, its limits."""
+    """A moving joint of a serial chain: the placement before it, whether it slides along z, its
+    limits.
+    """
 
     name: str
     X: spatial.Array
@@ -88,7 +117,9 @@ class Link:
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial chain written out: the moving joints from the ground to a frame, then the placement `tool`."""
+    """A serial chain written out: the moving joints from the ground to a frame, then the placement
+    `tool`.
+    """
 
     system: System
     frame: str
@@ -97,7 +128,9 @@ class Arm:
     file: Path
 
     def pose(self, q: spatial.Array) -> spatial.Array:
-        """Pose (n, 4, 4) of the frame for q (n, number of joints) by plain products: an independent check."""
+        """Pose (n, 4, 4) of the frame for q (n, number of joints) by plain products: an independent
+        check.
+        """
         out = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         for i, link in enumerate(self.links):
             motion = spatial.pose(None if link.slides else spatial.rot_z(q[:, i]))
@@ -118,7 +151,9 @@ class Arm:
 
 
 def arm_of(system: System, frame: str, file: Path) -> Arm:
-    """The chain to a frame, everything beside it locked, written out for libraries that take chains only."""
+    """The chain to a frame, everything beside it locked, written out for libraries that take chains
+    only.
+    """
     body = system.structure.frames[frame].body if frame in system.structure.frames else frame
     path = []
     number = system.body_names.index(body)
@@ -168,7 +203,9 @@ def mujoco_model(file: Path) -> tuple[Any, Any]:
                 link.remove(child)
         inertial = ElementTree.SubElement(link, "inertial")
         ElementTree.SubElement(inertial, "mass", value="1")
-        ElementTree.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+        ElementTree.SubElement(
+            inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1"
+        )
     settings = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(settings, "compiler", fusestatic="false", discardvisual="true")
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
@@ -197,10 +234,18 @@ def ikpy_arm(arm: Arm) -> Any:
         kind = "prismatic" if link.slides else "revolute"
         at = link.X[:3, 3], spatial.matrix_to_rpy(link.X[:3, :3])
         links.append(link_type(link.name, *at, **axis, bounds=link.limits, joint_type=kind))
-    links.append(link_type("tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed"))
-    return module("ikpy.chain").Chain(links, active_links_mask=[False, *(True for _ in arm.links), False])
+    links.append(
+        link_type(
+            "tool", arm.tool[:3, 3], spatial.matrix_to_rpy(arm.tool[:3, :3]), joint_type="fixed"
+        )
+    )
+    return module("ikpy.chain").Chain(
+        links, active_links_mask=[False, *(True for _ in arm.links), False]
+    )
 
 
 def torch_arm(arm: Arm) -> Any:
     """The arm as a serial chain of pytorch-kinematics."""
-    return module("pytorch_kinematics").build_serial_chain_from_urdf(arm.file.read_bytes(), arm.frame)
+    return module("pytorch_kinematics").build_serial_chain_from_urdf(
+        arm.file.read_bytes(), arm.frame
+    )

@@ -17,8 +17,12 @@ from kempe_bench.timing import Row, Table
 REPEATS = 3
 MEMORY_POSES = 1_000_000
 
-_MODULES = {"ikpy": "ikpy.chain", "drake": "pydrake.multibody.inverse_kinematics", "EAIK": "eaik.IK_Homogeneous",
-            "roboplan": "roboplan.simple_ik"}  # fmt: skip
+_MODULES = {
+    "ikpy": "ikpy.chain",
+    "drake": "pydrake.multibody.inverse_kinematics",
+    "EAIK": "eaik.IK_Homogeneous",
+    "roboplan": "roboplan.simple_ik",
+}
 """What to import of packages that are empty at the top."""
 
 _FIRST = """
@@ -67,7 +71,9 @@ def startup(bench: Bench) -> Table:
     table = Table("Start-up", "s", _own_startup(bench), ratios=False)
     for package in bench.versions:
         module = _MODULES.get(package, peers.PEERS[package])
-        table.rows.append(_row(package, "import", [float(_run(_IMPORT, module)) for _ in range(REPEATS)]))
+        table.rows.append(
+            _row(package, "import", [float(_run(_IMPORT, module)) for _ in range(REPEATS)])
+        )
     for text, call, bound in (
         ("import, under 0.15 s", "import", 0.15),
         ("first forward result, under 0.5 s", "import, load and first forward result", 0.5),
@@ -80,9 +86,12 @@ def startup(bench: Bench) -> Table:
 def _own_startup(bench: Bench) -> list[Row]:
     job = (str(bench.arm.file), bench.arm.frame)
     labels = (
-        "import", "import and load", "import, load and first forward result", "the same and first inverse result",
+        "import",
+        "import and load",
+        "import, load and first forward result",
+        "the same and first inverse result",
         "the whole process of that",
-    )  # fmt: skip
+    )
     runs = [_timed(_FIRST, *job) for _ in range(REPEATS)]
     columns = zip(*([*json.loads(reported), wall] for wall, reported in runs), strict=True)
     return [_row("Kempe", label, seconds) for label, seconds in zip(labels, columns, strict=True)]
@@ -101,7 +110,9 @@ def memory(bench: Bench) -> Table | None:
     frame = bench.arm.frame
     runs = [json.loads(_run(_MEMORY, file, frame, str(MEMORY_POSES))) for _ in range(REPEATS)]
     into, new = (statistics.median(column) for column in zip(*runs, strict=True))
-    table = Table(f"Memory: {MEMORY_POSES:,} poses, peak beyond input and output", "MiB", ratios=False)
+    table = Table(
+        f"Memory: {MEMORY_POSES:,} poses, peak beyond input and output", "MiB", ratios=False
+    )
     table.rows = [Row("Kempe", "into out=", into), Row("Kempe", "a new array", new)]
     table.at_most("beyond the output, at most 8 MiB", max(into, new), 8.0)
     return table

@@ -28,14 +28,18 @@ class Case:
     results: int = 1
 
 
-def cases(library: str, names: dict[str, Any], *calls: tuple[str, str] | tuple[str, str, int]) -> list[Case]:
+def cases(
+    library: str, names: dict[str, Any], *calls: tuple[str, str] | tuple[str, str, int]
+) -> list[Case]:
     """Cases of one library that share names, from (call, code) or (call, code, results)."""
     return [Case(library, call[0], call[1], names, *call[2:]) for call in calls]
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: a number for a library's call (a median), and the best one that was seen."""
+    """One line of a table: a number for a library's call (a median), and the best one that was
+    seen.
+    """
 
     library: str
     call: str
@@ -69,7 +73,9 @@ class Table:
     """Columns that hold words; the others hold numbers."""
 
     def value(self, library: str, call: str = "") -> float | None:
-        """The number of a library's first row whose call begins so, or None where it was not measured."""
+        """The number of a library's first row whose call begins so, or None where it was not
+        measured.
+        """
         row = self._row(library, call)
         return None if row is None else row.value
 
@@ -79,7 +85,9 @@ class Table:
         return None if row is None else row.value if row.best is None else row.best
 
     def _row(self, library: str, call: str) -> Row | None:
-        return next((r for r in self.rows if r.library == library and r.call.startswith(call)), None)
+        return next(
+            (r for r in self.rows if r.library == library and r.call.startswith(call)), None
+        )
 
     def at_most(self, text: str, value: float | None, bound: float) -> None:
         """Record the goal that a number is at most `bound`; nothing where it was not measured."""
@@ -98,21 +106,34 @@ class Table:
         return None if a is None or b is None else a / b
 
     def behind(self) -> list[str]:
-        """Remarks on what of Kempe is slower than others; none where lines of different libraries do not compare."""
+        """Remarks on what of Kempe is slower than others; none where lines of different libraries
+        do not compare.
+        """
         return []
 
     def data(self) -> dict[str, Any]:
         """The table as plain data."""
         return {
-            "title": self.title, "unit": self.unit, "rows": [vars(r) for r in self.rows],
-            "goals": [vars(g) for g in self.goals], "remarks": list(self.remarks),
-        }  # fmt: skip
+            "title": self.title,
+            "unit": self.unit,
+            "rows": [vars(r) for r in self.rows],
+            "goals": [vars(g) for g in self.goals],
+            "remarks": list(self.remarks),
+        }
 
     def columns(self) -> tuple[list[str], list[list[str]]]:
-        """Header and cells of the table as text: the best turn and the ratio where they mean something."""
+        """Header and cells of the table as text: the best turn and the ratio where they mean
+        something.
+        """
         best = any(row.best is not None for row in self.rows)
         times = self.ratios and len(self.rows) > 1
-        header = ["library", "call", self.unit, *(["best"] if best else []), *(["ratio"] if times else [])]
+        header = [
+            "library",
+            "call",
+            self.unit,
+            *(["best"] if best else []),
+            *(["ratio"] if times else []),
+        ]
         cells = []
         for row in self.rows:
             line = [row.library, row.call, significant(row.value)]
@@ -125,7 +146,11 @@ class Table:
         """The table as Markdown."""
         header, cells = self.columns()
         rule = ["---"] * self.words + ["--:"] * (len(header) - self.words)
-        lines = [f"## {self.title}", "", *(f"| {' | '.join(line)} |" for line in (header, rule, *cells))]
+        lines = [
+            f"## {self.title}",
+            "",
+            *(f"| {' | '.join(line)} |" for line in (header, rule, *cells)),
+        ]
         for title, items in (("Goals", self.goals), ("Remarks", self.remarks)):
             if items:
                 lines += ["", f"{title}:", "", *(f"- {item}" for item in items)]
@@ -142,10 +167,14 @@ class Grid(Table):
         libraries = list(dict.fromkeys(row.library for row in self.rows))
         found = {(row.call, row.library): significant(row.value) for row in self.rows}
         calls = dict.fromkeys(row.call for row in self.rows)
-        return [self.unit, *libraries], [[call, *(found.get((call, x), "-") for x in libraries)] for call in calls]
+        return [self.unit, *libraries], [
+            [call, *(found.get((call, x), "-") for x in libraries)] for call in calls
+        ]
 
     def behind(self) -> list[str]:
-        """A remark for each column of Kempe that is slower somewhere than the fastest other library of the line."""
+        """A remark for each column of Kempe that is slower somewhere than the fastest other library
+        of the line.
+        """
         if self.unit not in ("s", "ms", "us", "ns"):
             return []
         found: dict[str, list[str]] = {}
@@ -157,7 +186,10 @@ class Grid(Table):
             first = min(others, key=lambda row: row.value)
             for row in line:
                 if row.library.startswith("Kempe") and row.value > first.value:
-                    text = f"{call} ({significant(row.value / first.value)} times as long as {first.library})"
+                    text = (
+                        f"{call} ({significant(row.value / first.value)} times as long as "
+                        f"{first.library})"
+                    )
                     found.setdefault(row.library, []).append(text)
         return [f"behind: {library}: {'; '.join(lines)}" for library, lines in found.items()]
 
@@ -165,10 +197,12 @@ class Grid(Table):
 def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:
     """Median and best time of one result of each case, in units of 1/`scale` seconds.
 
-    The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them alike;
-    garbage collection is off inside a turn.
+    The cases take turns (A B C A B C ...), so that a drift of the machine's speed meets all of them
+    alike; garbage collection is off inside a turn.
     """
-    timers = [timeit.Timer(c.code, timer=time.perf_counter_ns, globals=dict(c.names)) for c in cases]
+    timers = [
+        timeit.Timer(c.code, timer=time.perf_counter_ns, globals=dict(c.names)) for c in cases
+    ]
     numbers = []
     for timer in timers:
         timer.timeit(1)

@@ -15,7 +15,8 @@ from kempe_bench.timing import Case, Row, Table, cases, measure
 BATCH = 10_000
 LENGTHS = (10, 100, 300, 1000, 10_000)
 PINOCCHIO_LONGEST = 300
-"""Bodies of the longest chain given to Pinocchio, whose memory grows with the cube of the length."""
+"""Bodies of the longest chain given to Pinocchio, whose memory grows with the cube of the
+length."""
 
 
 def humanoid(bench: Bench) -> Table | None:
@@ -32,10 +33,12 @@ def humanoid(bench: Bench) -> Table | None:
     out = {"out": np.empty((k, 4, 4)), "outs": np.empty((BATCH, k, 4, 4))}
     batch = f"batch of {BATCH:,} into out=, one thread"
     timed = cases(
-        "Kempe", out | {"robot": robot, "q": q[0], "many": q},
-        ("one call, a new array", "robot.fk(q)"), ("one call into out=", "robot.fk(q, out=out)"),
+        "Kempe",
+        out | {"robot": robot, "q": q[0], "many": q},
+        ("one call, a new array", "robot.fk(q)"),
+        ("one call into out=", "robot.fk(q, out=out)"),
         (batch, "robot.fk(many, out=outs, threads=1)", BATCH),
-    )  # fmt: skip
+    )
     if "pin" in bench.versions:
         timed += _pinocchio(file)
     if "mujoco" in bench.versions:
@@ -51,21 +54,34 @@ def humanoid(bench: Bench) -> Table | None:
 def _pinocchio(file: Path) -> list[Case]:
     pin = peers.module("pinocchio")
     model = pin.buildModelFromUrdf(str(file))
-    names = {"model": model, "data": model.createData(), "q": pin.neutral(model), "array": np.array,
-             "fk": pin.forwardKinematics, "frames": pin.updateFramePlacements}  # fmt: skip
+    names = {
+        "model": model,
+        "data": model.createData(),
+        "q": pin.neutral(model),
+        "array": np.array,
+        "fk": pin.forwardKinematics,
+        "frames": pin.updateFramePlacements,
+    }
     joints = "fk(model, data, q)"
     frames = "fk(model, data, q); frames(model, data)"
     return cases(
-        "Pinocchio", names,
-        ("joints only, in its data", joints), ("joints and frames, in its data", frames),
+        "Pinocchio",
+        names,
+        ("joints only, in its data", joints),
+        ("joints and frames, in its data", frames),
         ("joints only, as one array", f"{joints}; array([X.homogeneous for X in data.oMi])"),
         ("joints and frames, as one array", f"{frames}; array([X.homogeneous for X in data.oMf])"),
-    )  # fmt: skip
+    )
 
 
 def _mujoco(file: Path) -> list[Case]:
     model, data = peers.mujoco_model(file)
-    names = {"fk": peers.module("mujoco").mj_kinematics, "model": model, "data": data, "q": data.qpos.copy()}
+    names = {
+        "fk": peers.module("mujoco").mj_kinematics,
+        "model": model,
+        "data": data,
+        "q": data.qpos.copy(),
+    }
     code = "data.qpos[:] = q; fk(model, data); data.xpos.copy(), data.xmat.copy()"
     return cases("MuJoCo", names, ("copies of positions and rotations", code))
 
@@ -84,7 +100,9 @@ def growth(bench: Bench) -> Table:
     table = Table("Growth: all bodies of a chain, one call", "ns a body", rows, ratios=False)
     long, short = (table.best("Kempe", f"{n:,} bodies") for n in (LENGTHS[-1], LENGTHS[1]))
     assert long is not None and short is not None, "Kempe takes part in every run"
-    table.at_most(f"a body of {LENGTHS[-1]:,} costs at most twice one of {LENGTHS[1]:,}", long / short, 2)
+    table.at_most(
+        f"a body of {LENGTHS[-1]:,} costs at most twice one of {LENGTHS[1]:,}", long / short, 2
+    )
     return table
 
 
@@ -94,7 +112,9 @@ def chain(n: int) -> System:
     previous = out.ground
     for i in range(n):
         body = out.body(f"b{i}")
-        out.revolute(f"j{i}", previous, body, at=(0.1, 0.0, 0.02), axis=((0, 0, 1), (0, 1, 0))[i % 2])
+        out.revolute(
+            f"j{i}", previous, body, at=(0.1, 0.0, 0.02), axis=((0, 0, 1), (0, 1, 0))[i % 2]
+        )
         previous = body
     return out.build()
 
@@ -105,6 +125,13 @@ def _pinocchio_chain(n: int, robot: System) -> list[Case]:
     parent = 0
     for i in range(n):
         kind = (pin.JointModelRZ(), pin.JointModelRY())[i % 2]
-        parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.02])), f"j{i}")
-    names = {"fk": pin.forwardKinematics, "model": model, "data": model.createData(), "q": robot.random(1)}
+        parent = model.addJoint(
+            parent, kind, pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.02])), f"j{i}"
+        )
+    names = {
+        "fk": pin.forwardKinematics,
+        "model": model,
+        "data": model.createData(),
+        "q": robot.random(1),
+    }
     return cases("Pinocchio", names, (f"{n:,} bodies, in its data", "fk(model, data, q)", n))

@@ -1,4 +1,6 @@
-"""Ways on constraint manifolds: planar loops of bars from one configuration to another, beside OMPL."""
+"""Ways on constraint manifolds: planar loops of bars from one configuration to another, beside
+OMPL.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,16 @@ if TYPE_CHECKING:
 
 LOOPS = {"five bars": (0.9, 1.0, 0.9, 0.8), "six bars": (0.9, 0.5, 1.0, 0.6, 0.8),
          "eight bars": (0.9, 0.5, 0.7, 0.4, 0.6, 0.5, 0.8)}  # fmt: skip
-"""Lengths of the moving bars; the pins of the ground are 1.1 apart. No three bars are long: all configurations join."""
+"""Lengths of the moving bars; the pins of the ground are 1.1 apart. No three bars are long: all
+configurations join."""
 GROUND = 1.1
 PAIRS = 20
 LIMIT = 5.0
 STEP = 0.25
 """Longest step in radians, by the largest difference of a coordinate, of a way that counts."""
 CLOSED = 1e-3
-"""Opening in units of length up to which a configuration of a way counts as closed: OMPL's tolerance is 1e-4."""
+"""Opening in units of length up to which a configuration of a way counts as closed: OMPL's
+tolerance is 1e-4."""
 
 Way = Callable[["Array", "Array"], "Array | None"]
 
@@ -40,21 +44,29 @@ def planar(bench: Bench) -> Grid:
         pairs = list(zip(q[:PAIRS], q[PAIRS:], strict=True))
         ways: dict[str, Way] = {"Kempe": lambda a, b, s=system: of_kempe(s, a, b)}
         if "ompl" in bench.versions:
-            ways |= {f"OMPL, {kind}": lambda a, b, k=kind, x=lengths: of_ompl(k, x, a, b)
-                     for kind in ("projection", "atlas", "tangent bundle")}  # fmt: skip
+            ways |= {
+                f"OMPL, {kind}": lambda a, b, k=kind, x=lengths: of_ompl(k, x, a, b)
+                for kind in ("projection", "atlas", "tangent bundle")
+            }
         for library, way in ways.items():
-            times = [t for t in (timed(way, np.asarray(lengths), *pair) for pair in pairs) if t is not None]
+            times = [
+                t
+                for t in (timed(way, np.asarray(lengths), *pair) for pair in pairs)
+                if t is not None
+            ]
             table.rows.append(Row(library, f"{name}: success, %", 100.0 * len(times) / PAIRS))
             if times:
-                table.rows.append(Row(library, f"{name}: median, ms", 1e3 * statistics.median(times)))
+                table.rows.append(
+                    Row(library, f"{name}: median, ms", 1e3 * statistics.median(times))
+                )
     least = min(r.value for r in table.rows if r.library == "Kempe" and "%" in r.call)
     table.at_least("all loops, success in %", least, 100.0)
     table.remarks += [
-        f"{PAIRS} pairs each, at most {LIMIT:g} s a pair; a way counts if its steps are at most {STEP:g} rad and all "
-        f"its configurations close to {CLOSED:g}",
-        "OMPL: RRT-Connect with the defaults of its constrained state spaces; the constraint and its Jacobian are some "
-        "lines of numpy, called from C++ for each configuration, which is most of its time; its coordinates are "
-        "numbers within a turn, those of Kempe angles",
+        f"{PAIRS} pairs each, at most {LIMIT:g} s a pair; a way counts if its steps are at most "
+        f"{STEP:g} rad and all its configurations close to {CLOSED:g}",
+        "OMPL: RRT-Connect with the defaults of its constrained state spaces; the constraint and "
+        "its Jacobian are some lines of numpy, called from C++ for each configuration, which is "
+        "most of its time; its coordinates are numbers within a turn, those of Kempe angles",
     ]
     return table
 
@@ -67,7 +79,11 @@ def timed(way: Way, lengths: Array, a: Array, b: Array) -> float | None:
     if q is None or took > 1.2 * LIMIT:
         return None
     steps = (np.diff(np.vstack([a, q, b]), axis=0) + np.pi) % (2 * np.pi) - np.pi
-    return took if np.abs(steps).max() <= STEP and np.abs(opening(lengths, q)).max() <= CLOSED else None
+    return (
+        took
+        if np.abs(steps).max() <= STEP and np.abs(opening(lengths, q)).max() <= CLOSED
+        else None
+    )
 
 
 def opening(lengths: Array, q: Array) -> Array:
@@ -96,7 +112,9 @@ def loop_of(lengths: tuple[float, ...]) -> Any:
 
 
 def of_kempe(system: Any, a: Array, b: Array) -> Array | None:
-    """A way by `configuration_space.path`; the last coordinate of the system is the angle at the pin that closes it."""
+    """A way by `configuration_space.path`; the last coordinate of the system is the angle at the
+    pin that closes it.
+    """
     import kempe
 
     ends = [np.append(q, -q.sum()) for q in (a, b)]
@@ -123,9 +141,11 @@ def of_ompl(kind: str, lengths: tuple[float, ...], a: Array, b: Array) -> Array 
             out[0] = np.cumsum((-bars * np.sin(turned))[::-1])[::-1]
             out[1] = np.cumsum((bars * np.cos(turned))[::-1])[::-1]
 
-    spaces = {"projection": ("ProjectedStateSpace", "ConstrainedSpaceInformation"),
-              "atlas": ("AtlasStateSpace", "ConstrainedSpaceInformation"),
-              "tangent bundle": ("TangentBundleStateSpace", "TangentBundleSpaceInformation")}  # fmt: skip
+    spaces = {
+        "projection": ("ProjectedStateSpace", "ConstrainedSpaceInformation"),
+        "atlas": ("AtlasStateSpace", "ConstrainedSpaceInformation"),
+        "tangent bundle": ("TangentBundleStateSpace", "TangentBundleSpaceInformation"),
+    }
     space_name, information_name = spaces[kind]
     around = base.RealVectorStateSpace(n)
     bounds = base.RealVectorBounds(n)

@@ -1,4 +1,6 @@
-"""The inverse model of whole bodies: feet and hands of humanoids held, without and with the centre of mass."""
+"""The inverse model of whole bodies: feet and hands of humanoids held, without and with the centre
+of mass.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ Draw = Callable[[Body, int, np.random.Generator], Array]
 
 @dataclass(frozen=True)
 class Line:
-    """What is required in one line of the table: of which robot, with which errors, from how many starts."""
+    """What is required in one line of the table: of which robot, with which errors, from how many
+    starts.
+    """
 
     robot: str
     body: Body
@@ -48,12 +52,17 @@ class Line:
     def title(self) -> str:
         """How the line begins."""
         centre = " and mass" if self.mass else ""
-        return f"{self.robot}{centre}, {self.tolerance[0]:g}, {'one start' if self.once else 'restarts'}"
+        return (
+            f"{self.robot}{centre}, {self.tolerance[0]:g}, "
+            f"{'one start' if self.once else 'restarts'}"
+        )
 
     def reached(self, q: Array, goals: Array) -> np.ndarray:
-        """Which rows of q (n, 7 + joints) hold their goals (n, k, 4, 4) inside the limits, by Pinocchio.
+        """Which rows of q (n, 7 + joints) hold their goals (n, k, 4, 4) inside the limits, by
+        Pinocchio.
 
-        NaN rows do not. The worst distance, that of the centre of mass included, and the worst angle count.
+        NaN rows do not. The worst distance, that of the centre of mass included, and the worst
+        angle count.
         """
         linear, angular = self.tolerance
         X, centre = poses(self.body, np.where(np.isfinite(q), q, self.body.start))
@@ -62,7 +71,9 @@ class Line:
         if self.mass:
             distance = np.maximum(distance, np.linalg.norm(centre - goals[:, -1, :3, 3], axis=-1))
         # ||A - B|| = 2 sqrt(2) sin(angle / 2) for rotations: exact where the trace is not
-        chord = np.linalg.norm(X[..., :3, :3] - wanted[..., :3, :3], axis=(-2, -1)).max(axis=-1) / np.sqrt(8.0)
+        chord = np.linalg.norm(X[..., :3, :3] - wanted[..., :3, :3], axis=(-2, -1)).max(
+            axis=-1
+        ) / np.sqrt(8.0)
         angle = 2.0 * np.arcsin(np.minimum(chord, 1.0))
         lower, upper = self.body.limits.T
         joints = q[:, BASE:]
@@ -72,7 +83,9 @@ class Line:
 
 
 def goals_of(body: Body, q: Array, mass: bool) -> Array:
-    """Goals (n, k, 4, 4) that q (n, 7 + joints) holds: of the frames, then a pose at the centre of mass."""
+    """Goals (n, k, 4, 4) that q (n, 7 + joints) holds: of the frames, then a pose at the centre of
+    mass.
+    """
     X, centre = poses(body, q)
     if not mass:
         return X
@@ -91,7 +104,12 @@ def anywhere(bench: Bench) -> Grid | None:
 
 def standing(bench: Bench) -> Grid | None:
     """The same, goals made nearer to the start, which all are given."""
-    return _section(bench, f"joints within {100 * PART:g} % of their range about the start", Body.standing, near=True)
+    return _section(
+        bench,
+        f"joints within {100 * PART:g} % of their range about the start",
+        Body.standing,
+        near=True,
+    )
 
 
 def _section(bench: Bench, title: str, draw: Draw, near: bool) -> Grid | None:
@@ -119,9 +137,12 @@ def _lines(folder: Path) -> list[Line]:
     bodies = {robot.title: robot.body(folder) for robot in HUMANOIDS}
     return [
         Line(title, body, mass, tolerance, once)
-        for title, body in bodies.items() if body is not None
-        for mass in (False, True) for tolerance in (COARSE, FINE) for once in (False, True)
-    ]  # fmt: skip
+        for title, body in bodies.items()
+        if body is not None
+        for mass in (False, True)
+        for tolerance in (COARSE, FINE)
+        for once in (False, True)
+    ]
 
 
 def _measured(
@@ -129,7 +150,8 @@ def _measured(
 ) -> dict[str, list[int]]:
     """Fill the table; how many goals each library was given, line by line."""
     cases = [
-        _case(folder / str(i), line, wanted, near) for i, (line, wanted) in enumerate(zip(lines, goals, strict=True))
+        _case(folder / str(i), line, wanted, near)
+        for i, (line, wanted) in enumerate(zip(lines, goals, strict=True))
     ]
     tried: dict[str, list[int]] = {}
     for line, wanted in zip(lines, goals, strict=True):
@@ -143,7 +165,9 @@ def _measured(
         for i, answer in zip(some, answers(package, [cases[i] for i in some]), strict=True):
             hit = lines[i].reached(answer.q, goals[i][: len(answer.q)])
             if len(hit) >= FEWEST:
-                table.rows += rows_of(library, lines[i].title, hit, 1e-6 * answer.nanoseconds, FIGURES)
+                table.rows += rows_of(
+                    library, lines[i].title, hit, 1e-6 * answer.nanoseconds, FIGURES
+                )
                 tried.setdefault(library, []).append(len(hit))
             if answer.trouble:
                 table.remarks.append(f"{library} fails on {lines[i].title}: {answer.trouble[:100]}")
@@ -153,14 +177,23 @@ def _measured(
 def _case(folder: Path, line: Line, goals: Array, near: bool) -> Case:
     folder.mkdir()
     np.save(folder / "targets.npy", goals)
-    np.save(folder / "starts.npy", np.broadcast_to(line.body.start, (len(goals), len(line.body.start))))
-    requested = {"frames": line.body.frames, "mass": line.mass, "tolerance": line.tolerance, "once": line.once}
+    np.save(
+        folder / "starts.npy", np.broadcast_to(line.body.start, (len(goals), len(line.body.start)))
+    )
+    requested = {
+        "frames": line.body.frames,
+        "mass": line.mass,
+        "tolerance": line.tolerance,
+        "once": line.once,
+    }
     return Case(str(line.body.file), str(folder), near or line.once, SHARE, requested)
 
 
 def _batch(line: Line, goals: Array, near: bool) -> list[Row]:
     """Kempe's answer to all goals in one call in one thread: success, milliseconds a goal."""
-    held: list[tasks.Task] = [tasks.Pose(name, goals[:, i]) for i, name in enumerate(line.body.frames)]
+    held: list[tasks.Task] = [
+        tasks.Pose(name, goals[:, i]) for i, name in enumerate(line.body.frames)
+    ]
     if line.mass:
         held.append(tasks.CentreOfMass(goals[:, -1, :3, 3]))
     turns = []
@@ -168,7 +201,9 @@ def _batch(line: Line, goals: Array, near: bool) -> list[Row]:
     seed = line.body.start if near else None
     for _ in range(3):
         start = time.perf_counter()
-        answer = line.body.system.ik(held, start=seed, tolerance=line.tolerance, budget=kempe.Budget(threads=1))
+        answer = line.body.system.ik(
+            held, start=seed, tolerance=line.tolerance, budget=kempe.Budget(threads=1)
+        )
         turns.append(1e3 * (time.perf_counter() - start) / len(goals))
         q = np.where(answer.success[:, None], answer.q, np.nan)
     success = percent(line.reached(q, goals))
@@ -180,9 +215,16 @@ def _batch(line: Line, goals: Array, near: bool) -> list[Row]:
 
 def _judged(table: Grid, lines: list[Line]) -> None:
     """The goals: of the lines with restarts, the worst."""
-    for mass, least, what in ((False, FOUND, "feet and hands"), (True, FOUND_WITH_MASS, "with the centre of mass")):
-        calls = {f"{line.title}: {SUCCESS}" for line in lines if line.mass == mass and not line.once}
-        worst = min(r.value for r in table.rows if r.library in ("Kempe", BATCH) and r.call in calls)
+    for mass, least, what in (
+        (False, FOUND, "feet and hands"),
+        (True, FOUND_WITH_MASS, "with the centre of mass"),
+    ):
+        calls = {
+            f"{line.title}: {SUCCESS}" for line in lines if line.mass == mass and not line.once
+        }
+        worst = min(
+            r.value for r in table.rows if r.library in ("Kempe", BATCH) and r.call in calls
+        )
         table.at_least(f"{what}, with restarts, Kempe reaches at least {least:g} %", worst, least)
 
 
@@ -190,17 +232,21 @@ def _remarks(tried: dict[str, list[int]], near: bool) -> list[str]:
     """How it was done, and what is missing."""
     coarse, fine = ("{:g} m and {:g} rad".format(*tolerance) for tolerance in (COARSE, FINE))
     out = [
-        f"goals: poses of both feet and both hands, and the centre of mass, of random configurations, the base up to "
-        f"{MOVED:g} m and {TURNED:g} rad from the origin along and about each axis; by Pinocchio",
-        f"success, rounded down: worst errors at most {coarse}, or {fine}, limits respected, by Pinocchio",
-        "one start: all from the base at the origin and joints at zero, or the limit next to it; restarts: "
+        "goals: poses of both feet and both hands, and the centre of mass, of random "
+        f"configurations, the base up to {MOVED:g} m and {TURNED:g} rad from the origin along and "
+        "about each axis; by Pinocchio",
+        f"success, rounded down: worst errors at most {coarse}, or {fine}, limits respected, by "
+        "Pinocchio",
+        "one start: all from the base at the origin and joints at zero, or the limit next to it; "
+        "restarts: "
         + ("the same start first" if near else "the same start first, but Kempe chooses its own")
         + f"; the others, which have no restarts, start again at random until {1e3 * LIMIT:g} ms are over",
-        "Pinocchio: damped Newton steps written in numpy on its Jacobians; mink, pink: full steps by daqp; Drake: "
-        "SNOPT, coarser errors only, as it bounds the square of an angle",
-        "times are of one call from Python, success or not; batch: all goals in one call, one thread, ms a goal",
-        "each library runs in a process of its own, one thread, the same URDF file for all; goals, fewest in a line: "
-        + ", ".join(f"{name} {min(n)}" for name, n in tried.items()),
+        "Pinocchio: damped Newton steps written in numpy on its Jacobians; mink, pink: full steps "
+        "by daqp; Drake: SNOPT, coarser errors only, as it bounds the square of an angle",
+        "times are of one call from Python, success or not; batch: all goals in one call, one "
+        "thread, ms a goal",
+        "each library runs in a process of its own, one thread, the same URDF file for all; goals, "
+        "fewest in a line: " + ", ".join(f"{name} {min(n)}" for name, n in tried.items()),
         "placo, which needs Pinocchio 3, cannot be installed beside the others",
     ]
     absent = [p for p in BODIES if p != KEMPE and importlib.util.find_spec(peers.PEERS[p]) is None]

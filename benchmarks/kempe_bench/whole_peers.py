@@ -1,4 +1,6 @@
-"""Libraries that solve the inverse model of a whole body, each given the same robot, the same start, the same goals."""
+"""Libraries that solve the inverse model of a whole body, each given the same robot, the same
+start, the same goals.
+"""
 
 from __future__ import annotations
 
@@ -18,23 +20,28 @@ from kempe_bench.whole_robots import BASE, Body, mujoco_body, pinocchio_body
 
 COARSE = (1e-4, 1e-3)
 FINE = (1e-6, 1e-6)
-"""Largest errors of a success in metres and radians: as in published comparisons, and as Kempe has it."""
+"""Largest errors of a success in metres and radians: as in published comparisons, and as Kempe has
+it."""
 LIMIT = 0.1
 """Seconds after which a library that is started again gives up a target."""
 STEPS = 20
 STEPS_ONCE = 100
-"""Steps of a start: of 20, 40 and 100 the number with the least time for a success, and that with most successes."""
+"""Steps of a start: of 20, 40 and 100 the number with the least time for a success, and that with
+most successes."""
 DAMPING = 1e-2
-"""Levenberg and Marquardt's factor of libraries that give velocities: of 1e-6 to 1 the one with the most successes."""
+"""Levenberg and Marquardt's factor of libraries that give velocities: of 1e-6 to 1 the one with the
+most successes."""
 LEAST = 1e-9
 """Smallest damping."""
 
 
 class WholeBody:
-    """The inverse model of a body by one library, which is started again at random until it succeeds, or `once` only.
+    """The inverse model of a body by one library, which is started again at random until it
+    succeeds, or `once` only.
 
-    Goals (n, frames or frames + 1, 4, 4) are poses of the frames, then a pose at the centre of mass, if it is held.
-    `solve` is what is timed: a library's own configuration for a goal and a start (7 + joints,), or None.
+    Goals (n, frames or frames + 1, 4, 4) are poses of the frames, then a pose at the centre of
+    mass, if it is held. `solve` is what is timed: a library's own configuration for a goal and a
+    start (7 + joints,), or None.
     """
 
     seedless = False
@@ -83,7 +90,9 @@ class WholeBody:
         return out
 
     def read(self, answer: Any) -> Array:
-        """Our coordinates of an answer; steps end at a limit up to the rounding of a quadratic program."""
+        """Our coordinates of an answer; steps end at a limit up to the rounding of a quadratic
+        program.
+        """
         q = np.asarray(answer)[self.place]
         return np.concatenate([q[:BASE], np.clip(q[BASE:], *self.limits.T)])
 
@@ -101,15 +110,21 @@ class Kempe(WholeBody):
 
     def solve(self, goal: Any, start: Array | None) -> Any:
         """One public call, tasks and all."""
-        held: list[tasks.Task] = [tasks.Pose(name, X) for name, X in zip(self.body.frames, goal, strict=False)]
+        held: list[tasks.Task] = [
+            tasks.Pose(name, X) for name, X in zip(self.body.frames, goal, strict=False)
+        ]
         if self.mass:
             held.append(tasks.CentreOfMass(goal[-1, :3, 3]))
-        answer = self.system.ik(held, start=start, tolerance=self.tolerance, budget=kempe.Budget(starts=self.starts))
+        answer = self.system.ik(
+            held, start=start, tolerance=self.tolerance, budget=kempe.Budget(starts=self.starts)
+        )
         return answer.q if answer.success else None
 
 
 class Steps(WholeBody):
-    """A library that gives the velocity to its tasks: steps until all errors are small, at most `steps` of them."""
+    """A library that gives the velocity to its tasks: steps until all errors are small, at most
+    `steps` of them.
+    """
 
     configuration: Any
     held: list[Any]
@@ -155,10 +170,16 @@ class Mink(Steps):
         self.SE3 = mink.SE3
         self.solve_ik = mink.solve_ik
         self.configuration = mink.Configuration(model)
-        self.held = [mink.FrameTask(name, "body", 1.0, 1.0, lm_damping=DAMPING) for name in self.body.frames]
+        self.held = [
+            mink.FrameTask(name, "body", 1.0, 1.0, lm_damping=DAMPING) for name in self.body.frames
+        ]
         if self.mass:
             self.held.append(mink.ComTask(1.0, lm_damping=DAMPING))
-        self.options = {"solver": "daqp", "damping": LEAST, "limits": [mink.ConfigurationLimit(model, gain=1.0)]}
+        self.options = {
+            "solver": "daqp",
+            "damping": LEAST,
+            "limits": [mink.ConfigurationLimit(model, gain=1.0)],
+        }
         self.failures = mink.NoSolutionFound, mink.NotWithinConfigurationLimits
 
     def ready(self, goals: Array) -> Sequence[Any]:
@@ -178,7 +199,9 @@ class Pink(Steps):
         self.SE3 = pin.SE3
         self.solve_ik = pink.solve_ik
         self.configuration = pink.Configuration(model, model.createData(), pin.neutral(model))
-        self.held = [pink.FrameTask(name, 1.0, 1.0, lm_damping=DAMPING) for name in self.body.frames]
+        self.held = [
+            pink.FrameTask(name, 1.0, 1.0, lm_damping=DAMPING) for name in self.body.frames
+        ]
         if self.mass:
             self.held.append(pink.tasks.ComTask(1.0, lm_damping=DAMPING))
         bounds = [peers.module("pink.limits").ConfigurationLimit(model, config_limit_gain=1.0)]
@@ -195,7 +218,8 @@ class Pink(Steps):
 class Newton(WholeBody):
     """Damped Newton steps written in numpy on Pinocchio's frames and Jacobians, cut at the limits.
 
-    Joints at a limit that a step pushes further are left out of it, once (an active set of two passes).
+    Joints at a limit that a step pushes further are left out of it, once (an active set of two
+    passes).
     """
 
     def prepare(self) -> None:
@@ -207,7 +231,10 @@ class Newton(WholeBody):
         self.frames = [self.model.getFrameId(name) for name in self.body.frames]
         self.at_q = np.array([j.idx_q for j in self.model.joints if j.nq == 1])
         self.at_v = np.array([j.idx_v for j in self.model.joints if j.nq == 1])
-        self.bounds = self.model.lowerPositionLimit[self.at_q], self.model.upperPositionLimit[self.at_q]
+        self.bounds = (
+            self.model.lowerPositionLimit[self.at_q],
+            self.model.upperPositionLimit[self.at_q],
+        )
         rows = 6 * len(self.frames) + 3 * self.mass
         self.e = np.empty(rows)
         self.J = np.empty((rows, self.model.nv))
@@ -215,7 +242,10 @@ class Newton(WholeBody):
     def ready(self, goals: Array) -> Sequence[Any]:
         """Poses, then the position of the centre."""
         n = len(self.frames)
-        return [([self.pin.SE3(X) for X in goal[:n]], goal[-1, :3, 3] if self.mass else None) for goal in goals]
+        return [
+            ([self.pin.SE3(X) for X in goal[:n]], goal[-1, :3, 3] if self.mass else None)
+            for goal in goals
+        ]
 
     def attempt(self, goal: Any, start: Array) -> Any:
         """Steps from one start."""
@@ -224,7 +254,10 @@ class Newton(WholeBody):
         angular = self.tolerance[1] ** 2
         for _ in range(self.steps + 1):
             e = self.equations(goal, q)
-            if all(x[:3] @ x[:3] <= linear and x[3:] @ x[3:] <= angular for x in np.split(e, range(6, len(e), 6))):
+            if all(
+                x[:3] @ x[:3] <= linear and x[3:] @ x[3:] <= angular
+                for x in np.split(e, range(6, len(e), 6))
+            ):
                 return q
             q = self.pin.integrate(self.model, q, self.step(q, self.J, e))
             q[self.at_q] = np.clip(q[self.at_q], *self.bounds)
@@ -242,7 +275,9 @@ class Newton(WholeBody):
         for i, (frame, target) in enumerate(zip(self.frames, goal[0], strict=True)):
             miss = target.actInv(pin.updateFramePlacement(model, data, frame))
             self.e[6 * i : 6 * i + 6] = pin.log6(miss).vector
-            self.J[6 * i : 6 * i + 6] = pin.Jlog6(miss) @ pin.getFrameJacobian(model, data, frame, self.axes)
+            self.J[6 * i : 6 * i + 6] = pin.Jlog6(miss) @ pin.getFrameJacobian(
+                model, data, frame, self.axes
+            )
         return self.e
 
     def step(self, q: Array, J: Array, e: Array) -> Array:
@@ -261,7 +296,9 @@ class Newton(WholeBody):
 
 
 class Drake(WholeBody):
-    """Drake: SNOPT on bounds of positions and angles; the square of an angle is bounded, which cannot be small."""
+    """Drake: SNOPT on bounds of positions and angles; the square of an angle is bounded, which
+    cannot be small.
+    """
 
     coarse = True
 
@@ -274,7 +311,9 @@ class Drake(WholeBody):
         joints = [self.plant.get_joint(i) for i in self.plant.GetJointIndices()]
         at = next(j.position_start() for j in joints if j.num_positions() == BASE)
         first = {j.name(): j.position_start() for j in joints}
-        self.place = np.array([*(at + k for k in (4, 5, 6, 0, 1, 2, 3)), *(first[name] for name in self.names)])
+        self.place = np.array(
+            [*(at + k for k in (4, 5, 6, 0, 1, 2, 3)), *(first[name] for name in self.names)]
+        )
         self.context = self.plant.CreateDefaultContext()
         self.rotation = peers.module("pydrake.math").RotationMatrix
         solvers = peers.module("pydrake.solvers")
@@ -287,7 +326,10 @@ class Drake(WholeBody):
         """Positions and rotations of the frames, and the centre."""
         n = len(self.body.frames)
         return [
-            ([(X[:3, 3], self.rotation(X[:3, :3])) for X in goal[:n]], goal[-1, :3, 3] if self.mass else None)
+            (
+                [(X[:3, 3], self.rotation(X[:3, :3])) for X in goal[:n]],
+                goal[-1, :3, 3] if self.mass else None,
+            )
             for goal in goals
         ]
 
@@ -315,14 +357,22 @@ class Drake(WholeBody):
 
 KEMPE = "kempe"
 BODIES: dict[str, tuple[str, type[WholeBody]]] = {
-    KEMPE: ("Kempe", Kempe), "mink": ("mink", Mink), "pin-pink": ("pink", Pink), "pin": ("Pinocchio", Newton),
+    KEMPE: ("Kempe", Kempe),
+    "mink": ("mink", Mink),
+    "pin-pink": ("pink", Pink),
+    "pin": ("Pinocchio", Newton),
     "drake": ("Drake", Drake),
-}  # fmt: skip
+}
 """Title and class of each library, by package."""
 
 
 def prepared(
-    package: str, file: Path, frames: Sequence[str], mass: bool, tolerance: Sequence[float], once: bool
+    package: str,
+    file: Path,
+    frames: Sequence[str],
+    mass: bool,
+    tolerance: Sequence[float],
+    once: bool,
 ) -> WholeBody:
     """A library given the robot of a file, and what is required of it."""
     linear, angular = tolerance

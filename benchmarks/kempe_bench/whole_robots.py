@@ -1,4 +1,6 @@
-"""Humanoids with a floating base for the inverse model of whole bodies, the same file for all libraries."""
+"""Humanoids with a floating base for the inverse model of whole bodies, the same file for all
+libraries.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
 
 GROUND = "world"
 FLOATING = "floating_base"
-"""Names of the fixed link and of the joint of six freedoms that the files are given: MuJoCo asks for this link's."""
+"""Names of the fixed link and of the joint of six freedoms that the files are given: MuJoCo asks
+for this link's."""
 BASE = 7
 """Coordinates of the base: position, then quaternion, w first."""
 MOVED = 0.2
@@ -51,14 +54,18 @@ class Humanoid:
 
 HUMANOIDS = (
     Humanoid(
-        "G1", "g1_29dof_rev_1_0.urdf", ("left_ankle_roll_link", "right_ankle_roll_link"),
+        "G1",
+        "g1_29dof_rev_1_0.urdf",
+        ("left_ankle_roll_link", "right_ankle_roll_link"),
         ("left_rubber_hand", "right_rubber_hand"),
     ),
     Humanoid(
-        "Talos", "talos_reduced.urdf", ("left_sole_link", "right_sole_link"),
+        "Talos",
+        "talos_reduced.urdf",
+        ("left_sole_link", "right_sole_link"),
         ("gripper_left_base_link", "gripper_right_base_link"),
     ),
-)  # fmt: skip
+)
 """The robots."""
 
 
@@ -66,7 +73,8 @@ HUMANOIDS = (
 class Body:
     """A robot with a floating base, as its file says; `frames` are held.
 
-    Configurations (..., 7 + joints) are the base's position and quaternion (w first), then the joints `names`.
+    Configurations (..., 7 + joints) are the base's position and quaternion (w first), then the
+    joints `names`.
     """
 
     file: Path
@@ -89,11 +97,15 @@ class Body:
 
     @property
     def start(self) -> Array:
-        """Where all libraries start: the base at the origin, joints at zero or at the limit next to it."""
+        """Where all libraries start: the base at the origin, joints at zero or at the limit next to
+        it.
+        """
         return np.concatenate([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], np.clip(0.0, *self.limits.T)])
 
     def anywhere(self, n: int, random: np.random.Generator) -> Array:
-        """Configurations (n, 7 + joints): joints uniform inside the limits, the base near the origin."""
+        """Configurations (n, 7 + joints): joints uniform inside the limits, the base near the
+        origin.
+        """
         return self._drawn(n, random, *self.limits.T)
 
     def standing(self, n: int, random: np.random.Generator) -> Array:
@@ -101,7 +113,9 @@ class Body:
         lower, upper = self.limits.T
         reach = PART * (upper - lower)
         middle = self.start[BASE:]
-        return self._drawn(n, random, np.maximum(middle - reach, lower), np.minimum(middle + reach, upper))
+        return self._drawn(
+            n, random, np.maximum(middle - reach, lower), np.minimum(middle + reach, upper)
+        )
 
     def _drawn(self, n: int, random: np.random.Generator, lower: Array, upper: Array) -> Array:
         p = random.uniform(-MOVED, MOVED, (n, 3))
@@ -111,7 +125,9 @@ class Body:
 
 
 def floating(path: Path) -> str:
-    """URDF text of a robot on a floating base: its links' masses and its joints, nothing to draw, nothing coupled."""
+    """URDF text of a robot on a floating base: its links' masses and its joints, nothing to draw,
+    nothing coupled.
+    """
     root = ElementTree.parse(path).getroot()
     for part in list(root):
         if part.tag not in ("link", "joint"):
@@ -125,7 +141,9 @@ def floating(path: Path) -> str:
             if part.tag not in ("parent", "child", "origin", "axis", "limit"):
                 joint.remove(part)
     carried = {child.get("link") for child in root.iterfind("joint/child")}
-    first = next(link.attrib["name"] for link in root.iter("link") if link.get("name") not in carried)
+    first = next(
+        link.attrib["name"] for link in root.iter("link") if link.get("name") not in carried
+    )
     ElementTree.SubElement(root, "link", name=GROUND)
     base = ElementTree.Element("joint", name=FLOATING, type="floating")
     root.insert(0, base)  # so that its coordinates come first
@@ -149,14 +167,22 @@ def mujoco_body(body: Body) -> tuple[Any, np.ndarray]:
     """MuJoCo's model, all links kept, and where each of our coordinates is in its own."""
     root = ElementTree.parse(body.file).getroot()
     settings = ElementTree.SubElement(root, "mujoco")
-    ElementTree.SubElement(settings, "compiler", fusestatic="false", discardvisual="true", balanceinertia="true")
-    model = peers.module("mujoco").MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    ElementTree.SubElement(
+        settings, "compiler", fusestatic="false", discardvisual="true", balanceinertia="true"
+    )
+    model = peers.module("mujoco").MjModel.from_xml_string(
+        ElementTree.tostring(root, encoding="unicode")
+    )
     at = int(model.joint(FLOATING).qposadr[0])
-    return model, np.array([*range(at, at + BASE), *(int(model.joint(name).qposadr[0]) for name in body.names)])
+    return model, np.array(
+        [*range(at, at + BASE), *(int(model.joint(name).qposadr[0]) for name in body.names)]
+    )
 
 
 def poses(body: Body, q: Array) -> tuple[Array, Array]:
-    """Poses (n, frames, 4, 4) of the frames and centres of mass (n, 3) at q (n, 7 + joints), by Pinocchio."""
+    """Poses (n, frames, 4, 4) of the frames and centres of mass (n, 3) at q (n, 7 + joints), by
+    Pinocchio.
+    """
     pin = peers.module("pinocchio")
     model, place = pinocchio_body(body)
     data = model.createData()

@@ -34,16 +34,31 @@ def binned(bench: Bench) -> Table:
         recipe = recipe_of(system, frame, 0, CELLS, None)
         threads = {who: Threads(recipe, k) for who, k in ((ONE, 1), (TWO, 2))}
         said = {"n": 2 * SAMPLES, "clock": TimeLimit(None), "said": lambda done: None}
-        timed = [Case(who, name, "t.count(0, n, clock, said)", {"t": t, **said}, 2 * SAMPLES)
-                 for who, t in threads.items()]  # fmt: skip
-        timed.append(Case(NUMPY, name, "by_hand(system, frame, n, box)", {
-            "by_hand": by_hand, "system": system, "frame": frame, "n": BY_HAND,
-            "box": list(zip(recipe.grid.low, recipe.grid.high, strict=True)),
-        }, BY_HAND))  # fmt: skip
+        timed = [
+            Case(who, name, "t.count(0, n, clock, said)", {"t": t, **said}, 2 * SAMPLES)
+            for who, t in threads.items()
+        ]
+        timed.append(
+            Case(
+                NUMPY,
+                name,
+                "by_hand(system, frame, n, box)",
+                {
+                    "by_hand": by_hand,
+                    "system": system,
+                    "frame": frame,
+                    "n": BY_HAND,
+                    "box": list(zip(recipe.grid.low, recipe.grid.high, strict=True)),
+                },
+                BY_HAND,
+            )
+        )
         if "pytorch-kinematics" in bench.versions:
             timed.append(_torch(system, frame, timed[-1].names["box"]))
         table.rows += measure(timed, 1e9)
-    table.at_most(f"one thread, ns a sample of {next(iter(ARMS))}", table.best(ONE, "puma560"), 50.0)
+    table.at_most(
+        f"one thread, ns a sample of {next(iter(ARMS))}", table.best(ONE, "puma560"), 50.0
+    )
     one = table.best(ONE, "puma560")
     two = table.best(TWO, "puma560")
     if one and two:
@@ -86,7 +101,9 @@ def counted(points: np.ndarray, box: list[tuple[float, float]]) -> np.ndarray:
 
 
 def _torch(system, frame: str, box: list[tuple[float, float]]) -> Case:
-    """The same map with the forward model of pytorch-kinematics, one thread, float32, and the same counting."""
+    """The same map with the forward model of pytorch-kinematics, one thread, float32, and the same
+    counting.
+    """
     torch = peers.module("torch")
     kinematics = peers.module("pytorch_kinematics")
     torch.set_num_threads(1)

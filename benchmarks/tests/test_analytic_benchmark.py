@@ -1,4 +1,6 @@
-"""The benchmark of all solutions: arms are the published ones, peers get the same arms, answers are judged rightly."""
+"""The benchmark of all solutions: arms are the published ones, peers get the same arms, answers are
+judged rightly.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,21 @@ from kempe.errors import UnsupportedError
 
 BY_TITLE = {arm.title: arm for arm in ARMS}
 MODULES = {
-    "EAIK": "eaik", "ik-geo": "ik_geo", "ssik": "ssik", "py-opw-kinematics": "py_opw_kinematics",
+    "EAIK": "eaik",
+    "ik-geo": "ik_geo",
+    "ssik": "ssik",
+    "py-opw-kinematics": "py_opw_kinematics",
     "roboticstoolbox-python": "roboticstoolbox",
-}  # fmt: skip
+}
 SOLVED = {
-    "EAIK": {"Puma 560", "IRB 6640", "UR5", "UR10e", "Panda, joint 7 held", "iiwa 14, joint 3 held"},
+    "EAIK": {
+        "Puma 560",
+        "IRB 6640",
+        "UR5",
+        "UR10e",
+        "Panda, joint 7 held",
+        "iiwa 14, joint 3 held",
+    },
     "ik-geo": {"Puma 560", "IRB 6640", "UR5", "UR10e", "iiwa 14, joint 3 held"},
     "py-opw-kinematics": {"Puma 560", "IRB 6640"},
 }
@@ -32,7 +44,9 @@ def has(package: str) -> bool:
 
 
 def poe(h: np.ndarray, p: np.ndarray, home: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Pose by axes h (6, 3) and steps p (7, 3) between points on them, at q = 0, and the tool's rotation there."""
+    """Pose by axes h (6, 3) and steps p (7, 3) between points on them, at q = 0, and the tool's
+    rotation there.
+    """
     R = np.eye(3)
     at = p[0]
     for axis, step, angle in zip(h, p[1:], q, strict=True):
@@ -49,15 +63,23 @@ def test_chains_are_the_systems(title):
     whole[:] = [arm.held.get(name, 0.0) for name in arm.system.coordinate_names]
     whole[:, arm.free] = q
     np.testing.assert_allclose(arm.chain.pose(q), arm.system.fk(whole, "tool"), atol=1e-13)
-    np.testing.assert_allclose(arm.chain.pose(np.zeros((1, 6)))[0], arm.chain.frames[-1], atol=1e-13)
+    np.testing.assert_allclose(
+        arm.chain.pose(np.zeros((1, 6)))[0], arm.chain.frames[-1], atol=1e-13
+    )
 
 
 @pytest.mark.parametrize(
     ("title", "place"),
     [
-        ("UR10e", (-1.18425, -0.2907, 0.06085)),  # what the controller shows with all joints at zero
+        (
+            "UR10e",
+            (-1.18425, -0.2907, 0.06085),
+        ),  # what the controller shows with all joints at zero
         ("xArm 6", (0.207, 0.0, 0.112)),  # its user manual, zero position
-        ("IRB 6640", (0.32 + 1.1425 + 0.2, 0.0, 0.78 + 1.075 + 0.2)),  # drawing of the product specification
+        (
+            "IRB 6640",
+            (0.32 + 1.1425 + 0.2, 0.0, 0.78 + 1.075 + 0.2),
+        ),  # drawing of the product specification
         ("CRX-10iA", (0.54 + 0.16, -0.15, 0.54)),  # reach, offset of the wrist, upper arm
         ("iiwa 14, joint 3 held", (0.0, 0.0, 0.36 + 0.42 + 0.4 + 0.126)),  # its height, 1306 mm
         ("Panda, joint 7 held", (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107)),
@@ -108,10 +130,16 @@ def test_what_is_no_table_of_turns_is_refused(title):
 def test_tables_are_the_chains(title):
     chain = BY_TITLE[title].chain
     rows, zeros, base, tool = analytic_forms.dh_table(chain)
-    for q, want in zip(analytic_arms.random(3), base @ chain.pose(analytic_arms.random(3)) @ tool, strict=True):
+    for q, want in zip(
+        analytic_arms.random(3), base @ chain.pose(analytic_arms.random(3)) @ tool, strict=True
+    ):
         X = np.eye(4)
         for (a, alpha, d), theta in zip(rows, q + zeros, strict=True):
-            X = X @ spatial.pose(spatial.rot_z(theta), [0, 0, d]) @ spatial.pose(spatial.rot_x(alpha), [a, 0, 0])
+            X = (
+                X
+                @ spatial.pose(spatial.rot_z(theta), [0, 0, d])
+                @ spatial.pose(spatial.rot_x(alpha), [a, 0, 0])
+            )
         np.testing.assert_allclose(X, want, atol=1e-13)
 
 
@@ -157,7 +185,9 @@ def check(solver: analytic_peers.Solver) -> None:
     verdict = judged(solver.chain, q, [solver.read(solver.call(x)) for x in solver.ready(targets)])
     assert (verdict.found, verdict.wrong) == (20, 0) and verdict.answers >= 40
     if solver.batches:
-        again = judged(solver.chain, q, solver.read_batch(solver.call_batch(solver.ready_batch(targets))))
+        again = judged(
+            solver.chain, q, solver.read_batch(solver.call_batch(solver.ready_batch(targets)))
+        )
         assert again == verdict
 
 
@@ -179,10 +209,16 @@ def test_answers_are_judged():
 def test_a_section_runs(monkeypatch):
     arms = ("Puma 560", "UR10e", "random 6R", "Panda, joint 7 held")
     for module, name, value in (
-        (timing, "ROUNDS", 1), (timing, "TURN", 1e-6), (analytic, "TIMED", 5), (analytic, "JUDGED", 10),
-        (analytic, "BATCH", 20), (analytic, "GENERAL_BATCH", 5), (analytic, "PREPARATIONS", 1),
-        (analytic, "ARMS", [BY_TITLE[title] for title in arms]), (analytic, "PATIENT", ()),
-    ):  # fmt: skip
+        (timing, "ROUNDS", 1),
+        (timing, "TURN", 1e-6),
+        (analytic, "TIMED", 5),
+        (analytic, "JUDGED", 10),
+        (analytic, "BATCH", 20),
+        (analytic, "GENERAL_BATCH", 5),
+        (analytic, "PREPARATIONS", 1),
+        (analytic, "ARMS", [BY_TITLE[title] for title in arms]),
+        (analytic, "PATIENT", ()),
+    ):
         monkeypatch.setattr(module, name, value)
     bench = Bench([])
     bench.versions = {p: "" for p in ("EAIK", "ik-geo", "py-opw-kinematics") if has(p)}

@@ -1,4 +1,6 @@
-"""The benchmark's machinery: turns, ratios, goals, and that its checks judge rightly. No timing is asserted."""
+"""The benchmark's machinery: turns, ratios, goals, and that its checks judge rightly. No timing is
+asserted.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,18 @@ from kempe.errors import UnknownNameError
 def quick(monkeypatch):
     """Sizes at which a section takes a moment."""
     for module, name, value in (
-        (timing, "ROUNDS", 2), (timing, "TURN", 1e-6), (forward, "BATCH", 50), (forward, "TRAJECTORY", 20),
-        (forward, "LOOP", 20), (trees, "BATCH", 20), (trees, "LENGTHS", (2, 3, 5)), (trees, "PINOCCHIO_LONGEST", 3),
-        (inverse, "TARGETS", 20), (inverse, "BATCH", 40), (inverse, "SLOW_TARGETS", 1),
-    ):  # fmt: skip
+        (timing, "ROUNDS", 2),
+        (timing, "TURN", 1e-6),
+        (forward, "BATCH", 50),
+        (forward, "TRAJECTORY", 20),
+        (forward, "LOOP", 20),
+        (trees, "BATCH", 20),
+        (trees, "LENGTHS", (2, 3, 5)),
+        (trees, "PINOCCHIO_LONGEST", 3),
+        (inverse, "TARGETS", 20),
+        (inverse, "BATCH", 40),
+        (inverse, "SLOW_TARGETS", 1),
+    ):
         monkeypatch.setattr(module, name, value)
 
 
@@ -37,15 +47,23 @@ def arm(request, monkeypatch):
 
 def test_cases_take_turns(quick):
     order: list[str] = []
-    timed = timing.cases("x", {"order": order}, ("a", "order.append('a')"), ("b", "order.append('b')", 10))
+    timed = timing.cases(
+        "x", {"order": order}, ("a", "order.append('a')"), ("b", "order.append('b')", 10)
+    )
     rows = timing.measure(timed)
-    assert [(r.library, r.call) for r in rows] == [("x", "a"), ("x", "b")] and all(r.value > 0 for r in rows)
+    assert [(r.library, r.call) for r in rows] == [("x", "a"), ("x", "b")] and all(
+        r.value > 0 for r in rows
+    )
     turns = "".join(name for name, _ in itertools.groupby(order))
-    assert turns == "ab" + "ab" * timing.ROUNDS  # one for finding the number of repetitions, then the rounds
+    assert (
+        turns == "ab" + "ab" * timing.ROUNDS
+    )  # one for finding the number of repetitions, then the rounds
 
 
 def test_table():
-    table = timing.Table("T", "ns", [timing.Row("Kempe", "fk", 2.0, 1.5), timing.Row("pin", "fk, loop", 90.0)])
+    table = timing.Table(
+        "T", "ns", [timing.Row("Kempe", "fk", 2.0, 1.5), timing.Row("pin", "fk, loop", 90.0)]
+    )
     assert table.ratio("pin", "fk", "fk") == 45.0 and table.ratio("other", "", "fk") is None
     table.at_least("45 times", table.ratio("pin", "fk", "fk"), 45)
     table.at_most("1 ns", table.value("Kempe"), 1.0)
@@ -72,7 +90,9 @@ def test_arm_agrees_with_kempe_and_peers(arm):
     model, data, frame = peers.pinocchio_arm(arm)
     for row, X in zip(q, want, strict=True):
         pin.forwardKinematics(model, data, row)
-        np.testing.assert_allclose(pin.updateFramePlacement(model, data, frame).homogeneous, X, atol=1e-13)
+        np.testing.assert_allclose(
+            pin.updateFramePlacement(model, data, frame).homogeneous, X, atol=1e-13
+        )
 
 
 def test_success_is_judged(arm):

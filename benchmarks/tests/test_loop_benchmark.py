@@ -1,4 +1,6 @@
-"""The benchmark of closed loops: other libraries get the same mechanisms, and answers are judged rightly. No timing."""
+"""The benchmark of closed loops: other libraries get the same mechanisms, and answers are judged
+rightly. No timing.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ MORE = ("goldberg_5r", "three_rps", "delta_uu", "three_upu", "stephenson_six_bar
 
 def assembled(s: kempe.System, n: int) -> np.ndarray:
     """Closed configurations (n, nq) around the posture 'closed'."""
-    q = s.configuration_space.integrate(s.q("closed"), 0.3 * np.random.default_rng(3).normal(size=(n, s.nv)))
+    q = s.configuration_space.integrate(
+        s.q("closed"), 0.3 * np.random.default_rng(3).normal(size=(n, s.nv))
+    )
     answer = s.assemble(start=q)
     assert answer.success.all()
     return answer.q
@@ -43,7 +47,9 @@ def test_the_tree_is_the_systems(name):
     s = kempe.load(name)
     tree = Tree(s)
     q = s.random(2, 5)
-    np.testing.assert_allclose(np.stack(tree.poses(tree.coordinates(q)), axis=-3), s.fk(q), atol=1e-12)
+    np.testing.assert_allclose(
+        np.stack(tree.poses(tree.coordinates(q)), axis=-3), s.fk(q), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("name", [*loops.MECHANISMS, *MORE])
@@ -65,7 +71,9 @@ def test_a_hinge_is_open_when_tilted_or_upside_down():
     X = [np.eye(4)[None] for _ in s.body_names]
 
     def opening(R):
-        X[cut.b] = (X[cut.a] @ cut.X_a @ kempe.spatial.pose(R) @ kempe.spatial.inverse(cut.X_b)).reshape(1, 4, 4)
+        X[cut.b] = (
+            X[cut.a] @ cut.X_a @ kempe.spatial.pose(R) @ kempe.spatial.inverse(cut.X_b)
+        ).reshape(1, 4, 4)
         return float(cut.opening(X)[0])
 
     assert opening(kempe.spatial.rot_z(1.0)) < 1e-12
@@ -76,7 +84,9 @@ def test_a_hinge_is_open_when_tilted_or_upside_down():
 @pytest.mark.parametrize("library", PEERS)
 @pytest.mark.parametrize("name", [*loops.MECHANISMS, "goldberg_5r", "three_rps"])
 def test_peers_find_kempes_configurations_closed(name, library):
-    """Residuals in the other library are zero where Kempe closed, and the gaps of the cut joints elsewhere."""
+    """Residuals in the other library are zero where Kempe closed, and the gaps of the cut joints
+    elsewhere.
+    """
     pytest.importorskip(library)
     s = kempe.load(name)
     tree = Tree(s)
@@ -113,7 +123,11 @@ def test_what_is_known_stays(name, library):
     q = tree.guesses(0.1, 10, loops.KNOWN[name])
     columns = [tree.columns[n] for n in loops.KNOWN[name]]
     assert np.ptp(q[:, columns], axis=0).max() == 0.0 and np.ptp(q, axis=0).max() > 0.1
-    places = [peer.place[i] for i, move in zip(tree.firsts, tree.moves, strict=False) if move.column in columns]
+    places = [
+        peer.place[i]
+        for i, move in zip(tree.firsts, tree.moves, strict=False)
+        if move.column in columns
+    ]
     answers = [peer.call(x) for x in peer.ready(q)]
     assert peer.opening(answers).max() < 1e-8 and len(places) == len(columns)
     np.testing.assert_array_equal(np.array(answers)[:, places], np.array(peer.ready(q))[:, places])
@@ -160,11 +174,18 @@ def test_drake_gets_the_same_mechanism(name):
         for binding in peer.program.GetAllConstraints():
             assert binding.evaluator().CheckSatisfied(x, 1e-9)
     off = tree.guesses(0.2, 3)
-    np.testing.assert_allclose(peer.opening(peer.ready(off)), tree.opening(tree.coordinates(off)), atol=1e-12)
-    assert peer.opening([peer.call(x) for x in peer.ready(tree.guesses(0.1, 3))]).max() < peer.tolerance
+    np.testing.assert_allclose(
+        peer.opening(peer.ready(off)), tree.opening(tree.coordinates(off)), atol=1e-12
+    )
+    assert (
+        peer.opening([peer.call(x) for x in peer.ready(tree.guesses(0.1, 3))]).max()
+        < peer.tolerance
+    )
 
 
-@pytest.mark.parametrize("name", ["four_bar", "slider_crank", "stewart", "bennett", "sarrus", "three_upu", "shaky_3r"])
+@pytest.mark.parametrize(
+    "name", ["four_bar", "slider_crank", "stewart", "bennett", "sarrus", "three_upu", "shaky_3r"]
+)
 def test_exudyn_gets_the_same_mechanism(name):
     """Its rank at Kempe's closed configurations is Kempe's, and its own answers are closed."""
     pytest.importorskip("exudyn")
@@ -180,7 +201,9 @@ def test_exudyn_gets_the_same_mechanism(name):
     assert peer.freedoms() == s.nv - int(np.sum(values > 1e-8 * values.max()))
     assert peer.opening(peer.ready(assembled(s, 3) if name != "shaky_3r" else q[None])).max() < 1e-9
     off = tree.guesses(0.2, 3)
-    np.testing.assert_allclose(peer.opening(peer.ready(off)), tree.opening(tree.coordinates(off)), atol=1e-9)
+    np.testing.assert_allclose(
+        peer.opening(peer.ready(off)), tree.opening(tree.coordinates(off)), atol=1e-9
+    )
     if name in loops.MECHANISMS and name not in loops.UNFIT:
         assert peer.opening([peer.call(x) for x in peer.ready(tree.guesses(0.05, 3))]).max() < 1e-8
 
@@ -204,7 +227,9 @@ def test_pylinkage_draws_what_kempe_draws(name, monkeypatch):
     one = given["bound"]({drive.crank: given["one"]}, given["start"]).q
     i = np.abs(given["values"] - given["one"]).argmin()
     assert given["one"] == pytest.approx(given["values"][i], abs=1e-12)
-    np.testing.assert_allclose(crank_peers.place(s, one, spot), crank_peers.place(s, answer.q[i], spot), atol=1e-8)
+    np.testing.assert_allclose(
+        crank_peers.place(s, one, spot), crank_peers.place(s, answer.q[i], spot), atol=1e-8
+    )
     reported.reset()
     np.testing.assert_allclose(reported.model.step_fast(iterations=n), drawn, atol=1e-11)
 
@@ -238,7 +263,11 @@ def test_a_failure_is_neither_timed_nor_counted():
 
 
 def test_grid():
-    rows = [timing.Row("Kempe", "a", 1.0, 0.5), timing.Row("pin", "b", 30.0), timing.Row("Kempe", "b", 2.0)]
+    rows = [
+        timing.Row("Kempe", "a", 1.0, 0.5),
+        timing.Row("pin", "b", 30.0),
+        timing.Row("Kempe", "b", 2.0),
+    ]
     grid = timing.Grid("T", "mechanism", rows)
     assert grid.columns() == (["mechanism", "Kempe", "pin"], [["a", "1", "-"], ["b", "2", "30"]])
     assert "| mechanism | Kempe | pin |\n| --- | --: | --: |\n| a | 1 | - |" in grid.markdown()
@@ -247,10 +276,14 @@ def test_grid():
 
 def test_a_line_that_is_behind_says_so():
     rows = [
-        timing.Row("Kempe, batch", "a", 1.0), timing.Row("Kempe, one", "a", 9.0), timing.Row("p, fast", "a", 3.0),
-        timing.Row("p", "a", 30.0), timing.Row("Kempe, one", "b", 8.0), timing.Row("Kempe, one", "c", 1.0),
+        timing.Row("Kempe, batch", "a", 1.0),
+        timing.Row("Kempe, one", "a", 9.0),
+        timing.Row("p, fast", "a", 3.0),
+        timing.Row("p", "a", 30.0),
+        timing.Row("Kempe, one", "b", 8.0),
+        timing.Row("Kempe, one", "c", 1.0),
         timing.Row("r", "c", 0.5),
-    ]  # fmt: skip
+    ]
     said = timing.Grid("T", "us", rows).behind()
     assert said == ["behind: Kempe, one: a (3 times as long as p, fast); c (2 times as long as r)"]
     assert not timing.Grid("T", "%", rows).behind() and not timing.Table("T", "us", rows).behind()
@@ -272,14 +305,24 @@ def test_pylinkage_is_installed_with_its_compiler():
 @pytest.mark.parametrize("everybody", [True, False])
 def test_sections_run(monkeypatch, everybody):
     for module, name, value in (
-        (timing, "ROUNDS", 1), (timing, "TURN", 1e-6), (loops, "GUESSES", 4), (loops, "SLOW_GUESSES", 1),
-        (loops, "BATCH", 8), (loops, "TURNS", 1), (loops, "MECHANISMS", ("four_bar", "stewart", "bennett")),
-        (cranks, "STEPS", 20), (cranks, "SINGLE_STEPS", 5), (cranks, "ROWS", (3, 5)),
-        (freedoms, "TRUTH", {"four_bar": 1, "shaky_3r": 0, "delta_uu": 3}), (freedoms, "TIMED", ("delta_uu",)),
+        (timing, "ROUNDS", 1),
+        (timing, "TURN", 1e-6),
+        (loops, "GUESSES", 4),
+        (loops, "SLOW_GUESSES", 1),
+        (loops, "BATCH", 8),
+        (loops, "TURNS", 1),
+        (loops, "MECHANISMS", ("four_bar", "stewart", "bennett")),
+        (cranks, "STEPS", 20),
+        (cranks, "SINGLE_STEPS", 5),
+        (cranks, "ROWS", (3, 5)),
+        (freedoms, "TRUTH", {"four_bar": 1, "shaky_3r": 0, "delta_uu": 3}),
+        (freedoms, "TIMED", ("delta_uu",)),
         (freedoms, "LARGE", ("delta_uu",)),
-    ):  # fmt: skip
+    ):
         monkeypatch.setattr(module, name, value)
-    wanted = [p for p in ("pin", "mujoco", "drake", "exudyn", "pylinkage") if p in peers.installed()] * everybody
+    wanted = [
+        p for p in ("pin", "mujoco", "drake", "exudyn", "pylinkage") if p in peers.installed()
+    ] * everybody
     sections = ["assembly", "success", "dyads", "row", "dof", "mobility"]
     assembly, success, _, _, dof, _ = tables = list(benchmark.benchmark(sections, wanted))
     assert all(np.isfinite(row.value) and table.goals for table in tables for row in table.rows)

@@ -1,4 +1,6 @@
-"""The benchmark of the numerical inverse model: the same chains for all, a judge that is right, tables that say so."""
+"""The benchmark of the numerical inverse model: the same chains for all, a judge that is right,
+tables that say so.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def case_of(folder, arm: peers.Arm, n: int, seconds: float = 60.0) -> tuple[Case
 
 @pytest.mark.parametrize("title", [r.title for r in ROBOTS if r.file])
 def test_chains_move_as_the_robots_do(arm_of, title):
-    """Between two configurations the frame moves as Pinocchio says for the whole robot, read from its own file."""
+    """Between two configurations the frame moves as Pinocchio says for the whole robot, read from
+    its own file.
+    """
     pin = pytest.importorskip("pinocchio")
     robot = BY_TITLE[title]
     arm = arm_of(title)
@@ -67,9 +71,15 @@ def test_chains_move_as_the_robots_do(arm_of, title):
         want.append(pin.updateFramePlacement(model, data, frame).homogeneous)
     have = arm.pose(arm.random(4))
     for X, Y in zip(want[1:], have[1:], strict=True):
-        np.testing.assert_allclose(np.linalg.inv(have[0]) @ Y, np.linalg.inv(want[0]) @ X, atol=1e-12)
-    limits = np.array([[model.lowerPositionLimit[i], model.upperPositionLimit[i]]
-                       for i in (model.joints[j].idx_q for j in moved)])  # fmt: skip
+        np.testing.assert_allclose(
+            np.linalg.inv(have[0]) @ Y, np.linalg.inv(want[0]) @ X, atol=1e-12
+        )
+    limits = np.array(
+        [
+            [model.lowerPositionLimit[i], model.upperPositionLimit[i]]
+            for i in (model.joints[j].idx_q for j in moved)
+        ]
+    )
     np.testing.assert_allclose(arm.limits, limits, atol=1e-12)
 
 
@@ -91,7 +101,9 @@ def test_snakes_are_planar_and_one_metre_long(arm_of):
 def test_robots_without_the_package(monkeypatch, tmp_path):
     monkeypatch.setattr(peers, "robot_file", lambda name: None)
     arms, missing = numeric._arms(tmp_path)
-    assert {"Panda", "UR5", "iiwa 14", "SO-101", "planar 40R"} <= set(arms) and "Talos torso + arm" in missing
+    assert {"Panda", "UR5", "iiwa 14", "SO-101", "planar 40R"} <= set(
+        arms
+    ) and "Talos torso + arm" in missing
     assert len(arms) + len(missing) == len(ROBOTS)
 
 
@@ -121,7 +133,9 @@ def test_sets_of_targets(arm_of, title):
 
 
 def test_distance_and_angle_are_judged(arm_of):
-    """iiwa: its last joint only turns the frame, about the frame's own origin, so the angle is known."""
+    """iiwa: its last joint only turns the frame, about the frame's own origin, so the angle is
+    known.
+    """
     arm = arm_of("iiwa 14")
     q = arm.random(5)
     targets = arm.pose(q)
@@ -145,7 +159,14 @@ def test_limits_are_judged(arm_of):
     arm = arm_of("UR5")
     lower, upper = arm.limits[5]
     q = np.repeat(arm.random(1), 6, axis=0)
-    q[:, 5] = [upper, upper + 0.5 * numeric.SLACK, upper + 3.0 * numeric.SLACK, lower, lower - 3.0 * numeric.SLACK, 1.0]
+    q[:, 5] = [
+        upper,
+        upper + 0.5 * numeric.SLACK,
+        upper + 3.0 * numeric.SLACK,
+        lower,
+        lower - 3.0 * numeric.SLACK,
+        1.0,
+    ]
     targets = arm.pose(q)
     assert numeric.reached(arm, q, targets).tolist() == [True, True, False, True, False, True]
     q[5, 5] += 2.0 * np.pi  # the same pose
@@ -175,7 +196,9 @@ def test_a_single_failure_is_seen():
 def test_a_library_answers_in_a_process(arm_of, tmp_path):
     bad = arm_of("iiwa 14")
     good = arm_of("SO-101")
-    cases, targets = zip(*(case_of(tmp_path / str(i), arm, 30) for i, arm in enumerate((bad, good))), strict=True)
+    cases, targets = zip(
+        *(case_of(tmp_path / str(i), arm, 30) for i, arm in enumerate((bad, good))), strict=True
+    )
     broken = dataclasses.replace(cases[0], file=str(tmp_path / "none.urdf"))
     first, second = numeric_worker.answers("kempe", [broken, cases[1]])
     assert "none.urdf" in first.trouble and not len(first.nanoseconds)
@@ -189,7 +212,9 @@ def test_a_share_of_the_time_is_kept(arm_of, tmp_path):
     numeric_worker.work("kempe", case)
     answer = numeric_worker._read("kempe", case, "")
     assert answer.q.shape == (FEWEST, 10) and len(answer.nanoseconds) == FEWEST
-    assert len(numeric_worker._read("kempe", case, "signal 6").q) == FEWEST + 1  # the target that it ended on
+    assert (
+        len(numeric_worker._read("kempe", case, "signal 6").q) == FEWEST + 1
+    )  # the target that it ended on
 
 
 @pytest.mark.slow
@@ -215,14 +240,19 @@ def quick(monkeypatch):
 
 
 def pretended(package: str, cases: list[Case]) -> list[Answers]:
-    """Answers of a library that is right twice of three times, on the first robot, and dies on the second."""
+    """Answers of a library that is right twice of three times, on the first robot, and dies on the
+    second.
+    """
     targets = np.load(f"{cases[0].folder}/targets.npy")
     system = kempe.load(cases[0].file)
     q = system.ik(targets, numeric_robots.TIP).q
     q[::3, 0] += 1e-4 if package != "kempe" else 0.0
     times = np.full(len(q), 5_000)
     nothing = Answers(np.full((1, 10), np.nan), np.empty(0), "signal 6")
-    return [Answers(q, times), nothing if package != "kempe" else Answers(np.zeros((30, 10)), times)]
+    return [
+        Answers(q, times),
+        nothing if package != "kempe" else Answers(np.zeros((30, 10)), times),
+    ]
 
 
 def test_tables(quick, monkeypatch):
@@ -230,15 +260,27 @@ def test_tables(quick, monkeypatch):
     bench = Bench([])
     bench.versions = {"optik-py": "1"}
     table = numeric.random(bench)
-    assert table.value("Kempe", "SO-101: success") == table.value("Kempe, batch", "SO-101: success") == 100.0
+    assert (
+        table.value("Kempe", "SO-101: success")
+        == table.value("Kempe, batch", "SO-101: success")
+        == 100.0
+    )
     assert table.value("OptIK", "SO-101: success") == pytest.approx(66.6)
     assert table.value("OptIK", "SO-101: median") == table.value("OptIK", "SO-101: 99th") == 5.0
-    assert table.value("Kempe", "planar 10R: success") == 0.0 and [g.met for g in table.goals] == [False]
-    assert table.value("OptIK", "planar 10R") is None and "OptIK fails on planar 10R: signal 6" in table.remarks
+    assert table.value("Kempe", "planar 10R: success") == 0.0 and [g.met for g in table.goals] == [
+        False
+    ]
+    assert (
+        table.value("OptIK", "planar 10R") is None
+        and "OptIK fails on planar 10R: signal 6" in table.remarks
+    )
     lines = table.markdown().splitlines()
     assert "| robot | Kempe | Kempe, batch | OptIK |" in lines
     assert "| SO-101: success, % | 100 | 100 | 66.6 |" in lines
-    assert any(line.startswith("| planar 10R: median, us | 5 |") and line.endswith("| - |") for line in lines)
+    assert any(
+        line.startswith("| planar 10R: median, us | 5 |") and line.endswith("| - |")
+        for line in lines
+    )
 
 
 @pytest.mark.slow

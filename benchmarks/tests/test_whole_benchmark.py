@@ -1,4 +1,6 @@
-"""The benchmarks of several tasks at once: the same robots and goals for all, judges that are right, tables."""
+"""The benchmarks of several tasks at once: the same robots and goals for all, judges that are
+right, tables.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def line_of(body: Body, mass: bool = False, tolerance=FINE, once: bool = False) 
 
 @pytest.mark.parametrize("title", BY_TITLE)
 def test_the_file_for_all_is_the_robot(body_of, title):
-    """Frames, centre of mass and limits as Pinocchio has them of the robot's own file on a free flyer."""
+    """Frames, centre of mass and limits as Pinocchio has them of the robot's own file on a free
+    flyer.
+    """
     body = body_of(title)
     path = peers.robot_file(BY_TITLE[title].file)
     model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
@@ -51,7 +55,9 @@ def test_the_file_for_all_is_the_robot(body_of, title):
     X, centre = whole_robots.poses(body, q)
     at = [model.joints[model.getJointId(name)].idx_q for name in body.names]
     assert len(at) == model.nq - BASE
-    np.testing.assert_array_equal(body.limits.T, [model.lowerPositionLimit[at], model.upperPositionLimit[at]])
+    np.testing.assert_array_equal(
+        body.limits.T, [model.lowerPositionLimit[at], model.upperPositionLimit[at]]
+    )
     for row, frames, c in zip(q, X, centre, strict=True):
         x = np.empty(model.nq)
         x[:BASE] = row[[0, 1, 2, 4, 5, 6, 3]]
@@ -90,7 +96,9 @@ def test_sets_of_configurations(body_of, title):
     far = []
     for draw in (body.anywhere, body.standing):
         q = draw(200, np.random.default_rng(2))
-        assert q.shape == (200, BASE + len(body.names)) and np.all((q[:, BASE:] >= lower) & (q[:, BASE:] <= upper))
+        assert q.shape == (200, BASE + len(body.names)) and np.all(
+            (q[:, BASE:] >= lower) & (q[:, BASE:] <= upper)
+        )
         np.testing.assert_allclose(np.linalg.norm(q[:, 3:BASE], axis=-1), 1.0, atol=1e-12)
         assert np.abs(q[:, :3]).max() <= whole_robots.MOVED
         far.append((np.abs(q - body.start)[:, BASE:] / (upper - lower)).max())
@@ -137,7 +145,10 @@ def test_derivatives_of_the_newton_steps(body_of, mass):
     solver.equations(goal, x)
     J = solver.J.copy()
     for v in rng.normal(size=(5, solver.model.nv)):
-        ahead, behind = (solver.equations(goal, pin.integrate(solver.model, x, s * h * v)).copy() for s in (1, -1))
+        ahead, behind = (
+            solver.equations(goal, pin.integrate(solver.model, x, s * h * v)).copy()
+            for s in (1, -1)
+        )
         np.testing.assert_allclose((ahead - behind) / (2.0 * h), J @ v, atol=1e-6)
 
 
@@ -158,13 +169,20 @@ def test_one_start_is_one_start(body_of):
         np.testing.assert_array_equal(tried[0], body.start)
         assert (len(tried) == 1) == once
     lower, upper = body.limits.T
-    assert all(np.all((x[BASE:] >= lower) & (x[BASE:] <= upper)) for x in tried) and np.ptp(tried, axis=0).max() > 1.0
+    assert (
+        all(np.all((x[BASE:] >= lower) & (x[BASE:] <= upper)) for x in tried)
+        and np.ptp(tried, axis=0).max() > 1.0
+    )
 
 
 @pytest.mark.parametrize(
     "package, mass",
     [(p, True) for p in ("kempe", "pin")]
-    + [pytest.param(p, m, marks=pytest.mark.slow) for p in ("mink", "pin-pink", "drake") for m in (False, True)],
+    + [
+        pytest.param(p, m, marks=pytest.mark.slow)
+        for p in ("mink", "pin-pink", "drake")
+        for m in (False, True)
+    ],
 )
 def test_libraries_reach(body_of, tmp_path, package, mass):
     """Every library that is installed is given the robot, the start and the goals rightly."""
@@ -216,16 +234,28 @@ def test_a_library_that_is_wrong_or_dies(quick, body_of, monkeypatch):
     bench = Bench([])
     bench.versions = {"drake": "1", "mink": "1"}
     table = whole.anywhere(bench)
-    assert table.value("Kempe", "G1, 1e-06, restarts: success") == 0.0 and [g.met for g in table.goals] == [False] * 2
-    assert table.value("mink", "G1, 1e-06, one start: median") == table.value("mink", "G1, 1e-06, one start: 99th") == 2
-    assert table.value("Drake", "G1, 1e-06") is None and table.value("Drake", "G1, 0.0001, one start: median") == 2.0
+    assert (
+        table.value("Kempe", "G1, 1e-06, restarts: success") == 0.0
+        and [g.met for g in table.goals] == [False] * 2
+    )
+    assert (
+        table.value("mink", "G1, 1e-06, one start: median")
+        == table.value("mink", "G1, 1e-06, one start: 99th")
+        == 2
+    )
+    assert (
+        table.value("Drake", "G1, 1e-06") is None
+        and table.value("Drake", "G1, 0.0001, one start: median") == 2.0
+    )
     assert "mink fails on G1 and mass, 1e-06, one start: signal 6" in table.remarks
 
 
 def test_sections_that_cannot_run(monkeypatch):
     monkeypatch.setattr(peers, "robot_file", lambda name: None)
     reported = []
-    assert whole.anywhere(Bench([], reported.append)) is None and "example-robot-data" in reported[0]
+    assert (
+        whole.anywhere(Bench([], reported.append)) is None and "example-robot-data" in reported[0]
+    )
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert whole.anywhere(Bench([], reported.append)) is None and "Pinocchio" in reported[1]
 
@@ -260,12 +290,16 @@ def test_platforms_are_where_kempe_has_them(platform):
 
 @pytest.mark.parametrize("made", [parallel.MujocoHolding, parallel.PinocchioHolding])
 def test_peers_hold_platforms(platform, made):
-    """Their equations vanish at Kempe's configurations, their derivatives are right, their answers hold."""
+    """Their equations vanish at Kempe's configurations, their derivatives are right, their answers
+    hold.
+    """
     if made is parallel.MujocoHolding:
         pytest.importorskip("mujoco")
     goals, q = platform
     peer = made(goals)
-    held = super(parallel.Holding, peer).ready(q)  # Kempe's configurations in the library's coordinates
+    held = super(parallel.Holding, peer).ready(
+        q
+    )  # Kempe's configurations in the library's coordinates
     for x, goal in zip(held, peer.ready(q), strict=True):
         peer.goal = goal
         assert np.abs(peer.equations(x)[0]).max() < 1e-8
@@ -292,5 +326,10 @@ def test_platforms_as_a_table(monkeypatch):
     bench = Bench([])
     table = parallel.platforms(bench)
     assert [g.met for g in table.goals] == [True]
-    assert table.value(parallel.FORMULA, "stewart: success") == 100.0 and len(table.rows) == 3 * 4 + 2
-    assert "| robot | Kempe, one call | Kempe, batch | formula, legs only |" in table.markdown().splitlines()
+    assert (
+        table.value(parallel.FORMULA, "stewart: success") == 100.0 and len(table.rows) == 3 * 4 + 2
+    )
+    assert (
+        "| robot | Kempe, one call | Kempe, batch | formula, legs only |"
+        in table.markdown().splitlines()
+    )

@@ -1,4 +1,6 @@
-"""Feet and hands of humanoids held at once: how many reachable goals are found, judged by Pinocchio."""
+"""Feet and hands of humanoids held at once: how many reachable goals are found, judged by
+Pinocchio.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,19 @@ def body(request, tmp_path_factory) -> Body:
 
 def held(body: Body, goals: np.ndarray) -> list[tasks.Task]:
     """The tasks for goals (..., k, 4, 4)."""
-    out: list[tasks.Task] = [tasks.Pose(name, goals[..., i, :, :]) for i, name in enumerate(body.frames)]
+    out: list[tasks.Task] = [
+        tasks.Pose(name, goals[..., i, :, :]) for i, name in enumerate(body.frames)
+    ]
     return out if goals.shape[-3] == len(out) else [*out, tasks.CentreOfMass(goals[..., -1, :3, 3])]
 
 
-def judge(body: Body, q: np.ndarray, success: np.ndarray, goals: np.ndarray, tolerance: tuple[float, float]) -> None:
+def judge(
+    body: Body,
+    q: np.ndarray,
+    success: np.ndarray,
+    goals: np.ndarray,
+    tolerance: tuple[float, float],
+) -> None:
     """None of the successes is false, all answers are inside the limits, enough are found."""
     mass = goals.shape[1] > len(body.frames)
     loose = (1.001 * tolerance[0] + 1e-12, 1.001 * tolerance[1] + 1e-12)
@@ -65,7 +75,9 @@ def test_single_calls_find_as_much(body, mass):
 
 
 def test_both_feet_and_a_hand_are_held_and_no_more_is_claimed(body):
-    """The fast form: goals near standing are all found; hands wanted out of reach are never called reached."""
+    """The fast form: goals near standing are all found; hands wanted out of reach are never called
+    reached.
+    """
     q = body.standing(6, np.random.default_rng(10))
     goals = whole.goals_of(body, q, True)
     answer = body.system.ik(held(body, goals))

@@ -1,6 +1,8 @@
-"""Kempe: every position question about a multibody system, open chain, tree or closed loop, in the plane or in space.
+"""Kempe: every position question about a multibody system, open chain, tree or closed loop, in the
+plane or in space.
 
-``describe or load -> Mechanism -> build -> System -> forward, inverse, ...``. Methods of `System` are the map.
+``describe or load -> Mechanism -> build -> System -> forward, inverse, ...``. Methods of `System`
+are the map.
 """
 
 from __future__ import annotations
@@ -27,44 +29,86 @@ if TYPE_CHECKING:
     from kempe.status import Status
 
 __all__ = [
-    "Budget", "Interrupted", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert",
-    "errors", "from_dh", "from_screws", "load", "map_file", "open_workspace", "read", "spatial", "tasks",
-]  # fmt: skip
+    "Budget",
+    "Interrupted",
+    "KempeError",
+    "Mechanism",
+    "Status",
+    "System",
+    "Tolerance",
+    "constraints",
+    "convert",
+    "errors",
+    "from_dh",
+    "from_screws",
+    "load",
+    "map_file",
+    "open_workspace",
+    "read",
+    "spatial",
+    "tasks",
+]
 
 
 @explained
 def load(
-    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), xacro: bool = False, lenient_limits: bool = False,
-) -> System:  # fmt: skip
-    """The `System` of a file (path), of a text, or of a shipped model (bare name such as "puma560").
+    source: str | Path | bytes,
+    *,
+    format: str | None = None,
+    base: str | None = None,
+    root: str | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    xacro: bool = False,
+    lenient_limits: bool = False,
+) -> System:
+    """The `System` of a file (path), of a text, or of a shipped model (bare name such as
+    "puma560").
 
-    Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where `format` is None.
-    `base="free"` lets the root link of a URDF move freely; `root` names the ground where a file has no root link;
-    `package_dirs` are the only folders in which meshes may be looked up; `xacro=True` expands xacro first;
-    `lenient_limits=True` reads limits of a URDF that hold no range (no bounds, or lower above upper) as none. Errors:
-    `DescriptionError` with file, line and what is allowed.
+    Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where
+    `format` is None. `base="free"` lets the root link of a URDF move freely; `root` names the
+    ground where a file has no root link; `package_dirs` are the only folders in which meshes may be
+    looked up; `xacro=True` expands xacro first; `lenient_limits=True` reads limits of a URDF that
+    hold no range (no bounds, or lower above upper) as none. Errors: `DescriptionError` with file,
+    line and what is allowed.
     """
     from kempe.description.source import collecting_later
 
     with collecting_later():
         return read(
-            source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+            source,
+            format=format,
+            base=base,
+            root=root,
+            package_dirs=package_dirs,
+            xacro=xacro,
             lenient_limits=lenient_limits,
-        ).build()  # fmt: skip
+        ).build()
 
 
 def read(
-    source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
-    package_dirs: Iterable[str | Path] = (), xacro: bool = False, lenient_limits: bool = False,
-) -> Mechanism:  # fmt: skip
-    """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another format."""
+    source: str | Path | bytes,
+    *,
+    format: str | None = None,
+    base: str | None = None,
+    root: str | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    xacro: bool = False,
+    lenient_limits: bool = False,
+) -> Mechanism:
+    """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another
+    format.
+    """
     from kempe.description.read import read as read_mechanism
 
     return read_mechanism(
-        source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+        source,
+        format=format,
+        base=base,
+        root=root,
+        package_dirs=package_dirs,
+        xacro=xacro,
         lenient_limits=lenient_limits,
-    )  # fmt: skip
+    )
 
 
 def __getattr__(name: str) -> Any:

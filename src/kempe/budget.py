@@ -15,7 +15,9 @@ from kempe.errors import InputError, shown
 
 
 class Tolerance(NamedTuple):
-    """How large errors may be: `linear` in metres and `angular` in radians. A plain pair of numbers says the same."""
+    """How large errors may be: `linear` in metres and `angular` in radians. A plain pair of numbers
+    says the same.
+    """
 
     linear: float
     angular: float
@@ -24,7 +26,8 @@ class Tolerance(NamedTuple):
 @explained_making
 @dataclass(frozen=True)
 class Budget:
-    """How much work a call may do, how finely, and how: what is left out is as the verb does it by itself.
+    """How much work a call may do, how finely, and how: what is left out is as the verb does it by
+    itself.
 
     A verb refuses what it does not read, and says what it reads.
     """
@@ -34,7 +37,8 @@ class Budget:
     iterations: int | None = None
     """Steps of one start, at most."""
     time_limit: float | None = None
-    """Seconds for the whole call, after which it answers with what it has; `math.inf`: as long as it takes."""
+    """Seconds for the whole call, after which it answers with what it has; `math.inf`: as long as
+    it takes."""
     points: int | None = None
     """Points of a path or samples of a motion."""
     step: float | None = None
@@ -60,7 +64,9 @@ def checks() -> tuple[Callable[[], None], ...]:
 
 
 class watched_by:
-    """A block in which `look` of this thread calls further functions; they raise where the work must end."""
+    """A block in which `look` of this thread calls further functions; they raise where the work
+    must end.
+    """
 
     def __init__(self, *more: Callable[[], None]):
         self.more = more
@@ -73,17 +79,21 @@ class watched_by:
 
 
 def look() -> None:
-    """Look whether the work of this thread must end: where the time of a call is up, `TimeUp` is raised.
+    """Look whether the work of this thread must end: where the time of a call is up, `TimeUp` is
+    raised.
 
-    What may take long calls it between two pieces of about 0.1 s, on whichever layer it is: it knows no verb and no
-    limit. Verbs set these by `TimeLimit` as a block; the innermost block is asked first.
+    What may take long calls it between two pieces of about 0.1 s, on whichever layer it is: it
+    knows no verb and no limit. Verbs set these by `TimeLimit` as a block; the innermost block is
+    asked first.
     """
     for check in getattr(_thread, "checks", ()):
         check()
 
 
 class Usual:
-    """What a verb spends where nobody says otherwise; its keywords are the fields of a `Budget` that it reads."""
+    """What a verb spends where nobody says otherwise; its keywords are the fields of a `Budget`
+    that it reads.
+    """
 
     def __init__(self, verb: str, **reads: Any):
         self.verb = verb
@@ -95,18 +105,28 @@ class Usual:
         if budget is None:
             return self.budget
         if not isinstance(budget, Budget):
-            raise InputError(f"budget is {shown(budget)}; it must be a kempe.Budget, such as Budget({self._such()})")
+            raise InputError(
+                f"budget is {shown(budget)}; it must be a kempe.Budget, such as "
+                f"Budget({self._such()})"
+            )
         if budget.progress is not None and not callable(budget.progress):
-            raise InputError(f"progress is {shown(budget.progress)}; it must be a function of how much is done")
+            raise InputError(
+                f"progress is {shown(budget.progress)}; it must be a function of how much is done"
+            )
         given = {f.name: x for f in fields(Budget) if (x := getattr(budget, f.name)) is not None}
         for name in given:
             if name not in self.reads:
                 read = ", ".join(self.reads)
-                raise InputError(f"budget has {name}, which {self.verb} does not read; it reads {read}")
+                raise InputError(
+                    f"budget has {name}, which {self.verb} does not read; it reads {read}"
+                )
         return _filled({**self.reads, **given})
 
     def _such(self) -> str:
-        return next((f"{name}={x}" for name, x in self.reads.items() if x is not None), f"{next(iter(self.reads))}=1")
+        return next(
+            (f"{name}={x}" for name, x in self.reads.items() if x is not None),
+            f"{next(iter(self.reads))}=1",
+        )
 
 
 def _filled(values: dict[str, Any]) -> Budget:

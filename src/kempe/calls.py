@@ -1,4 +1,6 @@
-"""Calls from outside: names, numbers and switches as they are given, and what was wrong with a call that failed."""
+"""Calls from outside: names, numbers and switches as they are given, and what was wrong with a call
+that failed.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ FEW = 16
 
 
 def quiet(function: Function) -> Function:
-    """The function, which computes without warnings of numpy: what is NaN or infinite shows in what it returns.
+    """The function, which computes without warnings of numpy: what is NaN or infinite shows in what
+    it returns.
 
     It costs half a microsecond a call. Threads that it starts do not inherit it.
     """
@@ -50,10 +53,10 @@ def quiet(function: Function) -> Function:
 def explained(function: Function, fast: bool = False) -> Function:
     """The function, in which an error that is not Kempe's own names the argument that is to blame.
 
-    Arguments are looked at only after something failed. What fails with arguments that are what the annotations say is
-    raised as it is. The function is `quiet` unless it is `fast`: a call of a kernel, which never warns. Errors:
-    `CallError` (a TypeError) for arguments that the function does not have, or lacks; `InputError` for those of a wrong
-    kind.
+    Arguments are looked at only after something failed. What fails with arguments that are what the
+    annotations say is raised as it is. The function is `quiet` unless it is `fast`: a call of a
+    kernel, which never warns. Errors: `CallError` (a TypeError) for arguments that the function
+    does not have, or lacks; `InputError` for those of a wrong kind.
     """
     run = function if fast else quiet(function)
 
@@ -71,10 +74,12 @@ def explained(function: Function, fast: bool = False) -> Function:
 
 
 def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
-    """A decorator for verbs that keep what is done: after Ctrl-C the kept part is the `answer` of an `Interrupted`.
+    """A decorator for verbs that keep what is done: after Ctrl-C the kept part is the `answer` of
+    an `Interrupted`.
 
-    The interrupt goes on to the caller, so that it ends a loop over calls. The answer of another verb that this one
-    called, and that was interrupted, is no answer to the question of this one: then `answer` is None.
+    The interrupt goes on to the caller, so that it ends a loop over calls. The answer of another
+    verb that this one called, and that was interrupted, is no answer to the question of this one:
+    then `answer` is None.
     """
 
     @functools.wraps(verb)
@@ -91,8 +96,12 @@ def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
     return call
 
 
-def until_interrupt(verb: Callable[Options, Kept], *args: Options.args, **options: Options.kwargs) -> Kept:
-    """The answer of a verb; after Ctrl-C the part that was done. Errors: `Interrupted` where there is none."""
+def until_interrupt(
+    verb: Callable[Options, Kept], *args: Options.args, **options: Options.kwargs
+) -> Kept:
+    """The answer of a verb; after Ctrl-C the part that was done. Errors: `Interrupted` where there
+    is none.
+    """
     try:
         return verb(*args, **options)
     except Interrupted as stop:
@@ -103,10 +112,15 @@ def until_interrupt(verb: Callable[Options, Kept], *args: Options.args, **option
 
 
 def with_options(cls: type) -> Callable[[Function], Function]:
-    """A decorator that writes the fields of a dataclass into the signature of a function that takes `**options`."""
+    """A decorator that writes the fields of a dataclass into the signature of a function that takes
+    `**options`.
+    """
     from inspect import Parameter, signature  # only here: few functions have it
 
-    more = [Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type) for f in fields(cls)]
+    more = [
+        Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type)
+        for f in fields(cls)
+    ]
 
     def write(function: Function) -> Function:
         own = signature(function)
@@ -131,14 +145,23 @@ def explained_making(cls: Class) -> Class:
     return cls
 
 
-def blame(function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], error: Exception) -> None:
-    """Raise what is wrong with the arguments of a call that failed; nothing where they are of the right kinds."""
+def blame(
+    function: Callable[..., Any],
+    args: tuple[Any, ...],
+    options: Mapping[str, Any],
+    error: Exception,
+) -> None:
+    """Raise what is wrong with the arguments of a call that failed; nothing where they are of the
+    right kinds.
+    """
     from inspect import Parameter, signature  # only here: most calls succeed
 
     called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
     parameters = signature(function).parameters
     if Parameter.VAR_KEYWORD not in {p.kind for p in parameters.values()}:
-        allowed = [p.name for p in list(parameters.values())[1:] if p.kind is not Parameter.POSITIONAL_ONLY]
+        allowed = [
+            p.name for p in list(parameters.values())[1:] if p.kind is not Parameter.POSITIONAL_ONLY
+        ]
         for name in options:
             if name not in parameters:
                 raise CallError(called, name, allowed) from None
@@ -156,7 +179,9 @@ def blame(function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[
 
 
 def wrong_kind(name: str, annotation: object, value: object) -> str:
-    """What an argument must be, by its annotation or its name, where its value is none of that; else nothing."""
+    """What an argument must be, by its annotation or its name, where its value is none of that;
+    else nothing.
+    """
     if name in CONFIGURATIONS:
         annotation = "Mapping[str, Any] | ArrayLike | None" + (" | str" if name == "start" else "")
     said: list[str] = []
@@ -272,15 +297,21 @@ def listed(names: object, what: str) -> tuple[str, ...]:
 
 
 def numbers(x: Any, what: str, *core: int) -> np.ndarray:
-    """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other last axes."""
+    """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other
+    last axes.
+    """
     array = np.array(x) if x.__class__ is float else reals(x, what)
     if core and array.shape[-len(core) :] != core:
-        raise InputError(f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})")
+        raise InputError(
+            f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})"
+        )
     return array
 
 
 def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """The shape to which leading shapes, by what they are of, broadcast. Errors: `InputError` where they do not fit."""
+    """The shape to which leading shapes, by what they are of, broadcast. Errors: `InputError` where
+    they do not fit.
+    """
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
@@ -289,10 +320,15 @@ def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def generator(rng: Any) -> np.random.Generator:
-    """Random numbers of a generator, of a whole number, or, for None, new ones. Errors: `InputError`."""
+    """Random numbers of a generator, of a whole number, or, for None, new ones. Errors:
+    `InputError`.
+    """
     if rng is None or isinstance(rng, np.random.Generator) or (_is_whole(rng) and rng >= 0):
         return np.random.default_rng(rng)
-    raise InputError(f"rng is {shown(rng)}; it must be a generator, a whole number, from 0 and below 2**62, or None")
+    raise InputError(
+        f"rng is {shown(rng)}; it must be a generator, a whole number, from 0 and below 2**62, or "
+        "None"
+    )
 
 
 # ---- switches and places
@@ -307,13 +343,19 @@ def flag(x: Any, what: str) -> bool:
 
 
 def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """The place of one answer in a batch of this shape, by whole numbers from 0. Errors: `InputError`."""
+    """The place of one answer in a batch of this shape, by whole numbers from 0. Errors:
+    `InputError`.
+    """
     places: Any = index
     at: tuple[Any, ...] = places if isinstance(index, tuple) else (index,)
-    if len(at) == len(shape) and all(_is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)):
+    if len(at) == len(shape) and all(
+        _is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)
+    ):
         return tuple(int(i) for i in at)
     needed = (
-        f"{counted(len(shape), 'whole number')}, from 0 and below {shape}" if shape else "(), for there is one answer"
+        f"{counted(len(shape), 'whole number')}, from 0 and below {shape}"
+        if shape
+        else "(), for there is one answer"
     )
     raise InputError(f"index is {shown(places)}; it must be {needed}")
 

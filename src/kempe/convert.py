@@ -1,4 +1,5 @@
-"""A system in other coordinates: the poses of all bodies, which the joints tie together; turns and slides alone.
+"""A system in other coordinates: the poses of all bodies, which the joints tie together; turns and
+slides alone.
 
 >>> import kempe
 >>> robot = kempe.load("two_link")

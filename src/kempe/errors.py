@@ -1,4 +1,6 @@
-"""Everything that Kempe raises: one base class, a few leaves, each carrying the data of its message."""
+"""Everything that Kempe raises: one base class, a few leaves, each carrying the data of its
+message.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ UNREADABLE = (
     SyntaxError,
     tokenize.TokenError,
 )
-"""What libraries raise for a file that is not what it should be: numpy reads the header of a .npy file as Python."""
+"""What libraries raise for a file that is not what it should be: numpy reads the header of a .npy
+file as Python."""
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 100
@@ -32,7 +35,9 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 100
 
 @dataclass(frozen=True)
 class Where:
-    """A place in a file: path (or another label of the source), line and column counted from 1, the line's text."""
+    """A place in a file: path (or another label of the source), line and column counted from 1, the
+    line's text.
+    """
 
     file: str
     line: int = 0
@@ -45,7 +50,9 @@ class Where:
 
 @dataclass(frozen=True)
 class Fault:
-    """One finding about a description: where it is, what it is about, what is wrong, what is allowed."""
+    """One finding about a description: where it is, what it is about, what is wrong, what is
+    allowed.
+    """
 
     message: str
     subject: str = ""
@@ -59,7 +66,9 @@ class Fault:
         return f"{head}{subject}{self.message}{allowed}"
 
     def caret(self) -> str:
-        """The line of the file with a caret under the place, or an empty string where none is known."""
+        """The line of the file with a caret under the place, or an empty string where none is
+        known.
+        """
         if self.where is None or not self.where.text:
             return ""
         text = self.where.text.rstrip("\n").replace("\t", " ")
@@ -73,13 +82,17 @@ LONGEST = 1000
 
 
 def shortened(message: object) -> object:
-    """A message whose long lines have their middle left out: an echo is in the middle, what is allowed at the end."""
+    """A message whose long lines have their middle left out: an echo is in the middle, what is
+    allowed at the end.
+    """
     if not isinstance(message, str) or len(message) <= LONGEST:
         return message
     head = LONGEST // 2
     tail = LONGEST // 2 - 40
     lines = (
-        line if len(line) <= LONGEST else f"{line[:head]} ... ({len(line)} characters in all) ... {line[-tail:]}"
+        line
+        if len(line) <= LONGEST
+        else f"{line[:head]} ... ({len(line)} characters in all) ... {line[-tail:]}"
         for line in message.split("\n")
     )
     return "\n".join(lines)
@@ -100,7 +113,9 @@ class RoundedWarning(UserWarning):
 
 
 class DescriptionError(KempeError, ValueError):
-    """A file or a sequence of builder calls does not describe a system; `problems` lists what is wrong."""
+    """A file or a sequence of builder calls does not describe a system; `problems` lists what is
+    wrong.
+    """
 
     def __init__(self, problems: Fault | Iterable[Fault]):
         self.problems = (problems,) if isinstance(problems, Fault) else tuple(problems)
@@ -122,7 +137,9 @@ class UnknownNameError(KempeError, KeyError):
         self.name = name
         self.allowed = tuple(allowed)
         self.owner = owner
-        super().__init__(f"{owner + ' has ' if owner else ''}no {kind} {shown(name)}{hint(name, self.allowed)}")
+        super().__init__(
+            f"{owner + ' has ' if owner else ''}no {kind} {shown(name)}{hint(name, self.allowed)}"
+        )
 
     def __reduce__(self):
         return (type(self), (self.kind, self.name, self.allowed, self.owner))
@@ -143,7 +160,9 @@ INSTEAD = {
 
 
 class CallError(KempeError, TypeError):
-    """A call with an argument that the function does not have (`name`; `allowed` are kept), or without one it needs."""
+    """A call with an argument that the function does not have (`name`; `allowed` are kept), or
+    without one it needs.
+    """
 
     def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
         self.function = function
@@ -163,7 +182,9 @@ class UnsupportedError(KempeError, NotImplementedError):
 
 
 class NoSolutionError(KempeError, RuntimeError):
-    """Raised by `expect` of an answer that is no success; `solution` holds the answer with its reason."""
+    """Raised by `expect` of an answer that is no success; `solution` holds the answer with its
+    reason.
+    """
 
     def __init__(self, solution: object):
         self.solution = solution
@@ -179,15 +200,19 @@ class TimeLimitError(KempeError, TimeoutError):
     def __init__(self, verb: str, limit: float | None):
         self.verb = verb
         self.limit = limit
-        super().__init__(f"{verb}: the time limit of {limit or 0.0:g} s was over before anything was known; "
-                         "allow more by kempe.Budget(time_limit=...)")  # fmt: skip
+        super().__init__(
+            f"{verb}: the time limit of {limit or 0.0:g} s was over before anything was known; "
+            "allow more by kempe.Budget(time_limit=...)"
+        )
 
     def __reduce__(self):
         return (type(self), (self.verb, self.limit))
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C came while a verb worked; `answer` is the part that was done by then, None where there is none."""
+    """Ctrl-C came while a verb worked; `answer` is the part that was done by then, None where there
+    is none.
+    """
 
     def __init__(self, answer: object = None):
         self.answer = answer
@@ -197,7 +222,11 @@ class Interrupted(KeyboardInterrupt):
         return (type(self), (self.answer,))
 
     def __str__(self) -> str:
-        return "interrupted" if self.answer is None else f"interrupted; what was done is in `answer`: {self.answer}"
+        return (
+            "interrupted"
+            if self.answer is None
+            else f"interrupted; what was done is in `answer`: {self.answer}"
+        )
 
 
 class MissingExtraError(KempeError, ImportError):
@@ -207,14 +236,18 @@ class MissingExtraError(KempeError, ImportError):
         self.package = package
         self.extra = extra
         said = f"pip install '{requirement(package)}'"
-        super().__init__(f"this needs the package {package!r} (extra kempe[{extra}]): install it with  {said}")
+        super().__init__(
+            f"this needs the package {package!r} (extra kempe[{extra}]): install it with  {said}"
+        )
 
     def __reduce__(self):
         return (type(self), (self.package, self.extra))
 
 
 def requirement(package: str) -> str:
-    """A package with the versions that Kempe works with, by its own metadata; only its name where there are none."""
+    """A package with the versions that Kempe works with, by its own metadata; only its name where
+    there are none.
+    """
     from importlib import metadata
 
     try:
@@ -229,10 +262,14 @@ def requirement(package: str) -> str:
 
 
 def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
-    """Warn at the line that called Kempe; by default, that numbers were taken as what they nearly are."""
+    """Warn at the line that called Kempe; by default, that numbers were taken as what they nearly
+    are.
+    """
     level = 1
     frame = inspect.currentframe()
-    while frame and frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe":
+    while (
+        frame and frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe"
+    ):
         level = level + 1
         frame = frame.f_back
     warnings.warn(message, kind, stacklevel=level)
@@ -253,16 +290,25 @@ COMPARED = 500
 
 
 def _alike(given: str, names: Iterable[str]) -> list[str]:
-    """The names, of many only those that share the longest beginnings and ends with the one that is given."""
+    """The names, of many only those that share the longest beginnings and ends with the one that is
+    given.
+    """
     names = list(names)
     if len(names) <= COMPARED:
         return names
-    return sorted(names, key=lambda name: -len(os.path.commonprefix((given, name)))
-                  - len(os.path.commonprefix((given[::-1], name[::-1]))))[:COMPARED]  # fmt: skip
+    return sorted(
+        names,
+        key=lambda name: (
+            -len(os.path.commonprefix((given, name)))
+            - len(os.path.commonprefix((given[::-1], name[::-1])))
+        ),
+    )[:COMPARED]
 
 
 def hint(name: object, allowed: Iterable[str]) -> str:
-    """The tail of a message about an unknown name: the nearest names, or all of them where they are few."""
+    """The tail of a message about an unknown name: the nearest names, or all of them where they are
+    few.
+    """
     import difflib  # only here: most names are known
 
     allowed = list(dict.fromkeys(allowed))
@@ -278,7 +324,9 @@ def hint(name: object, allowed: Iterable[str]) -> str:
 
 
 class DiskError(KempeError, OSError):
-    """A result could not be written; the text says what stands on disk, from which the same call goes on."""
+    """A result could not be written; the text says what stands on disk, from which the same call
+    goes on.
+    """
 
 
 class DamagedError(KempeError, OSError):

@@ -1,9 +1,11 @@
-"""The joint zoo: each joint type is one small class that *declares* its primitives; kernels do the arithmetic.
+"""The joint zoo: each joint type is one small class that *declares* its primitives; kernels do the
+arithmetic.
 
-A joint connects frame F on its parent body to frame M on its child body. Its pose X_FM(q) is a product of primitives:
-turns and slides about and along the axes x, y, z of the frame reached so far, and unit quaternions. Most complex
-joints are combinations of revolute and prismatic ones; the classes say which. A product without a class of its own is
-said in words: `joint_type("P(x) R(z) R(y)")`.
+A joint connects frame F on its parent body to frame M on its child body. Its pose X_FM(q) is a
+product of primitives: turns and slides about and along the axes x, y, z of the frame reached so
+far, and unit quaternions. Most complex joints are combinations of revolute and prismatic ones; the
+classes say which. A product without a class of its own is said in words:
+`joint_type("P(x) R(z) R(y)")`.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class Primitive(NamedTuple):
-    """One elementary motion: kind, axis of the frame reached so far, coordinate within the joint, multiplier."""
+    """One elementary motion: kind, axis of the frame reached so far, coordinate within the joint,
+    multiplier.
+    """
 
     kind: int
     axis: str
@@ -43,7 +47,9 @@ class Primitive(NamedTuple):
 
 @dataclass(frozen=True)
 class JointType:
-    """Base of all joint types. A subclass declares its name, coordinates and primitives; the rest follows."""
+    """Base of all joint types. A subclass declares its name, coordinates and primitives; the rest
+    follows.
+    """
 
     type_name: ClassVar[str] = ""
     summary: ClassVar[str] = ""
@@ -52,32 +58,43 @@ class JointType:
     short: ClassVar[str] = ""
     """The letter of the type, where it is none of R, P and S."""
 
-    def layout(self, dim: int = 3, particle: bool = False) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
-        """Coordinate names and elementary motions (`Primitive`) of the joint, in their order: (names, primitives).
+    def layout(
+        self, dim: int = 3, particle: bool = False
+    ) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
+        """Coordinate names and elementary motions (`Primitive`) of the joint, in their order:
+        (names, primitives).
 
-        `dim` is 2 for a planar system, 3 for one in space; `particle` says that the child is a particle, which cannot
-        turn.
+        `dim` is 2 for a planar system, 3 for one in space; `particle` says that the child is a
+        particle, which cannot turn.
         """
         raise NotImplementedError
 
     def dof(self, dim: int = 3, particle: bool = False) -> int:
-        """Degrees of freedom that the joint leaves, which is also its number of velocity coordinates."""
+        """Degrees of freedom that the joint leaves, which is also its number of velocity
+        coordinates.
+        """
         return sum(3 if p.kind == Q else 1 for p in _unique(self.layout(dim, particle)[1]))
 
     def constraints(self, dim: int = 3, particle: bool = False) -> int:
-        """How many freedoms the joint takes away: of 6 (in the plane 3) for a body, of 3 (2) for a particle."""
+        """How many freedoms the joint takes away: of 6 (in the plane 3) for a body, of 3 (2) for a
+        particle.
+        """
         free = dim if particle else (6 if dim == 3 else 3)
         return free - self.dof(dim, particle)
 
     def forbids(self, dim: int = 3) -> tuple[str, ...]:
-        """The motions of M that the joint never allows: 'x', 'y', 'z' along and 'rx', 'ry', 'rz' about axes of F.
+        """The motions of M that the joint never allows: 'x', 'y', 'z' along and 'rx', 'ry', 'rz'
+        about axes of F.
 
-        In space a joint may take away more freedoms than these: along or about axes that move (universal), or by a
-        relation between those that it allows (helical). In the plane the axis of a slide counts as x.
+        In space a joint may take away more freedoms than these: along or about axes that move
+        (universal), or by a relation between those that it allows (helical). In the plane the axis
+        of a slide counts as x.
         """
         primitives = self.layout(dim)[1]
         if dim == 2:
-            primitives = tuple(p._replace(axis="x") if p.kind == P and p.axis == "z" else p for p in primitives)
+            primitives = tuple(
+                p._replace(axis="x") if p.kind == P and p.axis == "z" else p for p in primitives
+            )
         slides = np.zeros((0, 3))
         turns = np.zeros((0, 3))
         turned = np.eye(3)
@@ -97,7 +114,9 @@ class JointType:
         return self.layout(dim, particle)[0]
 
     def velocities(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
-        """Names of the velocity coordinates: as the coordinates, with wx, wy, wz (axes of M) for a quaternion."""
+        """Names of the velocity coordinates: as the coordinates, with wx, wy, wz (axes of M) for a
+        quaternion.
+        """
         names, primitives = self.layout(dim, particle)
         quaternions = {p.coordinate for p in primitives if p.kind == Q}
         if not quaternions:
@@ -124,18 +143,26 @@ class JointType:
 
     @property
     def letter(self) -> str:
-        """The letter that stands for the type in pictures, or those of its primitives; '' where nothing moves."""
+        """The letter that stands for the type in pictures, or those of its primitives; '' where
+        nothing moves.
+        """
         return self.short or "".join("RPS"[p.kind] for p in _unique(self.layout()[1]))
 
     def _repr_html_(self) -> str:
         n = self.dof()
         m = self.constraints()
-        return paragraphs([f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"])
+        return paragraphs(
+            [f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"]
+        )
 
     @property
     def options(self) -> dict[str, object]:
         """Settings that differ from their defaults, by name."""
-        return {n: getattr(self, n) for n, default in self.defaults().items() if getattr(self, n) != default}
+        return {
+            n: getattr(self, n)
+            for n, default in self.defaults().items()
+            if getattr(self, n) != default
+        }
 
     @classmethod
     def defaults(cls) -> dict[str, object]:
@@ -181,7 +208,9 @@ class Prismatic(JointType):
 
 @dataclass(frozen=True)
 class Helical(JointType):
-    """A screw: turn about z and slide along it together, `pitch` metres a radian (Lynch, Park, 2017, section 2.2)."""
+    """A screw: turn about z and slide along it together, `pitch` metres a radian (Lynch, Park,
+    2017, section 2.2).
+    """
 
     type_name = "helical"
     short = "H"
@@ -189,7 +218,9 @@ class Helical(JointType):
     pitch: float = 0.0
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One name '' and two primitives that share this coordinate, the angle: rotation about, translation along z."""
+        """One name '' and two primitives that share this coordinate, the angle: rotation about,
+        translation along z.
+        """
         return ("",), (Primitive(R, "z", 0), Primitive(P, "z", 0, self.pitch))
 
 
@@ -213,7 +244,9 @@ class Universal(JointType):
     summary = "turn about x of F, then about y of M"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names 'rx' and 'ry' and their primitives: a rotation about x of F, then one about y of the cross."""
+        """Names 'rx' and 'ry' and their primitives: a rotation about x of F, then one about y of
+        the cross.
+        """
         return ("rx", "ry"), (Primitive(R, "x", 0), Primitive(R, "y", 1))
 
 
@@ -226,7 +259,9 @@ class Planar(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names 'x', 'y', 'rz' and primitives: two translations, then a rotation about z; a particle has no 'rz'."""
+        """Names 'x', 'y', 'rz' and primitives: two translations, then a rotation about z; a
+        particle has no 'rz'.
+        """
         if particle:
             return ("x", "y"), (Primitive(P, "x", 0), Primitive(P, "y", 1))
         return ("x", "y", "rz"), (Primitive(P, "x", 0), Primitive(P, "y", 1), Primitive(R, "z", 2))
@@ -247,9 +282,11 @@ class Translation(JointType):
 
 @dataclass(frozen=True)
 class Spherical(JointType):
-    """A ball joint: any rotation, as a unit quaternion; with `angles`, three turns about z, y', x''.
+    """A ball joint: any rotation, as a unit quaternion; with `angles`, three turns about z, y',
+    x''.
 
-    With angles there are as many coordinates as degrees of freedom, at the price of a singularity at ry = +-90 degrees.
+    With angles there are as many coordinates as degrees of freedom, at the price of a singularity
+    at ry = +-90 degrees.
     """
 
     type_name = "spherical"
@@ -268,7 +305,9 @@ class Spherical(JointType):
 
 @dataclass(frozen=True)
 class Free(JointType):
-    """No constraint at all: 6 degrees of freedom in space, 3 in the plane, as many as a particle has for one."""
+    """No constraint at all: 6 degrees of freedom in space, 3 in the plane, as many as a particle
+    has for one.
+    """
 
     type_name = "free"
     short = "F"
@@ -277,23 +316,28 @@ class Free(JointType):
     angles: bool = False
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names and primitives of translations, followed by those of `Spherical`; in the plane those of `Planar`."""
+        """Names and primitives of translations, followed by those of `Spherical`; in the plane
+        those of `Planar`.
+        """
         if particle:
             return Translation().layout(dim)
         if dim == 2:
             return Planar().layout(dim)
         names, slides = Translation().layout()
         ball_names, turns = Spherical(self.angles).layout()
-        return names + ball_names, slides + tuple(t._replace(coordinate=t.coordinate + 3) for t in turns)
+        return names + ball_names, slides + tuple(
+            t._replace(coordinate=t.coordinate + 3) for t in turns
+        )
 
 
 @dataclass(frozen=True)
 class Product(JointType):
-    """A product of primitives in words, such as "P(x) R(z) R(y)": each has the axes that those before it moved.
+    """A product of primitives in words, such as "P(x) R(z) R(y)": each has the axes that those
+    before it moved.
 
-    R(x) turns about an axis, P(x) slides along it, H(x, 0.1) is a screw of that pitch in metres a radian, S (or Q) is
-    any rotation, as a unit quaternion. Coordinates are `rx` for turns and screws and `x` for slides, numbered where
-    an axis occurs more than once (`rz1`, `rz2`).
+    R(x) turns about an axis, P(x) slides along it, H(x, 0.1) is a screw of that pitch in metres a
+    radian, S (or Q) is any rotation, as a unit quaternion. Coordinates are `rx` for turns and
+    screws and `x` for slides, numbered where an axis occurs more than once (`rz1`, `rz2`).
     """
 
     summary = "product of primitives"
@@ -301,7 +345,10 @@ class Product(JointType):
     words: str
 
     def __post_init__(self) -> None:
-        said = [letter + f"({', '.join(letters)})" * bool(letters) for letter, *letters in _factors(self.words)]
+        said = [
+            letter + f"({', '.join(letters)})" * bool(letters)
+            for letter, *letters in _factors(self.words)
+        ]
         object.__setattr__(self, "words", " ".join(said))
 
     @property
@@ -314,22 +361,37 @@ class Product(JointType):
         return _product(self.words)
 
 
-_FACTOR = re.compile(r"([RP])\(([xyz])\)|(H)\(([xyz]),([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\)|[SQ]", re.ASCII)
+_FACTOR = re.compile(
+    r"([RP])\(([xyz])\)|(H)\(([xyz]),([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\)|[SQ]", re.ASCII
+)
 _LETTERS = frozenset("RPHSQ")
 
 
 def _factors(words: str) -> list[tuple[str, ...]]:
-    """Letter, axis and pitch of each factor, as text. Errors: `InputError` with the word that is none."""
+    """Letter, axis and pitch of each factor, as text. Errors: `InputError` with the word that is
+    none.
+    """
     out: list[tuple[str, ...]] = []
     for word in re.findall(r"\w+(?:\s*\([^()]*\))?|\S", words):
         found = _FACTOR.fullmatch("".join(word.split()))
         pitch = float(found[5]) if found and found[3] else 0.0
         if found is None or not math.isfinite(pitch):
-            allowed = "R(x) turns, P(x) slides, H(x, 0.1) is a screw with its pitch, each with x, y or z; S is a ball"
+            allowed = (
+                "R(x) turns, P(x) slides, H(x, 0.1) is a screw with its pitch, each with x, y or "
+                "z; S is a ball"
+            )
             raise InputError(f"joint type {words!r}: {word!r} is no primitive; {allowed}")
-        out.append((found[1], found[2]) if found[1] else ("H", found[4], repr(pitch)) if found[3] else ("S",))
+        out.append(
+            (found[1], found[2])
+            if found[1]
+            else ("H", found[4], repr(pitch))
+            if found[3]
+            else ("S",)
+        )
     if not out or out.count(("S",)) > 1:
-        raise InputError(f"joint type {words!r}: it has " + ("more than one S" if out else "no primitive"))
+        raise InputError(
+            f"joint type {words!r}: it has " + ("more than one S" if out else "no primitive")
+        )
     return out
 
 
@@ -349,22 +411,36 @@ def _product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
             steps.append(Primitive(R, letters[0], i))
         if letter != "R":
             steps.append(Primitive(P, letters[0], i, float(letters[1]) if letter == "H" else 1.0))
-    numbered = tuple(f"{n}{names[:i].count(n) + 1}" if names.count(n) > 1 else n for i, n in enumerate(names))
+    numbered = tuple(
+        f"{n}{names[:i].count(n) + 1}" if names.count(n) > 1 else n for i, n in enumerate(names)
+    )
     return ("",) if len(names) == 1 else numbered, tuple(steps)
 
 
 TYPES: dict[str, type[JointType]] = {
     t.type_name: t
-    for t in (Fixed, Revolute, Prismatic, Helical, Cylindrical, Universal, Planar, Translation, Spherical, Free)
+    for t in (
+        Fixed,
+        Revolute,
+        Prismatic,
+        Helical,
+        Cylindrical,
+        Universal,
+        Planar,
+        Translation,
+        Spherical,
+        Free,
+    )
 }
 """The table of the zoo: one row a joint type."""
 
 
 def joint_type(name: object, **options: object) -> JointType:
-    """A joint type by its name, by a product in words (see `Product`), or another joint type with options.
+    """A joint type by its name, by a product in words (see `Product`), or another joint type with
+    options.
 
-    Errors: `UnknownNameError` for the name, `InputError` for products that cannot be read and for options that the
-    type does not take.
+    Errors: `UnknownNameError` for the name, `InputError` for products that cannot be read and for
+    options that the type does not take.
     """
     if isinstance(name, JointType):
         made = name
@@ -394,8 +470,13 @@ def in_zoo(kind: JointType) -> bool:
     return TYPES.get(kind.type_name, Product) is type(kind)
 
 
-AXIS_ROTATIONS = {"x": spatial.align_z([1.0, 0, 0]), "y": spatial.align_z([0.0, 1, 0]), "z": np.eye(3)}
-"""The rotation that takes z to each axis: primitives of the table always turn about z or slide along it."""
+AXIS_ROTATIONS = {
+    "x": spatial.align_z([1.0, 0, 0]),
+    "y": spatial.align_z([0.0, 1, 0]),
+    "z": np.eye(3),
+}
+"""The rotation that takes z to each axis: primitives of the table always turn about z or slide
+along it."""
 
 
 def _unique(primitives: tuple[Primitive, ...]) -> list[Primitive]:

@@ -1,7 +1,8 @@
-"""What lower layers ask of higher ones: the only names that point upwards, as text, imported on first use.
+"""What lower layers ask of higher ones: the only names that point upwards, as text, imported on
+first use.
 
-`Mechanism.build` makes a `System`, answers are explained by the verb that gave them, and are drawn. All other imports
-point from a layer to those below it.
+`Mechanism.build` makes a `System`, answers are explained by the verb that gave them, and are drawn.
+All other imports point from a layer to those below it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Real numbers as callers give them: read by one rule, refused with the reason where they are none, or have names."""
+"""Real numbers as callers give them: read by one rule, refused with the reason where they are none,
+or have names.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +17,32 @@ from kempe.errors import InputError, shown
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
 FARTHEST = 1e100
-"""Numbers of this size and larger are refused where searches begin: products of three of them must be floats."""
+"""Numbers of this size and larger are refused where searches begin: products of three of them must
+be floats."""
 LISTS = frozenset({list, tuple})
 DEEPEST = 64
 """Lists within lists that are read: as many as numpy has axes."""
 LARGEST = int(np.finfo(np.float64).max)
 """The largest float: whole numbers and fractions can be larger."""
 KINDS = {
-    "U": "text", "S": "bytes", "O": "objects that are no numbers", "c": "complex numbers", "b": "truth values",
-    "M": "dates", "m": "durations", "V": "records", "T": "text",
-}  # fmt: skip
+    "U": "text",
+    "S": "bytes",
+    "O": "objects that are no numbers",
+    "c": "complex numbers",
+    "b": "truth values",
+    "M": "dates",
+    "m": "durations",
+    "V": "records",
+    "T": "text",
+}
 """What arrays of these kinds hold that are no real numbers."""
 
 
 def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> NDArray[np.float64]:
     """`given` as an array of float64, the same one where it is one.
 
-    Errors: `InputError` for anything but real numbers: text, truth values, dates, complex numbers, None, ragged
-    lists, masked arrays, numbers with units, and tables whose columns have names.
+    Errors: `InputError` for anything but real numbers: text, truth values, dates, complex numbers,
+    None, ragged lists, masked arrays, numbers with units, and tables whose columns have names.
     """
     kind = given.__class__
     if kind is np.ndarray and given.dtype == np.float64:
@@ -60,7 +70,9 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
         try:
             array = array.astype(np.float64)  # whole numbers beyond those of numpy
         except OverflowError:
-            raise InputError(f"{what} has a number that no float holds; it must be {wanted}") from None
+            raise InputError(
+                f"{what} has a number that no float holds; it must be {wanted}"
+            ) from None
     if array.dtype.kind not in "fiu":
         held = KINDS.get(array.dtype.kind, str(array.dtype))
         if given is None or not array.ndim:
@@ -73,7 +85,8 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
 def within_range(
     x: NDArray[np.float64], what: str, names: Sequence[str] = (), below: float = FARTHEST
 ) -> NDArray[np.float64]:
-    """The numbers `x`, which must be finite and of a size below a bound; `names` are those of the last axis.
+    """The numbers `x`, which must be finite and of a size below a bound; `names` are those of the
+    last axis.
 
     Errors: `InputError`, with the first number that is not, and its place.
     """
@@ -91,8 +104,12 @@ def within_range(
 
 
 def median(values: Iterable[float]) -> float:
-    """The middle of numbers, at least one: the mean of the two in the middle where their count is even."""
-    x = sorted(map(float, values))  # numpy's own imports masked arrays, a sixth of the time to a first answer
+    """The middle of numbers, at least one: the mean of the two in the middle where their count is
+    even.
+    """
+    x = sorted(
+        map(float, values)
+    )  # numpy's own imports masked arrays, a sixth of the time to a first answer
     return 0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2])
 
 
@@ -118,14 +135,20 @@ def is_real(x: object) -> TypeGuard[float]:
 
 
 def is_plain(given: Any) -> bool:
-    """Whether it is a list of numbers, or a list of such lists of one shape; the first of them decides."""
+    """Whether it is a list of numbers, or a list of such lists of one shape; the first of them
+    decides.
+    """
     if given.__class__ not in LISTS or not len(given):
         return False
     first = given[0]
     if first.__class__ in PLAIN:
         return True
-    return first.__class__ in LISTS and len(first) > 0 and first[0].__class__ in PLAIN and LISTS.issuperset(
-        map(type, given))  # fmt: skip
+    return (
+        first.__class__ in LISTS
+        and len(first) > 0
+        and first[0].__class__ in PLAIN
+        and LISTS.issuperset(map(type, given))
+    )
 
 
 def is_mapping(x: object) -> TypeGuard[Mapping[Any, Any]]:
@@ -146,8 +169,9 @@ def is_array(x: object) -> TypeGuard[NDArray[Any]]:
 def named(given: Any) -> Mapping[str, Any] | None:
     """What is labelled by names, as a mapping from these; None for what has no names.
 
-    A mapping, a record or an array of them, a series with an index, a table with columns. Labels 0, 1, 2, ... are the
-    places that the values have anyway. Errors: `InputError` for labels that are neither, or appear twice.
+    A mapping, a record or an array of them, a series with an index, a table with columns. Labels 0,
+    1, 2, ... are the places that the values have anyway. Errors: `InputError` for labels that are
+    neither, or appear twice.
     """
     kind = given.__class__
     if kind is dict:
@@ -165,11 +189,15 @@ def named(given: Any) -> Mapping[str, Any] | None:
         return None
     kind = type(given).__name__
     if not all(isinstance(name, str) for name in names):
-        raise InputError(f"the labels of the {kind} are {shown(names)}; they must be names, or 0, 1, 2, ...")
+        raise InputError(
+            f"the labels of the {kind} are {shown(names)}; they must be names, or 0, 1, 2, ..."
+        )
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"the {kind} has {twice!r} twice")
-    table = getattr(given, "ndim", 1) != 1 or isinstance(given, np.ndarray) or hasattr(given, "columns")
+    table = (
+        getattr(given, "ndim", 1) != 1 or isinstance(given, np.ndarray) or hasattr(given, "columns")
+    )
     return {name: np.asarray(whole[name]) if table else whole[name] for name in names}
 
 
@@ -177,7 +205,11 @@ def rows_of(given: Any) -> list[Any] | None:
     """The entries of a list or tuple some of which have names; None for all else."""
     if given.__class__ not in LISTS:
         return None
-    return list(given) if any(named(x) is not None for x in given if x.__class__ not in PLAIN) else None
+    return (
+        list(given)
+        if any(named(x) is not None for x in given if x.__class__ not in PLAIN)
+        else None
+    )
 
 
 def _labels(given: Any) -> list[Any] | None:
@@ -197,7 +229,9 @@ def _labels(given: Any) -> list[Any] | None:
 
 
 def _parts(given: Any) -> Iterator[Any]:
-    """What is no plain number and no list: itself, or all that lists of lists hold; lists of numbers are passed by."""
+    """What is no plain number and no list: itself, or all that lists of lists hold; lists of
+    numbers are passed by.
+    """
     level = [given]
     for _ in range(DEEPEST):
         if not level:
@@ -218,8 +252,12 @@ def _parts(given: Any) -> Iterator[Any]:
 
 
 def _trouble(x: Any) -> str:
-    """Why a value is not accepted as numbers although numpy could convert it; '' where it is accepted."""
-    if "numpy.ma" in sys.modules and isinstance(x, np.ma.MaskedArray):  # asking numpy for it would import it
+    """Why a value is not accepted as numbers although numpy could convert it; '' where it is
+    accepted.
+    """
+    if "numpy.ma" in sys.modules and isinstance(
+        x, np.ma.MaskedArray
+    ):  # asking numpy for it would import it
         return "is a masked array, whose mask would be lost"
     kind: str = type(x).__name__
     if isinstance(x, Mapping):
@@ -231,7 +269,14 @@ def _trouble(x: Any) -> str:
     if labels and hasattr(whole, "columns") and labels != list(range(len(labels))):
         return f"is a {kind} whose columns are {shown(labels)}, which have no meaning here"
     if not isinstance(whole, (np.generic, str, bytes)):
-        unit = next((u for u in (getattr(whole, name, None) for name in ("unit", "units")) if u is not None), None)
+        unit = next(
+            (
+                u
+                for u in (getattr(whole, name, None) for name in ("unit", "units"))
+                if u is not None
+            ),
+            None,
+        )
         if unit is not None and not callable(unit):
             return f"has the unit {str(unit)!r}, which would be lost"
         coords: Any = getattr(whole, "coords", None)

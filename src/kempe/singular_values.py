@@ -16,14 +16,17 @@ Floats = NDArray[np.float64]
 
 
 @overload
-def svd(A: Any, full_matrices: bool = True, compute_uv: Literal[True] = True) -> tuple[Floats, Floats, Floats]: ...
+def svd(
+    A: Any, full_matrices: bool = True, compute_uv: Literal[True] = True
+) -> tuple[Floats, Floats, Floats]: ...
 @overload
 def svd(A: Any, full_matrices: bool = True, *, compute_uv: Literal[False]) -> Floats: ...
 def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     """Singular value decomposition of matrices (..., m, n), as `numpy.linalg.svd` gives it.
 
-    LAPACK's divide and conquer (gesdd), which numpy calls, does not converge for some finite matrices with several
-    singular values near rounding. These are decomposed by QR iteration (gesvd), which is slower and does.
+    LAPACK's divide and conquer (gesdd), which numpy calls, does not converge for some finite
+    matrices with several singular values near rounding. These are decomposed by QR iteration
+    (gesvd), which is slower and does.
 
     Raises
     ------
@@ -39,7 +42,8 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
         matrices = np.asarray(A, dtype=np.float64)
         if not np.isfinite(matrices).all():
             raise InputError(
-                "a matrix has entries that are not finite: a number of the system or of the call is too large"
+                "a matrix has entries that are not finite: a number of the system or of the call "
+                "is too large"
             ) from None
     import scipy.linalg  # only here: it takes long
 
@@ -51,4 +55,6 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     ]
     if not compute_uv:
         return np.reshape(found, (*lead, -1))
-    return tuple(np.reshape([part[k] for part in found], (*lead, *np.shape(found[0][k]))) for k in range(3))
+    return tuple(
+        np.reshape([part[k] for part in found], (*lead, *np.shape(found[0][k]))) for k in range(3)
+    )

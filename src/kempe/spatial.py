@@ -1,7 +1,7 @@
 """SO(3) and SE(3) as array functions: the last axes are the object, leading axes broadcast.
 
-Poses are (..., 4, 4), rotations (..., 3, 3), twists (..., 6) with the linear part first, quaternions (..., 4) in the
-order that the function's name says. Angles are radians.
+Poses are (..., 4, 4), rotations (..., 3, 3), twists (..., 6) with the linear part first,
+quaternions (..., 4) in the order that the function's name says. Angles are radians.
 """
 
 from __future__ import annotations
@@ -20,16 +20,21 @@ Array = NDArray[np.float64]
 LAST_ROW = [0.0, 0.0, 0.0, 1.0]
 """The last row of a pose."""
 SMALL_ANGLE = 1e-4
-"""Below this angle, series replace quotients by the angle: their first dropped term is under 1e-17."""
+"""Below this angle, series replace quotients by the angle: their first dropped term is under
+1e-17."""
 
 
 @quiet
 def unit(v: ArrayLike) -> Array:
-    """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero or not finite."""
+    """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero
+    or not finite.
+    """
     v = numbers(v, "v")
     if v.ndim == 0:
         raise InputError("v is a single number; it must be a vector (..., n)")
-    scaled = v / np.max(np.abs(v), axis=-1, keepdims=True, initial=0.0)  # or squares would overflow or vanish
+    scaled = v / np.max(
+        np.abs(v), axis=-1, keepdims=True, initial=0.0
+    )  # or squares would overflow or vanish
     return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
 
 
@@ -49,7 +54,9 @@ def skew(v: ArrayLike) -> Array:
 
 @quiet
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
-    """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
+    """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero
+    motion.
+    """
     turn = np.eye(3) if R is None else numbers(R, "R", 3, 3)
     p = np.zeros(3) if p is None else numbers(p, "p", 3)
     shape = turn.shape[:-2]
@@ -63,9 +70,11 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
 
 
 def _poses(X: ArrayLike, what: str = "X") -> Array:
-    """Poses (..., 4, 4), read: all NaN where the last row holds a NaN. `what` names them in messages.
+    """Poses (..., 4, 4), read: all NaN where the last row holds a NaN. `what` names them in
+    messages.
 
-    Errors: `InputError` for other shapes, and for a last row that is not 0 0 0 1. Rotations are not checked.
+    Errors: `InputError` for other shapes, and for a last row that is not 0 0 0 1. Rotations are not
+    checked.
     """
     given = numbers(X, what, 4, 4)
     last = given[..., 3, :]
@@ -124,7 +133,8 @@ def _rot(angle: ArrayLike, axis: int) -> Array:
 
 @quiet
 def align_z(axis: ArrayLike) -> Array:
-    """Smallest rotation (..., 3, 3) that takes z to the direction of `axis` (..., 3); for -z the half turn about x.
+    """Smallest rotation (..., 3, 3) that takes z to the direction of `axis` (..., 3); for -z the
+    half turn about x.
 
     Axes along x, y or z give exact permutations. A zero axis gives NaN.
     """
@@ -156,13 +166,17 @@ def rpy_to_matrix(rpy: ArrayLike) -> Array:
 
 @quiet
 def matrix_to_rpy(R: ArrayLike) -> Array:
-    """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is chosen zero."""
+    """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is
+    chosen zero.
+    """
     m = numbers(R, "R", 3, 3)
     cos_pitch = np.hypot(m[..., 0, 0], m[..., 1, 0])
     pitch = np.arctan2(-m[..., 2, 0], cos_pitch)
     regular = cos_pitch > 1e-12
     roll = np.where(regular, np.arctan2(m[..., 2, 1], m[..., 2, 2]), 0.0 * pitch)  # or NaN
-    yaw = np.where(regular, np.arctan2(m[..., 1, 0], m[..., 0, 0]), np.arctan2(-m[..., 0, 1], m[..., 1, 1]))
+    yaw = np.where(
+        regular, np.arctan2(m[..., 1, 0], m[..., 0, 0]), np.arctan2(-m[..., 0, 1], m[..., 1, 1])
+    )
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
@@ -178,7 +192,9 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
 
 @quiet
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
-    """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component (Shepperd, 1978)."""
+    """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component
+    (Shepperd, 1978).
+    """
     m = numbers(R, "R", 3, 3)
     d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
     trace = d.sum(axis=-1)
@@ -192,9 +208,13 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     xz = m[..., 0, 2] + m[..., 2, 0]
     yz = m[..., 1, 2] + m[..., 2, 1]
     for row, values in enumerate(
-        [(squares[..., 0], wx, wy, wz), (wx, squares[..., 1], xy, xz), (wy, xy, squares[..., 2], yz),
-         (wz, xz, yz, squares[..., 3])]
-    ):  # fmt: skip
+        [
+            (squares[..., 0], wx, wy, wz),
+            (wx, squares[..., 1], xy, xz),
+            (wy, xy, squares[..., 2], yz),
+            (wz, xz, yz, squares[..., 3]),
+        ]
+    ):
         products[..., row, :] = np.stack(values, axis=-1)
     best = np.argmax(squares, axis=-1)
     q = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
@@ -211,10 +231,15 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
         together({"a": a.shape, "b": b.shape})
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack([
-        aw * bw - (ax * bx + ay * by + az * bz), aw * bx + bw * ax + (ay * bz - az * by),
-        aw * by + bw * ay + (az * bx - ax * bz), aw * bz + bw * az + (ax * by - ay * bx),
-    ], axis=-1)  # fmt: skip
+    return np.stack(
+        [
+            aw * bw - (ax * bx + ay * by + az * bz),
+            aw * bx + bw * ax + (ay * bz - az * by),
+            aw * by + bw * ay + (az * bx - ax * bz),
+            aw * bz + bw * az + (ax * by - ay * bx),
+        ],
+        axis=-1,
+    )
 
 
 @quiet
@@ -233,7 +258,9 @@ def quat_wxyz_exp(w: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_log(q: ArrayLike) -> Array:
-    """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the same."""
+    """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the
+    same.
+    """
     q = numbers(q, "q", 4)
     q = np.where(q[..., :1] < 0.0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
@@ -257,7 +284,9 @@ def log_so3(R: ArrayLike) -> Array:
 
 @quiet
 def exp_se3(twist: ArrayLike) -> Array:
-    """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq. 2.36)."""
+    """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq.
+    2.36).
+    """
     twist = numbers(twist, "twist", 6)
     v = twist[..., :3]
     w = twist[..., 3:]
@@ -275,7 +304,12 @@ def log_se3(X: ArrayLike) -> Array:
     K = skew(w)
     a, b, _ = _series(np.linalg.norm(w, axis=-1))
     angle2 = np.sum(w * w, axis=-1)
-    k = cast(Array, np.where(angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2))
+    k = cast(
+        Array,
+        np.where(
+            angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2
+        ),
+    )
     V_inverse = np.eye(3) - 0.5 * K + k[..., None, None] * (K @ K)
     return np.concatenate([np.einsum("...ij,...j->...i", V_inverse, given[..., :3, 3]), w], axis=-1)
 
@@ -318,7 +352,9 @@ def xyz_rpy_from_pose(X: ArrayLike) -> Array:
 
 
 class PoseFit(NamedTuple):
-    """The pose of a body that fits measured places of its particles best, and how far these are off."""
+    """The pose of a body that fits measured places of its particles best, and how far these are
+    off.
+    """
 
     X: Array
     """Pose (..., 4, 4)."""
@@ -330,12 +366,13 @@ class PoseFit(NamedTuple):
 
 @quiet
 def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
-    """The pose of a body from where its particles are, by least squares of distances (Arun, Huang, Blostein, 1987).
+    """The pose of a body from where its particles are, by least squares of distances (Arun, Huang,
+    Blostein, 1987).
 
-    `particles` (..., n, 3) are points of the body in its frame, `places` (..., n, 3) where they were measured; n is at
-    least 3, and they do not lie on a line. In the plane both are (..., n, 2), and n is at least 2. Batch axes
-    broadcast. Errors: `InputError` for shapes, NaN, and particles that leave the orientation open; among many these
-    give NaN.
+    `particles` (..., n, 3) are points of the body in its frame, `places` (..., n, 3) where they
+    were measured; n is at least 3, and they do not lie on a line. In the plane both are (..., n,
+    2), and n is at least 2. Batch axes broadcast. Errors: `InputError` for shapes, NaN, and
+    particles that leave the orientation open; among many these give NaN.
 
     >>> round(float(fit_pose([[0, 0], [1, 0]], [[2, 1], [2, 2.2]]).residual), 12)
     0.1
@@ -343,8 +380,15 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     given = numbers(particles, "particles")
     there = numbers(places, "places")
     for name, x in (("particles", given), ("places", there)):
-        if x.ndim < 2 or x.shape[-1] not in (2, 3) or x.shape[-2:] != given.shape[-2:] or x.shape[-2] < x.shape[-1]:
-            need = "(..., n, 3) with at least 3 points, or, in the plane, (..., n, 2) with at least 2"
+        if (
+            x.ndim < 2
+            or x.shape[-1] not in (2, 3)
+            or x.shape[-2:] != given.shape[-2:]
+            or x.shape[-2] < x.shape[-1]
+        ):
+            need = (
+                "(..., n, 3) with at least 3 points, or, in the plane, (..., n, 2) with at least 2"
+            )
             raise InputError(f"{name} have shape {x.shape}; both must be {need}")
     dim = given.shape[-1]
     given, there = np.broadcast_arrays(given, there)
@@ -361,7 +405,9 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     if bad.ndim == 0 and (bad or loose):
         open_ = "the particles lie on one line or in one point, which leaves the orientation open"
         raise InputError(
-            "particles or places have entries that are not finite; all must be finite numbers" if bad else open_
+            "particles or places have entries that are not finite; all must be finite numbers"
+            if bad
+            else open_
         )
     X = np.zeros((*bad.shape, 4, 4))
     X[...] = np.eye(4)

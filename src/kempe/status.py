@@ -9,11 +9,12 @@ import numpy as np
 
 
 class Status(IntEnum):
-    """The outcome of a question, `Answer.code`: a `sentence` that says what it means, and whether it is a `proof`.
+    """The outcome of a question, `Answer.code`: a `sentence` that says what it means, and whether
+    it is a `proof`.
 
-    It is the general word; `Answer.status` says more of the answer at hand. Only `SOLVED` is false as a truth value:
-    compare (``answer.code is Status.SOLVED``), or ask the answer itself. Of a batch, `code` is an array of numbers, of
-    which ``Status(number)`` is the member.
+    It is the general word; `Answer.status` says more of the answer at hand. Only `SOLVED` is false
+    as a truth value: compare (``answer.code is Status.SOLVED``), or ask the answer itself. Of a
+    batch, `code` is an array of numbers, of which ``Status(number)`` is the member.
 
     >>> Status.OUT_OF_REACH.sentence
     'outside of what the lengths of the links reach'
@@ -26,12 +27,23 @@ class Status(IntEnum):
 
     SOLVED = 0, "what was requested is found"
     NOT_FOUND = 1, "not found; that is no proof that there is none"
-    BAD_INPUT = 2, "the input has numbers that are not finite or too large, or a matrix that is not a pose"
+    BAD_INPUT = (
+        2,
+        "the input has numbers that are not finite or too large, or a matrix that is not a pose",
+    )
     OUT_OF_REACH = 3, "outside of what the lengths of the links reach", True
     OUT_OF_TIME = 4, "not found within the time limit"
     CONTRADICTORY = 5, "two things that are requested exclude each other", True
-    OUTSIDE_LIMITS = 6, "excluded by limits: a given value, or whatever answers, is outside of them", True
-    NONE_EXISTS = 7, "there is no configuration that does what is required, with or without limits", True
+    OUTSIDE_LIMITS = (
+        6,
+        "excluded by limits: a given value, or whatever answers, is outside of them",
+        True,
+    )
+    NONE_EXISTS = (
+        7,
+        "there is no configuration that does what is required, with or without limits",
+        True,
+    )
     OTHER_BRANCH = 8, "the branch requested cannot be closed; the answer is on another one"
     PARTLY = 9, "only a part of what was requested is had; the rest is not found, or cannot be"
     INTERRUPTED = 10, "interrupted from the keyboard; this is the part that was done"
@@ -51,7 +63,8 @@ class Status(IntEnum):
 
 
 MEMBERS = tuple(Status)
-"""The members by their numbers: looking one up here takes a fraction of the time of ``Status(number)``."""
+"""The members by their numbers: looking one up here takes a fraction of the time of
+``Status(number)``."""
 PROOFS = tuple(s for s in MEMBERS if s.proof)
 """Outcomes that prove that there is no answer."""
 

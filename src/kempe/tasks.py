@@ -1,9 +1,10 @@
 # pyright: reportUnsupportedDunderAll=false
-"""What a configuration can be requested: the kinds of `kempe.constraints`, under the name that roboticists look for.
+"""What a configuration can be requested: the kinds of `kempe.constraints`, under the name that
+roboticists look for.
 
-``from kempe import tasks``, and `System.ik` takes any of them. See `kempe.constraints.Constraint` for `weight`,
-`priority`, `tolerance` and `name`, which all take. Goals may have leading axes: they make a batch. `error`, `jacobian`
-and `miss` say what one of them is at a configuration.
+``from kempe import tasks``, and `System.ik` takes any of them. See `kempe.constraints.Constraint`
+for `weight`, `priority`, `tolerance` and `name`, which all take. Goals may have leading axes: they
+make a batch. `error`, `jacobian` and `miss` say what one of them is at a configuration.
 """
 
 from kempe.constraints import *  # noqa: F403

@@ -1,4 +1,6 @@
-"""Numbers of a description: plain floats, or expressions in named parameters such as ``"l1 + 2*cos(alpha)"``."""
+"""Numbers of a description: plain floats, or expressions in named parameters such as
+``"l1 + 2*cos(alpha)"``.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,26 @@ from kempe.reals import is_real
 from kempe.words import counted
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sqrt": np.sqrt, "hypot": np.hypot, "exp": np.exp, "log": np.log,
-    "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
-    "radians": np.deg2rad, "degrees": np.rad2deg,
-}  # fmt: skip
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "sqrt": np.sqrt,
+    "hypot": np.hypot,
+    "exp": np.exp,
+    "log": np.log,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "asinh": np.arcsinh,
+    "acosh": np.arccosh,
+    "atanh": np.arctanh,
+    "radians": np.deg2rad,
+    "degrees": np.rad2deg,
+}
 """Functions of an expression; `log` is the natural logarithm."""
 OF_TWO = frozenset({"atan2", "hypot"})
 """Functions of two numbers; all others are of one."""
@@ -30,14 +47,18 @@ DEPTH_LIMIT = 300
 """Operations inside each other in an expression; a sum of n terms counts n."""
 
 _BINARY: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b,
-}  # fmt: skip
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+    ast.Pow: lambda a, b: a**b,
+}
 _UNARY: dict[type, Callable[[Any], Any]] = {ast.USub: lambda a: -a, ast.UAdd: lambda a: a}
 
 
 class Expression:
-    """An arithmetic expression in named parameters: ``+ - * / **``, parentheses, `pi` and the `FUNCTIONS`.
+    """An arithmetic expression in named parameters: ``+ - * / **``, parentheses, `pi` and the
+    `FUNCTIONS`.
 
     >>> (Expression("l1") / 2 + 1).evaluate({"l1": 3.0})
     2.5
@@ -49,11 +70,16 @@ class Expression:
         self.text = text.strip()
         self._tree = _parse(self.text, length)
         self.names = tuple(
-            sorted({n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)} - {*FUNCTIONS, *CONSTANTS})
+            sorted(
+                {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
+                - {*FUNCTIONS, *CONSTANTS}
+            )
         )
 
     def evaluate(self, parameters: Mapping[str, Any]) -> Any:
-        """Value with these parameters: floats or arrays, which broadcast. Errors: `UnknownNameError`."""
+        """Value with these parameters: floats or arrays, which broadcast. Errors:
+        `UnknownNameError`.
+        """
         for name in self.names:
             if name not in parameters:
                 raise UnknownNameError("parameter", name, parameters)
@@ -61,9 +87,14 @@ class Expression:
             return self.fold({**parameters, **CONSTANTS}, FUNCTIONS, float)
 
     def fold(
-        self, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]], number: Callable[..., Any]
+        self,
+        names: Mapping[str, Any],
+        functions: Mapping[str, Callable[..., Any]],
+        number: Callable[..., Any],
     ) -> Any:
-        """Value in any algebra: `names` and `functions` give the leaves, `number` turns constants into it."""
+        """Value in any algebra: `names` and `functions` give the leaves, `number` turns constants
+        into it.
+        """
         return _fold(self._tree.body, names, functions, number)
 
     def __repr__(self) -> str:
@@ -123,13 +154,17 @@ Value = float | Expression
 
 
 def value(x: object, what: str = "value") -> Value:
-    """`x` as a `Value`: finite numbers become floats, text becomes an expression. Errors: `InputError`."""
+    """`x` as a `Value`: finite numbers become floats, text becomes an expression. Errors:
+    `InputError`.
+    """
     if isinstance(x, Expression):
         return x
     if isinstance(x, str):
         return Expression(x)
     if not is_real(x):
-        raise InputError(f"{what} is {shown(x)}; it must be a number or an expression in parameters")
+        raise InputError(
+            f"{what} is {shown(x)}; it must be a number or an expression in parameters"
+        )
     number = float(x)
     if not math.isfinite(number):
         raise InputError(f"{what} is {shown(x)}; it must be finite")
@@ -142,14 +177,23 @@ def values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...
     given = xs
     if type(xs) is tuple or type(xs) is list:
         kinds: set[type] = set(map(type, given))
-        if len(kinds) == 1 and float in kinds and len(given) in counts and math.isfinite(sum(given)):
+        if (
+            len(kinds) == 1
+            and float in kinds
+            and len(given) in counts
+            and math.isfinite(sum(given))
+        ):
             return tuple(given)
     if not is_list(given):
-        raise InputError(f"{what} is {shown(given)}; it must have {' or '.join(map(str, counts))} numbers")
+        raise InputError(
+            f"{what} is {shown(given)}; it must have {' or '.join(map(str, counts))} numbers"
+        )
     items: tuple[Any, ...] = tuple(given)
     if len(items) not in counts:
         s = "s" if len(items) != 1 else ""
-        raise InputError(f"{what} has {len(items)} number{s}; it must have {' or '.join(map(str, counts))}")
+        raise InputError(
+            f"{what} has {len(items)} number{s}; it must have {' or '.join(map(str, counts))}"
+        )
     return tuple(value(x, what) for x in items)
 
 
@@ -179,13 +223,17 @@ def _parse(text: str, length: int) -> ast.Expression:
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{text!r} is not an expression; write numbers as 1.5, and 2*l1 for products") from None
+        raise InputError(
+            f"{text!r} is not an expression; write numbers as 1.5, and 2*l1 for products"
+        ) from None
     return tree
 
 
 def _check(node: ast.AST, text: str, depth: int) -> None:
     if depth > DEPTH_LIMIT:
-        raise InputError(f"{text[:40]!r}... has more than {DEPTH_LIMIT} operations inside each other")
+        raise InputError(
+            f"{text[:40]!r}... has more than {DEPTH_LIMIT} operations inside each other"
+        )
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
         _check(node.left, text, depth + 1)
         _check(node.right, text, depth + 1)
@@ -197,20 +245,33 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
             raise InputError(f"{text!r} calls {name!r}; allowed are {', '.join(FUNCTIONS)}")
         count = 2 if name in OF_TWO else 1
         if len(node.args) != count:
-            raise InputError(f"{text!r} calls {name} with {counted(len(node.args), 'number')}; it takes {count}")
+            raise InputError(
+                f"{text!r} calls {name} with {counted(len(node.args), 'number')}; it takes {count}"
+            )
         for argument in node.args:
             _check(argument, text, depth + 1)
     elif isinstance(node, ast.Name) and node.id in FUNCTIONS:
-        raise InputError(f"{text!r} uses the function {node.id!r} without its brackets, such as {node.id}(x)")
+        raise InputError(
+            f"{text!r} uses the function {node.id!r} without its brackets, such as {node.id}(x)"
+        )
     elif not (
         isinstance(node, ast.Name)
-        or (isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(node.value))  # type: ignore[arg-type]
+        or (
+            isinstance(node, ast.Constant)
+            and type(node.value) in (int, float)
+            and math.isfinite(node.value)
+        )  # type: ignore[arg-type]
     ):
-        raise InputError(f"{text!r} is not an expression of numbers, parameters, + - * / ** and functions")
+        raise InputError(
+            f"{text!r} is not an expression of numbers, parameters, + - * / ** and functions"
+        )
 
 
 def _fold(
-    node: Any, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]], number: Callable[..., Any]
+    node: Any,
+    names: Mapping[str, Any],
+    functions: Mapping[str, Callable[..., Any]],
+    number: Callable[..., Any],
 ) -> Any:
     if isinstance(node, ast.BinOp):
         left = _fold(node.left, names, functions, number)

@@ -16,14 +16,20 @@ SMALL = ("no", "one", "two", "three", "four", "five", "six")
 
 
 PLURALS = {
-    "body": "bodies", "axis": "axes", "branch": "branches", "mesh": "meshes", "entry": "entries",
+    "body": "bodies",
+    "axis": "axes",
+    "branch": "branches",
+    "mesh": "meshes",
+    "entry": "entries",
     "assembly": "assemblies",
-}  # fmt: skip
+}
 """Nouns whose plural has more than an s."""
 
 
 def plural(n: float, what: str) -> str:
-    """A noun for a number of things, perhaps with words before it: 'start', 'planar joints', 'bodies'."""
+    """A noun for a number of things, perhaps with words before it: 'start', 'planar joints',
+    'bodies'.
+    """
     if n == 1:
         return what
     before, _, noun = what.rpartition(" ")
@@ -41,7 +47,9 @@ def verb(n: int, one: str, more: str) -> str:
 
 
 def of_many(good: int, n: int, what: str) -> str:
-    """How many of several: '2 of 3 targets reached', '1 of 1 target reached'; the first word of `what` is a plural."""
+    """How many of several: '2 of 3 targets reached', '1 of 1 target reached'; the first word of
+    `what` is a plural.
+    """
     first, _, rest = what.partition(" ")
     return f"{good} of {n} {first.removesuffix('s') if n == 1 else first} {rest}".rstrip()
 
@@ -71,8 +79,11 @@ def joined(words: Sequence[str]) -> str:
 # ---- text, HTML, JSON
 
 
-def by_topic(headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: int = 16, width: int = 0) -> str:
-    """A report as text: the headline, and under it the lines of each (title, lines) that are not empty.
+def by_topic(
+    headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: int = 16, width: int = 0
+) -> str:
+    """A report as text: the headline, and under it the lines of each (title, lines) that are not
+    empty.
 
     Titles take `wide` columns; with a `width`, longer lines are broken.
     """
@@ -80,14 +91,20 @@ def by_topic(headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: i
     for title, lines in topics:
         for k, line in enumerate(x for x in lines if x):
             head = f"  {title if k == 0 else '':<{wide}}"
-            wrapped = fill(line, width, initial_indent=head, subsequent_indent=" " * (len(head) + 2)) if width else ""
+            wrapped = (
+                fill(line, width, initial_indent=head, subsequent_indent=" " * (len(head) + 2))
+                if width
+                else ""
+            )
             out.append(wrapped or head + line)
     return "\n".join(out)
 
 
 def _escaped(text: str) -> str:
     """Text as HTML shows it as it is."""
-    from html import escape  # sentences are made at start-up, and need no HTML; so with JSON and images below
+    from html import (
+        escape,
+    )  # sentences are made at start-up, and need no HTML; so with JSON and images below
 
     return escape(text)
 
@@ -112,7 +129,10 @@ def image_html(figure: Any, said: str) -> str:
 
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=72, bbox_inches="tight")
-    return f'<p><img alt="{_escaped(said)}" src="data:image/png;base64,{b64encode(data.getvalue()).decode()}"/></p>'
+    return (
+        f'<p><img alt="{_escaped(said)}" '
+        f'src="data:image/png;base64,{b64encode(data.getvalue()).decode()}"/></p>'
+    )
 
 
 def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -140,11 +160,15 @@ def json_text(data: Any, ascii_only: bool = False) -> str:
     import json
 
     text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)
-    return _NUMBERS.sub(lambda m: "[" + ", ".join(m[0].strip("[]").replace(",", " ").split()) + "]", text)
+    return _NUMBERS.sub(
+        lambda m: "[" + ", ".join(m[0].strip("[]").replace(",", " ").split()) + "]", text
+    )
 
 
 def jsonable(values: Any) -> Any:
-    """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not have."""
+    """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not
+    have.
+    """
     if isinstance(values, dict):
         return {key: jsonable(value) for key, value in cast("dict[Any, Any]", values).items()}
     if isinstance(values, np.generic):

@@ -1,4 +1,6 @@
-"""Cones in exact rational numbers, by trying all sets of active rows: what the tests of tangent cones are against."""
+"""Cones in exact rational numbers, by trying all sets of active rows: what the tests of tangent
+cones are against.
+"""
 
 from __future__ import annotations
 

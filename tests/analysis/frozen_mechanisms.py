@@ -1,7 +1,9 @@
-"""Mechanisms rebuilt from their joint axes at one closed configuration: renamed, reordered, cut elsewhere, moved.
+"""Mechanisms rebuilt from their joint axes at one closed configuration: renamed, reordered, cut
+elsewhere, moved.
 
-At neutral coordinates the rebuilt mechanism stands where the original stands at q, so everything that mobility says
-to first order must be the same, whatever is done to names, orders, cuts, the ground, the unit and the handedness.
+At neutral coordinates the rebuilt mechanism stands where the original stands at q, so everything
+that mobility says to first order must be the same, whatever is done to names, orders, cuts, the
+ground, the unit and the handedness.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ class Change:
 
 
 def joint_frames(system: System, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Frame of each joint in the ground whose axes are those of its motion; for universal joints its cross."""
+    """Frame of each joint in the ground whose axes are those of its motion; for universal joints
+    its cross.
+    """
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     out = {}
     for joint in system.structure.joints.values():

@@ -1,8 +1,9 @@
-"""Random mechanisms whose number of degrees of freedom is known by other means than analysis: for hunts.
+"""Random mechanisms whose number of degrees of freedom is known by other means than analysis: for
+hunts.
 
-Each function takes random numbers and gives a mechanism with the number at neutral coordinates, or None where it is
-not known. Truths follow from proofs (dead centres, signatures of quadratic forms, Dixon), or from the rank of the
-constraints on velocities of bodies where that is full.
+Each function takes random numbers and gives a mechanism with the number at neutral coordinates, or
+None where it is not known. Truths follow from proofs (dead centres, signatures of quadratic forms,
+Dixon), or from the rank of the constraints on velocities of bodies where that is full.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ def rotation(rng: np.random.Generator) -> np.ndarray:
 
 
 def dead_centres(rng: np.random.Generator, stages: int = 0, weak: float = 0.0) -> Truth:
-    """Rigid: stretched bars shift a slider by about s^2, which at the dead centre of the next shifts that by s^4, ...
+    """Rigid: stretched bars shift a slider by about s^2, which at the dead centre of the next
+    shifts that by s^4, ...
 
     With `weak` the shifts are this much smaller still, at each stage.
     """
@@ -49,12 +51,16 @@ def dead_centres(rng: np.random.Generator, stages: int = 0, weak: float = 0.0) -
 
 
 def weak_dead_centres(rng: np.random.Generator) -> Truth:
-    """The same with shifts of 1e-2 s^2 and less: beyond rounding after a few stages, wherever it goes."""
+    """The same with shifts of 1e-2 s^2 and less: beyond rounding after a few stages, wherever it
+    goes.
+    """
     return dead_centres(rng, int(rng.integers(2, 6)), 10.0 ** rng.uniform(-3, -1))
 
 
 def flat_loop(rng: np.random.Generator) -> Truth | None:
-    """A flat loop of bars: the form sum s_i l_i t_i^2 on the plane sum s_i l_i t_i = 0 decides (Morse's lemma)."""
+    """A flat loop of bars: the form sum s_i l_i t_i^2 on the plane sum s_i l_i t_i = 0 decides
+    (Morse's lemma).
+    """
     n = int(rng.integers(2, 6))
     lengths = rng.uniform(0.6, 1.4, size=n)
     signs = rng.choice([1, -1], size=n)
@@ -128,7 +134,9 @@ def scissor(rng: np.random.Generator) -> Truth:
 
 
 def loop_in_a_group(rng: np.random.Generator) -> Truth:
-    """A loop in space of joints that stay in a group of three dimensions; tilted by what is no rounding it is rigid."""
+    """A loop in space of joints that stay in a group of three dimensions; tilted by what is no
+    rounding it is rigid.
+    """
     kind = int(rng.integers(0, 4))
     n = int(rng.integers(4, 7))
     R = rotation(rng)
@@ -147,12 +155,16 @@ def loop_in_a_group(rng: np.random.Generator) -> Truth:
         ]
     if rng.random() < 0.3 and kind in (0, 3):
         tilt = 10.0 ** rng.uniform(-9, -1)
-        return loop("tilted", [(k, p, unit(z + tilt * rng.normal(size=3))) for k, p, z in joints]), 0
+        return loop(
+            "tilted", [(k, p, unit(z + tilt * rng.normal(size=3))) for k, p, z in joints]
+        ), 0
     return loop("in a group", joints), n - 3
 
 
 def sarrus(rng: np.random.Generator) -> Truth:
-    """Chains of three parallel hinges in two or more directions between ground and platform: one straight line."""
+    """Chains of three parallel hinges in two or more directions between ground and platform: one
+    straight line.
+    """
     R = rotation(rng)
     w = World("Sarrus")
     for c in range(2):
@@ -165,7 +177,9 @@ def sarrus(rng: np.random.Generator) -> Truth:
 
 
 def frameworks(rng: np.random.Generator) -> Truth | None:
-    """K(m, n) in the plane or space: what the rank says where bars are independent; on a conic, shaky, it is rigid."""
+    """K(m, n) in the plane or space: what the rank says where bars are independent; on a conic,
+    shaky, it is rigid.
+    """
     dim = int(rng.integers(2, 4))
     if rng.random() < 0.4:
         t = rng.uniform(0, 2 * pi, 6)
@@ -198,7 +212,9 @@ def bipartite(m: int, n: int) -> list[tuple[int, int]]:
 
 
 def bars(rng: np.random.Generator) -> Truth | None:
-    """Random bars with two or three loops: where their constraints are independent, what is left of 3 a body."""
+    """Random bars with two or three loops: where their constraints are independent, what is left of
+    3 a body.
+    """
     n = int(rng.integers(3, 9))
     w = World("bars", 2)
     edges = [(int(rng.integers(0, i)), i) for i in range(1, n + 1)]
@@ -210,14 +226,18 @@ def bars(rng: np.random.Generator) -> Truth | None:
         x, y = rng.uniform(-1, 1, 2)
         w.turn("ground" if i == 0 else f"b{i}", f"b{k}", (x, y))
         for body, sign in ((i, -1.0), (k, 1.0)):
-            G[2 * r : 2 * r + 2, 3 * body : 3 * body + 3] += sign * np.array([[1, 0, -y], [0, 1, x]])
+            G[2 * r : 2 * r + 2, 3 * body : 3 * body + 3] += sign * np.array(
+                [[1, 0, -y], [0, 1, x]]
+            )
     A = G[:, 3:]
     sigma = np.linalg.svd(A, compute_uv=False)
     return None if sigma[-1] < 1e-3 else (w, max(A.shape[1] - A.shape[0], 0))
 
 
 def hinges(rng: np.random.Generator) -> Truth:
-    """A loop of random hinges in space: n - 6, or rigid; with three of them about one point no less."""
+    """A loop of random hinges in space: n - 6, or rigid; with three of them about one point no
+    less.
+    """
     n = int(rng.integers(4, 9))
     joints = [("revolute", rng.uniform(-1, 1, 3), unit(rng.normal(size=3))) for _ in range(n)]
     if rng.random() < 0.3:
@@ -226,7 +246,9 @@ def hinges(rng: np.random.Generator) -> Truth:
 
 
 def gimbal(rng: np.random.Generator) -> Truth:
-    """Hinges about three axes through one point, the third in line with the first, and rods: the middle turns."""
+    """Hinges about three axes through one point, the third in line with the first, and rods: the
+    middle turns.
+    """
     w = World("gimbal")
     rods = int(rng.integers(1, 4))
     w.turn("ground", "outer", (0, 0, 0), Z)
@@ -238,7 +260,9 @@ def gimbal(rng: np.random.Generator) -> Truth:
 
 
 def stopped_row(rng: np.random.Generator) -> Truth:
-    """A row of flat parallelograms whose first crank is stretched with a bar: rigid, one after the other."""
+    """A row of flat parallelograms whose first crank is stretched with a bar: rigid, one after the
+    other.
+    """
     w, _ = row_of_parallelograms(rng)
     end = w.joints[1][4]
     more = float(rng.uniform(0.5, 1.5))
@@ -248,7 +272,9 @@ def stopped_row(rng: np.random.Generator) -> Truth:
 
 
 def nearly_flat(rng: np.random.Generator) -> Truth | None:
-    """A flat loop that is bent by more than rounding: regular, a motion even where the flat one is rigid."""
+    """A flat loop that is bent by more than rounding: regular, a motion even where the flat one is
+    rigid.
+    """
     n = int(rng.integers(3, 6))
     w = World("nearly flat", 2)
     off = 10.0 ** rng.uniform(-10, -1)
@@ -263,7 +289,9 @@ def nearly_flat(rng: np.random.Generator) -> Truth | None:
 
 
 def nearly_parallel(rng: np.random.Generator) -> Truth:
-    """Two chains of three hinges whose directions differ by what is no rounding: one straight line, as Sarrus' has."""
+    """Two chains of three hinges whose directions differ by what is no rounding: one straight line,
+    as Sarrus' has.
+    """
     R = rotation(rng)
     w = World("nearly parallel")
     off = 10.0 ** rng.uniform(-10, -1)
@@ -280,12 +308,18 @@ def nearly_coplanar(rng: np.random.Generator) -> Truth:
     """Three slides in a loop whose directions leave one plane by what is no rounding: rigid."""
     R = rotation(rng)
     off = 10.0 ** rng.uniform(-10, -1)
-    along = [[cos(a), sin(a), off * (k == 2)] for k, a in enumerate(np.cumsum(rng.uniform(0.5, 0.9, 3)))]
-    return loop("nearly coplanar", [("prismatic", rng.uniform(-1, 1, 3), R @ unit(a)) for a in along]), 0
+    along = [
+        [cos(a), sin(a), off * (k == 2)] for k, a in enumerate(np.cumsum(rng.uniform(0.5, 0.9, 3)))
+    ]
+    return loop(
+        "nearly coplanar", [("prismatic", rng.uniform(-1, 1, 3), R @ unit(a)) for a in along]
+    ), 0
 
 
 def nearly_overconstrained(rng: np.random.Generator) -> Truth:
-    """Three cranks of one length and direction but for an error that is no rounding: rigid; in the plane or space."""
+    """Three cranks of one length and direction but for an error that is no rounding: rigid; in the
+    plane or space.
+    """
     off = 10.0 ** rng.uniform(-10, -1)
     v = rng.uniform(-1, 1, 2)
     w = World("nearly", int(rng.integers(2, 4)))
@@ -306,12 +340,19 @@ def three_cranks(rng: np.random.Generator) -> Truth:
 
 
 def wunderlich(rng: np.random.Generator) -> Truth:
-    """The edges of a box, flat: five motions of two freedoms, eight of one (Wunderlich, 1954); rods or bars."""
+    """The edges of a box, flat: five motions of two freedoms, eight of one (Wunderlich, 1954); rods
+    or bars.
+    """
     length = np.cumsum(rng.uniform(0.2, 0.6, 3))
     rng.shuffle(length)
     corners = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     points = [(float(np.dot(c, length)), 0.0) for c in corners]
-    edges = [(a, b) for a in range(8) for b in range(a) if np.abs(np.subtract(corners[a], corners[b])).sum() == 1]
+    edges = [
+        (a, b)
+        for a in range(8)
+        for b in range(a)
+        if np.abs(np.subtract(corners[a], corners[b])).sum() == 1
+    ]
     if rng.random() < 0.5:
         return framework("Wunderlich of rods", points, edges, (0, 4), 2), 2
     w = World("Wunderlich of bars", 2)
@@ -327,7 +368,9 @@ def wunderlich(rng: np.random.Generator) -> Truth:
 
 
 def side_by_side(rng: np.random.Generator) -> Truth:
-    """Four mechanisms that share nothing but the ground, one of them singular: their numbers add up."""
+    """Four mechanisms that share nothing but the ground, one of them singular: their numbers add
+    up.
+    """
     whole = World("side by side", 2)
     total = 0
     odd = int(rng.integers(4))
@@ -348,7 +391,24 @@ def moved(rng: np.random.Generator, world: World) -> dict:
 
 
 KINDS = (
-    dead_centres, weak_dead_centres, flat_loop, row_of_parallelograms, parallelograms_apart, scissor, loop_in_a_group,
-    sarrus, frameworks, bars, hinges, gimbal, stopped_row, nearly_flat, nearly_parallel, nearly_coplanar,
-    nearly_overconstrained, three_cranks, wunderlich, side_by_side,
-)  # fmt: skip
+    dead_centres,
+    weak_dead_centres,
+    flat_loop,
+    row_of_parallelograms,
+    parallelograms_apart,
+    scissor,
+    loop_in_a_group,
+    sarrus,
+    frameworks,
+    bars,
+    hinges,
+    gimbal,
+    stopped_row,
+    nearly_flat,
+    nearly_parallel,
+    nearly_coplanar,
+    nearly_overconstrained,
+    three_cranks,
+    wunderlich,
+    side_by_side,
+)

@@ -26,7 +26,9 @@ def around(*angles: float, radius: float = 1.0, z: float = 0.0) -> list[tuple[fl
 
 # ---- known degrees of freedom
 
-OCTAHEDRON = [(i, k) for i in range(6) for k in range(i + 1, 6) if (i, k) not in ((0, 1), (2, 3), (4, 5))]
+OCTAHEDRON = [
+    (i, k) for i in range(6) for k in range(i + 1, 6) if (i, k) not in ((0, 1), (2, 3), (4, 5))
+]
 A, B, C = np.random.default_rng(5).normal(size=(3, 3))
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 MIRROR = np.diag([1.0, 1.0, -1.0])
@@ -34,7 +36,9 @@ SQUARE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.4, 0.8, 0.0), (0.4, 0.8, 0.0)]
 ON_AXES = [(1, 0), (-1.7, 0), (0.6, 0), (0, 1.2), (0, -0.8), (0, 2.1)]
 HEXAGON = np.array(around(0.1, 0.9, 2.2, 3.0, 4.3, 5.1))
 TILTED = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
-BENT = np.array([(1, 0.1, 0), (0.7, 0.9, 0), (-0.5, 1.1, 0), (-1.2, 0.2, 0), (-0.3, -1, 0), (0.6, -0.7, 0)])
+BENT = np.array(
+    [(1, 0.1, 0), (0.7, 0.9, 0), (-0.5, 1.1, 0), (-1.2, 0.2, 0), (-0.3, -1, 0), (0.6, -0.7, 0)]
+)
 
 
 def bipartite(m: int, n: int) -> list[tuple[int, int]]:
@@ -42,11 +46,16 @@ def bipartite(m: int, n: int) -> list[tuple[int, int]]:
 
 
 def helical(pitches: list[float]) -> World:
-    return loop("four screws", [("helical", p, Z, {"pitch": h}) for p, h in zip(SQUARE, pitches, strict=True)])
+    return loop(
+        "four screws",
+        [("helical", p, Z, {"pitch": h}) for p, h in zip(SQUARE, pitches, strict=True)],
+    )
 
 
 def trammel(n: int) -> World:
-    """A point of a circle that rolls in one twice as large moves along a diameter (Cardano): any number of slots."""
+    """A point of a circle that rolls in one twice as large moves along a diameter (Cardano): any
+    number of slots.
+    """
     w = World("trammel", 2)
     w.joint("free", "ground", "rod")
     for k in range(n):
@@ -75,7 +84,9 @@ def hoberman(n: int, inner: float = 1.4, outer: float = 2.3) -> World:
 
 
 def four_upu() -> World:
-    """Legs between crosses whose outer axes are parallel: all motions but two turns (Zhao and Huang, 2000)."""
+    """Legs between crosses whose outer axes are parallel: all motions but two turns (Zhao and
+    Huang, 2000).
+    """
     w = World("4-UPU")
     base = [(2, 0, 0), (0, 2, 0), (-2, 0.3, 0), (0.1, -2, 0)]
     top = [(0.6, 0.1), (0.2, 0.7), (-0.5, 0.1), (0.1, -0.6)]
@@ -126,21 +137,38 @@ def miura(nx: int, ny: int, fold: float) -> World:
 
 
 def griffis_duffy() -> World:
-    """Corners of each triangle under middles of the other's sides (Griffis, Duffy, 1993; Husty, Karger, 2000)."""
+    """Corners of each triangle under middles of the other's sides (Griffis, Duffy, 1993; Husty,
+    Karger, 2000).
+    """
     corners = np.array([(0, 0, 0), (1, 0, 0), (0.5, sqrt(3) / 2, 0)])
     middles = (corners.sum(axis=0) - corners) / 2
     top = np.concatenate([middles, corners]) - corners.mean(axis=0)
-    return on_rods("Griffis-Duffy", np.concatenate([corners, middles]), top @ TILTED.T + [0.5, 0.3, 1.0])
+    return on_rods(
+        "Griffis-Duffy", np.concatenate([corners, middles]), top @ TILTED.T + [0.5, 0.3, 1.0]
+    )
 
 
 def prism(turn: float) -> World:
     bottom = around(0, 2 * pi / 3, 4 * pi / 3)
     top = around(turn, turn + 2 * pi / 3, turn + 4 * pi / 3, z=1.0)
-    edges = [(3, 4), (4, 5), (3, 5), *((i, 3 + i) for i in range(3)), *(((i + 1) % 3, 3 + i) for i in range(3))]
+    edges = [
+        (3, 4),
+        (4, 5),
+        (3, 5),
+        *((i, 3 + i) for i in range(3)),
+        *(((i + 1) % 3, 3 + i) for i in range(3)),
+    ]
     return framework("twisted prism", bottom + top, edges, pinned=(0, 1, 2))
 
 
-TWO_TRIANGLES = [(i, k) for i in (0, 1) for k in range(2, 8)] + [(2, 3), (3, 4), (2, 4), (5, 6), (6, 7), (5, 7)]
+TWO_TRIANGLES = [(i, k) for i in (0, 1) for k in range(2, 8)] + [
+    (2, 3),
+    (3, 4),
+    (2, 4),
+    (5, 6),
+    (6, 7),
+    (5, 7),
+]
 ELLIPSE = [(2 * cos(t), sin(t)) for t in (0.2, 1.5, 3.9, 0.9, 2.6, 5.1)]
 SPREAD = np.random.default_rng(8).normal(size=(10, 3))
 ELLIPSOID = SPREAD / np.linalg.norm(SPREAD, axis=1, keepdims=True) * [1.0, 1.5, 0.7]
@@ -151,22 +179,53 @@ KNOWN = {  # the count, the rank, the truth
     "Dixon, 1899, second": (framework("K44", RECTANGLES, bipartite(4, 4), (0, 4), 2), -3, 1, 1),
     "K33 on a conic: shaky": (framework("K33", ELLIPSE, bipartite(3, 3), (0, 3), 2), 0, 1, 0),
     "Bricard, 1897, line": (
-        framework("octahedron", [A, HALF_TURN @ A, B, HALF_TURN @ B, C, HALF_TURN @ C], OCTAHEDRON, (0, 2, 4)), 0, 1, 1,
+        framework(
+            "octahedron",
+            [A, HALF_TURN @ A, B, HALF_TURN @ B, C, HALF_TURN @ C],
+            OCTAHEDRON,
+            (0, 2, 4),
+        ),
+        0,
+        1,
+        1,
     ),
     "Bricard, 1897, plane": (
-        framework("octahedron", [A, MIRROR @ A, B, MIRROR @ B, (0.3, 1.2, 0), (-1, -0.4, 0)], OCTAHEDRON, (0, 2, 4)),
-        0, 1, 1,
+        framework(
+            "octahedron",
+            [A, MIRROR @ A, B, MIRROR @ B, (0.3, 1.2, 0), (-1, -0.4, 0)],
+            OCTAHEDRON,
+            (0, 2, 4),
+        ),
+        0,
+        1,
+        1,
     ),
-    "Cauchy: regular octahedron": (framework("octahedron", [X, -X, Y, -Y, Z, -Z], OCTAHEDRON, (0, 2, 4)), 0, 0, 0),
+    "Cauchy: regular octahedron": (
+        framework("octahedron", [X, -X, Y, -Y, Z, -Z], OCTAHEDRON, (0, 2, 4)),
+        0,
+        0,
+        0,
+    ),
     "octahedron turned by 30 degrees: shaky": (prism(5 * pi / 6), 0, 1, 0),
     "double banana": (framework("bananas", SPREAD[:8], TWO_TRIANGLES, (2, 3, 4)), 0, 1, 1),
-    "K46 on a quadric: Bolker and Roth, 1980": (framework("K46", ELLIPSOID, bipartite(4, 6)), 6, 7, 6),
+    "K46 on a quadric: Bolker and Roth, 1980": (
+        framework("K46", ELLIPSOID, bipartite(4, 6)),
+        6,
+        7,
+        6,
+    ),
     "Griffis-Duffy": (griffis_duffy(), 0, 1, 1),
     "similar hexagons on circles: Ma and Angeles, 1991": (
-        on_rods("similar", HEXAGON, 0.6 * HEXAGON @ TILTED.T + [0.3, 0.2, 1.4]), 0, 1, 1,
+        on_rods("similar", HEXAGON, 0.6 * HEXAGON @ TILTED.T + [0.3, 0.2, 1.4]),
+        0,
+        1,
+        1,
     ),
     "three parallel rods of one length": (
-        on_rods("parallel", [(0, 0), (2, 0), (0.7, 1.1)], [(0.4, 1.5), (2.4, 1.5), (1.1, 2.6)], 2), 0, 1, 1,
+        on_rods("parallel", [(0, 0), (2, 0), (0.7, 1.1)], [(0.4, 1.5), (2.4, 1.5), (1.1, 2.6)], 2),
+        0,
+        1,
+        1,
     ),
     "Delassus, 1922: parallelogram of screws": (helical([0.1, 0.3, 0.5, 0.3]), -2, 1, 1),
     "four screws that do not fit": (helical([0.1, 0.3, 0.5, 0.2]), -2, 0, 0),
@@ -175,4 +234,4 @@ KNOWN = {  # the count, the rank, the truth
     "4-UPU": (four_upu(), 2, 4, 4),
     "double Cardan": (cardan_shafts(0.5, -0.5), 0, 1, 1),
     "folded Miura": (miura(3, 3, 0.6), -12, 1, 1),
-}  # fmt: skip
+}

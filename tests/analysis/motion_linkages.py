@@ -11,8 +11,12 @@ from kempe import Mechanism, System
 TURN = 2.0 * math.pi
 
 
-def four_bar(a: float, b: float, c: float, d: float, tracer: tuple[float, float] = (0.0, 0.0), **limits) -> System:
-    """Crank a, coupler b, rocker c, ground d, joints A, B, C, D; crank and rocker angles are those of the links."""
+def four_bar(
+    a: float, b: float, c: float, d: float, tracer: tuple[float, float] = (0.0, 0.0), **limits
+) -> System:
+    """Crank a, coupler b, rocker c, ground d, joints A, B, C, D; crank and rocker angles are those
+    of the links.
+    """
     m = Mechanism("four-bar", dim=2)
     crank = m.body("crank")
     coupler = m.body("coupler")
@@ -26,7 +30,9 @@ def four_bar(a: float, b: float, c: float, d: float, tracer: tuple[float, float]
 
 
 def slider_crank(r: float, rod: float, offset: float = 0.0, limits=None) -> System:
-    """Crank r, rod, slider along x at height `offset`; joints A, B, C (pin on the slider), S (slide)."""
+    """Crank r, rod, slider along x at height `offset`; joints A, B, C (pin on the slider), S
+    (slide).
+    """
     m = Mechanism("slider-crank", dim=2)
     crank = m.body("crank")
     link = m.body("rod")
@@ -39,18 +45,24 @@ def slider_crank(r: float, rod: float, offset: float = 0.0, limits=None) -> Syst
 
 
 def ladder(cranks: int, a: float = 1.0, spacing: float = 1.5) -> System:
-    """Parallel cranks of one length on the ground and one coupler: joints A1, A2, ... below, B1, B2, ... above."""
+    """Parallel cranks of one length on the ground and one coupler: joints A1, A2, ... below, B1,
+    B2, ... above.
+    """
     m = Mechanism("ladder", dim=2)
     coupler = m.body("coupler")
     for k in range(1, cranks + 1):
         crank = m.body(f"crank{k}")
         m.revolute(f"A{k}", m.ground, crank, at=(spacing * (k - 1) ** 1.2, 0))
-        m.revolute(f"B{k}", crank, coupler, at=(a, 0), child_at=(spacing * (k - 1) ** 1.2, 0), cut=k > 1)
+        m.revolute(
+            f"B{k}", crank, coupler, at=(a, 0), child_at=(spacing * (k - 1) ** 1.2, 0), cut=k > 1
+        )
     return m.build()
 
 
 def bennett(a: float, b: float, alpha: float, beta: float) -> System:
-    """Bennett's linkage: links a, b, a, b with twists alpha, beta; closes where a / sin alpha = b / sin beta."""
+    """Bennett's linkage: links a, b, a, b with twists alpha, beta; closes where a / sin alpha = b /
+    sin beta.
+    """
     m = Mechanism("bennett")
     last = m.ground
     places = [(a, alpha), (b, beta), (a, alpha), (b, beta)]
@@ -66,7 +78,9 @@ def bennett(a: float, b: float, alpha: float, beta: float) -> System:
 
 
 def circles(p, r: float, q, s: float, side: float):
-    """Points (..., 2) at distance r from p and s from q (..., 2), on the left of p -> q for side = 1."""
+    """Points (..., 2) at distance r from p and s from q (..., 2), on the left of p -> q for side =
+    1.
+    """
     p = np.asarray(p, dtype=float)
     q = np.asarray(q, dtype=float)
     v = q - p
@@ -88,15 +102,21 @@ def same_angle(a, b) -> float:
     return float(np.abs(d - TURN * np.round(d / TURN)).max())
 
 
-def linkage(name: str, points: dict[str, tuple[float, float]], links: dict[str, str | tuple[str, ...]]) -> System:
-    """A planar linkage of pinned links, drawn in one pose: links are lists of points, the first is the ground.
+def linkage(
+    name: str, points: dict[str, tuple[float, float]], links: dict[str, str | tuple[str, ...]]
+) -> System:
+    """A planar linkage of pinned links, drawn in one pose: links are lists of points, the first is
+    the ground.
 
-    In that pose all coordinates are zero and all bodies coincide with the ground. The joint at a point is named after
-    it, further ones there after it and a number; the points are frames, named with a star.
+    In that pose all coordinates are zero and all bodies coincide with the ground. The joint at a
+    point is named after it, further ones there after it and a number; the points are frames, named
+    with a star.
     """
     m = Mechanism(name, dim=2)
     bodies = [m.ground, *(m.body(b) for b in list(links)[1:])]
-    at = {p: [b for b, ends in zip(bodies, links.values(), strict=True) if p in ends] for p in points}
+    at = {
+        p: [b for b, ends in zip(bodies, links.values(), strict=True) if p in ends] for p in points
+    }
     for p, xy in points.items():
         for k, other in enumerate(at[p][1:]):
             m.revolute(p if k == 0 else f"{p}{k + 1}", at[p][0], other, at=xy, child_at=xy)
@@ -104,11 +124,19 @@ def linkage(name: str, points: dict[str, tuple[float, float]], links: dict[str, 
     return m.build()
 
 
-JANSEN = dict(zip("abcdefghijklm", (38, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49, 50, 61.9, 7.8, 15), strict=True))
+JANSEN = dict(
+    zip(
+        "abcdefghijklm",
+        (38, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49, 50, 61.9, 7.8, 15),
+        strict=True,
+    )
+)
 
 
 def jansen_points(theta) -> dict[str, np.ndarray]:
-    """Points (..., 2) of Theo Jansen's leg at crank angle theta (...), by circles one after the other."""
+    """Points (..., 2) of Theo Jansen's leg at crank angle theta (...), by circles one after the
+    other.
+    """
     n = JANSEN
     theta = np.asarray(theta, dtype=float)
     Q = np.broadcast_to([-n["a"], -n["l"]], (*theta.shape, 2))
@@ -124,10 +152,20 @@ def jansen_points(theta) -> dict[str, np.ndarray]:
 def jansen() -> System:
     """Theo Jansen's leg with the crank at 0."""
     points = {k: tuple(map(float, v)) for k, v in jansen_points(0.0).items()}
-    return linkage("jansen", points, {
-        "ground": ("O", "Q"), "crank": ("O", "X"), "j": ("X", "Y"), "k": ("X", "W"), "upper": ("Q", "Y", "Z"),
-        "c": ("Q", "W"), "f": ("Z", "V"), "foot": ("V", "W", "F"),
-    })  # fmt: skip
+    return linkage(
+        "jansen",
+        points,
+        {
+            "ground": ("O", "Q"),
+            "crank": ("O", "X"),
+            "j": ("X", "Y"),
+            "k": ("X", "W"),
+            "upper": ("Q", "Y", "Z"),
+            "c": ("Q", "W"),
+            "f": ("Z", "V"),
+            "foot": ("V", "W", "F"),
+        },
+    )
 
 
 def peaucellier() -> System:
@@ -137,19 +175,43 @@ def peaucellier() -> System:
     A = circles([0, 0], 3.0, B, 1.6, 1.0)
     C = circles([0, 0], 3.0, B, 1.6, -1.0)
     points = {"Q": (1.0, 0.0), "O": (0.0, 0.0), "A": A, "C": C, "B": B, "D": A + C - B}
-    return linkage("peaucellier", {k: tuple(map(float, v)) for k, v in points.items()}, {
-        "ground": ("Q", "O"), "crank": ("Q", "B"), "OA": ("O", "A"), "OC": ("O", "C"), "AB": ("A", "B"),
-        "BC": ("B", "C"), "CD": ("C", "D"), "DA": ("D", "A"),
-    })  # fmt: skip
+    return linkage(
+        "peaucellier",
+        {k: tuple(map(float, v)) for k, v in points.items()},
+        {
+            "ground": ("Q", "O"),
+            "crank": ("Q", "B"),
+            "OA": ("O", "A"),
+            "OC": ("O", "C"),
+            "AB": ("A", "B"),
+            "BC": ("B", "C"),
+            "CD": ("C", "D"),
+            "DA": ("D", "A"),
+        },
+    )
 
 
 def two_parallelograms() -> System:
     """Two parallelograms on one crank, of different lengths: both are flat at once."""
     a = 0.7
     up = np.array([np.cos(a), np.sin(a)])
-    points = {"A": np.zeros(2), "D": np.array([2.0, 0]), "E": np.array([-3.0, 0]), "B": up,
-              "C": up + [2.0, 0], "F": up + [-3.0, 0]}  # fmt: skip
-    return linkage("two parallelograms", {k: tuple(map(float, v)) for k, v in points.items()}, {
-        "ground": ("A", "D", "E"), "crank": ("A", "B"), "right": ("B", "C"), "rocker": ("C", "D"),
-        "left": ("B", "F"), "other": ("F", "E"),
-    })  # fmt: skip
+    points = {
+        "A": np.zeros(2),
+        "D": np.array([2.0, 0]),
+        "E": np.array([-3.0, 0]),
+        "B": up,
+        "C": up + [2.0, 0],
+        "F": up + [-3.0, 0],
+    }
+    return linkage(
+        "two parallelograms",
+        {k: tuple(map(float, v)) for k, v in points.items()},
+        {
+            "ground": ("A", "D", "E"),
+            "crank": ("A", "B"),
+            "right": ("B", "C"),
+            "rocker": ("C", "D"),
+            "left": ("B", "F"),
+            "other": ("F", "E"),
+        },
+    )

@@ -19,7 +19,9 @@ EMPTY = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True)
 class Pfaffian:
-    """Rows of text over named coordinates, and what is known of their growth at a point of each sort."""
+    """Rows of text over named coordinates, and what is known of their growth at a point of each
+    sort.
+    """
 
     coordinates: str
     text: tuple[tuple[str, ...], ...]
@@ -36,7 +38,9 @@ class Pfaffian:
         tape = from_text([self.text[i][j] for i, j in entries], self.names, {})
         layout = Layout(n, n, np.arange(n), np.arange(n), EMPTY, EMPTY)
         names = tuple(RowName("law", str(i)) for i in range(len(self.text)))
-        return VelocityRows(layout, self.names, tape, np.array(entries).reshape(-1, 2), names, np.ones(n + 1))
+        return VelocityRows(
+            layout, self.names, tape, np.array(entries).reshape(-1, 2), names, np.ones(n + 1)
+        )
 
     def symbolic(self) -> tuple[list[Any], Any]:
         """The coordinates and the matrix in symbols."""
@@ -46,7 +50,9 @@ class Pfaffian:
 
 
 def trailers(n: int) -> Pfaffian:
-    """A car, x y t0, with n trailers t1 ... of length 1, each coupled to the axle before it: no axle slips."""
+    """A car, x y t0, with n trailers t1 ... of length 1, each coupled to the axle before it: no
+    axle slips.
+    """
     angles = [f"t{i}" for i in range(n + 1)]
     rows = []
     for i, t in enumerate(angles):
@@ -57,13 +63,18 @@ def trailers(n: int) -> Pfaffian:
 
 SYSTEMS = {
     "knife edge": Pfaffian("x y t", (("sin(t)", "-cos(t)", "0"),)),
-    "upright disc": Pfaffian("x y t p", (("1", "0", "0", "-cos(t)*0.3"), ("0", "1", "0", "-sin(t)*0.3"))),
-    "steered car": Pfaffian("x y t p", (("sin(t)", "-cos(t)", "0", "0"), ("sin(t+p)", "-cos(t+p)", "-cos(p)", "0"))),
+    "upright disc": Pfaffian(
+        "x y t p", (("1", "0", "0", "-cos(t)*0.3"), ("0", "1", "0", "-sin(t)*0.3"))
+    ),
+    "steered car": Pfaffian(
+        "x y t p", (("sin(t)", "-cos(t)", "0", "0"), ("sin(t+p)", "-cos(t+p)", "-cos(p)", "0"))
+    ),
     "Martinet": Pfaffian("x y z", (("-y**2", "0", "1"),)),
     "Heisenberg": Pfaffian("x y z", (("y/2", "-x/2", "1"),)),
     "Engel": Pfaffian("x y z w", (("-z", "1", "0", "0"), ("-w", "0", "1", "0"))),
     "Cartan": Pfaffian(
-        "x y z u v", (("y", "-x", "1", "0", "0"), ("-z", "0", "0", "1", "0"), ("0", "-z", "0", "0", "1"))
+        "x y z u v",
+        (("y", "-x", "1", "0", "0"), ("-z", "0", "0", "1", "0"), ("0", "-z", "0", "0", "1")),
     ),
     "exact": Pfaffian("x y z", (("cos(x)*y", "sin(x)", "exp(z)"),)),
     "exact, with a factor": Pfaffian("x y z", (("x*(2+sin(y))", "y*(2+sin(y))", "z*(2+sin(y))"),)),
@@ -103,7 +114,9 @@ def at_point(X: Any, symbols: list[Any], q: np.ndarray) -> np.ndarray:
     return np.array([float(sympy.N(x.subs(exact), 40)) for x in X])
 
 
-def growth_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], steps: int) -> tuple[int, ...]:
+def growth_by_symbols(
+    system: Pfaffian, q: np.ndarray, free: list[int], steps: int
+) -> tuple[int, ...]:
     """The growth vector at q, up to brackets of so many letters, from all words of the fields."""
     symbols, A = system.symbolic()
     X = fields(A, symbols, free)
@@ -112,7 +125,9 @@ def growth_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], steps: i
     out = []
     for _ in range(steps):
         span += [at_point(w, symbols, q) for w in words]
-        values = np.linalg.svd(np.array(span) / np.max(np.abs(span), axis=1, initial=1e-9, keepdims=True))[1]
+        values = np.linalg.svd(
+            np.array(span) / np.max(np.abs(span), axis=1, initial=1e-9, keepdims=True)
+        )[1]
         out.append(int(np.sum(values > 1e-9)))
         words = [bracket(x, w, symbols) for x, w in itertools.product(X, words)]
     return tuple(out)

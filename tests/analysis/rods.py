@@ -1,4 +1,6 @@
-"""Random mechanisms with rods, legs and links whose idle spins are known by construction, closed at neutral."""
+"""Random mechanisms with rods, legs and links whose idle spins are known by construction, closed at
+neutral.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,8 @@ import numpy as np
 from world_mechanisms import World, unit
 
 FORMS = ("S", "A", "RRR", "UR", "RU", "RRfR")
-"""A ball as one joint (with a quaternion, with angles), as three hinges that meet, as a universal joint and a hinge,
-with a fixed link in between."""
+"""A ball as one joint (with a quaternion, with angles), as three hinges that meet, as a universal
+joint and a hinge, with a fixed link in between."""
 
 
 @dataclass
@@ -43,7 +45,9 @@ class Rods:
         w = self.world
         (x, y, z) = self.axes()
         form = form or str(self.rng.choice(FORMS))
-        here, there, far = (at + d * axis for d, axis in zip(self.rng.uniform(-0.3, 0.3, 3), (x, y, z), strict=True))
+        here, there, far = (
+            at + d * axis for d, axis in zip(self.rng.uniform(-0.3, 0.3, 3), (x, y, z), strict=True)
+        )
         if form in ("S", "A"):
             w.ball(a, b, at, **({"angles": True} if form == "A" else {}))
         elif form == "UR":
@@ -80,7 +84,9 @@ class Rods:
 
 
 def rssr(r: Rods, ground: str) -> None:
-    """A rod between two arms, of one body or of two that are fixed, perhaps with something fixed to it."""
+    """A rod between two arms, of one body or of two that are fixed, perhaps with something fixed to
+    it.
+    """
     a = r.arm(ground)
     b = r.arm(ground)
     rod = r.name("rod")
@@ -197,7 +203,9 @@ def engine(r: Rods, ground: str) -> None:
 
 
 def dome(r: Rods, ground: str) -> None:
-    """A spherical linkage of five bars, or a row of five hinges that meet in a longer loop: nothing is a ball."""
+    """A spherical linkage of five bars, or a row of five hinges that meet in a longer loop: nothing
+    is a ball.
+    """
     centers = [r.point()] * 5
     if r.rng.random() < 0.5:
         centers = [*centers, *(r.point() for _ in range(3))][:: int(r.rng.choice([-1, 1]))]
@@ -207,7 +215,9 @@ def dome(r: Rods, ground: str) -> None:
 
 
 def hinges(r: Rods, ground: str) -> None:
-    """A loop of seven or eight hinges, some of which meet their neighbours, but not enough of them for two balls."""
+    """A loop of seven or eight hinges, some of which meet their neighbours, but not enough of them
+    for two balls.
+    """
     runs = [9, 9]
     while sum(n >= 3 for n in runs) > 1 or len(runs) < 3:
         runs = [int(n) for n in r.rng.integers(1, 4, size=5)]
@@ -218,7 +228,9 @@ def hinges(r: Rods, ground: str) -> None:
 
 
 def beam(r: Rods, ground: str) -> None:
-    """A bar on three balls or more in one line, held by several arms, perhaps telescopic; or bent: then none spins."""
+    """A bar on three balls or more in one line, held by several arms, perhaps telescopic; or bent:
+    then none spins.
+    """
     p = r.point()
     d = r.axis()
     n = int(r.rng.integers(3, 6))
@@ -227,15 +239,24 @@ def beam(r: Rods, ground: str) -> None:
     if r.rng.random() < 0.3 and not bent:
         bar.append(r.name("bar"))
         r.world.slide(bar[0], bar[1], d, p)
-    arms = [r.arm(ground), *(ground if r.rng.random() < 0.3 else r.arm(ground) for _ in range(n - 1))]
+    arms = [
+        r.arm(ground),
+        *(ground if r.rng.random() < 0.3 else r.arm(ground) for _ in range(n - 1)),
+    ]
     where = 0.5 * np.arange(n) + r.rng.uniform(0, 0.2, n)
     for k in range(n):
-        r.ball(arms[k], bar[min(k % 2, len(bar) - 1)], p + where[k] * d + (r.point(0.3) if bent and k < 2 else 0.0))
+        r.ball(
+            arms[k],
+            bar[min(k % 2, len(bar) - 1)],
+            p + where[k] * d + (r.point(0.3) if bent and k < 2 else 0.0),
+        )
     r.idle += [] if bent else [frozenset(bar)]
 
 
 def spindle(r: Rods, ground: str) -> None:
-    """A shaft in bearings on one axis, and a ball on it, held by different arms; perhaps driven, or with a wheel."""
+    """A shaft in bearings on one axis, and a ball on it, held by different arms; perhaps driven, or
+    with a wheel.
+    """
     p = r.point()
     d = r.axis()
     shaft = r.name("shaft")
@@ -257,7 +278,14 @@ def floating(r: Rods, ground: str) -> None:
     p = r.point()
     d = r.axis()
     plate = r.rng.random() < 0.3
-    r.world.joint("free", ground, bar, r.point(), r.axis(), **({"angles": True} if r.rng.random() < 0.5 else {}))
+    r.world.joint(
+        "free",
+        ground,
+        bar,
+        r.point(),
+        r.axis(),
+        **({"angles": True} if r.rng.random() < 0.5 else {}),
+    )
     for k in range(int(r.rng.integers(3, 6))):
         holder = ground if r.rng.random() < 0.5 else r.arm(ground)
         r.world.rod(holder, bar, r.point(), p + k * 0.3 * d + (r.point(0.3) if plate else 0.0))
@@ -265,7 +293,9 @@ def floating(r: Rods, ground: str) -> None:
 
 
 def tethered(r: Rods, ground: str) -> None:
-    """A bar on a ball, whose other end a massless rod, a line or a plane holds; the line and the plane may be on it."""
+    """A bar on a ball, whose other end a massless rod, a line or a plane holds; the line and the
+    plane may be on it.
+    """
     arm = r.arm(ground)
     bar = r.name("bar")
     p = r.point()
@@ -273,7 +303,9 @@ def tethered(r: Rods, ground: str) -> None:
     r.ball(arm, bar, p)
     kind = int(r.rng.integers(4))
     if kind == 0:
-        r.world.rod(*((ground, bar, r.point(), q) if r.rng.random() < 0.5 else (bar, ground, q, r.point())))
+        r.world.rod(
+            *((ground, bar, r.point(), q) if r.rng.random() < 0.5 else (bar, ground, q, r.point()))
+        )
     elif kind == 1:
         r.world.line(ground, bar, q, r.axis())
     else:
@@ -289,8 +321,22 @@ def door(r: Rods, ground: str) -> None:
 
 
 UNITS: tuple[Callable[[Rods, str], None], ...] = (
-    rssr, rusr, leg, strut, carrier, motor, tied, engine, dome, hinges, door, beam, spindle, floating, tethered,
-)  # fmt: skip
+    rssr,
+    rusr,
+    leg,
+    strut,
+    carrier,
+    motor,
+    tied,
+    engine,
+    dome,
+    hinges,
+    door,
+    beam,
+    spindle,
+    floating,
+    tethered,
+)
 
 
 def mechanism(rng: np.random.Generator) -> Rods:

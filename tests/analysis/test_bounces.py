@@ -1,4 +1,6 @@
-"""The ball that falls and bounces: times against closed forms, corners and grooves by what no motion may do."""
+"""The ball that falls and bounces: times against closed forms, corners and grooves by what no
+motion may do.
+"""
 
 from __future__ import annotations
 
@@ -50,9 +52,13 @@ def test_without_rebound_and_without_loss(e):
     first = math.sqrt(2 / G)
     assert flight.impacts[0].time == pytest.approx(first, abs=1e-14)
     if e:
-        assert [i.time for i in flight.impacts] == pytest.approx(first * np.arange(1, 2 * 11, 2), abs=1e-12)
+        assert [i.time for i in flight.impacts] == pytest.approx(
+            first * np.arange(1, 2 * 11, 2), abs=1e-12
+        )
     else:
-        assert [i.kind for i in flight.impacts] == ["lands"] and not flight.at(np.array([5.0]))[1].any()
+        assert [i.kind for i in flight.impacts] == ["lands"] and not flight.at(np.array([5.0]))[
+            1
+        ].any()
 
 
 def test_at_rest_in_contact_nothing_happens():
@@ -77,12 +83,16 @@ def test_sliding_down_an_incline_is_uniformly_accelerated():
 
 
 def groove(rng) -> list[Plane]:
-    """Two to four planes through points near the origin that hold up what falls, in two or three dimensions."""
+    """Two to four planes through points near the origin that hold up what falls, in two or three
+    dimensions.
+    """
     k = int(rng.integers(2, 4))
     planes = []
     for i in range(int(rng.integers(k, 5))):
         n = np.append(rng.normal(size=k - 1), rng.uniform(0.2, 1.5))
-        planes.append(Plane(f"p{i}", n / np.linalg.norm(n) * rng.uniform(0.5, 2), rng.uniform(0.0, 0.2)))
+        planes.append(
+            Plane(f"p{i}", n / np.linalg.norm(n) * rng.uniform(0.5, 2), rng.uniform(0.0, 0.2))
+        )
     return planes
 
 
@@ -105,15 +115,22 @@ def test_between_planes_nothing_penetrates_or_gains_energy(hunt):
         if e == 1.0:
             assert np.ptp(energy) < 1e-9
         starts = np.array([a.time for a in flight.arcs])
-        before = np.array([a.y + (b - a.time) * (a.v + 0.5 * (b - a.time) * a.a)
-                           for a, b in zip(flight.arcs, starts[1:], strict=False)])  # fmt: skip
+        before = np.array(
+            [
+                a.y + (b - a.time) * (a.v + 0.5 * (b - a.time) * a.a)
+                for a, b in zip(flight.arcs, starts[1:], strict=False)
+            ]
+        )
         assert np.abs(before - np.array([a.y for a in flight.arcs[1:]])).max(initial=0.0) < 1e-8
 
 
 def test_a_groove_brings_to_rest():
     """Bounces between two walls end, though their times are no geometric series."""
     a = math.radians(60)
-    walls = [Plane(n, np.array([s * math.sin(a), math.cos(a)]), 0.0) for n, s in (("left", 1), ("right", -1))]
+    walls = [
+        Plane(n, np.array([s * math.sin(a), math.cos(a)]), 0.0)
+        for n, s in (("left", 1), ("right", -1))
+    ]
     flight = flown(walls, [0, -G], 0.8, [0.1, 1.0], [0, 0], 10.0)
     y, v = flight.at(np.array([10.0]))
     assert not flight.broken and flight.impacts[-1].time < 4.0
@@ -126,7 +143,10 @@ def test_wall_hit_while_bounces_on_the_floor_fade(share):
     e = 0.5
     g = 10.0
     end = 3 * math.sqrt(2 / g)  # t1 (1 + 2 e / (1 - e)) for a fall from 1 m
-    planes = [Plane("floor", np.array([0.0, 1.0]), 0.0), Plane("wall", np.array([-1.0, 0.0]), end * share)]
+    planes = [
+        Plane("floor", np.array([0.0, 1.0]), 0.0),
+        Plane("wall", np.array([-1.0, 0.0]), end * share),
+    ]
     flight = flown(planes, [0, -g], e, [0, 1.0], [1.0, 0], 3 * end)
     walls = [i for i in flight.impacts if 1 in i.planes]
     assert len(walls) == 1 and walls[0].time == pytest.approx(end * share, abs=1e-10)

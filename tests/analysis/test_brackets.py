@@ -1,4 +1,6 @@
-"""Lie brackets and growth vectors against sympy, against the literature and against what leaves them as they are."""
+"""Lie brackets and growth vectors against sympy, against the literature and against what leaves
+them as they are.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,16 @@ def reached(system: Pfaffian, q: object, seed: int = 0) -> Reach:
     return reach(place, random_place(place, rng), range(len(rows.names)), rng)
 
 
-def words_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], letters: np.ndarray) -> list[np.ndarray]:
+def words_by_symbols(
+    system: Pfaffian, q: np.ndarray, free: list[int], letters: np.ndarray
+) -> list[np.ndarray]:
     """The brackets of the last 1, 2, ... letters at q."""
     symbols, A = system.symbolic()
     basis = fields(A, symbols, free)
-    X: list[Any] = [sum((sympy.Rational(float(c)) * x for c, x in zip(row, basis, strict=True)), 0 * basis[0])
-                    for row in letters]  # fmt: skip
+    X: list[Any] = [
+        sum((sympy.Rational(float(c)) * x for c, x in zip(row, basis, strict=True)), 0 * basis[0])
+        for row in letters
+    ]
     word = X[-1]
     out = []
     for x in [None, *X[-2::-1]]:
@@ -41,7 +47,9 @@ def words_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], letters: 
 
 @pytest.mark.parametrize("name", some(CHEAP, 4))
 def test_words_are_those_of_sympy(name: str, hunt: Hunt) -> None:
-    """Brackets of up to four random letters, three with five coordinates, at a random point, to their rounding."""
+    """Brackets of up to four random letters, three with five coordinates, at a random point, to
+    their rounding.
+    """
     system = SYSTEMS[name]
     rng = hunt.rng()
     q = rng.uniform(0.2, 1.2, size=len(system.names))
@@ -88,8 +96,11 @@ SINGULAR = {
 """Growth at a point and around: Bellaiche (1996), Jean (1996), Montgomery (2002)."""
 
 
-POINTS = {f"{name}, {at}": (name, *row) for at, rows in (("generic", LITERATURE), ("singular", SINGULAR))
-          for name, row in rows.items()}  # fmt: skip
+POINTS = {
+    f"{name}, {at}": (name, *row)
+    for at, rows in (("generic", LITERATURE), ("singular", SINGULAR))
+    for name, row in rows.items()
+}
 
 
 @pytest.mark.parametrize("name, q, here, around", POINTS.values(), ids=POINTS)
@@ -102,12 +113,19 @@ def test_growth_of_the_literature(name: str, q: tuple, here: tuple, around: tupl
     assert found.degree == here.index(here[-1]) + 1
 
 
-LONG = (pytest.mark.slow, pytest.mark.skipif(hunts.TIMES < 1, reason="takes half a minute: --hunt-times 1"))
+LONG = (
+    pytest.mark.slow,
+    pytest.mark.skipif(hunts.TIMES < 1, reason="takes half a minute: --hunt-times 1"),
+)
 
 
-@pytest.mark.parametrize("name", some([pytest.param(n, marks=LONG) if n == "two trailers" else n for n in CHEAP], 4))
+@pytest.mark.parametrize(
+    "name", some([pytest.param(n, marks=LONG) if n == "two trailers" else n for n in CHEAP], 4)
+)
 def test_growth_is_that_of_all_brackets_of_sympy(name: str) -> None:
-    """All words of the fields, symbolically, at the point of the literature and at the singular one."""
+    """All words of the fields, symbolically, at the point of the literature and at the singular
+    one.
+    """
     system = SYSTEMS[name]
     for q, here, _ in [cases[name] for cases in (LITERATURE, SINGULAR) if name in cases]:
         point = np.array(q)
@@ -123,8 +141,8 @@ PERPENDICULAR = {
     (3, (2,)): (2, 3, 4, 5, 5, 6),
     (3, (3,)): (2, 3, 4, 5, 6),
 }
-"""By the number of trailers and which of them stand across what pulls them. The last one may: Jean (1996). The degrees
-of those that all do are Fibonacci numbers, 5 and 8: Luca, Risler (1994)."""
+"""By the number of trailers and which of them stand across what pulls them. The last one may: Jean
+(1996). The degrees of those that all do are Fibonacci numbers, 5 and 8: Luca, Risler (1994)."""
 
 
 @pytest.mark.parametrize(("n", "across"), PERPENDICULAR)
@@ -135,7 +153,9 @@ def test_trailers_across(n: int, across: tuple[int, ...], hunt: Hunt) -> None:
         q = np.zeros(3 + n)
         q[:3] = rng.uniform(-2, 2, size=3)
         for i in range(1, n + 1):
-            q[2 + i] = q[1 + i] + (rng.choice([-1, 1]) * np.pi / 2 if i in across else rng.uniform(-1, 1))
+            q[2 + i] = q[1 + i] + (
+                rng.choice([-1, 1]) * np.pi / 2 if i in across else rng.uniform(-1, 1)
+            )
         found = reached(trailers(n), q)
         assert (found.growth, found.dimension) == (PERPENDICULAR[n, across], 3 + n)
         assert found.around == tuple(range(2, 4 + n))
@@ -151,7 +171,9 @@ def test_degree_of_four_trailers_across() -> None:
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 4, 5])
 def test_growth_of_trailers(n: int, hunt: Hunt) -> None:
-    """(2, 3, ..., n + 3) at random configurations, none of which is near a singular one, and never doubtful."""
+    """(2, 3, ..., n + 3) at random configurations, none of which is near a singular one, and never
+    doubtful.
+    """
     rows = trailers(n).rows()
     rng = hunt.rng()
     for _ in range(hunt.cases(170)):
@@ -163,7 +185,9 @@ def test_growth_of_trailers(n: int, hunt: Hunt) -> None:
 
 @pytest.mark.parametrize("name", LITERATURE)
 def test_growth_does_not_depend_on_how_rows_are_written(name: str, hunt: Hunt) -> None:
-    """Sums of rows with factors that are functions, in other units, and coordinates in another order."""
+    """Sums of rows with factors that are functions, in other units, and coordinates in another
+    order.
+    """
     system = SYSTEMS[name]
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
@@ -172,9 +196,16 @@ def test_growth_does_not_depend_on_how_rows_are_written(name: str, hunt: Hunt) -
         m = len(system.text)
         order = rng.permutation(len(q))
         mix = (np.eye(m) + rng.uniform(-0.3, 0.3, size=(m, m)) / m).tolist()
-        factors = [[f"({mix[i][j]!r}*(2 + sin({rng.choice(names)})))" for j in range(m)] for i in range(m)]
-        sums = [[" + ".join(f"{f}*({row[j]})" for f, row in zip(own, system.text, strict=True)) for j in order]
-                for own in factors]  # fmt: skip
+        factors = [
+            [f"({mix[i][j]!r}*(2 + sin({rng.choice(names)})))" for j in range(m)] for i in range(m)
+        ]
+        sums = [
+            [
+                " + ".join(f"{f}*({row[j]})" for f, row in zip(own, system.text, strict=True))
+                for j in order
+            ]
+            for own in factors
+        ]
         other = Pfaffian(" ".join(names[j] for j in order), tuple(map(tuple, sums)))
         found = reached(other, np.array(q)[order], int(rng.integers(1000)))
         assert (found.growth, found.dimension) == (here, here[-1])

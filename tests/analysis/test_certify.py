@@ -1,4 +1,6 @@
-"""What mobility is certain of is true: hunts among mechanisms with known numbers, and the theorems one by one."""
+"""What mobility is certain of is true: hunts among mechanisms with known numbers, and the theorems
+one by one.
+"""
 
 from __future__ import annotations
 
@@ -39,18 +41,37 @@ def hunted(hunt: Hunt, kind, cases: int) -> list[tuple[Mobility, int]]:
 
 
 ALWAYS = {
-    "flat_loop", "row_of_parallelograms", "parallelograms_apart", "scissor", "sarrus", "frameworks", "bars", "hinges",
-    "gimbal", "stopped_row", "three_cranks", "side_by_side",
-}  # fmt: skip
+    "flat_loop",
+    "row_of_parallelograms",
+    "parallelograms_apart",
+    "scissor",
+    "sarrus",
+    "frameworks",
+    "bars",
+    "hinges",
+    "gimbal",
+    "stopped_row",
+    "three_cranks",
+    "side_by_side",
+}
 """Kinds of which every number is proven."""
 
 
-SLOW = {"wunderlich", "side_by_side", "stopped_row", "row_of_parallelograms", "parallelograms_apart", "scissor"}
+SLOW = {
+    "wunderlich",
+    "side_by_side",
+    "stopped_row",
+    "row_of_parallelograms",
+    "parallelograms_apart",
+    "scissor",
+}
 
 
 def check(hunt: Hunt, kind, cases: int) -> None:
     for m, truth in hunted(hunt, kind, cases):
-        assert m.dof == truth if m.certain else "to order" in m.sentence or "probably" in m.sentence, str(m)
+        assert (
+            m.dof == truth if m.certain else "to order" in m.sentence or "probably" in m.sentence
+        ), str(m)
         assert m.certain or kind.__name__ not in ALWAYS, str(m)
 
 
@@ -78,7 +99,9 @@ def test_dead_centres_in_a_row_are_rigid_or_not_certain(stages):
 
 @pytest.mark.parametrize("off", [1e-10, 1e-9, 1e-8, 1e-7])
 def test_nothing_singular_is_proven_a_little_beside_it(off):
-    """A stretched bar bent by less than the rank's tolerance moves; what holds on the line itself does not count."""
+    """A stretched bar bent by less than the rank's tolerance moves; what holds on the line itself
+    does not count.
+    """
     w = World("bent", 2)
     for i, (a, b) in enumerate(pairwise(("ground", "one", "two", "three", "ground"))):
         w.turn(a, b, (float(i), off * (-1) ** i))
@@ -110,22 +133,44 @@ def scissor_of(stages: int) -> tuple[System, np.ndarray]:
 
 
 def ball_on_rods(angles: bool, ry: float, rods: int, rng: np.random.Generator, free: bool = False):
-    """A body on a ball joint (or free) and rods, at a second angle `ry`, in angles or by quaternion."""
+    """A body on a ball joint (or free) and rods, at a second angle `ry`, in angles or by
+    quaternion.
+    """
     m = Mechanism("ball")
     body = m.body("body")
-    place = {"at": rng.uniform(-1, 1, 3), "rpy": rng.uniform(-1, 1, 3), "child_rpy": rng.uniform(-1, 1, 3)}
+    place = {
+        "at": rng.uniform(-1, 1, 3),
+        "rpy": rng.uniform(-1, 1, 3),
+        "child_rpy": rng.uniform(-1, 1, 3),
+    }
     m.joint("J", "free" if free else "spherical", m.ground, body, angles=angles, **place)
     z, x = rng.uniform(-3, 3, 2)
     R = rot_z(z) @ rot_y(ry) @ rot_x(x)
-    values = {"J.rz": z, "J.ry": ry, "J.rx": x} if angles else dict(zip(
-        ("J.qw", "J.qx", "J.qy", "J.qz"), matrix_to_quat_wxyz(R).tolist(), strict=True))  # fmt: skip
-    values |= dict(zip(("J.x", "J.y", "J.z"), rng.uniform(-1, 1, 3).tolist(), strict=True)) if free else {}
+    values = (
+        {"J.rz": z, "J.ry": ry, "J.rx": x}
+        if angles
+        else dict(
+            zip(("J.qw", "J.qx", "J.qy", "J.qz"), matrix_to_quat_wxyz(R).tolist(), strict=True)
+        )
+    )
+    values |= (
+        dict(zip(("J.x", "J.y", "J.z"), rng.uniform(-1, 1, 3).tolist(), strict=True))
+        if free
+        else {}
+    )
     tree = m.build()
     pose = tree.fk(tree.q(values))[-1]
     for k in range(rods):
         a = rng.uniform(-2, 2, 3)
         b = rng.uniform(-1, 1, 3)
-        m.distance(f"rod{k}", m.ground, body, at=a, child_at=b, length=float(np.linalg.norm(pose[:3] @ [*b, 1.0] - a)))
+        m.distance(
+            f"rod{k}",
+            m.ground,
+            body,
+            at=a,
+            child_at=b,
+            length=float(np.linalg.norm(pose[:3] @ [*b, 1.0] - a)),
+        )
     system = m.build()
     return system, system.q(values)
 
@@ -137,13 +182,27 @@ def test_freedoms_of_a_chart_are_no_freedoms(free, hunt):
     for _ in range(hunt.cases(12)):
         rods = int(rng.integers(1, 5 + 3 * free))
         seed = int(rng.integers(2**31))
-        ry = float(rng.choice([-1, 1])) * pi / 2 + float(rng.choice([0.0, 0.0, 1e-9, 1e-6, 1e-3, 0.3]))
+        ry = float(rng.choice([-1, 1])) * pi / 2 + float(
+            rng.choice([0.0, 0.0, 1e-9, 1e-6, 1e-3, 0.3])
+        )
         system, q = ball_on_rods(True, ry, rods, np.random.default_rng(seed), free)
         m = mobility(system, q)
         other = mobility(*ball_on_rods(False, ry, rods, np.random.default_rng(seed), free))
-        assert (m.dof, m.certain, m.rank_dof, m.redundant) == (other.dof, True, other.rank_dof, other.redundant)
-        assert m.dof == max((6 if free else 3) - rods, 0) and local_dimension(system, q).dim == m.dof
-        assert max(np.abs(residual(system, found.q)).max() for found in (m, local_dimension(system, q))) < 1e-9
+        assert (m.dof, m.certain, m.rank_dof, m.redundant) == (
+            other.dof,
+            True,
+            other.rank_dof,
+            other.redundant,
+        )
+        assert (
+            m.dof == max((6 if free else 3) - rods, 0) and local_dimension(system, q).dim == m.dof
+        )
+        assert (
+            max(
+                np.abs(residual(system, found.q)).max() for found in (m, local_dimension(system, q))
+            )
+            < 1e-9
+        )
 
 
 def test_hinges_in_gimbal_lock_are_free():
@@ -173,20 +232,30 @@ def test_coupled_angles_have_a_meaning_of_their_own():
 @pytest.mark.parametrize("rods", [True, False])
 @pytest.mark.parametrize("seed", range(2))
 def test_branches_of_one_linkage_in_two_models(rods, seed):
-    """Five motions of two freedoms and eight of one, whether bars are bodies or distances of particles."""
+    """Five motions of two freedoms and eight of one, whether bars are bodies or distances of
+    particles.
+    """
     system = kempe.load("wunderlich")
     q = system.q("closed")
     if rods:
         system, q = box_of_rods(0.9, 0.6, 0.3)
     m = mobility(system, q, rng=seed)
     assert m.dof == 2 and sorted(m.local.branch_dims) == [1] * 8 + [2] * 5
-    assert not m.local.counted and "13 branches were found, of dimensions 2 (5 times), 1 (8 times)" in m.kind
+    assert (
+        not m.local.counted
+        and "13 branches were found, of dimensions 2 (5 times), 1 (8 times)" in m.kind
+    )
 
 
 def box_of_rods(*length: float) -> tuple[System, np.ndarray]:
     corners = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     points = [(float(np.dot(c, length)), 0.0) for c in corners]
-    edges = [(a, b) for a in range(8) for b in range(a) if np.abs(np.subtract(corners[a], corners[b])).sum() == 1]
+    edges = [
+        (a, b)
+        for a in range(8)
+        for b in range(a)
+        if np.abs(np.subtract(corners[a], corners[b])).sum() == 1
+    ]
     system = known_truths.framework("box", points, edges, (0, 4), 2).build()
     return system, system.neutral
 
@@ -210,10 +279,18 @@ def test_a_long_row_of_flat_parallelograms():
 # ---- what cannot change it
 
 
-@pytest.mark.parametrize(("name", "posture"), [
-    ("four_bar_spatial", "closed"), ("sarrus", "closed"), ("bennett", "closed"), ("double_parallelogram", "flat"),
-    ("row_of_four_bars", "flat"), ("kite", "change_point"), ("three_upu_snu", "closed"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "posture"),
+    [
+        ("four_bar_spatial", "closed"),
+        ("sarrus", "closed"),
+        ("bennett", "closed"),
+        ("double_parallelogram", "flat"),
+        ("row_of_four_bars", "flat"),
+        ("kite", "change_point"),
+        ("three_upu_snu", "closed"),
+    ],
+)
 def test_certain_is_not_wrong_however_it_is_described(name, posture, hunt):
     system = kempe.load(name)
     q = system.q(posture)
@@ -223,20 +300,30 @@ def test_certain_is_not_wrong_however_it_is_described(name, posture, hunt):
     assert truth.certain
     for _ in range(hunt.cases(4)):
         change = Change(
-            order=tuple(rng.permutation(len(names)).tolist()), cut=str(rng.choice(names)),
-            ground=str(rng.choice(list(system.body_names))), scale=10.0 ** rng.uniform(-5, 5), prefix="new_",
+            order=tuple(rng.permutation(len(names)).tolist()),
+            cut=str(rng.choice(names)),
+            ground=str(rng.choice(list(system.body_names))),
+            scale=10.0 ** rng.uniform(-5, 5),
+            prefix="new_",
             mirror=bool(rng.random() < 0.5),
-            move=kempe.spatial.exp_se3(rng.uniform(-1, 1, 6) * (1 if system.dim == 3 else [1, 1, 0, 0, 0, 1])),
-        )  # fmt: skip
+            move=kempe.spatial.exp_se3(
+                rng.uniform(-1, 1, 6) * (1 if system.dim == 3 else [1, 1, 0, 0, 0, 1])
+            ),
+        )
         other = rebuilt(system, q, change)
-        assert (m := mobility(other, other.neutral)).dof == truth.dof or not m.certain, (str(m), change)
+        assert (m := mobility(other, other.neutral)).dof == truth.dof or not m.certain, (
+            str(m),
+            change,
+        )
 
 
 # ---- the theorems
 
 
 def test_newton_and_kantorovich():
-    """x^2 = a: regular at sqrt(a) as long as that is above the root of rounding, and the root is within the radius."""
+    """x^2 = a: regular at sqrt(a) as long as that is above the root of rounding, and the root is
+    within the radius.
+    """
     for power in np.arange(0, 9, 0.25):
         a = 10.0**-power
         x = float(np.sqrt(10.0**-power)) * (1 + 1e-9)
@@ -248,7 +335,9 @@ def test_newton_and_kantorovich():
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
 def test_common_zeros_of_quadratic_forms(dim):
-    """x y, y z, z x vanish together on three lines; with x^2 + 2 y^2 + 3 z^2 at 0 only, complex ones too."""
+    """x y, y z, z x vanish together on three lines; with x^2 + 2 y^2 + 3 z^2 at 0 only, complex
+    ones too.
+    """
     x = np.eye(3)
     pairs = [np.outer(x[i], x[k]) + np.outer(x[k], x[i]) for i, k in ((0, 1), (1, 2), (0, 2))]
     rng = np.random.default_rng(0)
@@ -257,7 +346,9 @@ def test_common_zeros_of_quadratic_forms(dim):
     sphere = np.array([np.eye(3), np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 4.0, 9.0])])
     assert leading_forms._no_zero(sphere, dim, rng)
     assert not leading_forms._no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
-    assert leading_forms._definite(sphere[:2], rng) and not leading_forms._definite(np.array(pairs), rng)
+    assert leading_forms._definite(sphere[:2], rng) and not leading_forms._definite(
+        np.array(pairs), rng
+    )
 
 
 def test_groups_are_filled_or_not():
@@ -290,17 +381,24 @@ def test_a_trammel_turns_as_it_slides():
         w.line("ground", "rod", (np.array([cos(0.7), sin(0.7)]) @ e) * e, e)
     system = w.build()
     m = mobility(system, system.neutral)
-    assert (m.dof, m.certain) == (1, False) and m.sentence.startswith("Gruebler says 0, the truth is 1 to order 8")
+    assert (m.dof, m.certain) == (1, False) and m.sentence.startswith(
+        "Gruebler says 0, the truth is 1 to order 8"
+    )
 
 
 @pytest.mark.parametrize("off", some([1e-12, 1e-10, 1e-8, 1e-6], 4))
 def test_axes_that_nearly_meet_leave_lengths_typical(off, hunt):
-    """Two balls of three hinges whose axes miss each other by little: links of that length are no unit of measure."""
+    """Two balls of three hinges whose axes miss each other by little: links of that length are no
+    unit of measure.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(5)):
         centers = rng.uniform(-1, 1, (2, 3))
         around = rng.normal(size=(6, 3, 3))
-        joints = [("revolute", centers[i // 3] + off * p, z / np.linalg.norm(z)) for i, (p, z, _) in enumerate(around)]
+        joints = [
+            ("revolute", centers[i // 3] + off * p, z / np.linalg.norm(z))
+            for i, (p, z, _) in enumerate(around)
+        ]
         system = known_truths.loop("two balls of hinges", joints).build()
         m = mobility(system, system.neutral)
         assert m.closed and system.assemble(start=system.neutral).success

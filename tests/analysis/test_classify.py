@@ -1,4 +1,6 @@
-"""Which kind constraints of mechanisms are: literature, symbols, exact forms, what is one-sided, bad input."""
+"""Which kind constraints of mechanisms are: literature, symbols, exact forms, what is one-sided,
+bad input.
+"""
 
 from __future__ import annotations
 
@@ -48,19 +50,25 @@ def test_mechanisms_of_the_literature(name: str, hunt: Hunt) -> None:
         found = system.classify(close_by(system, rng), project=True)
         assert (found.growth, found.growth_around) == (growth, growth)
         assert (found.position_dof, found.velocity_dof) == (positions, growth[0])
-        assert (found.reachable_dimension, found.degree) == (growth[-1], growth.index(growth[-1]) + 1)
+        assert (found.reachable_dimension, found.degree) == (
+            growth[-1],
+            growth.index(growth[-1]) + 1,
+        )
         assert found.integrals == positions - growth[-1]
         assert found.kind == ("integrable" if growth[0] == growth[-1] else "nonholonomic")
         if found.one_sided is None:  # a mobility counts what may be left as free
             assert found.velocity_dof == system.mobility(found.q, local=False).velocity_dof
 
 
-@pytest.mark.parametrize("name", some([n for n in KNOWN if n not in ("five trailers", "ball that may jump")], 3))
+@pytest.mark.parametrize(
+    "name", some([n for n in KNOWN if n not in ("five trailers", "ball that may jump")], 3)
+)
 def test_reached_by_motions(name: str) -> None:
-    """The dimension reached is the rank of the end of a motion by what is chosen on the way, by differences.
+    """The dimension reached is the rank of the end of a motion by what is chosen on the way, by
+    differences.
 
-    Motions follow the velocities that the rows leave free by steps of Runge and Kutta, which shares nothing with
-    brackets but the rows.
+    Motions follow the velocities that the rows leave free by steps of Runge and Kutta, which shares
+    nothing with brackets but the rows.
     """
     make, growth, _ = KNOWN[name]
     system = make()
@@ -96,16 +104,21 @@ def holding(system: System, q: Array) -> Array:
     """Rows (n, m, nv) of velocities, and the change of what holds positions by differences."""
     steps = 1e-6 * np.eye(system.nv)
     moved = (
-        np.reshape(system.configuration_space.integrate(q[:, None], sign * steps), (-1, system.nq)) for sign in (1, -1)
+        np.reshape(system.configuration_space.integrate(q[:, None], sign * steps), (-1, system.nq))
+        for sign in (1, -1)
     )
     more, less = (evaluate(system, x, False, True)[0] for x in moved)
     by_step = np.reshape((more - less) / 2e-6, (len(q), system.nv, -1))
     return np.concatenate([rates(system, q)[0], np.swapaxes(by_step, 1, 2)], axis=1)
 
 
-@pytest.mark.parametrize("name", some([n for n in SYSTEMS if n not in ("two trailers", "three trailers")], 3))
+@pytest.mark.parametrize(
+    "name", some([n for n in SYSTEMS if n not in ("two trailers", "three trailers")], 3)
+)
 def test_equations_of_velocity_against_symbols(name: str, hunt: Hunt) -> None:
-    """Systems of rows that are written, on slides: the growth of all brackets by sympy, at a random point."""
+    """Systems of rows that are written, on slides: the growth of all brackets by sympy, at a random
+    point.
+    """
     given = SYSTEMS[name]
     rng = hunt.rng()
     system = sliding(given.names, given.text)
@@ -128,20 +141,34 @@ def polynomial(names: list[str], rng: np.random.Generator) -> str:
 
 @pytest.mark.parametrize("n", [3, 4, 5, pytest.param(6, marks=pytest.mark.slow)])
 def test_random_rows_against_symbols(n: int, hunt: Hunt) -> None:
-    """Random rows, mixed by a matrix of functions: growth by sympy from rows that are not mixed, at a random point."""
+    """Random rows, mixed by a matrix of functions: growth by sympy from rows that are not mixed, at
+    a random point.
+    """
     rng = hunt.rng()
     names = [f"u{i}" for i in range(n)]
     for _ in range(hunt.cases(3)):
         m = int(rng.integers(1, n - 1))
-        plain = [[polynomial(names, rng) for _ in range(n - m)] + ["1" if i == j else "0" for j in range(m)]
-                 for i in range(m)]  # fmt: skip
+        plain = [
+            [polynomial(names, rng) for _ in range(n - m)]
+            + ["1" if i == j else "0" for j in range(m)]
+            for i in range(m)
+        ]
         x, y = (sympy.Symbol(str(u)) for u in rng.choice(names, size=2))
-        factors = [[2 + sympy.cos(x) if i == j else (y + i - j) / (3 * m) for j in range(m)] for i in range(m)]
-        mixed = sympy.Matrix(factors) * sympy.Matrix([[sympy.sympify(e) for e in row] for row in plain])
+        factors = [
+            [2 + sympy.cos(x) if i == j else (y + i - j) / (3 * m) for j in range(m)]
+            for i in range(m)
+        ]
+        mixed = sympy.Matrix(factors) * sympy.Matrix(
+            [[sympy.sympify(e) for e in row] for row in plain]
+        )
         q = rng.uniform(0.3, 1.0, size=n)
-        found = sliding(tuple(names), [[str(e) for e in mixed.row(i)] for i in range(m)]).classify(q)
+        found = sliding(tuple(names), [[str(e) for e in mixed.row(i)] for i in range(m)]).classify(
+            q
+        )
         steps = min(len(found.growth or ()), 4)
-        growth = growth_by_symbols(Pfaffian(" ".join(names), tuple(map(tuple, plain))), q, list(range(n - m)), steps)
+        growth = growth_by_symbols(
+            Pfaffian(" ".join(names), tuple(map(tuple, plain))), q, list(range(n - m)), steps
+        )
         assert (found.growth or ())[:steps] == growth
 
 
@@ -155,13 +182,18 @@ def exact_rows(names: list[str], m: int, rng: np.random.Generator) -> list[list[
         f += sympy.sin(symbols[c]) / 2 + symbols[d] ** 2 * symbols[a] / 4
         rows.append([sympy.diff(f, s) for s in symbols])
     x, y = (symbols[i] for i in rng.choice(len(symbols), size=2))
-    factors = [[(2 + sympy.cos(x * y) if i == j else (x - y * (i + j)) / 3) for j in range(m)] for i in range(m)]
+    factors = [
+        [(2 + sympy.cos(x * y) if i == j else (x - y * (i + j)) / 3) for j in range(m)]
+        for i in range(m)
+    ]
     mixed = sympy.Matrix(factors) * sympy.Matrix(rows)
     return [[str(mixed[i, j]) for j in range(len(symbols))] for i in range(m)]
 
 
 def test_random_exact_forms_are_integrable(hunt: Hunt) -> None:
-    """With integrating factors, and mixed: motions stay in leaves, of the dimension of the free velocities."""
+    """With integrating factors, and mixed: motions stay in leaves, of the dimension of the free
+    velocities.
+    """
     rng = hunt.rng()
     regular = 0
     for _ in range(hunt.cases(25)):
@@ -180,15 +212,19 @@ def test_random_exact_forms_are_integrable(hunt: Hunt) -> None:
 
 
 def test_exact_forms_beside_one_that_is_not(hunt: Hunt) -> None:
-    """m exact forms and one that turns in what they leave: m functions keep their value, all else is reached."""
+    """m exact forms and one that turns in what they leave: m functions keep their value, all else
+    is reached.
+    """
     rng = hunt.rng()
     regular = 0
     for _ in range(hunt.cases(15)):
         n = int(rng.integers(4, 7))
         m = int(rng.integers(1, n - 2))
         names = [f"u{i}" for i in range(n)]
-        turns = [f"{x} + sin({x})" if i == n - 2 else "1" if i == n - 1 else "0"
-                 for i, x in zip(range(n), [*names[-1:], *names[:-1]], strict=True)]  # fmt: skip
+        turns = [
+            f"{x} + sin({x})" if i == n - 2 else "1" if i == n - 1 else "0"
+            for i, x in zip(range(n), [*names[-1:], *names[:-1]], strict=True)
+        ]
         free = names[: n - 1]
         rows = [[*row, "0"] for row in exact_rows(free, m, rng)]
         system = sliding(tuple(names), [*rows, turns])
@@ -235,7 +271,12 @@ def test_wheels_on_one_axle_are_harmless() -> None:
     q = close_by(one, np.random.default_rng(1))
     a = one.classify(q)
     b = two.classify(q)
-    assert (a.growth, a.degree, a.velocity_dof, a.kind) == (b.growth, b.degree, b.velocity_dof, b.kind)
+    assert (a.growth, a.degree, a.velocity_dof, a.kind) == (
+        b.growth,
+        b.degree,
+        b.velocity_dof,
+        b.kind,
+    )
     assert b.constraints["left wheel 0"].growth == b.constraints["wheel 0"].growth
 
 
@@ -252,7 +293,9 @@ def test_a_wheel_that_never_moves_takes_nothing(axis, growth) -> None:
 
 
 def test_kinds_of_all_sorts_beside_each_other() -> None:
-    """A rod is holonomic, a wheel nonholonomic, a contact unilateral; `data` is plain and says the same."""
+    """A rod is holonomic, a wheel nonholonomic, a contact unilateral; `data` is plain and says the
+    same.
+    """
     m = Mechanism("all", dim=2)
     car = m.body("car")
     mass = m.body("mass")
@@ -268,19 +311,23 @@ def test_kinds_of_all_sorts_beside_each_other() -> None:
     assert found.constraints["rod"].independent == 1
     data = json.loads(json.dumps(found.data(), allow_nan=False))
     assert data["constraints"]["wheel"]["kind"] == "nonholonomic" and data["growth"] == [4, 5]
-    assert data["sentence"] in str(found) and found._repr_html_().count("<tr>") == str(found).count("\n  ") - sum(
-        line.startswith(" " * 18) for line in str(found).splitlines()
-    )
+    assert data["sentence"] in str(found) and found._repr_html_().count("<tr>") == str(found).count(
+        "\n  "
+    ) - sum(line.startswith(" " * 18) for line in str(found).splitlines())
 
 
 def test_contact_is_closed_or_open() -> None:
-    """A ball that may jump: rows of rolling count while it touches, and the report says whether it does."""
+    """A ball that may jump: rows of rolling count while it touches, and the report says whether it
+    does.
+    """
     system = on_plane(one_sided=True)
     touching, above = (system.classify({"F.z": z}) for z in (0.4, 0.9))
     assert touching.one_sided is not None and touching.one_sided.active == ("rolling",)
     assert above.one_sided is not None and above.one_sided.active == ()
     assert "while it touches" in touching.constraints["rolling"].sentence
-    assert "while it touches" not in on_plane().classify({"F.z": 0.4}).constraints["rolling"].sentence
+    assert (
+        "while it touches" not in on_plane().classify({"F.z": 0.4}).constraints["rolling"].sentence
+    )
 
 
 def test_only_contacts_are_unilateral() -> None:
@@ -306,7 +353,8 @@ def test_loops_alone_are_holonomic() -> None:
 
 
 def test_speed_along_the_axle_drifts() -> None:
-    """A wheel dragged aside at constant speed: the freedoms, and what is reached in space and time, as symbols say.
+    """A wheel dragged aside at constant speed: the freedoms, and what is reached in space and time,
+    as symbols say.
 
     With the clock as a coordinate T, and speed u, the rows are sin(t) dx - cos(t) dy + u dT = 0.
     """
@@ -330,11 +378,13 @@ def test_prescribed_velocities_are_integrable(b: Any) -> None:
 
 
 def test_rows_that_turn_with_time() -> None:
-    """cos(t) dx + sin(t) dy = 0 is integrable at every moment, yet with the time that goes on it is not."""
+    """cos(t) dx + sin(t) dy = 0 is integrable at every moment, yet with the time that goes on it is
+    not.
+    """
     found = sliding(("x", "y"), [["cos(t)", "sin(t)"]], time=True).classify(t=0.4)
     whole = growth_by_symbols(
         Pfaffian("x y T", (("cos(T)", "sin(T)", "0"),)), np.array([0.1, 0.2, 0.4]), [1, 2], 2
-    )  # fmt: skip
+    )
     assert found.growth == tuple(d - 1 for d in whole)
     assert found.kind == "nonholonomic"
 
@@ -349,7 +399,9 @@ def test_velocities_that_contradict_each_other() -> None:
 
 
 def test_long_trains_are_right_or_doubtful(hunt: Hunt) -> None:
-    """Each trailer adds one dimension by brackets one letter longer: if that is not found it is not denied."""
+    """Each trailer adds one dimension by brackets one letter longer: if that is not found it is not
+    denied.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(8)):
         n = int(rng.integers(6, 12))
@@ -387,7 +439,10 @@ def test_turn_and_place_do_not_matter(hunt: Hunt) -> None:
     system = trailers(2)
     rng = hunt.rng()
     inner = {"H0": 0.4, "H1": -0.7}
-    found = [system.classify({**inner, "car.x": x, "car.y": y, "car.rz": z}) for x, y, z in 3 * rng.normal(size=(3, 3))]
+    found = [
+        system.classify({**inner, "car.x": x, "car.y": y, "car.rz": z})
+        for x, y, z in 3 * rng.normal(size=(3, 3))
+    ]
     assert {(f.growth, f.degree, f.doubtful) for f in found} == {((2, 3, 4, 5), 4, False)}
 
 
@@ -397,12 +452,16 @@ def test_turn_and_place_do_not_matter(hunt: Hunt) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"q": [0.0, 0.0]}, "q has 2 coordinates; steered car needs 4"), ({"q": np.zeros((2, 4))}, "shape"),
-        ({"q": [np.nan] * 4}, "finite"), ({"q": "home"}, "q"), ({"t": "noon"}, "t is 'noon'"),
-        ({"t": [0.0, 1.0]}, "one number"), ({"q": {"steerin": 0.1}}, "did you mean 'steering'"),
+        ({"q": [0.0, 0.0]}, "q has 2 coordinates; steered car needs 4"),
+        ({"q": np.zeros((2, 4))}, "shape"),
+        ({"q": [np.nan] * 4}, "finite"),
+        ({"q": "home"}, "q"),
+        ({"t": "noon"}, "t is 'noon'"),
+        ({"t": [0.0, 1.0]}, "one number"),
+        ({"q": {"steerin": 0.1}}, "did you mean 'steering'"),
         ({"rng": "x"}, "rng"),
     ],
-)  # fmt: skip
+)
 def test_bad_input(arguments: dict, said: str) -> None:
     """Refused, with what is wrong."""
     with pytest.raises((InputError, KeyError), match=said):
@@ -413,7 +472,10 @@ def test_starts_that_are_not_closed() -> None:
     """Refused with the distance, or projected on request; rounding is no trouble."""
     system = on_plane()
     with pytest.raises(InputError, match=re.escape("0.3 away: project=True takes it")):
-        system.classify({"F.z": 0.7} | {n: float(n.endswith("qw")) for n in system.coordinate_names if n != "F.z"})
+        system.classify(
+            {"F.z": 0.7}
+            | {n: float(n.endswith("qw")) for n in system.coordinate_names if n != "F.z"}
+        )
     q = system.neutral.copy()
     q[2] = 0.7
     found = system.classify(q, project=True)
@@ -453,7 +515,9 @@ def test_functions_that_cannot_be_recorded_are_named() -> None:
 
 @pytest.mark.parametrize("times", [1, 3])
 def test_random_motions_keep_what_their_rows_hold(times: int) -> None:
-    """A body on a ball joint and one that floats, with a rod and an axis: nothing is corrected, and all stays true."""
+    """A body on a ball joint and one that floats, with a rod and an axis: nothing is corrected, and
+    all stays true.
+    """
     m = Mechanism("hung")
     m.joint("S", "spherical", m.ground, m.body("a"), at=(0.1, 0.2, 0.3), rpy=(0.3, 0.2, 0.1))
     m.joint("F", "free", m.ground, m.body("b"))
@@ -472,7 +536,9 @@ def test_random_motions_keep_what_their_rows_hold(times: int) -> None:
 
 
 def test_rows_that_lose_rank_at_one_place() -> None:
-    """x dy = 0: at x = 0 nothing is forbidden, around y cannot change, so no field of velocities goes on smoothly."""
+    """x dy = 0: at x = 0 nothing is forbidden, around y cannot change, so no field of velocities
+    goes on smoothly.
+    """
     system = sliding(("x", "y", "z"), [[0, "x", 0]])
     found = system.classify([0.0, 0.3, 0.1])
     assert (found.velocity_dof, found.growth, found.reachable_dimension) == (3, None, None)
@@ -480,8 +546,12 @@ def test_rows_that_lose_rank_at_one_place() -> None:
     assert system.classify([0.5, 0.3, 0.1]).growth == (2, 2)
 
 
-def test_scales_of_coordinates_and_rows_do_not_change_the_kind_unless_it_is_doubtful(hunt: Hunt) -> None:
-    """The contact form dz = y dx, its coordinates and its row scaled by powers of ten, at places far away."""
+def test_scales_of_coordinates_and_rows_do_not_change_the_kind_unless_it_is_doubtful(
+    hunt: Hunt,
+) -> None:
+    """The contact form dz = y dx, its coordinates and its row scaled by powers of ten, at places
+    far away.
+    """
     rng = hunt.rng()
     plain = "nonholonomic, motions reach every configuration around"
     for _ in range(hunt.cases(60)):
@@ -489,18 +559,26 @@ def test_scales_of_coordinates_and_rows_do_not_change_the_kind_unless_it_is_doub
         rows = [[f"{-a * row!r}*y", 0, f"{b * row!r}"]]
         found = sliding(("x", "y", "z"), rows).classify([0.3, rng.choice([-1, 1]) * far, 0.2])
         assert found.doubtful or plain in found.status, (a, b, row, far, found.status)
-        assert not found.doubtful or "beyond the digits" in found.status or "doubtful" in found.status
+        assert (
+            not found.doubtful or "beyond the digits" in found.status or "doubtful" in found.status
+        )
         law = found.constraints["law"]
         assert law.doubtful or law.kind == "nonholonomic"
         assert not law.doubtful or "beyond the digits" in law.sentence
 
 
 def test_far_places_of_what_is_integrable_are_not_said_to_reach_more(hunt: Hunt) -> None:
-    """The exact forms d(x^2 + c y) and d(x y z), scaled and far away: never more than functions of position allow."""
+    """The exact forms d(x^2 + c y) and d(x y z), scaled and far away: never more than functions of
+    position allow.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         scale, far = (10.0 ** rng.uniform([-6, 0], [6, 9])).tolist()
-        rows = [[f"{2 * scale!r}*x", f"{scale!r}", 0]] if rng.random() < 0.5 else [["y*z", "x*z", "x*y"]]
+        rows = (
+            [[f"{2 * scale!r}*x", f"{scale!r}", 0]]
+            if rng.random() < 0.5
+            else [["y*z", "x*z", "x*y"]]
+        )
         found = sliding(("x", "y", "z"), rows).classify(far * rng.uniform(0.5, 1.0, 3))
         assert found.reachable_dimension == 2 and "every configuration" not in found.status
 
@@ -508,11 +586,15 @@ def test_far_places_of_what_is_integrable_are_not_said_to_reach_more(hunt: Hunt)
 @pytest.mark.parametrize("y", [1e7, 1e9, 1e12])
 def test_a_contact_form_far_away_is_not_said_to_be_integrable(y: float) -> None:
     found = sliding(("x", "y", "z"), [["-y", 0, 1]]).classify([0.3, y, 0.2])
-    assert found.doubtful and "integrable" not in found.status.replace("whether it is integrable", "")
+    assert found.doubtful and "integrable" not in found.status.replace(
+        "whether it is integrable", ""
+    )
 
 
 def test_rows_in_other_units_are_the_same_rows_or_doubtful(hunt: Hunt) -> None:
-    """Two contact forms over six slides, one row scaled by 1e-18 to 1e18: the same growth, or a word of doubt."""
+    """Two contact forms over six slides, one row scaled by 1e-18 to 1e18: the same growth, or a
+    word of doubt.
+    """
     rng = hunt.rng()
     names = ("x", "y", "z", "u", "v", "w")
     for _ in range(hunt.cases(40)):
@@ -520,5 +602,9 @@ def test_rows_in_other_units_are_the_same_rows_or_doubtful(hunt: Hunt) -> None:
         rows = [[f"{-a!r}*y", 0, a, 0, 0, 0], [0, f"{b!r}*u", 0, f"{b!r}*v", 0, b]]
         found = sliding(names, rows).classify(rng.uniform(-1, 1, 6))
         plain = sliding(names, [["-y", 0, 1, 0, 0, 0], [0, "u", 0, "v", 0, 1]]).classify(found.q)
-        same = (found.velocity_dof, found.growth, found.kind) == (plain.velocity_dof, plain.growth, plain.kind)
+        same = (found.velocity_dof, found.growth, found.kind) == (
+            plain.velocity_dof,
+            plain.growth,
+            plain.kind,
+        )
         assert same or (found.doubtful and ("doubtful" in found.status or "beyond" in found.status))

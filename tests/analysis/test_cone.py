@@ -1,4 +1,6 @@
-"""Tangent cones against exact rational arithmetic over all sets of active rows, and cases known by hand."""
+"""Tangent cones against exact rational arithmetic over all sets of active rows, and cases known by
+hand.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def agrees(n, E, G, C, probes, turn):
     exact = Exact(E, G, n)
     assert (C.size, C.dimension, C.lineality) == (n, exact.dimension, exact.lineality)
     vanishing = [i for i, g in enumerate(G) if not any(g)]
-    held = [all(sum(a * b for a, b in zip(g, v, strict=True)) == 0 for v in null_space(E, n)) for g in G]
+    held = [
+        all(sum(a * b for a, b in zip(g, v, strict=True)) == 0 for v in null_space(E, n)) for g in G
+    ]
     still = [exact.ways(g) == (False, False) for g in G]
     assert list(C.vanishing) == vanishing
     assert list(C.implied) == [i for i in range(len(G)) if held[i] and i not in vanishing]
@@ -96,7 +100,12 @@ def test_rays_are_edges(hunt):
 )
 def test_contacts_of_a_point(G, dimension, lineality, implicit, redundant):
     C = tangent_cone(np.zeros((0, 3)), np.array(G, dtype=float))
-    assert (C.dimension, C.lineality, C.implicit, C.redundant) == (dimension, lineality, implicit, redundant)
+    assert (C.dimension, C.lineality, C.implicit, C.redundant) == (
+        dimension,
+        lineality,
+        implicit,
+        redundant,
+    )
 
 
 def test_up_but_not_down():

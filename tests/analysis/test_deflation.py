@@ -1,4 +1,6 @@
-"""Motions along which the Jacobian has a larger null space than freedoms: linkages that hang on bars in line."""
+"""Motions along which the Jacobian has a larger null space than freedoms: linkages that hang on
+bars in line.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,12 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
     """Its closed form: the angle runs, the bars rest."""
     system = kempe.load("pendulum_dead_centre")
     for path in (system.trace("P"), system.trace()):
-        assert path.closed and path.success and not path.singular_points and "may be passed unseen" in path.status
+        assert (
+            path.closed
+            and path.success
+            and not path.singular_points
+            and "may be passed unseen" in path.status
+        )
         np.testing.assert_allclose(path.q[:, :3], 0.0, atol=1e-12)
         np.testing.assert_allclose(path.q[:, 3] - path.q[0, 3], path.s, atol=1e-9)
         assert path.s[-1] == pytest.approx(2 * np.pi, abs=1e-9)
@@ -60,9 +67,16 @@ def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
     hanging = four_bar(True)
     a = alone.trace(driver, alone.assemble({"A": 0.3}).q)
     b = hanging.trace(driver, hanging.assemble({"A": 0.3, **STILL}).q)
-    assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-9) and "unseen" not in a.status
+    assert (
+        a.closed
+        and b.closed
+        and b.s[-1] == pytest.approx(a.s[-1], abs=1e-9)
+        and "unseen" not in a.status
+    )
     np.testing.assert_allclose(b.q[:, :3], 0.0, atol=1e-9)
-    np.testing.assert_allclose([e.value for e in b.turning_points], [e.value for e in a.turning_points], atol=1e-9)
+    np.testing.assert_allclose(
+        [e.value for e in b.turning_points], [e.value for e in a.turning_points], atol=1e-9
+    )
     here = np.linspace(0, a.s[-1], 20)
     np.testing.assert_allclose(b.at(here)[:, 3:], a.at(here), atol=1e-8)
 
@@ -92,7 +106,9 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
 @pytest.mark.slow
 @pytest.mark.parametrize("A", some([0.4, 0.7, 1.3, 2.2, 2.7], 4))
 def test_a_parallelogram_on_bars_in_line_goes_straight_on(A):
-    """It passes its change points, as on the ground; the other branch may be unseen there, which is said."""
+    """It passes its change points, as on the ground; the other branch may be unseen there, which is
+    said.
+    """
     alone, hanging = (four_bar(on, (1.0, 3.0, 1.0), 3.0) for on in (False, True))
     a = alone.trace("A", alone.assemble({"A": A}).q)
     b = hanging.trace("A", hanging.assemble({"A": A, **STILL}).q)
@@ -116,7 +132,9 @@ def test_two_freedoms_on_bars_in_line_are_refused():
 
 
 def rssr_on_bars(draw: np.random.Generator, on_bars: bool, form: str) -> kempe.System:
-    """A rod between two arms, on the ground or on bars in line; `form` says whether the rod spins (SS) or not (SU)."""
+    """A rod between two arms, on the ground or on bars in line; `form` says whether the rod spins
+    (SS) or not (SU).
+    """
     w = World("rssr")
     ground = "ground"
     if on_bars:
@@ -142,7 +160,10 @@ def assert_moves_as_on_the_ground(seed: int, form: str) -> None:
     path, other = (s.trace("A", s.neutral.copy()) for s in (hanging, alone))
     np.testing.assert_allclose(path.q[:, :3], 0.0, atol=1e-7)
     assert path.closed == other.closed and len(path) > 1
-    ends = [np.sort([np.cos(e.value) for e in p.extremes if e.coordinate in "AD"]) for p in (path, other)]
+    ends = [
+        np.sort([np.cos(e.value) for e in p.extremes if e.coordinate in "AD"])
+        for p in (path, other)
+    ]
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
     assert hanging.independent().dim == (2 if form == "SS" else 1)
 

@@ -19,7 +19,9 @@ STEPS = [5, 7, 36, 50, 101, 360, 997, 1000]
 
 
 def crossed(a: float, d: float, A: float) -> np.ndarray:
-    """The antiparallelogram with cranks a and links d at crank angle A: B, D, C by the mirror image of C."""
+    """The antiparallelogram with cranks a and links d at crank angle A: B, D, C by the mirror image
+    of C.
+    """
     B = a * np.array([math.cos(A), math.sin(A)])
     C = circles(B, d, [d, 0.0], a, -1.0 if math.sin(A) > 0 else 1.0)
     b = math.atan2(*(C - B)[::-1])
@@ -70,9 +72,14 @@ def test_no_flip_through_change_points_at_any_number_of_steps(first, n):
         D = 2 * math.atan2(math.sin(first), math.cos(first) - 2.0) - math.pi
         cases.append((four_bar(1, 1, 2, 2), "A", [first, -1.0, D, 0.0], kite_error))
     for system, name, start, error in cases:
-        toward = {"S": 1.0} if "S" in system.coordinate_names else {}  # else the branch at rest, if it starts there
+        toward = (
+            {"S": 1.0} if "S" in system.coordinate_names else {}
+        )  # else the branch at rest, if it starts there
         motion = drive(system, {name: inputs}, start=start, toward=toward)
-        assert motion.success and not motion.held.any() and len(motion) == n + 1, (system.name, str(motion))
+        assert motion.success and not motion.held.any() and len(motion) == n + 1, (
+            system.name,
+            str(motion),
+        )
         assert error(motion.q) < 1e-9, system.name
         assert np.abs(motion.values(name) - inputs).max() < 1e-12
         assert np.abs(residual(system, motion.q)).max() < 1e-11
@@ -80,7 +87,9 @@ def test_no_flip_through_change_points_at_any_number_of_steps(first, n):
 
 
 def test_a_full_turn_back_and_forth_retraces():
-    inputs = np.concatenate([np.linspace(0.8, 7.0, 41), np.linspace(7.0, -3.0, 67)[1:], np.linspace(-3.0, 0.8, 11)[1:]])
+    inputs = np.concatenate(
+        [np.linspace(0.8, 7.0, 41), np.linspace(7.0, -3.0, 67)[1:], np.linspace(-3.0, 0.8, 11)[1:]]
+    )
     motion = drive(four_bar(1, 2, 1, 2), {"A": inputs}, start=crossed(1, 2, 0.8))
     assert motion.success and crossed_error(motion.q) < 1e-9
     np.testing.assert_allclose(motion.q[-1], motion.q[0], atol=1e-10)
@@ -101,8 +110,12 @@ def test_at_a_toggle_the_last_pose_is_held_and_it_goes_on_when_the_input_comes_b
     assert inputs[toggle.last + 1] < limit < inputs[toggle.last]
     assert toggle.inputs["A"] == pytest.approx(limit, abs=1e-12)
     np.testing.assert_array_equal(motion.q[motion.held], np.tile(toggle.q, (motion.held.sum(), 1)))
-    np.testing.assert_allclose(motion.q[::-1][~motion.held], motion.q[~motion.held], atol=1e-9)  # the same way back
-    assert abs(math.remainder(motion.system.q_dict(toggle.q)["C"], math.pi)) < 1e-6  # coupler and rocker in line
+    np.testing.assert_allclose(
+        motion.q[::-1][~motion.held], motion.q[~motion.held], atol=1e-9
+    )  # the same way back
+    assert (
+        abs(math.remainder(motion.system.q_dict(toggle.q)["C"], math.pi)) < 1e-6
+    )  # coupler and rocker in line
 
 
 def test_the_toggle_itself_is_reached():
@@ -131,9 +144,17 @@ def test_a_limit_holds_like_a_toggle():
 
 def five_bar():
     points = {"A": (0.0, 0.0), "B": (-0.5, 1.0), "C": (0.9, 1.8), "D": (2.2, 1.1), "E": (2.0, 0.0)}
-    system = linkage("five-bar", points, {
-        "ground": ("A", "E"), "a": ("A", "B"), "b": ("B", "C"), "c": ("C", "D"), "d": ("D", "E"),
-    })  # fmt: skip
+    system = linkage(
+        "five-bar",
+        points,
+        {
+            "ground": ("A", "E"),
+            "a": ("A", "B"),
+            "b": ("B", "C"),
+            "c": ("C", "D"),
+            "d": ("D", "E"),
+        },
+    )
     return system, {k: np.array(v) for k, v in points.items()}
 
 
@@ -163,7 +184,8 @@ def test_two_inputs_as_functions_of_time():
 def test_going_on_from_elsewhere_than_held_is_reported_as_a_jump():
     """Two inputs leave the possible region at one place and come back at another."""
     system, p = five_bar()
-    # the pins B and D are pulled too far apart, then both are brought to another place, within reach
+    # the pins B and D are pulled too far apart, then both are brought to another place, within
+    # reach
     inputs = {"A": [0.0, 2.0, 2.0, -0.8], "E": [0.0, -1.5, 0.4, 0.4]}
     motion = drive(system, {k: np.array(v) for k, v in inputs.items()}, start=np.zeros(5))
     ends = zip(*inputs.values(), strict=True)
@@ -171,7 +193,11 @@ def test_going_on_from_elsewhere_than_held_is_reported_as_a_jump():
     reach = sum(np.linalg.norm(p["C"] - p[k]) for k in "BD")
     np.testing.assert_array_equal(motion.held, np.array(far) > reach)
     assert motion.held[1] and not motion.held[-1]
-    assert motion.jumps and motion.jumps[0][0] == int(np.flatnonzero(motion.held)[-1]) + 1 and "jumps" in motion.status
+    assert (
+        motion.jumps
+        and motion.jumps[0][0] == int(np.flatnonzero(motion.held)[-1]) + 1
+        and "jumps" in motion.status
+    )
     assert np.abs(residual(system, motion.q)).max() < 1e-12
 
 
@@ -200,13 +226,32 @@ def test_an_interrupt_returns_what_was_done():
         if k > 20:
             raise KeyboardInterrupt
 
-    motion = until_interrupt(drive, four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5},
-                   budget=kempe.Budget(progress=stop))  # fmt: skip
-    assert motion.interrupted and not motion and 20 < len(motion) < 60 and len(motion.inputs["A"]) == len(motion)
+    motion = until_interrupt(
+        drive,
+        four_bar(1, 2.5, 2, 3),
+        {"A": np.linspace(0.5, 3, 60)},
+        start={"A": 0.5},
+        budget=kempe.Budget(progress=stop),
+    )
+    assert (
+        motion.interrupted
+        and not motion
+        and 20 < len(motion) < 60
+        and len(motion.inputs["A"]) == len(motion)
+    )
 
 
-@pytest.mark.parametrize("inputs", [{"A": "x"}, {"A": lambda t: [1, 2]}, {"A": lambda t: "x"}, ["A"], {"A": []},
-                                    {"A": lambda t: 1.5 if t < 1 else np.nan}])  # fmt: skip
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        {"A": "x"},
+        {"A": lambda t: [1, 2]},
+        {"A": lambda t: "x"},
+        ["A"],
+        {"A": []},
+        {"A": lambda t: 1.5 if t < 1 else np.nan},
+    ],
+)
 def test_bad_inputs_of_a_drive_are_refused(inputs):
     times = [0, 1, 2] if isinstance(inputs, dict) and callable(inputs["A"]) else None
     with pytest.raises(InputError, match=r"must be|no samples"):

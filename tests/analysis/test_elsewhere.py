@@ -1,4 +1,6 @@
-"""Assembly modes that a traced path does not pass: a four-bar has two branches where Grashof's sum says so."""
+"""Assembly modes that a traced path does not pass: a four-bar has two branches where Grashof's sum
+says so.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +34,17 @@ def hunted(rng: np.random.Generator, count: int) -> tuple[int, int]:
             continue  # it does not close, or it is near the border
         path = four_bar(*lengths).trace("A")
         two = bool(2 * (least + most) < lengths.sum())
-        A = path.values("A")  # the other branch is the mirror image, which may have none of these angles
+        A = path.values(
+            "A"
+        )  # the other branch is the mirror image, which may have none of these angles
         two &= any(A.min() <= 2 * np.pi * k - A[0] <= A.max() for k in (-1, 0, 1))
         assert len(path.elsewhere) == two, (lengths.tolist(), str(path))
         assert bool(path.hint) == two == ("not on this curve" in str(path))
         if two:
             other = path.system.trace("A", start=path.elsewhere[0])
-            crossed = np.linalg.norm(np.angle(np.exp(1j * (other.q[:, None] - path.q[None]))), axis=-1)
+            crossed = np.linalg.norm(
+                np.angle(np.exp(1j * (other.q[:, None] - path.q[None]))), axis=-1
+            )
             assert other.success and crossed.min() > 1e-3 and len(other.elsewhere) == 1
         tally[two] += 1
     return tally[1], tally[0]
@@ -60,7 +66,9 @@ def test_the_sentence_names_the_input_and_its_value():
 
 
 def test_the_sentence_speaks_of_the_driver_only():
-    """The rocker of a crank-rocker has other angles on the other branch: there is none with the driver's value."""
+    """The rocker of a crank-rocker has other angles on the other branch: there is none with the
+    driver's value.
+    """
     path = four_bar(0.3, 0.1, 0.3, 0.25).trace("D", start={"A": 0.3})
     assert path.success and path.hint == "" and not len(path.elsewhere)
 

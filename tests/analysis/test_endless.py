@@ -1,4 +1,6 @@
-"""Motions that have no end, those that only seem to have none, and what is done when the time is up."""
+"""Motions that have no end, those that only seem to have none, and what is done when the time is
+up.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from kempe.kinematics.common.gauss_newton import least_squares
 
 
 def two_slides(tilt: float) -> kempe.System:
-    """A bar between two slides in the plane that are nearly parallel: its joints run far out, and come back."""
+    """A bar between two slides in the plane that are nearly parallel: its joints run far out, and
+    come back.
+    """
     m = Mechanism("two slides", dim=2)
     a = m.body("a")
     b = m.body("b")
@@ -68,7 +72,9 @@ def slide() -> kempe.System:
 
 
 def gears(ratio: float, bars: bool = False) -> kempe.System:
-    """Two wheels, the second `ratio` times as fast; with `bars` pins on both are joined by two bars."""
+    """Two wheels, the second `ratio` times as fast; with `bars` pins on both are joined by two
+    bars.
+    """
     m = Mechanism("gears", dim=2)
     a = m.body("a")
     b = m.body("b")
@@ -87,8 +93,13 @@ def gears(ratio: float, bars: bool = False) -> kempe.System:
 # ---- no end
 
 
-ENDLESS = {"rprp": lambda: rprp(0.3), "three slides": three_slides, "screws": screws, "slide": slide,
-           "library screw": lambda: kempe.load("joint_helical")}  # fmt: skip
+ENDLESS = {
+    "rprp": lambda: rprp(0.3),
+    "three slides": three_slides,
+    "screws": screws,
+    "slide": slide,
+    "library screw": lambda: kempe.load("joint_helical"),
+}
 
 
 @pytest.mark.slow
@@ -97,7 +108,10 @@ def test_what_runs_away_is_said_to(name):
     s = ENDLESS[name]()
     path = s.trace()
     assert path and not path.closed and len(path) < 3000
-    assert all(end.startswith("infinity: nothing turns back as far as it was followed") for end in path.ends)
+    assert all(
+        end.startswith("infinity: nothing turns back as far as it was followed")
+        for end in path.ends
+    )
     if s.structure.closures:
         assert np.abs(s.loops.closure_error(path.q)).max() < 1e-9
 
@@ -107,7 +121,11 @@ def test_a_limit_ends_what_would_run_away():
     m = Mechanism("slide", dim=2)
     m.prismatic("S", m.ground, m.body("a"), axis=(1, 0), limits=(-math.inf, 90.0))
     path = m.build().trace("S", {"S": 0.0})
-    assert "upper limit 90" in path.ends[1] and path.ends[0].startswith("infinity") and path.q[-1, 0] == 90.0
+    assert (
+        "upper limit 90" in path.ends[1]
+        and path.ends[0].startswith("infinity")
+        and path.q[-1, 0] == 90.0
+    )
 
 
 @pytest.mark.slow
@@ -116,7 +134,10 @@ def test_a_limit_ends_what_would_run_away():
 def test_gears_without_a_ratio_of_whole_numbers_do_not_come_back(ratio, bars):
     path = gears(ratio, bars).trace()
     assert path and not path.closed and len(path) < 3000
-    assert "does not come back within 1000 turns of 'A': 'B'" in path.ends[1] and path.ends[0] == "the start"
+    assert (
+        "does not come back within 1000 turns of 'A': 'B'" in path.ends[1]
+        and path.ends[0] == "the start"
+    )
 
 
 # ---- an end, though far away
@@ -125,10 +146,15 @@ def test_gears_without_a_ratio_of_whole_numbers_do_not_come_back(ratio, bars):
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.3, 0.03])
 def test_nearly_parallel_slides_come_back(tilt):
-    """The ellipse of the slides' places has the half axis 1 / (2 sin(tilt/2)): far beyond where one looks ahead."""
+    """The ellipse of the slides' places has the half axis 1 / (2 sin(tilt/2)): far beyond where one
+    looks ahead.
+    """
     path = two_slides(tilt).trace()
     assert path.closed and path.turns == {"A": 1, "B": -1} or path.closed
-    reach = max(np.abs(path.values("S")).max(), *(abs(e.value) for e in path.extremes if e.coordinate == "S"))
+    reach = max(
+        np.abs(path.values("S")).max(),
+        *(abs(e.value) for e in path.extremes if e.coordinate == "S"),
+    )
     assert reach == pytest.approx(1.0 / math.sin(tilt), rel=1e-6)
 
 
@@ -196,13 +222,20 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
     path = s.trace()
     looks(1500)
     motion = s.drive({"A": np.linspace(0.0, 6.0, 300)}, budget=kempe.Budget(time_limit=5.0))
-    assert motion.late and not motion and 0 < len(motion) < 300 and len(motion.times) == len(motion.q)
+    assert (
+        motion.late and not motion and 0 < len(motion) < 300 and len(motion.times) == len(motion.q)
+    )
     looks(3)
     points = path.resample(100_000, budget=kempe.Budget(time_limit=5.0))
     assert points.late and not points and not points.closed and 0 < len(points) < 100_000
-    assert "of 100000 points" in points.status and np.abs(s.loops.closure_error(points.q)).max() < 1e-12
+    assert (
+        "of 100000 points" in points.status
+        and np.abs(s.loops.closure_error(points.q)).max() < 1e-12
+    )
     looks(20)
-    family = panda.inverse.self_motion(panda.q("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=5.0))
+    family = panda.inverse.self_motion(
+        panda.q("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=5.0)
+    )
     assert family.late and 1 < len(family) < 10 and "time limit of 5 s" in family.ends[1]
 
 
@@ -211,14 +244,23 @@ def test_modes_and_paths_of_targets_keep_what_was_done(looks):
     panda = kempe.load("panda")
     looks(40)
     modes = s.assembly_modes({"A": 0.4}, frame="rocker", budget=kempe.Budget(time_limit=5.0))
-    assert modes.late and modes and "found from 384 starts" in modes.status and "time limit" in modes.status
+    assert (
+        modes.late
+        and modes
+        and "found from 384 starts" in modes.status
+        and "time limit" in modes.status
+    )
     q = panda.q("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
     looks(9)
-    path = panda.ik_path(panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], budget=kempe.Budget(time_limit=5.0))
+    path = panda.ik_path(
+        panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], budget=kempe.Budget(time_limit=5.0)
+    )
     assert path.late and not path and 0 < path.success.sum() < 50 and "time limit" in path.status
 
 
-@pytest.mark.parametrize("verb", ["trace", "resample", "drive", "self_motion", "assembly_modes", "ik_path"])
+@pytest.mark.parametrize(
+    "verb", ["trace", "resample", "drive", "self_motion", "assembly_modes", "ik_path"]
+)
 @pytest.mark.parametrize("limit", [0.0, -1.0, "5", True])
 def test_wrong_limits_are_refused(verb, limit):
     s = kempe.load("four_bar")
@@ -227,12 +269,18 @@ def test_wrong_limits_are_refused(verb, limit):
         "trace": lambda: s.trace(budget=kempe.Budget(time_limit=limit)),
         "resample": lambda: s.trace().resample(5, budget=kempe.Budget(time_limit=limit)),
         "drive": lambda: s.drive({"A": [0.0, 0.1]}, budget=kempe.Budget(time_limit=limit)),
-        "self_motion": lambda: panda.inverse.self_motion(panda.q("ready"), "panda_hand_tcp",
-                                                 budget=kempe.Budget(time_limit=limit)),  # fmt: skip
-        "assembly_modes": lambda: s.assembly_modes({"A": 0.3}, budget=kempe.Budget(time_limit=limit)),
-        "ik_path": lambda: panda.ik_path(panda.fk(panda.mid, "panda_hand_tcp")[None], "panda_hand_tcp",
-                                         budget=kempe.Budget(time_limit=limit)),  # fmt: skip
-    }  # fmt: skip
+        "self_motion": lambda: panda.inverse.self_motion(
+            panda.q("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=limit)
+        ),
+        "assembly_modes": lambda: s.assembly_modes(
+            {"A": 0.3}, budget=kempe.Budget(time_limit=limit)
+        ),
+        "ik_path": lambda: panda.ik_path(
+            panda.fk(panda.mid, "panda_hand_tcp")[None],
+            "panda_hand_tcp",
+            budget=kempe.Budget(time_limit=limit),
+        ),
+    }
     with pytest.raises(InputError, match="time_limit"):
         calls[verb]()
 
@@ -262,7 +310,8 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
 
 
 @pytest.mark.parametrize(
-    "name", some(["four_bar", "jansen", "bennett", "double_parallelogram", "schatz", "peaucellier"], 4)
+    "name",
+    some(["four_bar", "jansen", "bennett", "double_parallelogram", "schatz", "peaucellier"], 4),
 )
 def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(name):
     path = kempe.load(name).trace()
@@ -290,5 +339,8 @@ def test_points_are_closed_many_at_once(monkeypatch):
     path = kempe.load("four_bar").trace()
     calls = []
     equations = kempe.kinematics.closure_rows.evaluate
-    monkeypatch.setattr("kempe.kinematics.closure_rows.evaluate", lambda *g, **o: calls.append(1) or equations(*g, **o))
+    monkeypatch.setattr(
+        "kempe.kinematics.closure_rows.evaluate",
+        lambda *g, **o: calls.append(1) or equations(*g, **o),
+    )
     assert len(path.resample(20_000)) == 20_000 and len(calls) <= 3 * 20

@@ -1,4 +1,6 @@
-"""Mobility, rank, redundancy and motions of mechanisms with equations: hand-computed freedoms, and exact curves."""
+"""Mobility, rank, redundancy and motions of mechanisms with equations: hand-computed freedoms, and
+exact curves.
+"""
 
 from __future__ import annotations
 
@@ -48,26 +50,64 @@ def spatial() -> kempe.Mechanism:
     return m
 
 
-# name: mechanism, what is declared, configuration or None, Gruebler, rank freedoms, true freedoms, redundant
+# name: mechanism, what is declared, configuration or None, Gruebler, rank freedoms, true freedoms,
+# redundant
 CASES = {
     "linear law": (chain(2), [C.Equation("J1 = 2*J2")], None, 1, 1, 1, 0),
     "two laws": (chain(3), [C.Equation(["J1 = 2*J2", "J3 = J1 + J2"])], None, 1, 1, 1, 0),
-    "the same twice": (chain(2), [C.Equation("J1 = 2*J2"), C.Equation("3*J1 = 6*J2")], None, 0, 1, 1, 1),
-    "the same, bent": (chain(2), [C.Equation("J1 = 2*J2"), C.Equation("J1^2 + J1 = 2*J2*(J1 + 1)")], [0.4, 0.2],
-                       0, 1, 1, 1),
+    "the same twice": (
+        chain(2),
+        [C.Equation("J1 = 2*J2"), C.Equation("3*J1 = 6*J2")],
+        None,
+        0,
+        1,
+        1,
+        1,
+    ),
+    "the same, bent": (
+        chain(2),
+        [C.Equation("J1 = 2*J2"), C.Equation("J1^2 + J1 = 2*J2*(J1 + 1)")],
+        [0.4, 0.2],
+        0,
+        1,
+        1,
+        1,
+    ),
     "crossing lines": (chain(2), [C.Equation("J1*J2")], [0.0, 0.0], 1, 2, 1, 0),
     "crossing, beside": (chain(2), [C.Equation("J1*J2")], [0.5, 0.0], 1, 1, 1, 0),
     "a point only": (chain(2), [C.Equation("J1^2 + J2^2")], [0.0, 0.0], 1, 2, 0, 1),
     "ellipse": (chain(2), [C.OnSurface("tip", "(x/1.5)^2 + y^2 = 1")], None, 1, 1, 1, 0),
-    "ellipse and law": (chain(3), [C.OnSurface("tip", "(x/1.5)^2 + y^2 = 1"), C.Equation("J1 = J3")], None, 1, 1, 1, 0),
+    "ellipse and law": (
+        chain(3),
+        [C.OnSurface("tip", "(x/1.5)^2 + y^2 = 1"), C.Equation("J1 = J3")],
+        None,
+        1,
+        1,
+        1,
+        0,
+    ),
     "surface": (spatial(), [C.OnSurface("hand", "x^2 + 2*y^2 + 3*z^2 = 1")], None, 5, 5, 5, 0),
-    "surface and laws": (spatial(), [C.OnSurface("hand", "x*y = z + 0.2"), C.Equation(["rx = ry^2", "sx = sy"])],
-                         None, 3, 3, 3, 0),
-    "plane as surface and kind": (spatial(), [C.OnSurface("hand", "z = 0.4"), C.OnPlane("hand", (0, 0, 0.4))],
-                                  None, 4, 5, 5, 1),
+    "surface and laws": (
+        spatial(),
+        [C.OnSurface("hand", "x*y = z + 0.2"), C.Equation(["rx = ry^2", "sx = sy"])],
+        None,
+        3,
+        3,
+        3,
+        0,
+    ),
+    "plane as surface and kind": (
+        spatial(),
+        [C.OnSurface("hand", "z = 0.4"), C.OnPlane("hand", (0, 0, 0.4))],
+        None,
+        4,
+        5,
+        5,
+        1,
+    ),
     "four-bar held": (fourbar(), [C.Equation("A = 1.1")], None, 0, 0, 0, 0),
     "four-bar, its own angle sum": (fourbar(), [C.Equation("A + B + C = D")], None, 0, 1, 1, 1),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -98,7 +138,11 @@ def test_contradictions_are_named_with_their_size():
     m.equation("law", "J1 = 0.4")
     m.equation("other", "J1 = 0.5")
     found = m.build().mobility()
-    assert not found.closed and "constraint 'other' is off by 0.05" in found.why_open or "'law'" in found.why_open
+    assert (
+        not found.closed
+        and "constraint 'other' is off by 0.05" in found.why_open
+        or "'law'" in found.why_open
+    )
     assert found.residual == pytest.approx(np.hypot(0.05, 0.05), rel=1e-6)
 
 
@@ -122,10 +166,13 @@ def test_modes():
     np.testing.assert_allclose(found, [np.pi / 6, 5 * np.pi / 6], atol=1e-8)
 
 
-@pytest.mark.parametrize(("text", "certain", "said"), [
-    ("J1 = 2*J2", True, "manifold"),
-    ("J1 = J2^2", False, "how 'law' bends"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "certain", "said"),
+    [
+        ("J1 = 2*J2", True, "manifold"),
+        ("J1 = J2^2", False, "how 'law' bends"),
+    ],
+)
 def test_linear_laws_are_proven_and_bent_ones_are_not(text, certain, said):
     m = chain(2)
     m.equation("law", text)
@@ -142,7 +189,9 @@ def test_functions_without_series():
     found = m.build().mobility()
     assert found.rank_dof == 1 and found.dof is None and found.redundant == 1
     assert "'law' is a Python function that cannot be recorded" in str(found)
-    with pytest.raises(UnsupportedError, match="'law' is a Python function that cannot be recorded"):
+    with pytest.raises(
+        UnsupportedError, match="'law' is a Python function that cannot be recorded"
+    ):
         from kempe.analysis.local.local import local_dimension
 
         local_dimension(s, np.zeros(2))
@@ -150,7 +199,9 @@ def test_functions_without_series():
 
 @pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.slow)])
 def test_random_laws_against_their_own_derivatives(hunt, count: int):
-    """Laws A v + B sin v = c in 5 coordinates: freedoms are the nullity of A + B cos v at a random solution."""
+    """Laws A v + B sin v = c in 5 coordinates: freedoms are the nullity of A + B cos v at a random
+    solution.
+    """
     rng = hunt.rng()
     n = 5
     names = tuple(f"J{i}" for i in range(1, n + 1))
@@ -178,7 +229,11 @@ def cam(branching: bool = False) -> kempe.Mechanism:
     m = kempe.Mechanism("cam", dim=2)
     m.revolute("A", m.ground, m.body("cam"))
     m.prismatic("y", m.ground, m.body("follower"), axis="y")
-    law = (lambda x, t: x["A"] - 2 * t if t > -9.0 else 0.0) if branching else lambda x, t: x["A"] - 2 * t
+    law = (
+        (lambda x, t: x["A"] - 2 * t if t > -9.0 else 0.0)
+        if branching
+        else lambda x, t: x["A"] - 2 * t
+    )
     m.equation("motor", law, of=("A",), time=True)
     m.equation("cam", "y = sin(A)/10")
     return m
@@ -195,7 +250,9 @@ def test_equations_in_time(branching: bool):
     times = np.linspace(0.0, 2.0, 9)
     motion = s.drive({}, times=times, start=[0.0, 0.0])
     assert motion.success and motion.q.shape == (9, 2) and motion.system is s
-    np.testing.assert_allclose(motion.q, np.stack([2 * times, 0.1 * np.sin(2 * times)], axis=1), atol=1e-8)
+    np.testing.assert_allclose(
+        motion.q, np.stack([2 * times, 0.1 * np.sin(2 * times)], axis=1), atol=1e-8
+    )
 
 
 def test_time_is_no_input_of_a_motion():
@@ -243,7 +300,9 @@ def test_time_and_rolling_together():
     np.testing.assert_allclose(driven.q, r.q, atol=1e-5)
     with pytest.raises(UnsupportedError, match="inputs .none. leave 1 freedom"):
         s.simulate(1.0, inputs={})
-    with pytest.raises(UnsupportedError, match="do not allow the input 'body.wz'.*: 1 would do in place of 3"):
+    with pytest.raises(
+        UnsupportedError, match="do not allow the input 'body.wz'.*: 1 would do in place of 3"
+    ):
         s.simulate(1.0, inputs={"body.vx": 1.0, "body.wz": 3.0})
 
 
@@ -266,13 +325,28 @@ def test_motions_follow_laws_in_time_and_the_judge_knows_the_time(hunt):
         u, rate = rng.uniform(-1, 1, 2)
         q0 = np.array([a * np.sin(p), 0.0, 0.3])
         r = s.simulate(
-            2.0, q0, inputs={"J2": u, "J3": lambda t, rate=rate: rate * np.cos(t)}, budget=kempe.Budget(points=20)
+            2.0,
+            q0,
+            inputs={"J2": u, "J3": lambda t, rate=rate: rate * np.cos(t)},
+            budget=kempe.Budget(points=20),
         )
-        dense = solve_ivp(lambda t, x, a=a, c=c, w=w, p=p, u=u: [a * w * np.cos(w * t + p) - c * np.cos(u * t) * u],
-                          (0, 2), q0[:1], rtol=1e-12, atol=1e-12, t_eval=r.t)  # fmt: skip
+        dense = solve_ivp(
+            lambda t, x, a=a, c=c, w=w, p=p, u=u: [
+                a * w * np.cos(w * t + p) - c * np.cos(u * t) * u
+            ],
+            (0, 2),
+            q0[:1],
+            rtol=1e-12,
+            atol=1e-12,
+            t_eval=r.t,
+        )
         np.testing.assert_allclose(r.q[:, 0], dense.y[0], atol=1e-9)
-        np.testing.assert_allclose(r.q[:, 1:], np.stack([u * r.t, 0.3 + rate * np.sin(r.t)], axis=1), atol=1e-9)
-        np.testing.assert_allclose(r.v[:, 0], a * w * np.cos(w * r.t + p) - c * np.cos(u * r.t) * u, atol=1e-8)
+        np.testing.assert_allclose(
+            r.q[:, 1:], np.stack([u * r.t, 0.3 + rate * np.sin(r.t)], axis=1), atol=1e-9
+        )
+        np.testing.assert_allclose(
+            r.v[:, 0], a * w * np.cos(w * r.t + p) - c * np.cos(u * r.t) * u, atol=1e-8
+        )
         assert r and r.judged, r.judged
         driven = s.drive({"J2": r.q[:, 1], "J3": r.q[:, 2]}, r.t, start=q0)
         assert driven and driven.judged
@@ -281,7 +355,9 @@ def test_motions_follow_laws_in_time_and_the_judge_knows_the_time(hunt):
         assert not judge(s, frozen, t=r.t), "a motion that stands still misses the law"
         t = rng.uniform(0.1, 2.0)
         there = s.assemble({"t": t}, start=q0)
-        assert there and there.judged and judge(s, there.q, t=t) and not judge(s, there.q + 0.1, t=t)
+        assert (
+            there and there.judged and judge(s, there.q, t=t) and not judge(s, there.q + 0.1, t=t)
+        )
 
 
 def test_a_driven_motion_that_is_held_is_judged_at_the_time_of_its_pose():
@@ -308,6 +384,8 @@ def test_an_inequality_in_time_ends_a_motion_where_it_is_met():
     r = m.build().simulate(3.0, {"x": 0.0}, inputs={"x": 1.0})
     t = np.linspace(0, 3, 3_000_001)
     meets = t[np.argmax(2 + np.sin(8 * t) / 2 - t < 0)]
-    assert not r and r.t[-1] == pytest.approx(meets, abs=2e-6) and "'wall' meets its bound" in r.status
+    assert (
+        not r and r.t[-1] == pytest.approx(meets, abs=2e-6) and "'wall' meets its bound" in r.status
+    )
     gap = 2 + np.sin(8 * r.t) / 2 - r.q[:, 0]
     assert gap.min() > -1e-9

@@ -10,9 +10,13 @@ from kempe.analysis.first_order.rank import rank_at
 from kempe.kinematics.closure_rows import jacobian
 
 PROVEN = {
-    "K33 on a conic: shaky", "Cauchy: regular octahedron", "octahedron turned by 30 degrees: shaky",
-    "four screws that do not fit", "Hoberman's ring of six", "double Cardan",
-}  # fmt: skip
+    "K33 on a conic: shaky",
+    "Cauchy: regular octahedron",
+    "octahedron turned by 30 degrees: shaky",
+    "four screws that do not fit",
+    "Hoberman's ring of six",
+    "double Cardan",
+}
 """The others move by theorems about their lengths, which are not looked at."""
 
 
@@ -36,4 +40,7 @@ def test_all_four_legs_are_needed():
 def test_kernels_keep_all_loops_closed(name):
     system = KNOWN[name][0].build()
     rank = rank_at(system, system.neutral)
-    assert np.abs(jacobian(system, rank.q) @ (rank.null_space * rank.units[:, None])).max(initial=0.0) < 1e-9
+    assert (
+        np.abs(jacobian(system, rank.q) @ (rank.null_space * rank.units[:, None])).max(initial=0.0)
+        < 1e-9
+    )

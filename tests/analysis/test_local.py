@@ -1,4 +1,6 @@
-"""True local dimensions against published values, motions in closed form, and what cannot change them."""
+"""True local dimensions against published values, motions in closed form, and what cannot change
+them.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,16 @@ def place(x: float, y: float, scale: float, mirrored: bool) -> tuple[float, floa
 
 
 def chain(
-    lengths: list[float], angles: list[float], scale: float = 1.0, mirrored: bool = False, cut: int = -1, name: str = ""
-) -> tuple[System, np.ndarray]:  # fmt: skip
-    """A planar loop of links one after the other at these angles to the ground, the last back to (lengths[-1], 0)."""
+    lengths: list[float],
+    angles: list[float],
+    scale: float = 1.0,
+    mirrored: bool = False,
+    cut: int = -1,
+    name: str = "",
+) -> tuple[System, np.ndarray]:
+    """A planar loop of links one after the other at these angles to the ground, the last back to
+    (lengths[-1], 0).
+    """
     m = Mechanism("chain", dim=2)
     n = len(lengths) - 1
     way = -1.0 if mirrored else 1.0
@@ -56,8 +65,12 @@ def flat(lengths: list[float], signs: list[int], **how) -> tuple[System, np.ndar
     return chain(lengths, [0.0 if s > 0 else pi for s in signs], **how)
 
 
-def dead_centres_in_a_row(scale: float = 1.0, mirrored: bool = False, cut: str = "") -> tuple[System, np.ndarray]:
-    """Two stretched bars shift a slider by -s^2, which another bar, at its own dead centre, forbids: s^4 = 0."""
+def dead_centres_in_a_row(
+    scale: float = 1.0, mirrored: bool = False, cut: str = ""
+) -> tuple[System, np.ndarray]:
+    """Two stretched bars shift a slider by -s^2, which another bar, at its own dead centre,
+    forbids: s^4 = 0.
+    """
     m = Mechanism("dead centres", dim=2)
     way = -1.0 if mirrored else 1.0
     a = m.body("a")
@@ -77,7 +90,9 @@ def dead_centres_in_a_row(scale: float = 1.0, mirrored: bool = False, cut: str =
 def double_watt(
     second: float, turned: bool, scale: float = 1.0, mirrored: bool = False, cut: str = "m2"
 ) -> tuple[System, np.ndarray]:
-    """Two of Watt's linkages with a bar between their middles; the second is `second` times as large."""
+    """Two of Watt's linkages with a bar between their middles; the second is `second` times as
+    large.
+    """
     m = Mechanism("double Watt", dim=2)
 
     def watt(k: int, x: float, way: float, size: float):
@@ -86,7 +101,9 @@ def double_watt(
         low = place(0, -0.5 * size, scale, mirrored)
         m.revolute(f"o{k}", m.ground, left, at=place(x - way * size, 0.5 * size, scale, mirrored))
         m.revolute(f"p{k}", m.ground, right, at=place(x + way * size, -0.5 * size, scale, mirrored))
-        m.revolute(f"l{k}", left, middle, at=(scale * way * size, 0), child_at=half, cut=cut == f"l{k}")
+        m.revolute(
+            f"l{k}", left, middle, at=(scale * way * size, 0), child_at=half, cut=cut == f"l{k}"
+        )
         m.revolute(f"r{k}", right, middle, at=(-scale * way * size, 0), child_at=low)
         return middle
 
@@ -99,8 +116,12 @@ def double_watt(
     return system, system.neutral
 
 
-def tripod(seed: int, bars: int, scale: float = 1.0, mirrored: bool = False, flip: bool = False) -> Mechanism:
-    """A random planar mechanism of `bars` bodies with two joints more than a tree has, closed at neutral."""
+def tripod(
+    seed: int, bars: int, scale: float = 1.0, mirrored: bool = False, flip: bool = False
+) -> Mechanism:
+    """A random planar mechanism of `bars` bodies with two joints more than a tree has, closed at
+    neutral.
+    """
     rng = np.random.default_rng(seed)
     m = Mechanism("random", dim=2)
     m_bodies = [m.ground] + [m.body(f"{'z' if flip else 'b'}{i}") for i in range(bars)]
@@ -134,8 +155,13 @@ def test_planar_mechanisms(case: Case):
 
 
 TO_AN_ORDER = {
-    "bricard_trihedral", "bricard_rectangular", "bricard_line_symmetric", "goldberg_5r", "schatz", "delta_uu",
-}  # fmt: skip
+    "bricard_trihedral",
+    "bricard_rectangular",
+    "bricard_line_symmetric",
+    "goldberg_5r",
+    "schatz",
+    "delta_uu",
+}
 """Mechanisms that move by theorems about their lengths, which are not looked at."""
 
 
@@ -149,9 +175,13 @@ def test_spatial_mechanisms(case: Spatial):
     assert (found.sampled is None) == (found.smooth and found.certain)
 
 
-@pytest.mark.parametrize("name", ["parallelogram", "kite", "slider_crank_equal", "row_of_four_bars", "wunderlich"])
+@pytest.mark.parametrize(
+    "name", ["parallelogram", "kite", "slider_crank_equal", "row_of_four_bars", "wunderlich"]
+)
 def test_branches_are_the_motions_in_closed_form(name):
-    """Each motion through the posture is found once: the tangent is its derivative, and the nearby point is on it."""
+    """Each motion through the posture is found once: the tangent is its derivative, and the nearby
+    point is on it.
+    """
     case = next(c for c in (*SINGULAR, *PLANAR) if c.name == name and c.branches)
     system = kempe.load(name)
     found = of_library(name, case.posture)
@@ -162,7 +192,9 @@ def test_branches_are_the_motions_in_closed_form(name):
         steps = [[h if i == j else 0.0 for j in range(dim)] for i in range(dim)]
         T = np.stack(
             [
-                system.configuration_space.difference(system.q(motion(*[-x for x in s])), system.q(motion(*s)))
+                system.configuration_space.difference(
+                    system.q(motion(*[-x for x in s])), system.q(motion(*s))
+                )
                 for s in steps
             ],
             1,
@@ -192,7 +224,9 @@ def test_stretched_bars_are_isolated_of_the_second_order():
 
 
 def test_leading_coefficient_of_stretched_bars():
-    """Turn the bars, of lengths a and b, by u/a and -u/b: their end comes nearer by u^2 (1/a + 1/b) / 2 + O(u^4)."""
+    """Turn the bars, of lengths a and b, by u/a and -u/b: their end comes nearer by u^2 (1/a + 1/b)
+    / 2 + O(u^4).
+    """
     a = 1.0
     b = 1.6
     system, q = flat([a, b, a + b], [1, 1])
@@ -200,7 +234,9 @@ def test_leading_coefficient_of_stretched_bars():
     at = reduction.split(equations, q)
     g = reduction._solve(equations, at, reduction.lines(np.ones((1, 1)), 4), None)[0][0]
     turn = at.null_space[list(system.structure.velocity_names).index("j0"), 0]  # of the first bar
-    assert abs(g[2, 0]) == pytest.approx(0.5 * (a * turn) ** 2 * (1 / a + 1 / b) / equations.length, rel=1e-12)
+    assert abs(g[2, 0]) == pytest.approx(
+        0.5 * (a * turn) ** 2 * (1 / a + 1 / b) / equations.length, rel=1e-12
+    )
     assert np.abs(g[[1, 3]]).max() < 1e-14  # mirrored motions are alike
 
 
@@ -220,7 +256,9 @@ def test_double_watt_has_a_cusp(second, turned):
 
 
 def test_branches_that_touch_too_closely_are_not_counted():
-    """Two equal linkages of Watt: the bar translates, or turns by a fourth power: two curves that nearly coincide."""
+    """Two equal linkages of Watt: the bar translates, or turns by a fourth power: two curves that
+    nearly coincide.
+    """
     found = local_dimension(*double_watt(1.0, False))
     assert (found.rank_dim, found.dim) == (2, 1)
     assert not found.counted and "nearly coincide" in str(found)
@@ -262,7 +300,9 @@ def test_four_stretched_bars_are_rigid_though_the_rank_says_two():
     ],
 )
 def test_flat_four_bars(lengths, signs, dims):
-    """A flat four-bar is rigid where the longest link equals the sum of the others; else two branches cross."""
+    """A flat four-bar is rigid where the longest link equals the sum of the others; else two
+    branches cross.
+    """
     system, q = flat(lengths, signs)
     found = local_dimension(system, q)
     assert found.rank_dim == 2 and found.branch_dims == dims and found.certain, str(found)
@@ -273,9 +313,10 @@ def test_flat_four_bars(lengths, signs, dims):
 @settings(max_examples=examples(25), deadline=None)
 @given(st.integers(0, 10**6), st.integers(3, 6))
 def test_flat_loops_by_the_signature_of_their_quadratic_form(seed, links):
-    """Links l_i, turned by t_i out of a line (s_i = +-1 along it), stay closed if sum s_i l_i sin t_i = 0 and
-    sum s_i l_i (1 - cos t_i) = 0. The form sum s_i l_i t_i^2 on the plane sum s_i l_i t_i = 0 decides: definite, the
-    loop is rigid; else its zeros are a cone, two lines where there are two unknowns (Morse's lemma).
+    """Links l_i, turned by t_i out of a line (s_i = +-1 along it), stay closed if sum s_i l_i sin
+    t_i = 0 and sum s_i l_i (1 - cos t_i) = 0. The form sum s_i l_i t_i^2 on the plane sum s_i l_i
+    t_i = 0 decides: definite, the loop is rigid; else its zeros are a cone, two lines where there
+    are two unknowns (Morse's lemma).
     """
     rng = np.random.default_rng(seed)
     lengths = rng.uniform(0.6, 1.4, size=links)
@@ -288,7 +329,9 @@ def test_flat_loops_by_the_signature_of_their_quadratic_form(seed, links):
     assume(w.sum() >= 0.3 and np.abs(eigen).min() >= 0.1)
     system, q = flat([*lengths, w.sum()], signs.tolist())
     found = local_dimension(system, q, rng=seed)
-    assert (found.rank_dim, found.obstruction_order, found.certain) == (links - 1, 2, True), str(found)
+    assert (found.rank_dim, found.obstruction_order, found.certain) == (links - 1, 2, True), str(
+        found
+    )
     if eigen[0] > 0 or eigen[-1] < 0:
         assert found.dim == 0 and not found.branches
     elif links == 3:
@@ -301,14 +344,18 @@ def test_flat_loops_by_the_signature_of_their_quadratic_form(seed, links):
 
 
 def freedoms_of_bodies(m: Mechanism) -> int:
-    """Nullity of the constraints of all joints on the planar velocities (x, y, turn) of all bodies at neutral."""
+    """Nullity of the constraints of all joints on the planar velocities (x, y, turn) of all bodies
+    at neutral.
+    """
     column = {b: 3 * (i - 1) for i, b in enumerate(m.bodies)}
     G = np.zeros((2 * len(m.joints), 3 * (len(m.bodies) - 1)))
     for k, joint in enumerate(m.joints.values()):
         x, y = joint.X_PF.evaluate({})[:2, 3]
         for body, sign in ((joint.parent, -1.0), (joint.child, 1.0)):
             if column[body] >= 0:
-                G[2 * k : 2 * k + 2, column[body] : column[body] + 3] += sign * np.array([[1, 0, -y], [0, 1, x]])
+                G[2 * k : 2 * k + 2, column[body] : column[body] + 3] += sign * np.array(
+                    [[1, 0, -y], [0, 1, x]]
+                )
     return G.shape[1] - int(np.linalg.matrix_rank(G, tol=1e-9))
 
 
@@ -322,9 +369,12 @@ def test_random_mechanisms_of_three_loops(seed, bars):
     found = local_dimension(system, system.neutral)
     expected = freedoms_of_bodies(m)
     assert found.rank_dim == expected
-    # at random points a part with more constraints than it needs is rigid: then all first-order motions are motions;
-    # where several parts share what is redundant there may be no proof, and the answer says so
-    assert found.dim == expected and found.smooth and (found.certain or "not proven" in str(found)), str(found)
+    # at random points a part with more constraints than it needs is rigid: then all first-order
+    # motions are motions; where several parts share what is redundant there may be no proof, and
+    # the answer says so
+    assert (
+        found.dim == expected and found.smooth and (found.certain or "not proven" in str(found))
+    ), str(found)
     assert found.dim - found.corank == 3 * bars - 2 * len(m.joints)
 
 
@@ -332,13 +382,21 @@ def test_random_mechanisms_of_three_loops(seed, bars):
 
 
 def key(found: LocalDimension) -> tuple:
-    return found.dim, found.rank_dim, found.obstruction_order, sorted(found.branch_dims), found.smooth
+    return (
+        found.dim,
+        found.rank_dim,
+        found.obstruction_order,
+        sorted(found.branch_dims),
+        found.smooth,
+    )
 
 
 @settings(max_examples=examples(8), deadline=None)
 @given(st.floats(-3, 3), st.booleans(), st.integers(-1, 3), st.integers(0, 1000))
 def test_a_flat_parallelogram_anyhow(power, mirrored, cut, seed):
-    system, q = flat([1, 2, 1, 2], [1, 1, -1], scale=10.0**power, mirrored=mirrored, cut=cut, name="any ")
+    system, q = flat(
+        [1, 2, 1, 2], [1, 1, -1], scale=10.0**power, mirrored=mirrored, cut=cut, name="any "
+    )
     found = local_dimension(system, q, rng=seed)
     assert key(found) == (1, 2, 2, [1, 1], False) and found.certain
 
@@ -381,7 +439,9 @@ def test_an_overconstrained_loop_away_from_its_library_posture(name):
 
 def test_both_methods_are_independent_of_the_seed():
     system = kempe.load("three_upu_snu")
-    answers = {key_tuple(local_dimension(system, system.q("closed"), rng=seed)) for seed in range(4)}
+    answers = {
+        key_tuple(local_dimension(system, system.q("closed"), rng=seed)) for seed in range(4)
+    }
     assert answers == {(3, 5, 2, (3, 3), False)}
 
 
@@ -393,7 +453,9 @@ def key_tuple(found: LocalDimension) -> tuple:
 
 
 def tied() -> System:
-    """An arm of a slide, hinges and a ball, with a differential, surfaces and a law of coordinates; in centimetres."""
+    """An arm of a slide, hinges and a ball, with a differential, surfaces and a law of coordinates;
+    in centimetres.
+    """
     m = Mechanism("tied")
     m.prismatic("p", m.ground, m.body("cart"), axis=(1, 0, 0))
     m.revolute("a", "cart", m.body("upper"), at=(0.01, 0, 0.02), axis=(0, 1, 0))
@@ -407,9 +469,13 @@ def tied() -> System:
     return m.build()
 
 
-@pytest.mark.parametrize("name", ["sarrus", "stewart", "delta_uu", "three_rps", "wunderlich", "slider_crank", "tied"])
+@pytest.mark.parametrize(
+    "name", ["sarrus", "stewart", "delta_uu", "three_rps", "wunderlich", "slider_crank", "tied"]
+)
 def test_equations_say_the_same_as_the_loops(name):
-    """Their Jacobians at a closed configuration have the same null space as those of `kinematics.loops`."""
+    """Their Jacobians at a closed configuration have the same null space as those of
+    `kinematics.loops`.
+    """
     system = tied() if name == "tied" else kempe.load(name)
     q = system.q("closed")
     equations = Equations(system)
@@ -435,8 +501,14 @@ def test_declared_constraints_and_relations_count():
     d = Equations(system).linearise(system.neutral)[1][0, 0]
     ab = [list(system.structure.velocity_names).index(n) for n in "ab"]
     assert d[ab[0]] == pytest.approx(2 * d[ab[1]])  # by symmetry: lever arms 2 and 1
-    assert sampled_dimension(Equations(system), reduction.split(Equations(system), system.neutral),
-                             np.random.default_rng(0)) == 1  # fmt: skip
+    assert (
+        sampled_dimension(
+            Equations(system),
+            reduction.split(Equations(system), system.neutral),
+            np.random.default_rng(0),
+        )
+        == 1
+    )
     m.equation("law", "a + b = 0")
     assert local_dimension(m.build(), system.neutral).dim == 0
 
@@ -447,7 +519,12 @@ def test_declared_constraints_and_relations_count():
 def test_trees_are_manifolds():
     system = kempe.load("two_link")
     found = local_dimension(system, system.neutral)
-    assert (found.dim, found.rank_dim, found.smooth, found.certain) == (system.nv, system.nv, True, True)
+    assert (found.dim, found.rank_dim, found.smooth, found.certain) == (
+        system.nv,
+        system.nv,
+        True,
+        True,
+    )
 
 
 def test_open_configurations_are_refused_with_the_joint():
@@ -480,21 +557,33 @@ def test_without_sampling():
 
 
 def test_a_platform_on_parallel_legs_of_one_length_translates():
-    """All legs are one vector of that length: a sphere of translations; the turn about the legs is to first order."""
+    """All legs are one vector of that length: a sphere of translations; the turn about the legs is
+    to first order.
+    """
     m = look(on_rods("translation", BENT, BENT + [0.3, 0.2, 1.4]))
-    assert (m.gruebler, m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (0, 3, 2, (2,), ())
+    assert (m.gruebler, m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (
+        0,
+        3,
+        2,
+        (2,),
+        (),
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(3), 3))
 def test_branches_with_the_same_null_space_are_distinguished(seed):
-    """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); three null vectors along both."""
+    """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); three null
+    vectors along both.
+    """
     m = look(on_rods("circle", HEXAGON, HEXAGON + [0, 0, 1.4]), rng=seed)
     assert (m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (3, 2, (2, 1), ()), str(m)
 
 
 def in_a_row(stages: int) -> World:
-    """Stretched bars shift a slider by s^2, which at the dead centre of the next shifts that by s^4, and so on."""
+    """Stretched bars shift a slider by s^2, which at the dead centre of the next shifts that by
+    s^4, and so on.
+    """
     w = World("dead centres", 2)
     w.turn("ground", "a", (0, 0))
     w.turn("a", "b", (1, 0))
@@ -518,12 +607,19 @@ def test_what_is_shaky_of_a_high_order_is_not_called_mobile_for_certain(stages):
     """Rigid, though s^(2^stages) = 0 is all that says so; s^16 is beyond rounding for s = 0.1."""
     m = look(in_a_row(stages))
     assert m.rank_dof == 1
-    assert m.dof == 0 or not m.certain and "the truth to order 8" in m.sentence or "1 to order 8" in m.sentence
+    assert (
+        m.dof == 0
+        or not m.certain
+        and "the truth to order 8" in m.sentence
+        or "1 to order 8" in m.sentence
+    )
     assert stages > 3 or (m.dof, m.local.obstruction_order) == (0, 2**stages)
 
 
 def torus(at, normal) -> World:
-    """A point of an arm of two hinges, at distance 1 from the second, in a plane that touches its torus."""
+    """A point of an arm of two hinges, at distance 1 from the second, in a plane that touches its
+    torus.
+    """
     w = World("torus")
     w.turn("ground", "a", (0, 0, 0), Z)
     w.turn("a", "b", (2, 0, 0), Y)

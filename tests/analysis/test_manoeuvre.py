@@ -1,4 +1,6 @@
-"""Manoeuvres: integrated again from their speeds alone, against the velocity rows, and what is refused."""
+"""Manoeuvres: integrated again from their speeds alone, against the velocity rows, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,12 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 
 def check(system, path, start, goal, frame: str) -> None:
-    """What every manoeuvre is held against, with the axle at the origin of `frame`, its wheels along x.
+    """What every manoeuvre is held against, with the axle at the origin of `frame`, its wheels
+    along x.
 
-    Start, goal and limits; the velocity of the axle by the frame's Jacobian; the derivative of `at` by differences;
-    and the unicycle x' = v cos h, y' = v sin h, h' = w, integrated by scipy from the speeds of the pieces.
+    Start, goal and limits; the velocity of the axle by the frame's Jacobian; the derivative of `at`
+    by differences; and the unicycle x' = v cos h, y' = v sin h, h' = w, integrated by scipy from
+    the speeds of the pieces.
     """
     assert path.success, path.status
     scale = 1.0 + np.abs(path.q).max() + path.length
@@ -36,7 +40,9 @@ def check(system, path, start, goal, frame: str) -> None:
         return
     mid = 0.5 * (path.t[1:] + path.t[:-1])
     h = np.minimum(1e-5, 0.25 * np.diff(path.t))
-    slope = system.configuration_space.difference(path.at(mid - h), path.at(mid + h)) / (2 * h)[:, None]
+    slope = (
+        system.configuration_space.difference(path.at(mid - h), path.at(mid + h)) / (2 * h)[:, None]
+    )
     v = path.velocity(mid)
     rounding = 1e-15 * scale / h[:, None]
     assert (np.abs(slope - v) < 1e-7 * np.maximum(1.0, np.abs(v).max()) ** 3 + 10 * rounding).all()
@@ -82,7 +88,13 @@ def test_any_configuration_is_reached_slow(hunt):
         system = wheels.knife(rng.normal(size=2), rng.uniform(-3, 3))
         start, goal = rng.uniform(-4, 4, (2, 3)) * rng.choice([1e-3, 1.0, 100.0])
         radius = rng.choice([0.0, 0.05, 1.0, 7.0])
-        check(system, system.manoeuvre(start, goal, radius=radius, budget=kempe.Budget(points=40)), start, goal, "axle")
+        check(
+            system,
+            system.manoeuvre(start, goal, radius=radius, budget=kempe.Budget(points=40)),
+            start,
+            goal,
+            "axle",
+        )
 
 
 @pytest.mark.parametrize("radius", [0.5, 1.0, 3.0])
@@ -92,7 +104,9 @@ def test_lengths_are_those_of_reeds_and_shepp(hunt, radius):
     for _ in range(hunt.cases(20)):
         goal = rng.uniform(-3, 3, 3)
         best = ways(goal[0] / radius, goal[1] / radius, goal[2])[0]
-        assert system.manoeuvre(np.zeros(3), goal, radius=radius).length == pytest.approx(radius * length_of(best))
+        assert system.manoeuvre(np.zeros(3), goal, radius=radius).length == pytest.approx(
+            radius * length_of(best)
+        )
 
 
 def test_planes_and_joints_of_any_kind(hunt):
@@ -134,7 +148,9 @@ def test_a_coin_arrives_with_its_own_angle(place, phase):
     assert np.array_equal(path.q[-1], goal)
     v = path.velocity(path.t)
     J = np.asarray(system.jacobian(path.q, "coin"))
-    at_floor = np.einsum("nij,nj->ni", J[:, :3] + np.cross(J[:, 3:], np.array([0, 0, -0.5])[:, None], axis=-2), v)
+    at_floor = np.einsum(
+        "nij,nj->ni", J[:, :3] + np.cross(J[:, 3:], np.array([0, 0, -0.5])[:, None], axis=-2), v
+    )
     assert np.abs(at_floor).max() < 1e-9  # the point on the floor rests
 
 
@@ -165,7 +181,11 @@ def test_wheels_that_keep_a_sum_cannot_end_anywhere():
 
 def front_slip(system, path) -> float:
     v = path.velocity(path.t)
-    return float(np.abs(np.einsum("ni,ni->n", np.asarray(system.jacobian(path.q, "fork", "body"))[:, 1], v)).max())
+    return float(
+        np.abs(
+            np.einsum("ni,ni->n", np.asarray(system.jacobian(path.q, "fork", "body"))[:, 1], v)
+        ).max()
+    )
 
 
 def test_a_car_steers(hunt):
@@ -206,7 +226,9 @@ def test_limits_of_the_place_choose_the_way():
     shut = wheels.knife(limits={"x": (-0.1, 0.1)}).manoeuvre(np.zeros(3), goal, radius=2.0)
     assert not shut and "'pose.x' would get to" in shut.status
     turn = wheels.knife(limits={"rz": (-0.5, 0.5)})
-    assert not turn.manoeuvre(np.zeros(3), goal) and turn.manoeuvre(np.zeros(3), 0.1 * goal, radius=1.0)
+    assert not turn.manoeuvre(np.zeros(3), goal) and turn.manoeuvre(
+        np.zeros(3), 0.1 * goal, radius=1.0
+    )
 
 
 @pytest.mark.parametrize("radius", [None, 1.0])
@@ -231,7 +253,11 @@ def test_an_arm_on_the_cart_moves_along():
     check(system, path, start, goal, "body")
     assert np.abs(path.velocity(path.t)[:, 3]).max() <= 0.5 + 1e-12
     still = system.manoeuvre(start, [0.0, 0.0, 0.0, 1.0])
-    assert still.length == 0.0 and still.q[-1].tolist() == [0.0, 0.0, 0.0, 1.0] and still.duration == pytest.approx(2)
+    assert (
+        still.length == 0.0
+        and still.q[-1].tolist() == [0.0, 0.0, 0.0, 1.0]
+        and still.duration == pytest.approx(2)
+    )
 
 
 def test_nothing_to_do():
@@ -254,11 +280,19 @@ def test_radii_and_distances_of_all_sizes(hunt):
     system = wheels.knife()
     for _ in range(hunt.cases(100)):
         turn = rng.choice([0.0, 1e-9, 1e-5, 0.1, 3.0, math.pi, -math.pi / 2])
-        goal = np.append(rng.uniform(-1, 1, 2) * 10.0 ** rng.uniform(-5, 4) * (rng.random() < 0.8), turn)
-        path = system.manoeuvre(np.zeros(3), goal, radius=10.0 ** rng.uniform(-5, 5), budget=kempe.Budget(points=30))
+        goal = np.append(
+            rng.uniform(-1, 1, 2) * 10.0 ** rng.uniform(-5, 4) * (rng.random() < 0.8), turn
+        )
+        path = system.manoeuvre(
+            np.zeros(3), goal, radius=10.0 ** rng.uniform(-5, 5), budget=kempe.Budget(points=30)
+        )
         off = system.configuration_space.difference(path.q[-1], goal)
         off[2] = math.remainder(off[2], 2 * math.pi)
-        assert path and np.abs(off).max() < 1e-12 * (1 + np.abs(path.q).max() + path.length) and path.slip < 1e-12
+        assert (
+            path
+            and np.abs(off).max() < 1e-12 * (1 + np.abs(path.q).max() + path.length)
+            and path.slip < 1e-12
+        )
 
 
 def bare() -> Mechanism:
@@ -295,22 +329,36 @@ def looped():
     return m.build()
 
 
-@pytest.mark.parametrize(("system", "reason"), [
-    (lambda: bare().build(), "no velocity constraints"), (wheels.trailer, "'hitch' depends on 'hitch' itself"),
-    (serial, "two slides and a turn"), (looped, "'rod' ties coordinates"), (holonomic, "1 freedom"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("system", "reason"),
+    [
+        (lambda: bare().build(), "no velocity constraints"),
+        (wheels.trailer, "'hitch' depends on 'hitch' itself"),
+        (serial, "two slides and a turn"),
+        (looped, "'rod' ties coordinates"),
+        (holonomic, "1 freedom"),
+    ],
+)
 def test_what_is_not_known_is_refused_with_the_reason(system, reason):
     s = system()
     with pytest.raises(UnsupportedError, match=reason):
         s.manoeuvre(np.zeros(s.nq), np.ones(s.nq))
 
 
-@pytest.mark.parametrize(("options", "error"), [
-    ({"radius": -1.0}, "radius is -1.0"), ({"radius": math.nan}, "radius is nan"), ({"radius": "2"}, "radius is '2'"),
-    ({"budget": kempe.Budget(points=1)}, "points is 1"), ({"budget": kempe.Budget(points=2.5)}, "points is 2.5"),
-    ({"goal": [1, 2]}, "2 coordinates"),
-    ({"goal": [1, 2, math.nan]}, "be finite"), ({"start": [[0, 0, 0]]}, "shape"), ({"goal": {"pose.q": 1}}, "pose.q"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"radius": -1.0}, "radius is -1.0"),
+        ({"radius": math.nan}, "radius is nan"),
+        ({"radius": "2"}, "radius is '2'"),
+        ({"budget": kempe.Budget(points=1)}, "points is 1"),
+        ({"budget": kempe.Budget(points=2.5)}, "points is 2.5"),
+        ({"goal": [1, 2]}, "2 coordinates"),
+        ({"goal": [1, 2, math.nan]}, "be finite"),
+        ({"start": [[0, 0, 0]]}, "shape"),
+        ({"goal": {"pose.q": 1}}, "pose.q"),
+    ],
+)
 def test_bad_input_is_named(options, error):
     given = {"start": np.zeros(3), "goal": np.ones(3), **options}
     with pytest.raises((InputError, UnknownNameError), match=error):
@@ -333,13 +381,17 @@ def test_what_does_not_roll_is_told_what_holds_on_the_way():
     free = planar_arm(0.4, 0.4, 0.4, 0.3)
     with pytest.raises(UnsupportedError, match="nothing keeps it from going straight there"):
         free.manoeuvre(free.neutral, free.neutral)
-    with pytest.raises(UnsupportedError, match="limits or one-sided constraints hold on the way.*path"):
+    with pytest.raises(
+        UnsupportedError, match="limits or one-sided constraints hold on the way.*path"
+    ):
         free.with_limits({"q2": (-1.0, 1.0)}).manoeuvre(free.neutral, free.neutral)
     m = free.mechanism
     m.constrain(kempe.constraints.OnLine("tip", [0, 0.5], [1, 0]), "rail")
     railed = m.build()
     q = railed.assemble({}, start=np.ones(4)).q
-    with pytest.raises(UnsupportedError, match="'rail' holds positions on the way.*configuration_space.path"):
+    with pytest.raises(
+        UnsupportedError, match="'rail' holds positions on the way.*configuration_space.path"
+    ):
         railed.manoeuvre(q, q)
 
 

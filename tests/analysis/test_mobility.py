@@ -1,4 +1,6 @@
-"""Degrees of freedom as published, by counting, by rank and truly; redundancy, idle freedoms and control."""
+"""Degrees of freedom as published, by counting, by rank and truly; redundancy, idle freedoms and
+control.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,10 @@ def test_planar_mechanisms(case: Case):
     system = kempe.load(case.name)
     m = mobility(system, system.q(case.posture))
     assert (m.gruebler, m.rank_dof, m.dof) == (case.count, case.rank, case.true)
-    assert m.redundant_here == case.rank - case.count and m.redundant == m.generic_rank_dof - case.count
+    assert (
+        m.redundant_here == case.rank - case.count
+        and m.redundant == m.generic_rank_dof - case.count
+    )
     assert m.singular == bool(case.branches or case.rank > case.true)
     if case.branches and m.local.certain:
         assert sorted(b.dim for b in m.local.branches) == sorted(case.branches)
@@ -54,9 +59,16 @@ def test_spatial_mechanisms(case: Spatial):
 
 @pytest.mark.parametrize(
     ("name", "spatial"),
-    [("four_bar", -2), ("slider_crank", -2), ("double_parallelogram", -6), ("peaucellier", -8), ("jansen", -8),
-     ("three_rrr", -3), ("five_bar", -1)],
-)  # fmt: skip
+    [
+        ("four_bar", -2),
+        ("slider_crank", -2),
+        ("double_parallelogram", -6),
+        ("peaucellier", -8),
+        ("jansen", -8),
+        ("three_rrr", -3),
+        ("five_bar", -1),
+    ],
+)
 def test_what_planar_mechanisms_count_to_in_space(name, spatial):
     assert mobility(kempe.load(name), local=False).gruebler_spatial == spatial
 
@@ -76,13 +88,19 @@ def test_the_lectures_example():
     m = mobility(kempe.load("four_links"))
     assert m.gruebler == m.dof == 2
     assert "4 x 3 = 12" in m.counting.steps[0]
-    assert "4 x (3 - 2) - 2 = 2" in m.counting.steps[-1] and "the last by two" in m.counting.steps[-1]
+    assert (
+        "4 x (3 - 2) - 2 = 2" in m.counting.steps[-1] and "the last by two" in m.counting.steps[-1]
+    )
 
 
 def test_each_loop_has_its_group_of_motions():
     solid = mobility(kempe.load("four_bar_spatial"), local=False)
-    assert [(x.freedoms, x.equations, x.count) for x in solid.loops] == [(4, 3, 1)]  # three parallel freedoms
-    assert [(x.freedoms, x.equations, x.count) for x in mobility(kempe.load("bennett")).loops] == [(4, 6, -2)]
+    assert [(x.freedoms, x.equations, x.count) for x in solid.loops] == [
+        (4, 3, 1)
+    ]  # three parallel freedoms
+    assert [(x.freedoms, x.equations, x.count) for x in mobility(kempe.load("bennett")).loops] == [
+        (4, 6, -2)
+    ]
     assert mobility(kempe.load("four_bar")).loops[0].joints == ("A", "B", "C", "D")
 
 
@@ -138,8 +156,11 @@ def m_rank(system: System) -> int:
     q = system.neutral
     h = 1e-6
     space = system.configuration_space
-    columns = [(residual(system, space.integrate(q, h * e)) - residual(system, space.integrate(q, -h * e))) / (2 * h)
-               for e in np.eye(system.nv)]  # fmt: skip
+    columns = [
+        (residual(system, space.integrate(q, h * e)) - residual(system, space.integrate(q, -h * e)))
+        / (2 * h)
+        for e in np.eye(system.nv)
+    ]
     return system.nv - int(np.linalg.matrix_rank(np.array(columns).T, 1e-6))
 
 
@@ -150,7 +171,10 @@ def test_a_particle_counts_three():
     m.revolute("A", m.ground, arm)
     m.prismatic("wire", arm, bead, axis=(1, 0, 0))
     m.translation("hand", m.ground, bead)
-    report = mobility(m.build(), {"A": 0.3, "wire": 0.5, "hand.x": 0.5 * math.cos(0.3), "hand.y": 0.5 * math.sin(0.3)})
+    report = mobility(
+        m.build(),
+        {"A": 0.3, "wire": 0.5, "hand.x": 0.5 * math.cos(0.3), "hand.y": 0.5 * math.sin(0.3)},
+    )
     # 6 + 3 - 5 - 2 - 0
     assert (report.gruebler, report.rank_dof, report.dof) == (2, 2, 2)
 
@@ -174,7 +198,9 @@ def test_a_sloppy_configuration_is_closed_first():
     assert np.abs(closure_error(system, q)).max() > 1e-6
     report = mobility(system, q)
     assert (report.rank_dof, report.dof) == (1, 1) and report.given_residual > 1e-6
-    assert np.abs(closure_error(system, report.q)).max() < 1e-12 and np.abs(report.q - q).max() < 1e-3
+    assert (
+        np.abs(closure_error(system, report.q)).max() < 1e-12 and np.abs(report.q - q).max() < 1e-3
+    )
 
 
 def test_wrong_arguments_are_refused():
@@ -198,13 +224,24 @@ def test_rods_spin_about_the_line_through_their_ends():
     system = kempe.load("delta_ss")
     m = mobility(system)
     assert m.idle == 6 and m.useful == 3
-    assert len({f.bodies for f in m.idle_freedoms}) == 6 and all(len(f.bodies) == 1 for f in m.idle_freedoms)
+    assert len({f.bodies for f in m.idle_freedoms}) == 6 and all(
+        len(f.bodies) == 1 for f in m.idle_freedoms
+    )
     for f in m.idle_freedoms:
-        assert f.joined and str(f).endswith(f"spins about the line through {f.joints[0]} and {f.joints[1]}")
-        moved = system.fk(system.configuration_space.integrate(m.q, 1e-6 * f.velocity)) - system.fk(m.q)
+        assert f.joined and str(f).endswith(
+            f"spins about the line through {f.joints[0]} and {f.joints[1]}"
+        )
+        moved = system.fk(system.configuration_space.integrate(m.q, 1e-6 * f.velocity)) - system.fk(
+            m.q
+        )
         still = [b for b in range(len(moved)) if np.abs(moved[b]).max() < 1e-11]
         assert len(still) == len(moved) - 1  # only the rod moves, and keeps the loops closed
-        assert np.abs(closure_error(system, system.configuration_space.integrate(m.q, 0.7 * f.velocity))).max() < 1e-12
+        assert (
+            np.abs(
+                closure_error(system, system.configuration_space.integrate(m.q, 0.7 * f.velocity))
+            ).max()
+            < 1e-12
+        )
 
 
 def test_a_door_on_two_hinges_is_not_idle():
@@ -253,7 +290,9 @@ def test_a_rigid_structure_has_no_generic_neighbours():
 
 
 def test_a_regular_configuration_is_generic_itself():
-    """Where constraints depend on each other more points are looked at than where they do not: there one is enough."""
+    """Where constraints depend on each other more points are looked at than where they do not:
+    there one is enough.
+    """
     for name, least, most in (("four_bar", 1, 1), ("bennett", 2, 99)):
         system = kempe.load(name)
         found = nearby(system, rank_at(system, mobility(system).q), np.random.default_rng(0))
@@ -272,7 +311,9 @@ def test_a_driven_rod_is_not_idle():
 
 
 def slotted() -> System:
-    """A four-bar linkage in space, one of whose joints is two turns with a slide between them: a plane of motions."""
+    """A four-bar linkage in space, one of whose joints is two turns with a slide between them: a
+    plane of motions.
+    """
     m = Mechanism("slotted")
     m.revolute("A", m.ground, m.body("a"))
     m.revolute("B", m.ground, m.body("b"), at=(3, 0, 0.2))
@@ -287,7 +328,9 @@ RELEASED = [c.name for c in SPATIAL if c.redundant and c.name != "three_upu_snu"
 
 @pytest.mark.parametrize("name", some(RELEASED, 3))
 def test_releases_remove_what_is_redundant_and_nothing_else(name):
-    """By velocities of bodies, which know nothing of loops: rows are the directions that joints hold."""
+    """By velocities of bodies, which know nothing of loops: rows are the directions that joints
+    hold.
+    """
     system = slotted() if name == "slotted" else kempe.load(name)
     m = mobility(system, local=False)
     released = {r.joint: r.reactions for r in m.redundancy.releases}
@@ -298,11 +341,16 @@ def test_releases_remove_what_is_redundant_and_nothing_else(name):
     assert rank_of(full) == 6 * (len(system.body_names) - 1) - m.rank_dof
     assert name == "slotted" or rank_of(full) == rank_of(joint_constraints(system, m.q))
     stressed = dict(m.redundancy.stressed)
-    for joint in system.structure.joints:  # a direction carries self-stress if it can be left out without a new freedom
+    for joint in (
+        system.structure.joints
+    ):  # a direction carries self-stress if it can be left out without a new freedom
         for reaction in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
             less = held_rows(system, m.q, {joint: (reaction,)})
             if len(less) < len(full):
-                assert (rank_of(less) == rank_of(full)) == (reaction in stressed.get(joint, ())), (joint, reaction)
+                assert (rank_of(less) == rank_of(full)) == (reaction in stressed.get(joint, ())), (
+                    joint,
+                    reaction,
+                )
 
 
 def rank_of(rows: np.ndarray) -> int:
@@ -312,12 +360,19 @@ def rank_of(rows: np.ndarray) -> int:
 
 
 SLOT = "R(z) P(x) R(z)"
-MOVES = {"revolute": {"Mz"}, "prismatic": {"Fz"}, "universal": {"Mx", "My"}, "spherical": {"Mx", "My", "Mz"},
-         SLOT: {"Fx", "Fy", "Mz"}}  # fmt: skip
+MOVES = {
+    "revolute": {"Mz"},
+    "prismatic": {"Fz"},
+    "universal": {"Mx", "My"},
+    "spherical": {"Mx", "My", "Mz"},
+    SLOT: {"Fx", "Fy", "Mz"},
+}
 
 
 def held_rows(system: System, q: np.ndarray, released: dict[str, tuple[str, ...]]) -> np.ndarray:
-    """Rows on the twists of all bodies: relative velocities that joints hold, in their own axes at the origin of M."""
+    """Rows on the twists of all bodies: relative velocities that joints hold, in their own axes at
+    the origin of M.
+    """
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     column = {b: 6 * i for i, b in enumerate(system.body_names[1:])}
     rows = []
@@ -346,9 +401,16 @@ def held_rows(system: System, q: np.ndarray, released: dict[str, tuple[str, ...]
 def test_repairs_have_names():
     (release,) = mobility(kempe.load("four_bar_spatial")).redundancy.releases
     assert set(release.reactions) == {"Mx", "My", "Fz"}
-    assert f"{release.joint}: two moments and one force (Mx, My, Fz): use a point-on-axis pair" in str(release)
+    assert (
+        f"{release.joint}: two moments and one force (Mx, My, Fz): use a point-on-axis pair"
+        in str(release)
+    )
     (release,) = mobility(kempe.load("sarrus")).redundancy.releases
-    assert len(release.reactions) == 1 and release.reactions[0][0] == "M" and release.pair == "a universal joint"
+    assert (
+        len(release.reactions) == 1
+        and release.reactions[0][0] == "M"
+        and release.pair == "a universal joint"
+    )
 
 
 def test_a_sarrus_linkage_with_its_repair_has_no_redundancy():
@@ -356,7 +418,9 @@ def test_a_sarrus_linkage_with_its_repair_has_no_redundancy():
     (release,) = mobility(system).redundancy.releases
     m = system.mechanism
     j = m.joints[release.joint]  # turns about z; the repaired one about z and about x or y besides
-    to_x = (("ry", (math.pi / 2,)),)  # the x axis of the universal joint is the old z, its y the released direction
+    to_x = (
+        ("ry", (math.pi / 2,)),
+    )  # the x axis of the universal joint is the old z, its y the released direction
     turn = Placement(to_x if release.reactions == ("My",) else (("rz", (math.pi / 2,)), *to_x))
     q = system.q("closed")
     angle = float(q[system.coordinate_names.index(j.name)])
@@ -388,7 +452,9 @@ def test_a_gear_can_be_the_redundant_constraint():
     b = next(j.name for j in m.joints.values() if j.parent == m.ground.name and j.name != "A")
     m.gear(b, a, 1.0)
     system = m.build()
-    q = {n: v for n, v in kempe.load("parallelogram").mechanism.postures["closed"].items() if n != b}
+    q = {
+        n: v for n, v in kempe.load("parallelogram").mechanism.postures["closed"].items() if n != b
+    }
     report = mobility(system, q)
     assert (report.gruebler, report.dof, report.redundant) == (0, 1, 1)
     assert f"coupling of {b}" in dict(report.redundancy.stressed)
@@ -410,7 +476,9 @@ def test_motors_that_control_are_too_few_or_too_many():
     assert driven not in free and max(map(abs, free.values())) == pytest.approx(1.0)
     v = np.array([free.get(n, 0.0) for n in five.structure.velocity_names])
     q = mobility(five).q
-    assert np.abs(closure_error(five, five.configuration_space.integrate(q, 1e-6 * v))).max() < 1e-10
+    assert (
+        np.abs(closure_error(five, five.configuration_space.integrate(q, 1e-6 * v))).max() < 1e-10
+    )
     assert mobility(system_without_motors()).control is None
 
 
@@ -431,10 +499,14 @@ def test_a_slider_cannot_drive_its_crank_through_the_dead_point():
     system = kempe.load("slider_crank")
     r = system.structure.parameters["r"]
     rod = system.structure.parameters["l"]
-    slide = next(j.name for j in system.structure.joints.values() if j.type.type_name == "prismatic")
+    slide = next(
+        j.name for j in system.structure.joints.values() if j.type.type_name == "prismatic"
+    )
     dead = system.assemble({slide: r + rod - 1e-9}, start=system.assemble({"A": 0.01}).q).q
     stretched = system.assemble({"A": 0.0}, start=dead).q
-    at_dead, beside = (mobility(system, q, actuated=[slide]).control for q in (stretched, system.q("closed")))
+    at_dead, beside = (
+        mobility(system, q, actuated=[slide]).control for q in (stretched, system.q("closed"))
+    )
     assert beside.complete and not beside.singular
     assert not at_dead.complete and at_dead.singular and at_dead.excess == 0
     assert mobility(system, stretched, actuated=["A"]).control.complete
@@ -457,12 +529,16 @@ def test_what_is_not_known_is_not_said():
     m = mobility(kempe.load("bennett"), local=False)
     assert m.dof is None and m.useful is None and "not tested" in m.sentence
     assert isinstance(m, Mobility) and m.rank_dof == 1
-    assert "below 1e-09" in str(mobility(kempe.load("schatz"))) and "proven: " in str(mobility(kempe.load("bennett")))
+    assert "below 1e-09" in str(mobility(kempe.load("schatz"))) and "proven: " in str(
+        mobility(kempe.load("bennett"))
+    )
 
 
 def test_trees_and_nothing():
     arm = mobility(kempe.load("panda"))
-    assert arm.dof == arm.gruebler == arm.rank_dof == len(kempe.load("panda").structure.velocity_names)
+    assert (
+        arm.dof == arm.gruebler == arm.rank_dof == len(kempe.load("panda").structure.velocity_names)
+    )
     assert arm.redundant == 0 and arm.loops == () and not arm.singular
     empty = mobility(Mechanism("empty").build())
     assert empty.dof == empty.gruebler == 0
@@ -472,10 +548,17 @@ def test_groups_of_loops_are_counted_by_themselves():
     m = Mechanism("two four-bars", dim=2)
     for k in range(2):
         m.attach(kempe.load("four_bar"), at=(2.0 * k, 0), prefix=f"m{k}_")
-    q = {f"m{k}_{n}": v for k in range(2) for n, v in kempe.load("four_bar").mechanism.postures["closed"].items()}
+    q = {
+        f"m{k}_{n}": v
+        for k in range(2)
+        for n, v in kempe.load("four_bar").mechanism.postures["closed"].items()
+    }
     system = m.build()
     report = mobility(system, q)
-    assert [(c.gruebler, c.rank_dof, c.redundant) for c in report.clusters] == [(1, 1, 0), (1, 1, 0)]
+    assert [(c.gruebler, c.rank_dof, c.redundant) for c in report.clusters] == [
+        (1, 1, 0),
+        (1, 1, 0),
+    ]
     assert (report.gruebler, report.dof, report.outside) == (2, 2, 0)
     names = [*kempe.load("four_bar").joint_names]
     for k, (c, cut) in enumerate(zip(report.clusters, system.structure.closures, strict=True)):
@@ -489,7 +572,11 @@ def test_axes_through_one_point_away_from_the_origin(scale):
     m = look(spherical, scale, moved=True)
     assert (m.gruebler, m.rank_dof, m.dof, m.redundant) == (-1, 2, 2, 3)
     assert m.loops[0].motion == "turns about one point"
-    jack = [("revolute", np.zeros(3), Z), ("helical", np.zeros(3), Z, {"pitch": 0.1}), ("prismatic", np.zeros(3), Z)]
+    jack = [
+        ("revolute", np.zeros(3), Z),
+        ("helical", np.zeros(3), Z, {"pitch": 0.1}),
+        ("prismatic", np.zeros(3), Z),
+    ]
     m = look(loop("screw jack", jack), scale, moved=True)
     assert (m.gruebler, m.rank_dof, m.dof) == (-3, 1, 1)
 
@@ -519,7 +606,9 @@ def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
         F = pose[j.parent] @ j.X_PF.evaluate(system.structure.parameters)
         p = F[:3, 3] + off * rng.normal(size=3)
         z = F[:3, 2] + off * rng.normal(size=3)
-        world.turn(*("ground" if b == system.body_names[0] else b for b in (j.parent, j.child)), p, z)
+        world.turn(
+            *("ground" if b == system.body_names[0] else b for b in (j.parent, j.child)), p, z
+        )
     report = look(world)
     assert report.dof == 0 if report.certain else "probably" in report.sentence
 

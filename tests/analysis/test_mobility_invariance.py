@@ -1,4 +1,6 @@
-"""What mobility says does not depend on names, orders, cuts, the ground, units, handedness; and agrees with oracles."""
+"""What mobility says does not depend on names, orders, cuts, the ground, units, handedness; and
+agrees with oracles.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,21 @@ from kempe.kinematics.closure_rows import jacobian
 from kempe.placement import placement_of_pose
 from kempe.spatial import adjoint, exp_se3
 
-NAMES = ["four_bar", "slider_crank", "double_parallelogram", "peaucellier", "three_rpr", "bennett", "goldberg_5r",
-         "sarrus", "delta_uu", "delta_ss", "stewart_sps", "rssr", "three_upu"]  # fmt: skip
+NAMES = [
+    "four_bar",
+    "slider_crank",
+    "double_parallelogram",
+    "peaucellier",
+    "three_rpr",
+    "bennett",
+    "goldberg_5r",
+    "sarrus",
+    "delta_uu",
+    "delta_ss",
+    "stewart_sps",
+    "rssr",
+    "three_upu",
+]
 
 
 @st.composite
@@ -39,18 +54,25 @@ def changes(draw, system: System) -> Change:
         cut=draw(st.sampled_from([None, *(j.name for j in joints)])),
         ground=draw(st.sampled_from([None, *bodies])),
         scale=draw(st.sampled_from([1.0, 1e-7, 37.0, 1e7])),
-        mirror=mirror, move=exp_se3(twist), prefix=draw(st.sampled_from(["", "new_"])),
-    )  # fmt: skip
+        mirror=mirror,
+        move=exp_se3(twist),
+        prefix=draw(st.sampled_from(["", "new_"])),
+    )
 
 
 def facts(m: Mobility, prefix: str = "") -> dict:
     """Everything that must not change; names of joints without their prefix."""
     return {
-        "gruebler": (m.gruebler, m.gruebler_spatial), "rank": m.rank_dof, "generic": m.generic_rank_dof,
-        "redundant": m.redundant, "released": sum(len(r.reactions) for r in m.redundancy.releases), "idle": m.idle,
-        "singular": m.singular, "owners": {j.removeprefix(prefix) for j, _ in m.redundancy.stressed},
+        "gruebler": (m.gruebler, m.gruebler_spatial),
+        "rank": m.rank_dof,
+        "generic": m.generic_rank_dof,
+        "redundant": m.redundant,
+        "released": sum(len(r.reactions) for r in m.redundancy.releases),
+        "idle": m.idle,
+        "singular": m.singular,
+        "owners": {j.removeprefix(prefix) for j, _ in m.redundancy.stressed},
         "clusters": sorted((c.gruebler, c.rank_dof, c.redundant) for c in m.clusters),
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("name", some(NAMES, 3))
@@ -65,7 +87,9 @@ def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
     want, got = (mobility(s, s.neutral, local=False) for s in (passive, other))
     reported = facts(want)
     seen = facts(got, change.prefix)
-    if any(change.ground in f.bodies for f in want.idle_freedoms):  # what spins about the ground is a swing
+    if any(
+        change.ground in f.bodies for f in want.idle_freedoms
+    ):  # what spins about the ground is a swing
         assert reported.pop("idle") - seen.pop("idle") in (0, 1)
     assert got.closed and seen == reported
     if name != "delta_uu":  # what the original says, motors aside
@@ -89,7 +113,9 @@ KINDS = ["revolute", "prismatic", "cylindrical", "universal", "planar", "spheric
 
 @st.composite
 def closed_mechanisms(draw) -> System:
-    """A random tree at random coordinates, with joints added whose frames coincide there: closed at zero of these."""
+    """A random tree at random coordinates, with joints added whose frames coincide there: closed at
+    zero of these.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**16)))
     n = draw(st.integers(3, 8))
     loops = draw(st.integers(1, 3))
@@ -98,19 +124,33 @@ def closed_mechanisms(draw) -> System:
     def random_pose() -> np.ndarray:
         return exp_se3(rng.uniform(-1, 1, 6))
 
-    def add(m: Mechanism, name: str, kind: str, a: str, b: str, X: np.ndarray, Y: np.ndarray) -> None:
+    def add(
+        m: Mechanism, name: str, kind: str, a: str, b: str, X: np.ndarray, Y: np.ndarray
+    ) -> None:
         options = {"pitch": 0.2} if kind == "helical" else {}
         m.joint(name, kind, a, b, at=placement_of_pose(X), child_at=placement_of_pose(Y), **options)
 
     for k in range(n):
         tree.body(f"b{k}")
         parent = "ground" if k == 0 else f"b{rng.integers(max(k - 2, 0), k)}"
-        add(tree, f"j{k}", KINDS[rng.integers(len(KINDS))], parent, f"b{k}", random_pose(), random_pose())
+        add(
+            tree,
+            f"j{k}",
+            KINDS[rng.integers(len(KINDS))],
+            parent,
+            f"b{k}",
+            random_pose(),
+            random_pose(),
+        )
     arm = tree.build()
     q = arm.random(rng)
     pose = dict(zip(arm.body_names, arm.fk(q), strict=True))
     for k in range(loops):
-        a, b = ("ground", f"b{n - 1}") if k == 0 else tuple(rng.choice(list(arm.body_names), 2, replace=False))
+        a, b = (
+            ("ground", f"b{n - 1}")
+            if k == 0
+            else tuple(rng.choice(list(arm.body_names), 2, replace=False))
+        )
         X = random_pose()
         Y = np.linalg.inv(pose[str(b)]) @ pose[str(a)] @ X
         Y[3] = 0, 0, 0, 1
@@ -137,7 +177,9 @@ def couple(m: Mechanism, values: dict[str, float], rng: np.random.Generator, cou
 @settings(max_examples=examples(40))
 @given(closed_mechanisms())
 def test_random_mechanisms_agree_with_the_equations(system):
-    """The rank, against the Jacobian of the equations themselves; without dependent ones the count is the truth."""
+    """The rank, against the Jacobian of the equations themselves; without dependent ones the count
+    is the truth.
+    """
     m = mobility(system, local=False)
     J = jacobian(system, m.q)
     assert m.closed and m.rank_dof == system.nv - np.linalg.matrix_rank(J, 1e-7)
@@ -153,11 +195,18 @@ def test_random_mechanisms_agree_with_the_equations(system):
 @settings(max_examples=examples(15))
 @given(st.integers(0, 2**16), st.integers(0, 4))
 def test_three_loops_of_any_generic_dimension(seed, extra):
-    """Three loops, each with its own chain of 6 or more revolute joints: 18 joints fill up 18 equations."""
+    """Three loops, each with its own chain of 6 or more revolute joints: 18 joints fill up 18
+    equations.
+    """
     rng = np.random.default_rng(seed)
     m = Mechanism("three loops")
     hub = m.body("hub")
-    chains = [4, 4, 5, 5]  # links between ground and hub; joints are one more: 22 in all, 3 loops take 18
+    chains = [
+        4,
+        4,
+        5,
+        5,
+    ]  # links between ground and hub; joints are one more: 22 in all, 3 loops take 18
     total = extra
     pose = lambda: placement_of_pose(exp_se3(rng.uniform(-1, 1, 6)))  # noqa: E731
     world = {"hub": exp_se3(rng.uniform(-1, 1, 6))}
@@ -170,7 +219,9 @@ def test_three_loops_of_any_generic_dimension(seed, extra):
             before = body
         X = exp_se3(rng.uniform(-1, 1, 6))
         Y = _at_hub(m, before, X, world)
-        m.revolute(f"J{c}_{links}", before, hub, at=placement_of_pose(X), child_at=placement_of_pose(Y))
+        m.revolute(
+            f"J{c}_{links}", before, hub, at=placement_of_pose(X), child_at=placement_of_pose(Y)
+        )
     report = mobility(m.build(), m.build().neutral)
     assert report.closed and report.gruebler == report.rank_dof == report.dof == 4 + min(extra, 4)
 
@@ -232,17 +283,31 @@ def test_groups_of_motions(screws, group):
     rng = np.random.default_rng(0)
     own = np.array(screws, dtype=float).T
     for _ in range(5):
-        mixed = adjoint(exp_se3(rng.uniform(-1, 1, 6))) @ own @ rng.uniform(-1, 1, (own.shape[1], own.shape[1]))
+        mixed = (
+            adjoint(exp_se3(rng.uniform(-1, 1, 6)))
+            @ own
+            @ rng.uniform(-1, 1, (own.shape[1], own.shape[1]))
+        )
         assert group_of(own) == group_of(mixed) == group
 
 
 def test_pairs_have_names_whatever_their_axes_are_called():
     assert pair_name({"rz"}) == pair_name({"rx"}) == "a revolute joint"
-    assert pair_name({"z", "rx", "ry", "rz"}) == pair_name({"y", "rx", "ry", "rz"}) != pair_name({"rx", "ry", "rz"})
+    assert (
+        pair_name({"z", "rx", "ry", "rz"})
+        == pair_name({"y", "rx", "ry", "rz"})
+        != pair_name({"rx", "ry", "rz"})
+    )
     assert pair_name({"z", "rz"}) == "a cylindrical joint" == pair_name({"x", "rx"})
     assert pair_name({"z", "rx"}) == "a pin in a slot"
-    assert pair_name({"x", "y", "z", "rx", "ry"}) == "a joint that slides along x, y, z and turns about x, y"
-    assert count_words(("Mx", "My", "Fz")) == "two moments and one force" and count_words(("Fx",)) == "one force"
+    assert (
+        pair_name({"x", "y", "z", "rx", "ry"})
+        == "a joint that slides along x, y, z and turns about x, y"
+    )
+    assert (
+        count_words(("Mx", "My", "Fz")) == "two moments and one force"
+        and count_words(("Fx",)) == "one force"
+    )
 
 
 def test_kernels_are_those_of_each_group_and_free_joints():

@@ -70,19 +70,32 @@ def test_a_singular_value_above_rounding_makes_many_answers_probable(kind, hunt)
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("shaky_3r", "Gruebler says 0, which is the truth; the rank says 1, a velocity that leads to no motion"),
-        ("pendulum_dead_centre", "Gruebler says 1, which is the truth; the rank says 2, but 1 of these is a velocity "
-         "that leads to no motion"),
+        (
+            "shaky_3r",
+            "Gruebler says 0, which is the truth; the rank says 1, a velocity that leads to no "
+            "motion",
+        ),
+        (
+            "pendulum_dead_centre",
+            "Gruebler says 1, which is the truth; the rank says 2, but 1 of these is a velocity "
+            "that leads to no motion",
+        ),
         ("bennett", "Gruebler says -2, the truth is 1: 3 constraints are redundant"),
-        ("wunderlich", "Gruebler says 1, the truth is 2: the largest of 13 branches found here has 2 dimensions"),
+        (
+            "wunderlich",
+            "Gruebler says 1, the truth is 2: the largest of 13 branches found here has 2 "
+            "dimensions",
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_sentence(name, said):
     assert mobility(kempe.load(name)).sentence == said
 
 
 def test_velocities_without_a_motion_are_no_redundant_constraints_of_the_sentence():
-    """Two dead centres in space: six of eight constraints are redundant because all moves in a plane."""
+    """Two dead centres in space: six of eight constraints are redundant because all moves in a
+    plane.
+    """
     w = World("side by side")
     for k in range(2):
         w.turn("ground", f"a{k}", (0, 3 * k, 0), (0, 0, 1))
@@ -92,14 +105,16 @@ def test_velocities_without_a_motion_are_no_redundant_constraints_of_the_sentenc
     m = mobility(system, system.neutral)
     assert (m.gruebler, m.dof, m.redundant) == (-6, 0, 8)
     assert m.sentence == (
-        "Gruebler says -6, the truth is 0: 8 constraints are redundant, 2 of them to first order only; "
-        "the rank says 2, but all of these are velocities that lead to no motion"
+        "Gruebler says -6, the truth is 0: 8 constraints are redundant, 2 of them to first order "
+        "only; the rank says 2, but all of these are velocities that lead to no motion"
     )
 
 
 @pytest.mark.parametrize("name", some(LIBRARY, 3))
 def test_the_numbers_of_a_sentence_add_up(name):
-    """The count and the redundant constraints are the rank's; less velocities without a motion they are the truth."""
+    """The count and the redundant constraints are the rank's; less velocities without a motion they
+    are the truth.
+    """
     m = mobility(kempe.load(name))
     false = max(m.generic_rank_dof - m.dof, 0)
     assert m.gruebler + m.redundant == m.generic_rank_dof
@@ -134,7 +149,9 @@ def test_counts_are_sentences():
 
 
 def test_control_says_that_it_counts_to_first_order():
-    """The slider is not driven by the pendulum, but the dead centre keeps it: P alone is what truly moves."""
+    """The slider is not driven by the pendulum, but the dead centre keeps it: P alone is what truly
+    moves.
+    """
     report = mobility(kempe.load("pendulum_dead_centre"), actuated=["P"])
     assert (report.control.controlled, report.control.useful) == (1, 2)
     assert "counted to first order, where the rank sees 2 freedoms; truly there is 1" in str(report)

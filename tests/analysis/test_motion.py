@@ -88,7 +88,9 @@ def test_double_rocker_turns_back_at_the_law_of_cosines():
     path = trace(four_bar(a, b, c, d), "A", {"A": 0.8})
     assert path.closed and "A" not in path.turns
     extreme = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
-    np.testing.assert_allclose(sorted(e.value for e in path.turning_points), [-extreme, extreme], atol=1e-12)
+    np.testing.assert_allclose(
+        sorted(e.value for e in path.turning_points), [-extreme, extreme], atol=1e-12
+    )
     for e in path.turning_points:
         assert abs(path.at(e.s) - e.q).max() < 1e-6  # also its arc length is right
 
@@ -113,8 +115,12 @@ def test_peaucellier_draws_a_straight_line():
     path = trace(system, "Q", np.zeros(system.nq))
     assert path.closed
     D = path.curve("D*")
-    assert np.abs(D[:, 0] - (3.0**2 - 1.6**2) / 2.0).max() < 1e-11  # closed to 1e-12, where the cell is stretched
-    assert np.ptp(D[:, 1]) == pytest.approx(2.0 * math.sqrt(4.6**2 - 3.22**2), abs=1e-9)  # as far as the cell reaches
+    assert (
+        np.abs(D[:, 0] - (3.0**2 - 1.6**2) / 2.0).max() < 1e-11
+    )  # closed to 1e-12, where the cell is stretched
+    assert np.ptp(D[:, 1]) == pytest.approx(
+        2.0 * math.sqrt(4.6**2 - 3.22**2), abs=1e-9
+    )  # as far as the cell reaches
 
 
 def test_jansen_foot_by_chained_circles():
@@ -123,10 +129,14 @@ def test_jansen_foot_by_chained_circles():
     assert path.closed and path.turns["O"] == 1 and not path.singular_points
     exact = jansen_points(path.values("O"))
     for name in "XYZWVF":
-        assert np.abs(path.curve(f"{name}*")[:, :2] - exact[name]).max() < 1e-11, name  # lengths are about 50
+        assert np.abs(path.curve(f"{name}*")[:, :2] - exact[name]).max() < 1e-11, (
+            name
+        )  # lengths are about 50
     foot = path.resample(400).curve("F*")
     low = foot[foot[:, 1] < foot[:, 1].min() + 1.5]
-    assert np.ptp(low[:, 0]) > 0.6 * np.ptp(foot[:, 0]) > 40.0  # it walks: most of the step is near the ground
+    assert (
+        np.ptp(low[:, 0]) > 0.6 * np.ptp(foot[:, 0]) > 40.0
+    )  # it walks: most of the step is near the ground
     assert JANSEN["m"] == 15
 
 
@@ -150,15 +160,26 @@ def test_watt_curve_has_its_published_equation():
 
 
 def test_chebyshev_linkage_is_on_its_line_three_times():
-    """Cranks 5, ground 4, coupler 2: the middle of the coupler has y = 4 at x = 0, 2 and 4 (3-4-5 triangles)."""
-    path = trace(four_bar(5, 2, 5, 4, tracer=(1.0, 0.0)), "A", {"A": math.atan2(4, 3), "D": math.atan2(4, -3)})
+    """Cranks 5, ground 4, coupler 2: the middle of the coupler has y = 4 at x = 0, 2 and 4 (3-4-5
+    triangles).
+    """
+    path = trace(
+        four_bar(5, 2, 5, 4, tracer=(1.0, 0.0)),
+        "A",
+        {"A": math.atan2(4, 3), "D": math.atan2(4, -3)},
+    )
     assert path.closed
     P = path.curve("P")
     between = P[(P[:, 0] > 0.0) & (P[:, 0] < 4.0) & (np.abs(P[:, 1] - 4.0) < 0.2)]
-    assert len(between) > 20 and 0.005 < np.abs(between[:, 1] - 4.0).max() < 0.02  # nearly straight, but not quite
+    assert (
+        len(between) > 20 and 0.005 < np.abs(between[:, 1] - 4.0).max() < 0.02
+    )  # nearly straight, but not quite
     system = path.system
-    for A, D, point in [(math.pi / 2, math.atan2(3, -4), (0, 4)), (math.atan2(4, 3), math.atan2(4, -3), (2, 4)),
-                        (math.atan2(3, 4), math.pi / 2, (4, 4))]:  # fmt: skip
+    for A, D, point in [
+        (math.pi / 2, math.atan2(3, -4), (0, 4)),
+        (math.atan2(4, 3), math.atan2(4, -3), (2, 4)),
+        (math.atan2(3, 4), math.pi / 2, (4, 4)),
+    ]:
         B, C = pins(5.0, 4.0, A, D, 5.0)
         np.testing.assert_allclose((B + C) / 2, point, atol=1e-12)
         k = int(np.argmin(np.hypot(*(P[:, :2] - point).T)))
@@ -182,7 +203,9 @@ def nearest_s(path, s, coordinate, value):
 
 
 def test_hoeken_linkage_is_on_its_line_at_quarter_turns():
-    """Crank 1, ground 2, coupler and rocker 2.5, tracer at twice the coupler: (4, 4), (2, 4), (0, 4)."""
+    """Crank 1, ground 2, coupler and rocker 2.5, tracer at twice the coupler: (4, 4), (2, 4), (0,
+    4).
+    """
     path = trace(four_bar(1, 2.5, 2.5, 2, tracer=(5.0, 0.0)), "A", [math.pi / 2, -0.6, 1.6, 0.0])
     assert path.closed and path.turns["A"] == 1
     A = path.values("A")
@@ -259,7 +282,8 @@ def test_parallelogram_change_points_and_branches():
     np.testing.assert_allclose(np.mod(first.q[0], TURN), math.pi, atol=1e-9)
     np.testing.assert_allclose(np.mod(second.q[0] + 1.0, TURN), 1.0, atol=1e-9)
     assert first.s == pytest.approx(2 * (math.pi - 0.8), abs=1e-9)
-    # rates (A, B, D, C): parallel (1, -1, 1, -1); the other by the heights and, in second order, by the line
+    # rates (A, B, D, C): parallel (1, -1, 1, -1); the other by the heights and, in second order, by
+    # the line
     np.testing.assert_allclose(np.abs(first.directions[0]), 0.5, atol=1e-8)
     crossed = first.directions[1] / first.directions[1][0]
     coupler = 1.0 + crossed[1]
@@ -275,7 +299,9 @@ def test_branches_of_the_parallelogram():
     A = crossed.values("A")
     D = crossed.values("D")
     product = np.sin(A / 2) * np.cos(D / 2), np.cos(A / 2) * np.sin(D / 2)
-    ratio = np.linalg.lstsq(product[0][:, None], product[1], rcond=None)[0][0]  # tan(D/2) / tan(A/2) is constant
+    ratio = np.linalg.lstsq(product[0][:, None], product[1], rcond=None)[0][
+        0
+    ]  # tan(D/2) / tan(A/2) is constant
     assert np.abs(product[1] - ratio * product[0]).max() < 1e-9 and abs(ratio - 1) > 0.5
     assert crossed.closed and len(crossed.singular_points) == 2
 
@@ -304,11 +330,15 @@ def test_two_parallelograms_flat_at_once_have_four_branches():
     paths = branches(system, "A", np.zeros(system.nq))
     assert len(paths) == 4 and all(p.closed for p in paths)
     for p in paths:
-        assert [(e.kind, e.nullity, len(e.directions)) for e in p.singular_points] == 2 * [("bifurcation", 3, 4)]
+        assert [(e.kind, e.nullity, len(e.directions)) for e in p.singular_points] == 2 * [
+            ("bifurcation", 3, 4)
+        ]
     kinds = set()
     for p in paths:
         names = system.coordinate_names
-        kinds.add(tuple(same_angle(p.q[:, names.index("A")], p.q[:, names.index(n)]) < 1e-9 for n in "DE"))
+        kinds.add(
+            tuple(same_angle(p.q[:, names.index("A")], p.q[:, names.index(n)]) < 1e-9 for n in "DE")
+        )
     assert kinds == {(True, True), (True, False), (False, True), (False, False)}
 
 
@@ -323,7 +353,9 @@ def test_one_to_one_slider_crank_has_the_resting_slider_as_its_other_branch():
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", some([1e-4, 1e-6, 1e-8, 1e-10], 4))
 def test_nearly_a_parallelogram_turns_the_corner(gap):
-    """Branches that nearly meet do not cross: the coupler goes over from parallel to crossed and back."""
+    """Branches that nearly meet do not cross: the coupler goes over from parallel to crossed and
+    back.
+    """
     path = trace(four_bar(1.0, 2.0 - gap, 1.0, 2.0), "A", [0.8, -0.8, 0.8, -0.8])
     assert path.closed and not path.singular_points
     A = path.values("A")
@@ -331,7 +363,9 @@ def test_nearly_a_parallelogram_turns_the_corner(gap):
     assert same_angle(A, D) > 1.0
     parallel, crossed = branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
     # the corners cut off a length of order sqrt(gap); staying on one branch would miss 12
-    assert path.length == pytest.approx(parallel.length + crossed.length, abs=20 * math.sqrt(gap) + 1e-5)
+    assert path.length == pytest.approx(
+        parallel.length + crossed.length, abs=20 * math.sqrt(gap) + 1e-5
+    )
     B, C = pins(1.0, 2.0, A, D, 1.0)
     assert np.abs(np.linalg.norm(B - C, axis=1) - (2.0 - gap)).max() < 1e-12
 
@@ -349,7 +383,12 @@ def test_ends_at_limits_are_exact_and_named():
     assert not path.closed and path.success
     assert path.ends == ("the upper limit 2.9 of 'S'", "the lower limit 1.5 of 'S'")
     S = path.values("S")
-    assert abs(S[0] - 2.9) < 1e-12 and abs(S[-1] - 1.5) < 1e-12 and S.min() > 1.5 - 1e-12 and S.max() < 2.9 + 1e-12
+    assert (
+        abs(S[0] - 2.9) < 1e-12
+        and abs(S[-1] - 1.5) < 1e-12
+        and S.min() > 1.5 - 1e-12
+        and S.max() < 2.9 + 1e-12
+    )
     free = trace(path.system, "A", path.q[0], limits=False)
     assert free.closed
 
@@ -371,9 +410,17 @@ def test_start_outside_limits_and_open_loops_are_answers():
 
 def five_bar():
     points = {"A": (0.0, 0.0), "B": (-0.5, 1.0), "C": (0.9, 1.8), "D": (2.2, 1.1), "E": (2.0, 0.0)}
-    return linkage("five-bar", points, {
-        "ground": ("A", "E"), "a": ("A", "B"), "b": ("B", "C"), "c": ("C", "D"), "d": ("D", "E"),
-    })  # fmt: skip
+    return linkage(
+        "five-bar",
+        points,
+        {
+            "ground": ("A", "E"),
+            "a": ("A", "B"),
+            "b": ("B", "C"),
+            "c": ("C", "D"),
+            "d": ("D", "E"),
+        },
+    )
 
 
 def test_more_freedoms_are_refused_by_name_or_held():
@@ -385,12 +432,18 @@ def test_more_freedoms_are_refused_by_name_or_held():
     B = path.curve("B*")
     D = path.curve("D*")
     C = path.curve("C*")
-    assert np.ptp(np.linalg.norm(C - B, axis=1)) < 1e-13 and np.ptp(np.linalg.norm(C - D, axis=1)) < 1e-13
+    assert (
+        np.ptp(np.linalg.norm(C - B, axis=1)) < 1e-13
+        and np.ptp(np.linalg.norm(C - D, axis=1)) < 1e-13
+    )
 
 
 def test_a_rigid_frame_cannot_move():
-    rigid = linkage("triangle", {"A": (0.0, 0.0), "B": (1.0, 0.0), "C": (0.4, 0.9)},
-                    {"ground": ("A", "B"), "a": ("A", "C"), "b": ("B", "C")})  # fmt: skip
+    rigid = linkage(
+        "triangle",
+        {"A": (0.0, 0.0), "B": (1.0, 0.0), "C": (0.4, 0.9)},
+        {"ground": ("A", "B"), "a": ("A", "C"), "b": ("B", "C")},
+    )
     path = trace(rigid, start=np.zeros(3))
     assert len(path) == 1 and path.success and "cannot move" in path.ends[0]
 
@@ -421,7 +474,9 @@ def test_an_interrupt_returns_what_was_done():
         if points > 40:
             raise KeyboardInterrupt
 
-    path = until_interrupt(trace, four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, budget=kempe.Budget(progress=stop))
+    path = until_interrupt(
+        trace, four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, budget=kempe.Budget(progress=stop)
+    )
     assert path.interrupted and not path and 30 < len(path) < 80 and "interrupted" in path.status
     assert np.abs(residual(path.system, path.q)).max() < 1e-13
 
@@ -465,7 +520,9 @@ def test_arc_length_points_in_between_and_tables():
     chords = np.linalg.norm(np.diff(even.q, axis=0), axis=1)  # all coordinates are angles
     np.testing.assert_allclose(chords, path.length / 500, rtol=2e-4)
     # the length itself, by chords of two finenesses (Richardson)
-    coarse, fine = (np.linalg.norm(np.diff(path.resample(n).q, axis=0), axis=1).sum() for n in (1001, 2001))
+    coarse, fine = (
+        np.linalg.norm(np.diff(path.resample(n).q, axis=0), axis=1).sum() for n in (1001, 2001)
+    )
     assert path.length == pytest.approx(fine + (fine - coarse) / 3, abs=2e-5)
     q = path.at([0.0, path.length, -1.0, path.length - 1.0])
     np.testing.assert_allclose(q[1] - q[0], path.q[-1] - path.q[0], atol=1e-15)
@@ -491,13 +548,17 @@ def test_points_near_a_change_point_are_on_the_branch():
 @pytest.mark.slow
 @settings(max_examples=examples(12))
 @given(
-    st.lists(st.floats(0.6, 3.0), min_size=4, max_size=4), st.floats(0.0, 6.0), st.floats(0.02, 0.12),
+    st.lists(st.floats(0.6, 3.0), min_size=4, max_size=4),
+    st.floats(0.0, 6.0),
+    st.floats(0.02, 0.12),
     st.floats(-3, 3),
-)  # fmt: skip
+)
 def test_paths_depend_neither_on_start_step_nor_unit(lengths, place, step, scale):
     a, b, c, d = lengths
     grashof = [a + b - c - d, a + c - b - d, a + d - b - c]
-    assume(min(map(abs, grashof)) >= 0.02)  # near a change point the branch is long and bent: tested elsewhere
+    assume(
+        min(map(abs, grashof)) >= 0.02
+    )  # near a change point the branch is long and bent: tested elsewhere
     assume(2 * max(lengths) < sum(lengths))  # it can be closed
     path = trace(four_bar(a, b, c, d), "A")
     assert path and path.closed
@@ -506,7 +567,9 @@ def test_paths_depend_neither_on_start_step_nor_unit(lengths, place, step, scale
     k = 10.0**scale
     large = trace(four_bar(k * a, k * b, k * c, k * d), "A", path.q[0])
     assert large.length == pytest.approx(path.length, rel=1e-6)
-    assert [e.value for e in large.turning_points] == pytest.approx([e.value for e in path.turning_points], abs=1e-9)
+    assert [e.value for e in large.turning_points] == pytest.approx(
+        [e.value for e in path.turning_points], abs=1e-9
+    )
 
 
 def test_a_branch_closes_where_limits_are_not_looked_at():
@@ -553,13 +616,20 @@ def test_a_trace_without_a_start_begins_where_one_sided_constraints_hold():
     system = m.build()
     path = system.trace()
     pins = np.linalg.inv(system.fk(path.q, "link")) @ system.fk(path.q, "pin")
-    assert path and path.length > 5.0 and pins[:, 0, 3].min() > 0.1 - 1e-9 and pins[:, 0, 3].max() < 0.75 + 1e-9
+    assert (
+        path
+        and path.length > 5.0
+        and pins[:, 0, 3].min() > 0.1 - 1e-9
+        and pins[:, 0, 3].max() < 0.75 + 1e-9
+    )
     assert all("'ends x, upper end'" in end for end in path.ends)
     assert not system.trace(start=system.neutral), "a start that is given is taken as it is"
 
 
 def test_bounds_that_are_not_approached_cost_no_search(monkeypatch):
-    """A bound is looked for between two points only where the quantity can have its largest value in between."""
+    """A bound is looked for between two points only where the quantity can have its largest value
+    in between.
+    """
     counted = []
     whole = one_sided_ends.root
     monkeypatch.setattr(one_sided_ends, "root", lambda *given: counted.append(1) or whole(*given))
@@ -619,11 +689,14 @@ GERMS = {  # branches (x, y) of a parameter in [-1, 1], and the equation u, v th
 
 
 ELSEWHERE = ("cusp", "cubic", "tacnode", "close", "node")
-"""Germs through which a walk from elsewhere stays on its branch; at others it may change to another one, or end."""
+"""Germs through which a walk from elsewhere stays on its branch; at others it may change to another
+one, or end."""
 
 
 def germ_case(name: str, rng: np.random.Generator) -> tuple[kempe.System, list[np.ndarray]]:
-    """Slides on a germ in axes that are turned, scaled and bent, and its branches (n, 2) sampled finely."""
+    """Slides on a germ in axes that are turned, scaled and bent, and its branches (n, 2) sampled
+    finely.
+    """
     law, powers = GERMS[name]
     turn = rng.uniform(-math.pi, math.pi)
     scale = 10.0 ** rng.uniform(-0.2, 0.2)
@@ -643,7 +716,9 @@ def germ_case(name: str, rng: np.random.Generator) -> tuple[kempe.System, list[n
 
 
 def assert_germ(name: str, rng: np.random.Generator) -> None:
-    """All branches are found, each once, from the point where they meet and from elsewhere, and none is left."""
+    """All branches are found, each once, from the point where they meet and from elsewhere, and
+    none is left.
+    """
     system, branches = germ_case(name, rng)
     paths = [system.trace(start=[0.0, 0.0], ways="branches")]
     paths = [replace(paths[0], others=()), *paths[0].others]
@@ -651,7 +726,11 @@ def assert_germ(name: str, rng: np.random.Generator) -> None:
     own = []
     for path in paths:
         off = [np.min(np.linalg.norm(b - path.q[:, None], axis=2), axis=1).max() for b in branches]
-        assert np.sort(off)[0] < 2e-3 and "limit" in path.ends[0] and "limit" in path.ends[1], (name, off, path.ends)
+        assert np.sort(off)[0] < 2e-3 and "limit" in path.ends[0] and "limit" in path.ends[1], (
+            name,
+            off,
+            path.ends,
+        )
         own.append(int(np.argmin(off)))
         q = path.q[3]
         if name in ELSEWHERE and np.linalg.norm(q) > 0.2:
@@ -677,22 +756,32 @@ def test_branches_of_a_germ_are_followed_through_it_often(name, hunt):
 
 @pytest.mark.parametrize(("second", "turned"), [(1.0, True), (0.6, False), (1.7, False)])
 def test_two_linkages_of_watt_are_traced_through_their_cusp(second, turned):
-    """From the cusp and from elsewhere it is the same closed curve; the bar's turn says on which side."""
+    """From the cusp and from elsewhere it is the same closed curve; the bar's turn says on which
+    side.
+    """
     system, q = double_watt(second, turned)
     path = system.trace(start=q)
     (event,) = path.singular_points
     assert path.closed and event.kind == "cusp" and not np.any(event.q)
     again = system.trace(start=path.at(0.4 * path.length))
     (other,) = again.singular_points
-    assert again.closed and again.length == pytest.approx(path.length, abs=1e-4) and other.kind == "cusp"
+    assert (
+        again.closed
+        and again.length == pytest.approx(path.length, abs=1e-4)
+        and other.kind == "cusp"
+    )
     assert np.abs(other.q - 2 * np.pi * np.round(other.q / (2 * np.pi))).max() < 1e-4
     beside = path.at(np.array([0.3, path.length - 0.3]))
     turn = beside[:, [system.coordinate_names.index(n) for n in ("o1", "l1", "m1")]].sum(axis=1)
-    assert turn[0] * turn[1] < 0.0, "the bar turns to one side before the cusp and to the other one after it"
+    assert turn[0] * turn[1] < 0.0, (
+        "the bar turns to one side before the cusp and to the other one after it"
+    )
 
 
 def test_branches_that_touch_to_the_fourth_order_are_followed_apart():
-    """Two equal linkages of Watt: the bar translates on one branch, and turns by a fourth power on the other one."""
+    """Two equal linkages of Watt: the bar translates on one branch, and turns by a fourth power on
+    the other one.
+    """
     system, q = double_watt(1.0, False)
     path = system.trace(start=q, ways="branches")
     assert path.closed and len(path.others) == 1 and path.others[0].closed

@@ -1,4 +1,6 @@
-"""One-sided constraints at a configuration: which are closed, and what they allow, against linear programs."""
+"""One-sided constraints at a configuration: which are closed, and what they allow, against linear
+programs.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ def lowest(c, E, G):
     """Where in the cone E v = 0, G v >= 0, within a unit box, c @ v is least."""
     b = None if not len(G) else np.zeros(len(G))
     e = None if not len(E) else np.zeros(len(E))
-    return linprog(c, -G if len(G) else None, b, E if len(E) else None, e, bounds=[(-1, 1)] * len(c), method="highs").x
+    return linprog(
+        c,
+        -G if len(G) else None,
+        b,
+        E if len(E) else None,
+        e,
+        bounds=[(-1, 1)] * len(c),
+        method="highs",
+    ).x
 
 
 def least(c, E, G):
@@ -24,7 +34,9 @@ def least(c, E, G):
 
 
 def spanned(E, G, n):
-    """Dimension of the cone: directions across those found so far are requested, until none leads on."""
+    """Dimension of the cone: directions across those found so far are requested, until none leads
+    on.
+    """
     found = np.zeros((0, n))
     while len(found) < n:
         across = np.linalg.svd(found)[2][len(found) :] if len(found) else np.eye(n)
@@ -36,12 +48,20 @@ def spanned(E, G, n):
     return len(found)
 
 
-SYSTEMS = ("four_bar", "puma560", "five_bar", "two_link", pytest.param("stewart", marks=pytest.mark.slow))
+SYSTEMS = (
+    "four_bar",
+    "puma560",
+    "five_bar",
+    "two_link",
+    pytest.param("stewart", marks=pytest.mark.slow),
+)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_limits_that_are_reached(name, hunt):
-    """Limits are put where coordinates are, below, above, or both; oracle: linear programs over the whole cone."""
+    """Limits are put where coordinates are, below, above, or both; oracle: linear programs over the
+    whole cone.
+    """
     system = kempe.load(name)
     rng = hunt.rng()
     q = system.mobility(local=False).q
@@ -71,10 +91,14 @@ def test_limits_that_are_reached(name, hunt):
 
 
 def test_what_is_printed_of_a_report_is_short():
-    """Ranks, wrenches and the report of limits are arrays of many lines, which the `repr` of the answer leaves out."""
+    """Ranks, wrenches and the report of limits are arrays of many lines, which the `repr` of the
+    answer leaves out.
+    """
     system = kempe.load("puma560")
     m = system.mobility(system.structure.limits[:, 1])
-    assert m.one_sided is not None and not any(f"{name}=" in repr(m) for name in ("one_sided", "rank", "wrenches"))
+    assert m.one_sided is not None and not any(
+        f"{name}=" in repr(m) for name in ("one_sided", "rank", "wrenches")
+    )
 
 
 def test_states_and_slacks():
@@ -87,7 +111,9 @@ def test_states_and_slacks():
     assert found.violated == ("lower limit of q2",)
     side = {s.name: s for s in found.sides}
     assert side["lower limit of q2"].slack == pytest.approx(-0.25)
-    assert side["lower limit of q3"].slack == pytest.approx(0.5) and side["lower limit of q3"].ways == (True, True)
+    assert side["lower limit of q3"].slack == pytest.approx(0.5) and side[
+        "lower limit of q3"
+    ].ways == (True, True)
     assert "violated: lower limit of q2 by 0.25 rad" in str(found)
     assert "closed, down but not up" in str(side["upper limit of q1"])
 
@@ -98,7 +124,12 @@ def test_a_gradient_that_is_not_defined_says_nothing():
     m.free("F", m.ground, m.body("coin"))
     m.contact("table", "coin", radius=0.1, shape="disc")
     found = one_sided(m.build(), [0, 0, 0, 0.5, 0.5, 0.5, 0.5])
-    assert (found.active, found.dimension, found.lineality, found.cone.exact) == (("table",), 6, 6, False)
+    assert (found.active, found.dimension, found.lineality, found.cone.exact) == (
+        ("table",),
+        6,
+        6,
+        False,
+    )
     assert "nothing is known to first order" in str(found)
 
 
@@ -110,7 +141,12 @@ def test_a_contact_at_the_lowest_point_of_a_circle_says_nothing_to_first_order()
     m.contact("floor", "tip", on="low")
     system = m.build()
     found = one_sided(system, [-np.pi / 2])
-    assert (found.active, found.dimension, found.lineality, found.cone.exact) == (("floor",), 1, 1, False)
+    assert (found.active, found.dimension, found.lineality, found.cone.exact) == (
+        ("floor",),
+        1,
+        1,
+        False,
+    )
     assert system.trace("A", {"A": 0.0}).closed  # it touches, and goes on
 
 
@@ -145,7 +181,9 @@ def test_a_contact_that_equations_keep_closed():
 
 
 def test_a_side_that_only_equations_keep_closed():
-    """Turned by two crossed rods a slider cannot leave its stop; neither side of it is free, and none is vanishing."""
+    """Turned by two crossed rods a slider cannot leave its stop; neither side of it is free, and
+    none is vanishing.
+    """
     m = kempe.Mechanism("stop", dim=2)
     m.translation("P", m.ground, m.particle("p"))
     m.equation("line", "`P.y` = `P.x`")
@@ -153,11 +191,17 @@ def test_a_side_that_only_equations_keep_closed():
     m.contact("floor", "p", on=None)
     found = one_sided(m.build(), [0.0, 0.0])
     (side,) = found.sides
-    assert side.ways == (False, False) and side.why == "the equations keep it closed" and found.dimension == 0
+    assert (
+        side.ways == (False, False)
+        and side.why == "the equations keep it closed"
+        and found.dimension == 0
+    )
 
 
 def test_rolling_is_obeyed_in_the_corner():
-    """A ball that rolls on the floor, held against a wall: it may roll along it, spin, go away from it, and lift."""
+    """A ball that rolls on the floor, held against a wall: it may roll along it, spin, go away from
+    it, and lift.
+    """
     m = kempe.Mechanism("corner")
     m.free("F", m.ground, m.body("ball"))
     m.rolls("roll", "ball", 0.1, one_sided=True)
@@ -186,21 +230,32 @@ def test_mobility_tells_which_limits_are_reached():
 
 
 def gaps(system, q):
-    """Gaps of the constraints of `cage` from poses alone, and their inward gradients by central differences."""
+    """Gaps of the constraints of `cage` from poses alone, and their inward gradients by central
+    differences.
+    """
 
     def values(x):
         hand, elbow, anchor, tray = (system.fk(x, n) for n in ("hand", "elbow", "anchor", "tray"))
         seen = np.linalg.inv(tray) @ hand
         far = np.linalg.norm(hand[:3, 3] - anchor[:3, 3])
         box = np.linalg.inv(anchor) @ elbow
-        return np.array([
-            seen[2, 3] - 0.05, hand[2, 3], 1.4 - far, far - 0.2, *(box[:3, 3] + 0.9),
-            *(0.9 - box[:3, 3]),
-        ])  # fmt: skip
+        return np.array(
+            [
+                seen[2, 3] - 0.05,
+                hand[2, 3],
+                1.4 - far,
+                far - 0.2,
+                *(box[:3, 3] + 0.9),
+                *(0.9 - box[:3, 3]),
+            ]
+        )
 
     steps = 1e-6 * np.eye(system.nv)
     J = [
-        (values(system.configuration_space.integrate(q, h)) - values(system.configuration_space.integrate(q, -h)))
+        (
+            values(system.configuration_space.integrate(q, h))
+            - values(system.configuration_space.integrate(q, -h))
+        )
         / 2e-6
         for h in steps
     ]
@@ -224,16 +279,28 @@ def cage():
 
 
 def constrained(q, chosen):
-    """The cage with constraints moved so that the chosen gaps are zero at q, and the others are open by 0.3."""
+    """The cage with constraints moved so that the chosen gaps are zero at q, and the others are
+    open by 0.3.
+    """
     system = cage().build()
     values, _ = gaps(system, q)
     out = cage()
     shift = np.where(chosen, values, values - 0.3)
-    out.frame("lifted", "tray body", at=tuple(np.array([0, 0, 0.1]) + shift[0] * tilt()[:, 2]), rpy=(0.1, 0, 0))
+    out.frame(
+        "lifted",
+        "tray body",
+        at=tuple(np.array([0, 0, 0.1]) + shift[0] * tilt()[:, 2]),
+        rpy=(0.1, 0, 0),
+    )
     out.frame("low", out.ground, at=(0, 0, float(shift[1])))
     out.contact("ball", "hand", on="lifted", radius=0.05)
     out.contact("floor", "hand", on="low")
-    out.constrain(kempe.constraints.Distance("hand", "anchor", at_least=0.2 + shift[3], at_most=1.4 - shift[2]), "rope")
+    out.constrain(
+        kempe.constraints.Distance(
+            "hand", "anchor", at_least=0.2 + shift[3], at_most=1.4 - shift[2]
+        ),
+        "rope",
+    )
     low = -0.9 + shift[4:7]
     high = 0.9 - shift[7:]
     out.constrain(kempe.constraints.InBox("elbow", low, high, other="anchor"), name="box")
@@ -262,7 +329,9 @@ def test_what_declared_constraints_allow(number, hunt):
         found = one_sided(made, q)
         assert not found.violated
         assert len(found.active) == chosen.sum()
-        assert np.sort([s.slack for s in found.sides]) == pytest.approx(np.sort(np.where(chosen, 0.0, 0.3)), abs=1e-9)
+        assert np.sort([s.slack for s in found.sides]) == pytest.approx(
+            np.sort(np.where(chosen, 0.0, 0.3)), abs=1e-9
+        )
         G = J[chosen]
         E = np.zeros((0, system.nv))
         closed += len(G)
@@ -278,4 +347,6 @@ def test_what_declared_constraints_allow(number, hunt):
 def test_what_is_open_may_fall_and_rise():
     system = kempe.load("puma560")
     found = one_sided(system, system.mid)
-    assert len(found.sides) == 12 and all(s.state == "open" and s.ways == (True, True) for s in found.sides)
+    assert len(found.sides) == 12 and all(
+        s.state == "open" and s.ways == (True, True) for s in found.sides
+    )

@@ -1,4 +1,6 @@
-"""Parts of the analysis of mobility, each where its answer is known by hand: series of joints, forms, steps, ranks."""
+"""Parts of the analysis of mobility, each where its answer is known by hand: series of joints,
+forms, steps, ranks.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def series_of(count: int) -> Any:
 
 
 def test_hinges_whose_axes_meet_are_a_ball_from_either_end():
-    """They meet 0.5, 1.2 and -0.3 from the origins of the three, and the fourth axis does not meet the third."""
+    """They meet 0.5, 1.2 and -0.3 from the origins of the three, and the fourth axis does not meet
+    the third.
+    """
     meets = [_Meeting((0.5, 1.2), False), _Meeting((1.2, -0.3), False), None]
     assert _grow(series_of(4), meets, 0, 1) == BallEnd((0, 1, 2), 0.5, False)
     assert _grow(series_of(4), meets, 2, -1) == BallEnd((2, 1, 0), -0.3, False)
@@ -46,19 +50,27 @@ def test_hinges_whose_axes_meet_are_a_ball_from_either_end():
 
 
 @pytest.mark.parametrize("through", [None, 4, 5])
-def test_a_ball_of_hinges_is_part_of_a_spherical_linkage_if_the_next_axis_goes_through_its_point(through):
+def test_a_ball_of_hinges_is_part_of_a_spherical_linkage_if_the_next_axis_goes_through_its_point(
+    through,
+):
     """Hinges 1, 2 and 3 are the ball, 0 is the hinge: next to them are 4 and 5."""
     w = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], dtype=float)
-    away = np.array([[0.0, 0.0, 0.0] if k < 4 or k == through else [0.0, 0.3, 0.7] for k in range(6)])
+    away = np.array(
+        [[0.0, 0.0, 0.0] if k < 4 or k == through else [0.0, 0.3, 0.7] for k in range(6)]
+    )
     at: Any = SimpleNamespace(M=np.tile(np.eye(4), (6, 1, 1)), center=np.zeros(3), length=1.0)
     at.twists = [np.concatenate([np.cross(p, x), x])[:, None] for p, x in zip(away, w, strict=True)]
     at.M[:, :3, 3] = away
-    edges: Any = SimpleNamespace(edges=[SimpleNamespace(columns=(SimpleNamespace(slides=False),))] * 6)
+    edges: Any = SimpleNamespace(
+        edges=[SimpleNamespace(columns=(SimpleNamespace(slides=False),))] * 6
+    )
     pair = Pair(series_of(6), BallEnd((0,), 0.0, True), BallEnd((1, 2, 3), 0.0, False))
     assert _one_of_many(edges, at, series_of(6), pair) == (through is not None)
 
 
-@pytest.mark.parametrize(("aside", "along", "joined"), [(0.0, 1.0, True), (0.3, 1.0, False), (0.0, 0.0, False)])
+@pytest.mark.parametrize(
+    ("aside", "along", "joined"), [(0.0, 1.0, True), (0.3, 1.0, False), (0.0, 0.0, False)]
+)
 def test_a_spin_joins_two_points_if_both_are_on_its_axis(aside, along, joined):
     ends = np.tile(np.eye(4), (2, 1, 1))
     ends[1, :3, 3] = aside, 0.0, along
@@ -72,7 +84,10 @@ def test_a_spin_joins_two_points_if_both_are_on_its_axis(aside, along, joined):
 
 
 def test_what_has_no_direction_is_released_before_turns():
-    rows = [_JointReaction("J", label, False, None, np.ones(1)) for label in (REACTIONS["x"], REACTIONS["rx"], "law")]
+    rows = [
+        _JointReaction("J", label, False, None, np.ones(1))
+        for label in (REACTIONS["x"], REACTIONS["rx"], "law")
+    ]
     assert _choose(rows, 1) == [[rows[2]]] and _choose(rows[:2], 1) == [[rows[1]]]
 
 
@@ -114,10 +129,14 @@ def test_half_branches_that_are_shaky_and_next_to_each_other_are_one():
 
 
 def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
-    """Its own are recognised; where opposite joints turn the other way against each other nothing stays closed."""
+    """Its own are recognised; where opposite joints turn the other way against each other nothing
+    stays closed.
+    """
     calls = []
     whole = known_motions.half_angles
-    monkeypatch.setattr(known_motions, "half_angles", lambda *given: calls.append(given) or whole(*given))
+    monkeypatch.setattr(
+        known_motions, "half_angles", lambda *given: calls.append(given) or whole(*given)
+    )
     system = kempe.load("bennett")
     local_dimension(system, system.q("closed"))
     ((equations, q, axes, places, rates),) = calls
@@ -143,21 +162,33 @@ def slides(law: str) -> kempe.System:
     return m.build()
 
 
-@pytest.mark.parametrize(("law", "ends"), [
-    ("y^2 - x^3", [(2, True)]), ("y^2 - x^2*(1 + x)", [(2, False)] * 2), ("x^3 - 3*x*y^2", [(2, False)] * 3),
-    ("x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", [(2, False)] * 3), ("x^2 + y^2", []),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("law", "ends"),
+    [
+        ("y^2 - x^3", [(2, True)]),
+        ("y^2 - x^2*(1 + x)", [(2, False)] * 2),
+        ("x^3 - 3*x*y^2", [(2, False)] * 3),
+        ("x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", [(2, False)] * 3),
+        ("x^2 + y^2", []),
+    ],
+)
 def test_branches_of_one_equation(law, ends):
     """A cusp, a node, three lines, and these up to far below rounding; a point."""
     found = local_dimension(slides(law), [0.0, 0.0])
-    assert [(b.ends, b.cusp) for b in found.branches] == ends and found.dim == bool(ends) and not found.more
+    assert (
+        [(b.ends, b.cusp) for b in found.branches] == ends
+        and found.dim == bool(ends)
+        and not found.more
+    )
 
 
 def test_a_quadratic_form_counts_branches_only_where_no_direction_is_lost(monkeypatch):
     """Nor do forms that are far below rounding count any."""
     found = []
     whole = leading_forms.decide
-    monkeypatch.setattr(leading_forms, "decide", lambda *given: found.append(whole(*given)) or found[-1])
+    monkeypatch.setattr(
+        leading_forms, "decide", lambda *given: found.append(whole(*given)) or found[-1]
+    )
     for law in ("y^2 - x^3", "y^2 - x^2*(1 + x)", "x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", "x^2 + y^2"):
         local_dimension(slides(law), [0.0, 0.0])
     assert [x[:2] for x in found] == [(1, None), (1, 2), (1, None), (0, 0)]
@@ -203,11 +234,16 @@ def test_a_report_names_the_joints_of_each_group_of_loops_and_shows_no_parts():
     (group,) = m.clusters
     assert (sorted(group.joints), group.loops) == (["A", "B", "C", "D"], ("C",))
     assert str(m).startswith("four_bar")
-    assert not [part for part in ("rank=", "local=", "one_sided=", "wrenches=", "within=") if part in repr(m)]
+    assert not [
+        part
+        for part in ("rank=", "local=", "one_sided=", "wrenches=", "within=")
+        if part in repr(m)
+    ]
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [("four_bar", ""), ("shaky_3r", "shaky: it can move to first order, but is rigid")]
+    ("name", "kind"),
+    [("four_bar", ""), ("shaky_3r", "shaky: it can move to first order, but is rigid")],
 )
 def test_kinds_of_configurations(name, kind):
     assert mobility(kempe.load(name)).kind == kind

@@ -1,4 +1,6 @@
-"""Idle freedoms: every form of a ball, what is driven, carried, held by one part; judged by moving and null space."""
+"""Idle freedoms: every form of a ball, what is driven, carried, held by one part; judged by moving
+and null space.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from kempe.kinematics.closure_rows import residual
 from kempe.spatial import exp_so3
 
 ANGLE = 0.02
-"""Angle of a finite spin, where hinges turn as fast; three hinges that turn faster are soon in one plane."""
+"""Angle of a finite spin, where hinges turn as fast; three hinges that turn faster are soon in one
+plane."""
 
 
 def groups(freedoms) -> list[frozenset[str]]:
@@ -28,7 +31,9 @@ def groups(freedoms) -> list[frozenset[str]]:
 
 
 def assert_spins(system: System, q: np.ndarray, f: IdleFreedom) -> None:
-    """Moved by a finite amount and closed again, the group has turned about the axis, and nothing but its links too."""
+    """Moved by a finite amount and closed again, the group has turned about the axis, and nothing
+    but its links too.
+    """
     group = {*f.bodies, *f.links}
     moved = {j.name for j in system.mechanism.joints.values() if {j.parent, j.child} & group}
     others = {n: x for n, x in system.q_dict(q).items() if n.partition(".")[0] not in moved}
@@ -58,7 +63,9 @@ def rate_of(system: System, q: np.ndarray, f: IdleFreedom) -> float:
 
 
 def alone(system: System, q: np.ndarray, bodies) -> int:
-    """In how many ways these bodies can move while all others rest: a null space in maximal coordinates."""
+    """In how many ways these bodies can move while all others rest: a null space in maximal
+    coordinates.
+    """
     J = maximal_jacobian(system, kempe.convert.to_maximal(system, q))
     columns = [6 * (system.body_names.index(b) - 1) + k for b in bodies for k in range(6)]
     values = np.linalg.svd(J[:, columns], compute_uv=False)
@@ -160,7 +167,9 @@ def test_a_frame_off_the_axis_of_a_rod_makes_it_useful(at, idle):
     "form, actuated, idle", [("S", None, 1), ("RRR", None, 0), ("RRR", ["base"], 1), ("RRR", [], 1)]
 )
 def test_an_elbow_swings_idly_if_its_joints_are_known_to_be_passive(form, actuated, idle):
-    """Two links with an elbow between two balls: an arm of seven hinges is such a thing, and these may be motors."""
+    """Two links with an elbow between two balls: an arm of seven hinges is such a thing, and these
+    may be motors.
+    """
     r = Rods(np.random.default_rng(3))
     w = r.world
     w.turn("ground", "a", r.point(), r.axis(), name="base")
@@ -171,7 +180,9 @@ def test_an_elbow_swings_idly_if_its_joints_are_known_to_be_passive(form, actuat
     system = w.build()
     m = mobility(system, system.neutral, actuated, local=False)
     assert m.idle == idle
-    assert mobility(system, system.neutral, ["elbow"], local=False).idle == 1, "it does not turn in this motion"
+    assert mobility(system, system.neutral, ["elbow"], local=False).idle == 1, (
+        "it does not turn in this motion"
+    )
 
 
 def test_what_turns_about_an_axis_that_happens_to_pass_a_ball_is_not_idle():
@@ -188,7 +199,8 @@ def test_what_turns_about_an_axis_that_happens_to_pass_a_ball_is_not_idle():
 
 
 @pytest.mark.parametrize(
-    "name, idle", [("rssr", 1), ("delta_ss", 6), ("delta_uu", 0), ("stewart_sps", 6), ("stewart", 0)]
+    "name, idle",
+    [("rssr", 1), ("delta_ss", 6), ("delta_uu", 0), ("stewart_sps", 6), ("stewart", 0)],
 )
 def test_the_shipped_ones(name, idle):
     system = kempe.load(name)
@@ -218,7 +230,9 @@ def test_hunt_many_rods(hunt):
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 def test_a_roller_on_its_pin_is_idle_and_links_that_happen_to_be_in_line_are_not(scale):
-    """Textbooks' idle freedom: a roller between an arm and a block. A rhombus folded for good is no such thing."""
+    """Textbooks' idle freedom: a roller between an arm and a block. A rhombus folded for good is no
+    such thing.
+    """
     w = World("roller", 2)
     w.turn("ground", "arm", (0, 0))
     w.turn("arm", "roller", (1, 0.5))
@@ -231,6 +245,11 @@ def test_a_roller_on_its_pin_is_idle_and_links_that_happen_to_be_in_line_are_not
     m = look(w, scale, moved=True)
     assert (m.dof, [f.bodies for f in m.idle_freedoms], m.useful) == (2, [("roller",)], 1)
     folded = World("rhombus", 2)
-    for a, b, p in (("ground", "a", (0, 0)), ("a", "b", (1, 0)), ("b", "c", (1.6, 0.8)), ("c", "ground", (1, 0))):
+    for a, b, p in (
+        ("ground", "a", (0, 0)),
+        ("a", "b", (1, 0)),
+        ("b", "c", (1.6, 0.8)),
+        ("c", "ground", (1, 0)),
+    ):
         folded.turn(a, b, p)
     assert look(folded).idle == 0

@@ -27,7 +27,9 @@ def follow(way) -> np.ndarray:
 def goals(rng: np.random.Generator, n: int) -> np.ndarray:
     """Goals near and far, many of them with parallel or opposite headings."""
     size = rng.choice([0.01, 0.3, 1.0, 5.0, 100.0], n)
-    heading = np.where(rng.random(n) < 0.2, rng.choice([0.0, math.pi, math.pi / 2], n), rng.uniform(-4, 4, n))
+    heading = np.where(
+        rng.random(n) < 0.2, rng.choice([0.0, math.pi, math.pi / 2], n), rng.uniform(-4, 4, n)
+    )
     return np.column_stack([size * rng.uniform(-1, 1, n), size * rng.uniform(-1, 1, n), heading])
 
 
@@ -43,10 +45,17 @@ def test_every_way_leads_to_the_goal(hunt):
 
 
 # Turning round in place takes three arcs of 60 degrees (Reeds and Shepp, 1990, section 1).
-@pytest.mark.parametrize(("goal", "length", "cusps"), [
-    ((0.0, 0.0, 0.0), 0.0, 0), ((3.0, 0.0, 0.0), 3.0, 0), ((-3.0, 0.0, 0.0), 3.0, 0),
-    ((1.0, 1.0, math.pi / 2), math.pi / 2, 0), ((0.0, 2.0, math.pi), math.pi, 0), ((0.0, 0.0, math.pi), math.pi, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("goal", "length", "cusps"),
+    [
+        ((0.0, 0.0, 0.0), 0.0, 0),
+        ((3.0, 0.0, 0.0), 3.0, 0),
+        ((-3.0, 0.0, 0.0), 3.0, 0),
+        ((1.0, 1.0, math.pi / 2), math.pi / 2, 0),
+        ((0.0, 2.0, math.pi), math.pi, 0),
+        ((0.0, 0.0, math.pi), math.pi, 2),
+    ],
+)
 def test_known_lengths(goal, length, cusps):
     best = ways(*goal)[0] if any(goal) else ()
     assert length_of(best) == pytest.approx(length, abs=1e-12)
@@ -61,7 +70,9 @@ def test_lengths_are_those_of_mirror_images(hunt, sign):
 
 
 def polished(way: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
-    """Lengths near those of a word (curvatures, lengths) that end at the goal: Newton with differences."""
+    """Lengths near those of a word (curvatures, lengths) that end at the goal: Newton with
+    differences.
+    """
     k, x = way
     for _ in range(30):
         off = goal - follow(zip(k, x, strict=True))
@@ -80,7 +91,9 @@ def polished(way: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
 
 @pytest.mark.parametrize("starts", [6, pytest.param(150, marks=pytest.mark.slow)])
 def test_no_shorter_way_of_up_to_five_pieces_was_found(hunt, starts):
-    """Random sequences of arcs and lines, led to the goal: an upper bound that shares nothing with the formulas."""
+    """Random sequences of arcs and lines, led to the goal: an upper bound that shares nothing with
+    the formulas.
+    """
     rng = hunt.rng()
     near = 0
     for goal in goals(rng, hunt.cases(12)):

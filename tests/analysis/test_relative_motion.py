@@ -1,4 +1,6 @@
-"""How one body moves relative to another: each joint's freedoms, axes known from drawings, differences of poses."""
+"""How one body moves relative to another: each joint's freedoms, axes known from drawings,
+differences of poses.
+"""
 
 from __future__ import annotations
 
@@ -29,17 +31,26 @@ def test_a_joint_leaves_its_freedoms(name):
 def test_the_lectures_slider():
     loop = kempe.load("seven_bodies_loop")
     q = loop.assemble().q
-    assert loop.loops.relative_motion(q, "B5", "B0").sentence == "1 DoF of B5 relative to B0: a slide along x"
+    assert (
+        loop.loops.relative_motion(q, "B5", "B0").sentence
+        == "1 DoF of B5 relative to B0: a slide along x"
+    )
     assert str(loop.loops.relative_motion(q, "B0", "B0")) == "0 DoF of B0 relative to B0"
 
 
 def test_links_of_four_bars_turn_about_known_points():
-    """A rocker about its pin; the coupler about its pole, where the lines of both cranks meet (Kennedy, Aronhold)."""
+    """A rocker about its pin; the coupler about its pole, where the lines of both cranks meet
+    (Kennedy, Aronhold).
+    """
     bar = kempe.load("four_bar")
     q = bar.assemble({"A": 1.1}).q
     pins = {c: bar.fk(q, b)[:2, 3] for c, b in (("A", "crank"), ("B", "coupler"), ("D", "rocker"))}
     rocker = bar.loops.relative_motion(q, "rocker", "ground")
-    assert rocker.dof == 1 and rocker.slides == 0 and "a turn about z through (0.4, 0, 0)" in rocker.sentence
+    assert (
+        rocker.dof == 1
+        and rocker.slides == 0
+        and "a turn about z through (0.4, 0, 0)" in rocker.sentence
+    )
     motion = bar.loops.relative_motion(q, "coupler", "ground")
     v = motion.twists[:2, 0]
     w = motion.twists[5, 0]
@@ -79,7 +90,9 @@ def test_twists_are_rates_of_relative_poses():
             W = D[:3, :3] @ X[:3, :3].T
             columns.append([*D[:3, 3], W[2, 1], W[0, 2], W[1, 0]])
         rates = np.array(columns).T
-        assert found.dof == np.linalg.matrix_rank(rates, 1e-6) and np.allclose(found.origin, X[:3, 3])
+        assert found.dof == np.linalg.matrix_rank(rates, 1e-6) and np.allclose(
+            found.origin, X[:3, 3]
+        )
         inside = found.twists @ np.linalg.lstsq(found.twists, rates, rcond=None)[0]
         assert np.allclose(inside, rates, atol=1e-8)
 
@@ -112,7 +125,9 @@ def test_a_singular_posture_says_what_there_is_around():
 
 
 def test_a_turn_about_the_origin_of_a_body_is_no_screw():
-    """Of a sleeve that a crank moves over a ball and a cross, at the dead centre: it does not slide there."""
+    """Of a sleeve that a crank moves over a ball and a cross, at the dead centre: it does not slide
+    there.
+    """
     m = Mechanism("crank, rod and sleeve")
     m.revolute("crank", m.ground, m.body("wheel"))
     m.spherical("ball", "wheel", m.body("rod"), at=(0.2, 0, 0))
@@ -122,5 +137,7 @@ def test_a_turn_about_the_origin_of_a_body_is_no_screw():
     at_end = system.assemble({"crank": 0.0})
     found = system.loops.relative_motion(at_end.q, "sleeve", "ground")
     assert found.status.startswith("1 DoF of sleeve relative to ground: a turn about x through (")
-    beside = system.loops.relative_motion(system.assemble({"crank": 0.5}, start=at_end.q).q, "sleeve", "ground")
+    beside = system.loops.relative_motion(
+        system.assemble({"crank": 0.5}, start=at_end.q).q, "sleeve", "ground"
+    )
     assert ": a screw of " in beside.status

@@ -1,4 +1,6 @@
-"""Motions of mechanisms whose rods spin: the same as with a universal joint in place of one ball of each rod."""
+"""Motions of mechanisms whose rods spin: the same as with a universal joint in place of one ball of
+each rod.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ LEGS = tuple(f"leg{i}" for i in range(1, 7))
 
 
 def rssr(draw: np.random.Generator, form: str, cut: str = "", planar: bool = False) -> kempe.System:
-    """A rod between two arms on hinges, closed at neutral; `form` names the joints at its ends: S, A (angles), U."""
+    """A rod between two arms on hinges, closed at neutral; `form` names the joints at its ends: S,
+    A (angles), U.
+    """
     flat = np.diag([1.0, 1.0, 0.0]) if planar else np.eye(3)
     p, b, c, d = (flat @ draw.uniform(-1, 1, 3) for _ in range(4))
     first, second = (np.eye(3)[2] if planar else unit(draw.normal(size=3)) for _ in range(2))
@@ -43,11 +47,18 @@ def of(path: Path, names=("A", "D")) -> np.ndarray:
 
 
 def events(path: Path, names=("A", "D")) -> np.ndarray:
-    """Where coordinates turn back (k, 1 + 2 m): which, and cosines and sines of all named ones there, sorted."""
+    """Where coordinates turn back (k, 1 + 2 m): which, and cosines and sines of all named ones
+    there, sorted.
+    """
     number = [path.system.coordinate_names.index(n) for n in names]
-    found = [(names.index(e.coordinate), *np.cos(e.q[number]), *np.sin(e.q[number]))
-             for e in path.extremes if e.coordinate in names]  # fmt: skip
-    return np.array(sorted(found, key=lambda row: tuple(np.round(row, 5)))).reshape(-1, 1 + 2 * len(names))
+    found = [
+        (names.index(e.coordinate), *np.cos(e.q[number]), *np.sin(e.q[number]))
+        for e in path.extremes
+        if e.coordinate in names
+    ]
+    return np.array(sorted(found, key=lambda row: tuple(np.round(row, 5)))).reshape(
+        -1, 1 + 2 * len(names)
+    )
 
 
 def assert_same(path: Path, other: Path) -> None:
@@ -56,9 +67,16 @@ def assert_same(path: Path, other: Path) -> None:
     np.testing.assert_allclose(events(path), events(other), atol=1e-6)
     assert np.abs(path.system.loops.closure_error(path.q)).max() < 1e-9
     if path.closed:
-        np.testing.assert_allclose(of(path)[-1] - of(path)[0], of(other)[-1] - of(other)[0], atol=1e-9)
+        np.testing.assert_allclose(
+            of(path)[-1] - of(path)[0], of(other)[-1] - of(other)[0], atol=1e-9
+        )
         balls = path.system.structure.layout.quaternion_v[:, None] + np.arange(3)
-        assert np.abs(path.system.configuration_space.difference(path.q[0], path.q[-1])[balls]).max(initial=0.0) < 1e-9
+        assert (
+            np.abs(path.system.configuration_space.difference(path.q[0], path.q[-1])[balls]).max(
+                initial=0.0
+            )
+            < 1e-9
+        )
 
 
 def pair(seed, form: str, **options) -> tuple[kempe.System, kempe.System]:
@@ -87,7 +105,9 @@ def _hunt_rods(hunt, cases: int) -> None:
     rng = hunt.rng()
     for _ in range(hunt.cases(cases)):
         seed = int(rng.integers(2**32))
-        spins, rests = pair(seed, "SS", planar=bool(rng.random() < 0.25), cut=str(rng.choice(["", "B", "C"])))
+        spins, rests = pair(
+            seed, "SS", planar=bool(rng.random() < 0.25), cut=str(rng.choice(["", "B", "C"]))
+        )
         start = spins.neutral.copy()
         rod = spins.mobility(spins.neutral, local=False).idle_freedoms[0]
         start = spins.configuration_space.integrate(start, rng.uniform(-3, 3) * rod.velocity)
@@ -109,9 +129,11 @@ SPINNING = (strut, tied, engine)
 
 
 def assert_spun_is_the_same(unit, rng: np.random.Generator) -> bool:
-    """What does not spin takes the same places from starts that differ by spins, driven by the chart's coordinates.
+    """What does not spin takes the same places from starts that differ by spins, driven by the
+    chart's coordinates.
 
-    Whether these have names, by which they can be driven: components of a rotation vector have none.
+    Whether these have names, by which they can be driven: components of a rotation vector have
+    none.
     """
     r = Rods(rng)
     unit(r, "ground")
@@ -119,10 +141,16 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> bool:
     q = system.neutral.copy()
     report = system.mobility(system.neutral, local=False)
     chart = system.independent(q)
-    assert chart.dim == report.rank_dof and len(chart.idle) == report.idle == len(r.idle) and chart.useful
+    assert (
+        chart.dim == report.rank_dof
+        and len(chart.idle) == report.idle == len(r.idle)
+        and chart.useful
+    )
     spun = q
     for f in report.idle_freedoms:
-        spun = system.configuration_space.integrate(spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity))
+        spun = system.configuration_space.integrate(
+            spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity)
+        )
     t = np.linspace(0.0, 0.02, 3)
     values = system.q_dict(q)
     if not {*chart.useful} <= {*values}:
@@ -151,7 +179,10 @@ def test_hunt_what_spins_in_other_ways(unit, hunt):
 def test_hunt_many_things_that_spin(hunt):
     rng = hunt.rng()
     cases = hunt.cases(120)
-    driven = sum(assert_spun_is_the_same(SPINNING[int(rng.integers(len(SPINNING)))], rng) for _ in range(cases))
+    driven = sum(
+        assert_spun_is_the_same(SPINNING[int(rng.integers(len(SPINNING)))], rng)
+        for _ in range(cases)
+    )
     assert driven > 0.9 * cases
 
 
@@ -161,7 +192,13 @@ def test_names_of_bodies_and_joints_do_not_matter(tmp_path):
     system = kempe.load("rssr")
     file = system.mechanism.save(tmp_path / "rssr.toml")
     text = file.read_text()
-    for old, new in (("coupler", "zz"), ('"B"', '"Q9"'), ('"C"', '"A0"'), ("B.q", "Q9.q"), ("C.q", "A0.q")):
+    for old, new in (
+        ("coupler", "zz"),
+        ('"B"', '"Q9"'),
+        ('"C"', '"A0"'),
+        ("B.q", "Q9.q"),
+        ("C.q", "A0.q"),
+    ):
         text = text.replace(old, new)
     file.write_text(text)
     other = kempe.load(file)
@@ -173,7 +210,9 @@ def test_names_of_bodies_and_joints_do_not_matter(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("driver", part(["leg1", "leg2"]))
 def test_a_platform_on_balls_moves_as_one_on_universal_joints(driver):
-    """`stewart_sps` and `stewart` have the same geometry: five legs held, one driven, or all six driven."""
+    """`stewart_sps` and `stewart` have the same geometry: five legs held, one driven, or all six
+    driven.
+    """
     ends = []
     places = []
     for name in ("stewart_sps", "stewart"):
@@ -181,11 +220,17 @@ def test_a_platform_on_balls_moves_as_one_on_universal_joints(driver):
         q = system.q("closed")
         legs = {n: system.q_dict(q)[n] for n in LEGS}
         t = np.linspace(0.0, 1.0, 6)
-        motion = system.drive({n: x + 0.03 * np.sin(t * (i + 2)) for i, (n, x) in enumerate(legs.items())}, start=q)
+        motion = system.drive(
+            {n: x + 0.03 * np.sin(t * (i + 2)) for i, (n, x) in enumerate(legs.items())}, start=q
+        )
         assert motion.success
         places.append(system.fk(motion.q, "platform"))
-        few = system.trace(driver, q, hold={n: x for n, x in legs.items() if n != driver},
-                           budget=kempe.Budget(points=70))  # fmt: skip
+        few = system.trace(
+            driver,
+            q,
+            hold={n: x for n, x in legs.items() if n != driver},
+            budget=kempe.Budget(points=70),
+        )
         ends.append([e.value for e in few.turning_points])
     np.testing.assert_allclose(places[0], places[1], atol=1e-12)
     n = min(map(len, ends))
@@ -199,21 +244,27 @@ def test_a_delta_robot_on_balls_is_driven_as_one_on_universal_joints():
         system = kempe.load(name)
         q = system.q("closed")
         t = np.linspace(0.0, 1.0, 8)
-        motion = system.drive({n: system.q_dict(q)[n] + 0.2 * t * (i - 1) for i, n in enumerate(("A1", "A2", "A3"))},
-                              start=q)  # fmt: skip
+        motion = system.drive(
+            {n: system.q_dict(q)[n] + 0.2 * t * (i - 1) for i, n in enumerate(("A1", "A2", "A3"))},
+            start=q,
+        )
         assert motion.success
         poses.append(system.fk(motion.q, "platform"))
     np.testing.assert_allclose(poses[0], poses[1], atol=1e-11)
 
 
 def test_a_spin_can_be_followed():
-    """With the crank held the spin is the motion; a ball with angles can be held, which leaves one freedom."""
+    """With the crank held the spin is the motion; a ball with angles can be held, which leaves one
+    freedom.
+    """
     system = kempe.load("rssr")
     path = system.trace(hold={"A": 1.2})
     assert path.closed and path.s[-1] > 1.0
     np.testing.assert_allclose(np.ptp(path.q[:, -1]), 0.0, atol=1e-9)
     spins, rests = pair(4, "SA")
-    path = spins.trace("A", spins.neutral.copy(), hold={"C.rz": 0.0}, budget=kempe.Budget(points=12))
+    path = spins.trace(
+        "A", spins.neutral.copy(), hold={"C.rz": 0.0}, budget=kempe.Budget(points=12)
+    )
     assert spins_held(path.track.equations) is None
     with pytest.raises(UnsupportedError, match="2 freedoms"):
         spins.trace("C.rx", spins.neutral.copy())

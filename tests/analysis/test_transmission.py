@@ -1,4 +1,6 @@
-"""Velocities and forces through closed loops, against differences along the branch and textbook formulas."""
+"""Velocities and forces through closed loops, against differences along the branch and textbook
+formulas.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,17 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 def five_bar():
     points = {"A": (0.0, 0.0), "B": (-0.5, 1.0), "C": (0.9, 1.8), "D": (2.2, 1.1), "E": (2.0, 0.0)}
-    return linkage("five-bar", points, {
-        "ground": ("A", "E"), "a": ("A", "B"), "b": ("B", "C"), "c": ("C", "D"), "d": ("D", "E"),
-    })  # fmt: skip
+    return linkage(
+        "five-bar",
+        points,
+        {
+            "ground": ("A", "E"),
+            "a": ("A", "B"),
+            "b": ("B", "C"),
+            "c": ("C", "D"),
+            "d": ("D", "E"),
+        },
+    )
 
 
 def four_bar_on_branch(n=25):
@@ -63,7 +73,9 @@ def test_four_bar_rates_are_freudensteins():
     coupler = q[:, 0] + q[:, 1]
     exact = 1.0 * np.sin(coupler - crank) / (2.0 * np.sin(coupler - rocker))
     np.testing.assert_allclose(J.matrix[:, 0, 0], exact, rtol=1e-12, atol=1e-13)
-    own = -1.0 * np.sin(crank - rocker) / (2.5 * np.sin(coupler - rocker)) - 1.0  # of B, which counts from the crank
+    own = (
+        -1.0 * np.sin(crank - rocker) / (2.5 * np.sin(coupler - rocker)) - 1.0
+    )  # of B, which counts from the crank
     np.testing.assert_allclose(J.matrix[:, 1, 0], own, rtol=1e-12, atol=1e-13)
 
 
@@ -78,12 +90,16 @@ def test_frames_by_differences_along_the_branch():
 def test_two_inputs_and_a_long_linkage_by_differences():
     system = five_bar()
     J = loop_jacobian(system, np.zeros(5), ["A", "E"], ["C*", "C"])
-    np.testing.assert_allclose(J.matrix[:6], differences(system, np.zeros(5), ["A", "E"], "C*"), atol=1e-7)
+    np.testing.assert_allclose(
+        J.matrix[:6], differences(system, np.zeros(5), ["A", "E"], "C*"), atol=1e-7
+    )
     assert J.matrix.shape == (7, 2)
     leg = jansen()
     x = trace(leg, "O", np.zeros(leg.nq)).at(2.0)
     J = loop_jacobian(leg, x, ["O"], ["F*"])
-    np.testing.assert_allclose(J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5)  # lengths are about 50
+    np.testing.assert_allclose(
+        J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5
+    )  # lengths are about 50
 
 
 @pytest.mark.slow
@@ -98,7 +114,9 @@ def test_space_and_quaternions_by_differences():
     m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
     system = m.build()
     path = trace(system, "D", {"A": 0.3})
-    x = path.q[np.argmax(np.abs(np.gradient(path.values("D"), path.s)))]  # far from the dead points of D
+    x = path.q[
+        np.argmax(np.abs(np.gradient(path.values("D"), path.s)))
+    ]  # far from the dead points of D
     J = loop_jacobian(system, x, ["D"], ["rod", "A"])
     np.testing.assert_allclose(J.matrix[:6], differences(system, x, ["D"], "rod"), atol=1e-6)
     # an idle spin of the rod does not matter to what does not spin
@@ -145,12 +163,18 @@ def test_dead_points_and_change_points_are_refused_with_their_rank():
     assert len(found) == 2 and dead_points(path, "D") == path.turning_points
     for e in found:
         J = loop_jacobian(system, e.q, ["A"], ["D"])
-        assert not J and "dead point" in J.status and (J.rank, J.nullity) == (0, 1) and J.margin < 1e-8
+        assert (
+            not J and "dead point" in J.status and (J.rank, J.nullity) == (0, 1) and J.margin < 1e-8
+        )
         assert loop_jacobian(system, e.q, ["D"], ["A"]).matrix == pytest.approx(0.0, abs=1e-8)
     flat = loop_jacobian(four_bar(1, 2, 1, 2), np.zeros(4), ["A"], ["D"])
     assert not flat and "not determined" in flat.status and (flat.rank, flat.nullity) == (1, 2)
     both = loop_jacobian(system, path.q[3], ["A", "D"], ["B"])
-    assert not both and (both.rank, both.nullity) == (1, 1) and "only 1 of the inputs ('A' and 'D')" in both.status
+    assert (
+        not both
+        and (both.rank, both.nullity) == (1, 1)
+        and "only 1 of the inputs ('A' and 'D')" in both.status
+    )
 
 
 def test_units_of_slides():
@@ -161,8 +185,12 @@ def test_units_of_slides():
     q = path.resample(40).q
     A = q[:, 0]
     exact = -r * np.sin(A) - r * r * np.sin(A) * np.cos(A) / np.sqrt(rod**2 - (r * np.sin(A)) ** 2)
-    np.testing.assert_allclose(loop_jacobian(system, q, ["A"], ["S"]).matrix[:, 0, 0], exact, atol=1e-14)
-    np.testing.assert_allclose(loop_jacobian(system, q[:5], ["S"], ["A"]).matrix[:, 0, 0], 1 / exact[:5], rtol=1e-10)
+    np.testing.assert_allclose(
+        loop_jacobian(system, q, ["A"], ["S"]).matrix[:, 0, 0], exact, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        loop_jacobian(system, q[:5], ["S"], ["A"]).matrix[:, 0, 0], 1 / exact[:5], rtol=1e-10
+    )
     np.testing.assert_allclose(mechanical_advantage(system, q, "A", "S"), 1.0 / exact, rtol=1e-9)
     pull = mechanical_advantage(system, q, "A", "slider", direction=(1, 0, 0))
     np.testing.assert_allclose(pull, 1.0 / exact, rtol=1e-9)
@@ -188,7 +216,9 @@ def test_transmission_angle_of_a_four_bar_by_the_law_of_cosines():
     cosine = (b * b + c * c - a * a - d * d + 2 * a * d * np.cos(q[:, 0])) / (2 * b * c)
     exact = np.arccos(np.abs(cosine))
     np.testing.assert_allclose(transmission_angle(system, q, "C"), exact, atol=1e-12)
-    np.testing.assert_allclose(pressure_angle(system, q, "C", coupler="B", output="D"), math.pi / 2 - exact, atol=1e-12)
+    np.testing.assert_allclose(
+        pressure_angle(system, q, "C", coupler="B", output="D"), math.pi / 2 - exact, atol=1e-12
+    )
     # the crank as output
     B = a * np.stack([np.cos(q[:, 0]), np.sin(q[:, 0])], axis=-1)
     u = np.stack([np.cos(q[:, 0] + q[:, 1]), np.sin(q[:, 0] + q[:, 1])], axis=-1)
@@ -238,26 +268,34 @@ def test_a_joint_on_the_ground_has_no_transmission_angle():
 
 
 def row_of_four_bars(n):
-    """A row of n four-bars, not parallelograms: n + 1 cranks on the ground, neighbours joined by couplers."""
+    """A row of n four-bars, not parallelograms: n + 1 cranks on the ground, neighbours joined by
+    couplers.
+    """
     m = Mechanism(f"row of {n} four-bars", dim=2)
     for i in range(n + 1):
         m.revolute(f"A{i}", m.ground, m.body(f"crank{i}"), at=(i, 0))
     for i in range(n):
         coupler = m.body(f"coupler{i}")
         m.revolute(f"B{i}", f"crank{i}", coupler, at=(0, 0.5))
-        m.revolute(f"C{i}", coupler, f"crank{i + 1}", at=(1.0 + 0.01 * (i % 2), 0), child_at=(0, 0.5))
+        m.revolute(
+            f"C{i}", coupler, f"crank{i + 1}", at=(1.0 + 0.01 * (i % 2), 0), child_at=(0, 0.5)
+        )
     return m.build()
 
 
 def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
-    """Where the inputs determine all else, sparse factors give the same matrix, rank and margin as dense ones."""
+    """Where the inputs determine all else, sparse factors give the same matrix, rank and margin as
+    dense ones.
+    """
     system = row_of_four_bars(40)
     q = system.assemble({"A0": 0.2}).q
     outputs = ["A40", "coupler20", "C3"]
     with monkeypatch.context() as patch:
         patch.setattr(transmission, "null_space_from", lambda *args: None)
         dense = loop_jacobian(system, q, ["A0"], outputs)
-    monkeypatch.setattr(transmission, "null_space", lambda *args: pytest.fail("a dense decomposition"))
+    monkeypatch.setattr(
+        transmission, "null_space", lambda *args: pytest.fail("a dense decomposition")
+    )
     sparse = loop_jacobian(system, q, ["A0"], outputs)
     assert sparse.success and dense.success
     assert (sparse.rank, sparse.nullity) == (dense.rank, dense.nullity) == (1, 1)
@@ -281,7 +319,9 @@ def test_a_dead_point_of_a_long_chain_is_left_to_the_dense_decomposition():
 
 
 def test_a_null_space_from_inputs_is_the_null_space_or_nothing(hunt):
-    """Random sparse matrices, some of them nearly singular: what is given is the null space, to rounding."""
+    """Random sparse matrices, some of them nearly singular: what is given is the null space, to
+    rounding.
+    """
     rng = hunt.rng()
     given = 0
     for _ in range(hunt.cases(200)):

@@ -1,4 +1,6 @@
-"""Wrenches of joints and constraints: reciprocal to what may move, in balance, and equal to statics by hand."""
+"""Wrenches of joints and constraints: reciprocal to what may move, in balance, and equal to statics
+by hand.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def allowed(system: System, q: np.ndarray) -> np.ndarray:
 
 
 def twist(system: System, q: np.ndarray, v: np.ndarray, body: str, p: np.ndarray) -> np.ndarray:
-    """[v; w] of a body at the point p along a velocity, in axes of the ground, by differences of poses."""
+    """[v; w] of a body at the point p along a velocity, in axes of the ground, by differences of
+    poses.
+    """
     a, b = (Poses(system, system.configuration_space.integrate(q, h * v))(body) for h in (H, -H))
     W = (a - b)[:3, :3] @ Poses(system, q)(body)[:3, :3].T / (2.0 * H)
     w = np.array([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]]) / 2.0
@@ -130,11 +134,16 @@ def test_a_pin_carries_all_but_a_moment_about_its_axis():
     m = Mechanism("pin")
     m.revolute("pin", m.ground, m.body("door"), at=(1, 2, 3), axis=(0.6, 0.0, 0.8))
     w = Wrenches(m.build(), np.array([0.4]))
-    assert np.linalg.matrix_rank(w["pin"]) == 5 and np.abs(w["pin"][:, 3:] @ [0.6, 0.0, 0.8]).max() < 1e-12
+    assert (
+        np.linalg.matrix_rank(w["pin"]) == 5
+        and np.abs(w["pin"][:, 3:] @ [0.6, 0.0, 0.8]).max() < 1e-12
+    )
     np.testing.assert_allclose(w.point("pin"), [1, 2, 3])
 
 
-@pytest.mark.parametrize(("kind", "count"), [("prismatic", 5), ("cylindrical", 4), ("spherical", 3), ("fixed", 6)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [("prismatic", 5), ("cylindrical", 4), ("spherical", 3), ("fixed", 6)]
+)
 def test_how_many_a_joint_carries(kind, count):
     m = Mechanism(kind)
     m.joint("J", kind, m.ground, m.body("b"))
@@ -155,7 +164,9 @@ def test_a_contact_pushes_along_the_normal_and_a_wheel_across():
     np.testing.assert_allclose(w["ground plane"], [[0, 0, 1, 0, 0, 0]], atol=1e-12)
     car = kempe.load("car")
     w = Wrenches(car, np.array([1.0, 2.0, 0.3]))
-    np.testing.assert_allclose(w["rear axle"], [[-np.sin(0.3), np.cos(0.3), 0, 0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        w["rear axle"], [[-np.sin(0.3), np.cos(0.3), 0, 0, 0, 0]], atol=1e-12
+    )
 
 
 # ---- self-stress
@@ -163,7 +174,9 @@ def test_a_contact_pushes_along_the_normal_and_a_wheel_across():
 
 @pytest.mark.parametrize("name", some(with_loops(), 3))
 def test_as_many_states_as_redundant_constraints(name):
-    """The multipliers of maximal coordinates against the rank of screws; bodies and axes are in balance."""
+    """The multipliers of maximal coordinates against the rank of screws; bodies and axes are in
+    balance.
+    """
     system = kempe.load(name)
     m = system.mobility(local=False)
     w = m.wrenches
@@ -182,17 +195,27 @@ def test_as_many_states_as_redundant_constraints(name):
 
 
 def test_parallel_axes_in_space():
-    """Axes along z: statics leaves two moments across z open, and a force along z, the same all around the loop."""
+    """Axes along z: statics leaves two moments across z open, and a force along z, the same all
+    around the loop.
+    """
     found = [s.wrenches for s in kempe.load("four_bar_spatial").mobility().wrenches.stresses]
     assert len(found) == 3
     for state in found:
-        assert list(state) == ["A", "B", "C", "D"] and all(w[5] == w[0] == w[1] == 0.0 for w in state.values())
-    np.testing.assert_allclose(sorted(tuple(s["A"][2:5]) for s in found), [(0, 0, 1), (0, 1, 0), (1, 0, 0)])
-    assert "B: force (0, 0, 1), moment (-0.1, 0, 0)" in str(kempe.load("four_bar_spatial").mobility())
+        assert list(state) == ["A", "B", "C", "D"] and all(
+            w[5] == w[0] == w[1] == 0.0 for w in state.values()
+        )
+    np.testing.assert_allclose(
+        sorted(tuple(s["A"][2:5]) for s in found), [(0, 0, 1), (0, 1, 0), (1, 0, 0)]
+    )
+    assert "B: force (0, 0, 1), moment (-0.1, 0, 0)" in str(
+        kempe.load("four_bar_spatial").mobility()
+    )
 
 
 def test_a_truss_against_its_equilibrium_matrix(hunt):
-    """K(3, 3) with its joints on a conic has one state of self-stress (Bolker and Roth, 1980): forces of its rods."""
+    """K(3, 3) with its joints on a conic has one state of self-stress (Bolker and Roth, 1980):
+    forces of its rods.
+    """
     angles = hunt.rng().uniform(0.0, 6.0, 6)
     points = np.column_stack([2.0 * np.cos(angles), np.sin(angles)])
     m = Mechanism("K33", dim=2)
@@ -210,8 +233,12 @@ def test_a_truss_against_its_equilibrium_matrix(hunt):
         E[2 * j : 2 * j + 2, k] = -u
     tensions = np.linalg.svd(E)[2][np.linalg.matrix_rank(E, 1e-9) :]
     assert len(tensions) == len(found) == 1
-    own = [-found[0].wrenches[f"{i}-{j}"][:2] @ (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
-           for i, j in edges]  # fmt: skip
+    own = [
+        -found[0].wrenches[f"{i}-{j}"][:2]
+        @ (points[j] - points[i])
+        / np.linalg.norm(points[j] - points[i])
+        for i, j in edges
+    ]
     np.testing.assert_allclose(np.abs(np.dot(own, tensions[0])), np.linalg.norm(own), rtol=1e-8)
 
 
@@ -219,14 +246,19 @@ def test_a_truss_against_its_equilibrium_matrix(hunt):
 
 
 def test_the_torque_of_a_crank_by_virtual_work(hunt):
-    """A force on the coupler of a four-bar against differences of its path (Lanczos, 1970, chapter 3)."""
+    """A force on the coupler of a four-bar against differences of its path (Lanczos, 1970, chapter
+    3).
+    """
     system = kempe.load("four_bar")
     rng = hunt.rng()
     for _ in range(hunt.cases(20)):
         a = float(rng.uniform(0.2, 6.0))
         force = rng.normal(size=2)
         q = system.assemble({"A": a}).q
-        at = [system.fk(system.assemble({"A": a + h}, start=q).q, "coupler_point")[:2, 3] for h in (H, -H)]
+        at = [
+            system.fk(system.assemble({"A": a + h}, start=q).q, "coupler_point")[:2, 3]
+            for h in (H, -H)
+        ]
         found = Wrenches(system, q).under({"coupler_point": force}, held="A")
         assert found.efforts["A"] == pytest.approx(-force @ (at[0] - at[1]) / (2.0 * H), abs=1e-7)
         pins = found.wrenches["A"][:2] + found.wrenches["D"][:2] * (
@@ -253,7 +285,9 @@ def carrying(dim: int, particle: bool) -> System:
 @pytest.mark.parametrize("particle", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_what_an_arm_carries(dim, particle, moment):
-    """Motors hold -J^T W, the first hinge with its motor the load; the ground carries what lies on it."""
+    """Motors hold -J^T W, the first hinge with its motor the load; the ground carries what lies on
+    it.
+    """
     s = carrying(dim, particle)
     rng = np.random.default_rng(2)
     q = s.random(rng)
@@ -297,13 +331,17 @@ def test_what_statics_does_not_determine_is_said():
     m.revolute("other", m.ground, "beam", at=(3, 0), child_at=(3, 0))
     found = Wrenches(m.build(), np.zeros(2)).under({"beam": (0, -9.0, 0.0)})
     assert found.undetermined == ("pin", "other") and "(not determined)" in str(found)
-    np.testing.assert_allclose(found.wrenches["pin"] + found.wrenches["other"], [0, 9, 0, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        found.wrenches["pin"] + found.wrenches["other"], [0, 9, 0, 0, 0, 0], atol=1e-9
+    )
 
 
 def test_bad_input():
     system = kempe.load("four_bar")
     w = Wrenches(system, system.assemble({"A": 1.0}).q)
-    with pytest.raises(InputError, match="nothing balances the loads on 'coupler_point' with no coordinate held"):
+    with pytest.raises(
+        InputError, match="nothing balances the loads on 'coupler_point' with no coordinate held"
+    ):
         w.under({"coupler_point": (1.0, 2.0)})
     with pytest.raises(UnknownNameError, match="joint or constraint 'X'"):
         w["X"]

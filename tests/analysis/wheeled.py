@@ -1,4 +1,6 @@
-"""Mechanisms of the literature on nonholonomic constraints, with their growth vectors at random configurations."""
+"""Mechanisms of the literature on nonholonomic constraints, with their growth vectors at random
+configurations.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,15 @@ from kempe.model.system import System
 
 ON_BALL = from_text(["sqrt(x^2 + y^2 + z^2) - a - b"], (*POSE, "a", "b"), {})
 SLIPS = from_text(
-    ["vx - (wy*z - wz*y)*b/(a + b)", "vy - (wz*x - wx*z)*b/(a + b)", "vz - (wx*y - wy*x)*b/(a + b)",
-     "wx*x + wy*y + wz*z"],
-    (*POSE, *TWIST, "a", "b"), {},
-)  # fmt: skip
+    [
+        "vx - (wy*z - wz*y)*b/(a + b)",
+        "vy - (wz*x - wx*z)*b/(a + b)",
+        "vz - (wx*y - wy*x)*b/(a + b)",
+        "wx*x + wy*y + wz*z",
+    ],
+    (*POSE, *TWIST, "a", "b"),
+    {},
+)
 
 
 @kind("rolls_on_ball", "wheel", "{frame} rolls on a ball about {other}")
@@ -31,17 +38,23 @@ class RollsOnBall(Constraint):
     b: Number = 1.0
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The distance, three velocities of the point that touches, of which two are independent, and the spin."""
+        """The distance, three velocities of the point that touches, of which two are independent,
+        and the spin.
+        """
         units = ["m/s", "m/s", "m/s", "rad/s"]
-        return (Row(Op.TAPE, (ON_BALL, 0), "gap", "m"),
-                *(Row(Op.VELOCITY, (SLIPS, k), f"slip {k}", unit) for k, unit in enumerate(units)))  # fmt: skip
+        return (
+            Row(Op.TAPE, (ON_BALL, 0), "gap", "m"),
+            *(Row(Op.VELOCITY, (SLIPS, k), f"slip {k}", unit) for k, unit in enumerate(units)),
+        )
 
 
 del KINDS["rolls_on_ball"]  # of this module alone
 
 
 def trailers(n: int, second: bool = False) -> System:
-    """A car, whose rear axle does not slip, with n trailers of length 1; `second`: each axle has two wheels."""
+    """A car, whose rear axle does not slip, with n trailers of length 1; `second`: each axle has
+    two wheels.
+    """
     m = Mechanism("car", dim=2)
     last = m.body("car")
     m.joint("car", "planar", m.ground, last)
@@ -59,7 +72,9 @@ def trailers(n: int, second: bool = False) -> System:
 
 
 def steered_car(linkage: bool = False) -> System:
-    """A car with a front wheel that is steered, by hand or by a parallelogram of links, which is a closed loop."""
+    """A car with a front wheel that is steered, by hand or by a parallelogram of links, which is a
+    closed loop.
+    """
     m = Mechanism("steered car", dim=2)
     car = m.body("car")
     wheel = m.body("wheel")
@@ -147,10 +162,11 @@ KNOWN: dict[str, tuple[Callable[[], System], tuple[int, ...], int]] = {
     "blade in space": (blade_in_space, (5, 6), 6),
     "two axles": (two_axles, (1, 1), 3),
 }
-"""Growth vector at random configurations, and the freedoms of position. Ball on plane and disc: Murray, Li, Sastry
-(1994), *A Mathematical Introduction to Robotic Manipulation*, chapter 7, and Bloch (2003), *Nonholonomic Mechanics and
-Control*; trailers: Jean (1996); two balls without spin: Agrachev, Sachkov (2004), *Control Theory from the Geometric
-Viewpoint*, chapter 24, Bor, Montgomery (2009), *G2 and the rolling distribution*: (2, 3, 5) unless they are equal."""
+"""Growth vector at random configurations, and the freedoms of position. Ball on plane and disc:
+Murray, Li, Sastry (1994), *A Mathematical Introduction to Robotic Manipulation*, chapter 7, and
+Bloch (2003), *Nonholonomic Mechanics and Control*; trailers: Jean (1996); two balls without spin:
+Agrachev, Sachkov (2004), *Control Theory from the Geometric Viewpoint*, chapter 24, Bor, Montgomery
+(2009), *G2 and the rolling distribution*: (2, 3, 5) unless they are equal."""
 
 
 def close_by(system: System, rng: np.random.Generator) -> np.ndarray:

@@ -19,7 +19,9 @@ def knife(at=(0.0, 0.0), angle: float = 0.0, limits: dict | None = None) -> Syst
 
 
 def tilted(rng: np.random.Generator) -> System:
-    """A body on an axle in some plane in space, by two prismatic joints, not at right angles, and a revolute one."""
+    """A body on an axle in some plane in space, by two prismatic joints, not at right angles, and a
+    revolute one.
+    """
     m = Mechanism("tilted", dim=3)
     a = m.body("a")
     b = m.body("b")

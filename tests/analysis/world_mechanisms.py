@@ -1,4 +1,6 @@
-"""Mechanisms written down as they stand: all joints by points and axes of the ground, closed at neutral coordinates."""
+"""Mechanisms written down as they stand: all joints by points and axes of the ground, closed at
+neutral coordinates.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +41,13 @@ class World:
     points: dict[str, np.ndarray] = field(default_factory=dict)
     couplings: list[tuple[str, dict[str, float]]] = field(default_factory=list)
 
-    def joint(self, kind: str, a: str, b: str, at=(0, 0, 0), z=Z, x=None, name: str = "", **options) -> str:
+    def joint(
+        self, kind: str, a: str, b: str, at=(0, 0, 0), z=Z, x=None, name: str = "", **options
+    ) -> str:
         name = name or f"J{len(self.joints) + 1}"
-        self.joints.append((name, kind, a, b, self._point(at), axes_with(self._point(z), x), options))
+        self.joints.append(
+            (name, kind, a, b, self._point(at), axes_with(self._point(z), x), options)
+        )
         return name
 
     def turn(self, a: str, b: str, at, z=Z, **options) -> str:
@@ -59,7 +65,9 @@ class World:
 
     def particle(self, name: str, at) -> str:
         self.points[name] = self._point(at)
-        self.joints.append((f"at {name}", "translation", "ground", name, self.points[name], np.eye(3), {}))
+        self.joints.append(
+            (f"at {name}", "translation", "ground", name, self.points[name], np.eye(3), {})
+        )
         return name
 
     def rod(self, a: str, b: str, at=None, end=None) -> str:
@@ -68,10 +76,14 @@ class World:
         return self._constraint("distance", a, b, at, end, Z)
 
     def line(self, a: str, b: str, at, along) -> str:
-        return self._constraint("point_on_line", a, b, self._point(at), self._point(at), self._point(along))
+        return self._constraint(
+            "point_on_line", a, b, self._point(at), self._point(at), self._point(along)
+        )
 
     def plane(self, a: str, b: str, at, normal) -> str:
-        return self._constraint("point_on_plane", a, b, self._point(at), self._point(at), self._point(normal))
+        return self._constraint(
+            "point_on_plane", a, b, self._point(at), self._point(at), self._point(normal)
+        )
 
     def _constraint(self, kind, a, b, at, end, axis) -> str:
         name = f"C{len(self.constraints) + 1}"
@@ -108,11 +120,18 @@ class World:
                 options = options | {"pitch": scale * options["pitch"]}
             m.joint(name, kind, a, b, **where, **options)
         for name, kind, a, b, p, end, axis in self.constraints:
-            ends = [np.zeros(d) if body in self.points else place(x)[:d] for body, x in ((a, p), (b, end))]
+            ends = [
+                np.zeros(d) if body in self.points else place(x)[:d]
+                for body, x in ((a, p), (b, end))
+            ]
             if kind == "distance":
-                m.distance(name, a, b, scale * float(np.linalg.norm(end - p)), at=ends[0], child_at=ends[1])
+                m.distance(
+                    name, a, b, scale * float(np.linalg.norm(end - p)), at=ends[0], child_at=ends[1]
+                )
             else:
-                declare = {"point_on_line": m.point_on_line, "point_on_plane": m.point_on_plane}[kind]
+                declare = {"point_on_line": m.point_on_line, "point_on_plane": m.point_on_plane}[
+                    kind
+                ]
                 declare(name, a, b, at=ends[0], child_at=ends[1], axis=(T[:3, :3] @ axis)[:d])
         for of, sources in self.couplings:
             m.couple(of, sources)
@@ -137,7 +156,9 @@ def framework(name: str, points, edges, pinned=(), dim: int = 3) -> World:
 
 
 def loop(name: str, joints) -> World:
-    """A single closed loop of joints (kind, point, axis, options) in this order, the first on the ground."""
+    """A single closed loop of joints (kind, point, axis, options) in this order, the first on the
+    ground.
+    """
     w = World(name)
     bodies = ["ground", *(f"l{i}" for i in range(1, len(joints)))]
     for i, (kind, p, z, *options) in enumerate(joints):

@@ -1,4 +1,6 @@
-"""One example of each kind of constraint, and what holds for all of them: run for each, and without some of them."""
+"""One example of each kind of constraint, and what holds for all of them: run for each, and without
+some of them.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,12 @@ from kempe.description.toml.toml_writer import write_toml
 from kempe.errors import DescriptionError
 from kempe.kinematics import closure_rows
 
-X = np.array([[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]])
-RING = np.array([[np.cos(t), 0.7 * np.sin(t), 0.2 * np.sin(2.0 * t)] for t in np.linspace(0.0, 2.0 * np.pi, 20)])
+X = np.array(
+    [[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]]
+)
+RING = np.array(
+    [[np.cos(t), 0.7 * np.sin(t), 0.2 * np.sin(2.0 * t)] for t in np.linspace(0.0, 2.0 * np.pi, 20)]
+)
 FLAT = np.array([[0.0, -1.0, 0.3], [1.0, 0.0, 0.1], [0.0, 0.0, 1.0]])
 
 EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
@@ -24,9 +30,13 @@ EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
     "orientation": lambda dim: c.Orientation("tip", X[:3, :3], other="eye"),
     "pointing": lambda dim: c.Pointing("tip", [0.6, 0.8, 0.0][:dim]),
     "look_at": lambda dim: c.LookAt("tip", [2.0, 1.0, 3.0][:dim]),
-    "on_line": lambda dim: c.OnLine("tip", [0.1, 0.2, 0.0][:dim], [1.0, 1.0, 0.0][:dim], other="eye"),
+    "on_line": lambda dim: c.OnLine(
+        "tip", [0.1, 0.2, 0.0][:dim], [1.0, 1.0, 0.0][:dim], other="eye"
+    ),
     "on_plane": lambda dim: c.OnPlane("tip", [0.1, 0.2, 0.0][:dim], [1.0, 1.0, 0.0][:dim]),
-    "half_space": lambda dim: c.HalfSpace("tip", [0.0, 0.0, 0.0][:dim], [0.0, 1.0, 0.0][:dim], margin=0.1),
+    "half_space": lambda dim: c.HalfSpace(
+        "tip", [0.0, 0.0, 0.0][:dim], [0.0, 1.0, 0.0][:dim], margin=0.1
+    ),
     "on_sphere": lambda dim: c.OnSphere("tip", [0.1, 0.2, 0.3][:dim], 0.7),
     "in_box": lambda dim: c.InBox("tip", [-1.0, -1.0, -1.0][:dim], [0.5, 0.5, 0.5][:dim]),
     "relative_pose": lambda dim: c.RelativePose("tip", "eye", X if dim == 3 else FLAT),
@@ -42,7 +52,9 @@ EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
     "centre_of_points": lambda dim: c.CentreOfPoints(["tip", "eye"], [0.1, 0.2, 0.3][:dim]),
     "equation": lambda dim: c.Equation("`Ja.x` - 2*`Jb.x` = 0.1"),
     "inequality": lambda dim: c.Inequality("1 - `Ja.x`^2"),
-    "velocity_equation": lambda dim: c.VelocityEquation([["`Ja.y`", "0", "1"]], of=("Ja.x", "Ja.y", "Jb.x")),
+    "velocity_equation": lambda dim: c.VelocityEquation(
+        [["`Ja.y`", "0", "1"]], of=("Ja.x", "Ja.y", "Jb.x")
+    ),
     "function": lambda dim: c.Function(lambda q: q[0] - 0.3),
 }
 """An example of each kind, for a planar (2) and a spatial (3) system."""
@@ -56,12 +68,16 @@ def two_bodies(dim: int) -> Mechanism:
     m = Mechanism("two", dim)
     for name, frame in (("a", "tip"), ("b", "eye")):
         m.free(f"J{name}", m.ground, m.body(name, mass=1.0))
-        m.frame(frame, name, at=(0.2, 0.1), **({"angle": 0.3} if dim == 2 else {"rpy": (0.1, 0.2, 0.3)}))
+        m.frame(
+            frame, name, at=(0.2, 0.1), **({"angle": 0.3} if dim == 2 else {"rpy": (0.1, 0.2, 0.3)})
+        )
     return m
 
 
 def run(name: str, dim: int) -> None:
-    """What holds for every kind: declared, counted, closed, differentiated, judged, requested, written and read."""
+    """What holds for every kind: declared, counted, closed, differentiated, judged, requested,
+    written and read.
+    """
     made = EXAMPLES[name](dim)
     assert c.KINDS[name] is type(made) and made.kind == name and made.says and type(made).__doc__
     if any(r.velocity for r in made.rows(dim)):
@@ -97,7 +113,9 @@ def requested(made: c.Constraint, s: System) -> None:
     assert max(tasks.miss(s, made, answer.q)) < 1e-6
     J = tasks.jacobian(s, made, q)
     h = 1e-6
-    ends = [tasks.error(s, made, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
+    ends = [
+        tasks.error(s, made, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)
+    ]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
 
 
@@ -109,7 +127,10 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     J = closure_rows.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6
-    ends = [closure_rows.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
+    ends = [
+        closure_rows.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv)))
+        for x in (h, -h)
+    ]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
     closed = s.assemble(start=q)
     assert closed.success, closed.status

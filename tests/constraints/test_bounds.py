@@ -1,4 +1,6 @@
-"""`at_least` and `at_most`, alike for all kinds that measure one number: against that number computed by hand."""
+"""`at_least` and `at_most`, alike for all kinds that measure one number: against that number
+computed by hand.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +39,20 @@ def _angle(a, b):
 
 
 def _curve(p, dim):
-    points = np.vstack([RING[:, :dim], RING[:1, :dim]]) if not np.allclose(RING[0], RING[-1]) else RING[:, :dim].copy()
+    points = (
+        np.vstack([RING[:, :dim], RING[:1, :dim]])
+        if not np.allclose(RING[0], RING[-1])
+        else RING[:, :dim].copy()
+    )
     points[-1] = points[0]
     s = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
     spline = CubicSpline(s, points, bc_type="periodic")
     off = lambda t: np.linalg.norm(spline(t) - p[:dim])  # noqa: E731
     grid = np.linspace(0.0, s[-1], 2001)
     best = grid[np.argmin([off(t) for t in grid])]
-    return minimize_scalar(off, bounds=(best - 0.01, best + 0.01), method="bounded", options={"xatol": 1e-12}).fun
+    return minimize_scalar(
+        off, bounds=(best - 0.01, best + 0.01), method="bounded", options={"xatol": 1e-12}
+    ).fun
 
 
 def measured(name: str, dim: int, made, system, q) -> float:
@@ -58,22 +66,30 @@ def measured(name: str, dim: int, made, system, q) -> float:
     return {
         "position": lambda: np.linalg.norm(point - flat(made.target)),
         "relative_position": lambda: np.linalg.norm(point - flat(made.target)),
-        "orientation": lambda: Rotation.from_matrix(np.asarray(made.target).T @ X[:3, :3]).magnitude(),
+        "orientation": lambda: Rotation.from_matrix(
+            np.asarray(made.target).T @ X[:3, :3]
+        ).magnitude(),
         "pointing": lambda: _angle(axis, flat(made.direction)),
         "look_at": lambda: _angle(axis, flat(made.target) - X[:3, 3]),
-        "on_line": lambda: np.linalg.norm(
-            np.cross(point - flat(made.origin), flat(made.direction))) / np.linalg.norm(made.direction),
-        "on_plane": lambda: (point - flat(made.origin)) @ flat(made.normal) / np.linalg.norm(made.normal),
+        "on_line": lambda: (
+            np.linalg.norm(np.cross(point - flat(made.origin), flat(made.direction)))
+            / np.linalg.norm(made.direction)
+        ),
+        "on_plane": lambda: (
+            (point - flat(made.origin)) @ flat(made.normal) / np.linalg.norm(made.normal)
+        ),
         "on_sphere": lambda: np.linalg.norm(point - flat(made.center)),
         "distance": lambda: np.linalg.norm(point),
         "on_surface": lambda: point[0] ** 2 / 4.0 + point[1] ** 2 - 1.0,
         "on_curve": lambda: _curve(point, dim),
-    }[name]()  # fmt: skip
+    }[name]()
 
 
 @pytest.mark.parametrize("dim", some([2, 3], 3))
 @pytest.mark.parametrize("name", KINDS)
-@pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
+@pytest.mark.parametrize(
+    "bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str
+)
 def test_declared_and_as_tasks(name, dim, bounds, hunt):
     if name in INSTEAD and "at_most" not in bounds:
         bounds = {"at_least": 1.3}
@@ -88,9 +104,13 @@ def test_declared_and_as_tasks(name, dim, bounds, hunt):
     held = m.build()
     assert held.mobility().dof == free.nv, "one-sided rows take no freedom"
     moved = 0
-    for k in range(max(hunt.cases(6), 2)):  # from where the kind holds without bounds, and from far away
+    for k in range(
+        max(hunt.cases(6), 2)
+    ):  # from where the kind holds without bounds, and from far away
         q = free.random(rng) if k % 2 else free.ik(EXAMPLES[name](dim), start=free.random(rng)).q
-        q = free.configuration_space.integrate(q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05))
+        q = free.configuration_space.integrate(
+            q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05)
+        )
         while k == 1 and high < math.inf and low <= measured(name, dim, made, free, q) <= high:
             q = free.configuration_space.integrate(q, rng.uniform(-1.0, 1.0, free.nv))
         before = measured(name, dim, made, free, q)
@@ -98,7 +118,9 @@ def test_declared_and_as_tasks(name, dim, bounds, hunt):
             assert answer.success, answer.status
             assert low - 1e-6 <= measured(name, dim, made, free, answer.q) <= high + 1e-6
             if low <= before <= high:
-                assert np.allclose(free.configuration_space.difference(q, answer.q), 0.0), "nothing has to move"
+                assert np.allclose(free.configuration_space.difference(q, answer.q), 0.0), (
+                    "nothing has to move"
+                )
             else:
                 moved += 1
     assert moved, "the bounds mattered somewhere"
@@ -138,20 +160,31 @@ def branching(q):
 
 
 NUMBERS = {
-    "equation": (lambda **b: c.Equation("`Ja.x` - 2*`Jb.x`", **b), lambda s, q: q[0] - 2.0 * s.q_dict(q)["Jb.x"]),
-    "function of coordinates": (lambda **b: c.Equation(branching, of="Ja.x", **b), lambda s, q: q[0] + max(q[0], 0.0)),
+    "equation": (
+        lambda **b: c.Equation("`Ja.x` - 2*`Jb.x`", **b),
+        lambda s, q: q[0] - 2.0 * s.q_dict(q)["Jb.x"],
+    ),
+    "function of coordinates": (
+        lambda **b: c.Equation(branching, of="Ja.x", **b),
+        lambda s, q: q[0] + max(q[0], 0.0),
+    ),
     "inequality": (lambda **b: c.Inequality("`Ja.x`^2", **b), lambda s, q: q[0] ** 2),
     "centre_of_mass": (
-        lambda **b: c.CentreOfMass(axes="y", **b), lambda s, q: (s.fk(q, "a")[1, 3] + s.fk(q, "b")[1, 3]) / 2.0),
+        lambda **b: c.CentreOfMass(axes="y", **b),
+        lambda s, q: (s.fk(q, "a")[1, 3] + s.fk(q, "b")[1, 3]) / 2.0,
+    ),
     "centre_of_points": (
         lambda **b: c.CentreOfPoints({"tip": 2.0, "eye": 1.0}, axes="x", **b),
-        lambda s, q: (2.0 * s.fk(q, "tip")[0, 3] + s.fk(q, "eye")[0, 3]) / 3.0),
-}  # fmt: skip
+        lambda s, q: (2.0 * s.fk(q, "tip")[0, 3] + s.fk(q, "eye")[0, 3]) / 3.0,
+    ),
+}
 """Kinds of the whole configuration with bounds, and the number that they measure."""
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-@pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
+@pytest.mark.parametrize(
+    "bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str
+)
 def test_expressions_and_centres_have_bounds(name, bounds, hunt):
     make, number = NUMBERS[name]
     made = make(**bounds)
@@ -173,7 +206,9 @@ def test_expressions_and_centres_have_bounds(name, bounds, hunt):
         for f in solve:
             assert low - 1e-6 <= number(free, found := f(q)) <= high + 1e-6
             if low <= number(free, q) <= high:
-                assert np.allclose(free.configuration_space.difference(q, found), 0.0), "nothing has to move"
+                assert np.allclose(free.configuration_space.difference(q, found), 0.0), (
+                    "nothing has to move"
+                )
             slack.add(bool(low <= number(free, q) <= high))
     assert False in slack
 
@@ -201,17 +236,28 @@ def test_bounds_of_each_of_several_values(hunt):
     q = s.ik(made, start=s.configuration_space.integrate(s.neutral, np.full(s.nv, 0.9))).q
     np.testing.assert_allclose(q[:, :2], most, atol=1e-6)
     assert c.Equation(["x", "y"], at_most=[1.0, 2.0]).sentence == "x, y are at most (1, 2)"
-    for low, high, said in ((None, [1, 2, 3], "must be a number, or"), ([1, 2], [1, 0], "leave nothing")):
+    for low, high, said in (
+        (None, [1, 2, 3], "must be a number, or"),
+        ([1, 2], [1, 0], "leave nothing"),
+    ):
         with pytest.raises(InputError, match=said):
             s.ik(c.Equation(["`Ja.x`", "`Ja.y`"], at_least=low, at_most=high))
 
 
-@pytest.mark.parametrize("make", [
-    lambda: c.Equation("A = 2", at_most=1.0), lambda: two_bodies(3).build().ik(c.CentreOfMass([0, 0, 0], at_most=1.0)),
-    lambda: two_bodies(3).build().ik(c.CentreOfMass(at_most=1.0)), lambda: two_bodies(3).build().ik(c.CentreOfMass()),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: c.Equation("A = 2", at_most=1.0),
+        lambda: two_bodies(3).build().ik(c.CentreOfMass([0, 0, 0], at_most=1.0)),
+        lambda: two_bodies(3).build().ik(c.CentreOfMass(at_most=1.0)),
+        lambda: two_bodies(3).build().ik(c.CentreOfMass()),
+    ],
+)
 def test_a_value_besides_bounds_or_none_at_all_is_refused(make):
-    with pytest.raises(InputError, match="within bounds|needs a target, or at_least or at_most along one of its axes"):
+    with pytest.raises(
+        InputError,
+        match="within bounds|needs a target, or at_least or at_most along one of its axes",
+    ):
         make()
 
 

@@ -23,7 +23,12 @@ from kempe.model.closures.constraint_program import recorded
 ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
 RING = np.stack([1.5 * np.cos(ROUND), 0.8 * np.sin(ROUND), 0.3 * np.sin(2.0 * ROUND)], axis=1)
 EIGHT = np.stack([np.sin(ROUND), np.sin(2.0 * ROUND), 0.0 * ROUND], axis=1)
-CURVES = {"ring": (RING, True), "arc": (RING[:12], False), "eight": (EIGHT, True), "open eight": (EIGHT[:20], False)}
+CURVES = {
+    "ring": (RING, True),
+    "arc": (RING[:12], False),
+    "eight": (EIGHT, True),
+    "open eight": (EIGHT[:20], False),
+}
 
 
 def tape_of(points, closed: bool, dim: int) -> Tape:
@@ -54,7 +59,9 @@ def scipy_spline(points, closed: bool) -> CubicSpline:
 
 
 def distance(points, closed: bool, p: np.ndarray) -> float:
-    """The distance of a place from scipy's spline, by the finest of samples; from its tangents beyond the ends."""
+    """The distance of a place from scipy's spline, by the finest of samples; from its tangents
+    beyond the ends.
+    """
     spline = scipy_spline(points, closed)
     fine = np.linspace(0.0, spline.x[-1], 4001)
     squares = np.sum((spline(fine) - p) ** 2, axis=1)
@@ -62,7 +69,10 @@ def distance(points, closed: bool, p: np.ndarray) -> float:
     best = squares.min()
     ends = fine[max(i - 1, 0)], fine[min(i + 1, 4000)]
     found: Any = minimize_scalar(
-        lambda s: float(np.sum((spline(s) - p) ** 2)), method="bounded", options={"xatol": 1e-12}, bounds=ends
+        lambda s: float(np.sum((spline(s) - p) ** 2)),
+        method="bounded",
+        options={"xatol": 1e-12},
+        bounds=ends,
     )
     best = min(best, found.fun)
     if not closed:
@@ -96,7 +106,9 @@ def test_zero_on_the_curve_and_nowhere_steep(name, dim):
     values, gradients = run(tape_of(points, closed, dim), on)
     np.testing.assert_allclose(values, 0.0, atol=1e-12)
     products = gradients @ np.swapaxes(gradients, 1, 2)
-    np.testing.assert_allclose(products, np.broadcast_to(np.eye(dim - 1), products.shape), atol=1e-9)
+    np.testing.assert_allclose(
+        products, np.broadcast_to(np.eye(dim - 1), products.shape), atol=1e-9
+    )
 
 
 @pytest.mark.slow
@@ -140,13 +152,19 @@ def test_series_by_values_along_a_line(dim):
     kernel.tape_series(ints, floats, order, given, found)
     later = judged(t, p + h * way)
     off = np.abs(found @ h ** np.arange(order + 1) - later).max(axis=1)
-    assert np.median(off) < 1e-12 and np.mean(off < 1e-8) > 0.8  # some lines cross into another piece
+    assert (
+        np.median(off) < 1e-12 and np.mean(off < 1e-8) > 0.8
+    )  # some lines cross into another piece
 
 
-@pytest.mark.parametrize("points", [
-    np.stack([np.cos(5.0 * (x := np.linspace(0.0, 1.0, 1000))), np.sin(3.0 * x), x], axis=1) * 1e3,
-    np.stack([x, 0.0 * x, 0.0 * x], axis=1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.stack([np.cos(5.0 * (x := np.linspace(0.0, 1.0, 1000))), np.sin(3.0 * x), x], axis=1)
+        * 1e3,
+        np.stack([x, 0.0 * x, 0.0 * x], axis=1),
+    ],
+)
 def test_a_thousand_points(points):
     t = tape_of(points, False, 3)
     s = scipy_spline(points, False)
@@ -215,25 +233,34 @@ def test_written_and_read():
     again = read_toml(write_toml(m))
     assert again == m
     q = m.build().random(1)
-    np.testing.assert_array_equal(again.build().loops.constraints()[0].residual(again.build(), q),
-                                  m.build().loops.constraints()[0].residual(m.build(), q))  # fmt: skip
+    np.testing.assert_array_equal(
+        again.build().loops.constraints()[0].residual(again.build(), q),
+        m.build().loops.constraints()[0].residual(m.build(), q),
+    )
 
 
-@pytest.mark.parametrize(("points", "closed", "said"), [
-    ([[0, 0], [1, 1], [2, 0]], False, "points of OnCurve of 'tip' are 3; an open curve needs 4"),
-    ([[0, 0], [1, 1]], True, "are 2; a closed curve needs 3"),
-    ([[0, 0], [1, 1], [0, 0]], True, "are 2; a closed curve needs 3"),
-    ([[0, 0], [0, 0], [1, 1], [2, 2]], False, "points 0 and 1 are equal"),
-    ([[0, 0], [1, 0], [1, 1], [1, 1]], True, "points 2 and 3 are equal"),
-    ([[0, 0], [0, 0], [0, 0], [0, 0]], False, "are equal"),
-    ([0, 1, 2, 3], False, r"have the shape \(4,\); they must be"),
-    (np.zeros((4, 4)), False, r"have the shape \(4, 4\)"),
-    ([], False, "have the shape"),
-    ([[0, 0], [np.nan, 0], [1, 1], [2, 2]], False, "finite"),
-    ([[0, 0], [np.inf, 0], [1, 1], [2, 2]], True, "finite"),
-    ([["a", 0], [1, 0], [1, 1], [2, 2]], False, "points of OnCurve of 'tip'"),
-    ([[0, 0], [1, 1], [2], [3, 3]], False, "points of OnCurve of 'tip'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("points", "closed", "said"),
+    [
+        (
+            [[0, 0], [1, 1], [2, 0]],
+            False,
+            "points of OnCurve of 'tip' are 3; an open curve needs 4",
+        ),
+        ([[0, 0], [1, 1]], True, "are 2; a closed curve needs 3"),
+        ([[0, 0], [1, 1], [0, 0]], True, "are 2; a closed curve needs 3"),
+        ([[0, 0], [0, 0], [1, 1], [2, 2]], False, "points 0 and 1 are equal"),
+        ([[0, 0], [1, 0], [1, 1], [1, 1]], True, "points 2 and 3 are equal"),
+        ([[0, 0], [0, 0], [0, 0], [0, 0]], False, "are equal"),
+        ([0, 1, 2, 3], False, r"have the shape \(4,\); they must be"),
+        (np.zeros((4, 4)), False, r"have the shape \(4, 4\)"),
+        ([], False, "have the shape"),
+        ([[0, 0], [np.nan, 0], [1, 1], [2, 2]], False, "finite"),
+        ([[0, 0], [np.inf, 0], [1, 1], [2, 2]], True, "finite"),
+        ([["a", 0], [1, 0], [1, 1], [2, 2]], False, "points of OnCurve of 'tip'"),
+        ([[0, 0], [1, 1], [2], [3, 3]], False, "points of OnCurve of 'tip'"),
+    ],
+)
 def test_points_of_no_curve(points, closed, said):
     with pytest.raises(InputError, match=said):
         c.OnCurve("tip", points, closed)
@@ -241,7 +268,9 @@ def test_points_of_no_curve(points, closed, said):
 
 def test_points_of_another_dimension():
     with pytest.raises(InputError, match="points of OnCurve of 'tip' has shape"):
-        kempe.load("panda").ik(c.OnCurve(kempe.load("panda").frame_names[-1], circle(9), name="OnCurve of 'tip'"))
+        kempe.load("panda").ik(
+            c.OnCurve(kempe.load("panda").frame_names[-1], circle(9), name="OnCurve of 'tip'")
+        )
     with pytest.raises(DescriptionError, match="leaves the plane"):
         crank_and_arm(c.OnCurve("tip", RING, closed=True))
     with pytest.raises(InputError, match="closed of OnCurve of 'tip' is 'yes'"):
@@ -250,8 +279,12 @@ def test_points_of_another_dimension():
 
 @pytest.mark.parametrize("size", [1e-10, 1.0, 1e6])
 def test_a_sharp_curve_is_split_into_gentle_pieces_that_join(size):
-    """Through the corners of a zigzag round a square: of any size, through all points, without gaps or kinks."""
-    points = size * np.array([[0, 0, 0], [1, 0, 0], [0.9, 1, 0], [0.1, 0.1, 0], [0, 1, 0]], dtype=float)
+    """Through the corners of a zigzag round a square: of any size, through all points, without gaps
+    or kinks.
+    """
+    points = size * np.array(
+        [[0, 0, 0], [1, 0, 0], [0.9, 1, 0], [0.1, 0.1, 0], [0, 1, 0]], dtype=float
+    )
     pieces = spline(tuple(map(tuple, points)), True, "the curve")
     assert len(pieces) > len(points)
     starts = pieces[..., 0]
@@ -265,7 +298,9 @@ def test_a_sharp_curve_is_split_into_gentle_pieces_that_join(size):
 
 
 def test_the_radius_of_a_piece_is_that_of_its_control_points():
-    """Bernstein's form of a cubic, by the conversion of monomials that textbooks print (Farin 2002, chapter 5)."""
+    """Bernstein's form of a cubic, by the conversion of monomials that textbooks print (Farin 2002,
+    chapter 5).
+    """
     pieces = np.random.default_rng(3).normal(size=(5, 3, 4))
     rows = np.array(table_of(pieces, True)[1:]).reshape(5, 13)
     to_bernstein = np.array([[1, 0, 0, 0], [1, 1 / 3, 0, 0], [1, 2 / 3, 1 / 3, 0], [1, 1, 1, 1]])

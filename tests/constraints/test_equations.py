@@ -1,4 +1,6 @@
-"""Equations of the user: text and functions, what they are recorded to, files, copies, and what is refused."""
+"""Equations of the user: text and functions, what they are recorded to, files, copies, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def test_parameters_are_data():
     assert m.constraints["law"].of.of == m.constraints["same"].of.of == ("A", "B")
     s = m.build()
     for k, system in ((2.0, s), (3.0, s.with_parameters(k=3.0))):
-        np.testing.assert_allclose(closure_rows.residual(system, [0.5, 0.1]), 0.5 - k * 0.1, atol=1e-15)
+        np.testing.assert_allclose(
+            closure_rows.residual(system, [0.5, 0.1]), 0.5 - k * 0.1, atol=1e-15
+        )
 
 
 @pytest.mark.parametrize("law", ["A = B", lambda x: x["A"] - x["B"], branching])
@@ -143,7 +147,9 @@ def test_attached_with_a_prefix():
     s = host.build()
     alone = everything().build()
     q = np.array([0.3, 0.6])
-    np.testing.assert_allclose(closure_rows.residual(s, q), closure_rows.residual(alone, q), atol=1e-15)
+    np.testing.assert_allclose(
+        closure_rows.residual(s, q), closure_rows.residual(alone, q), atol=1e-15
+    )
     from kempe.kinematics.velocity.velocity import rates
 
     for found, expected in zip(rates(s, q), rates(alone, q), strict=True):
@@ -174,7 +180,12 @@ def test_as_a_task_of_ik():
     assert s.fk(answer.q, "tip")[1, 3] == pytest.approx(0.5, abs=1e-7)
     bounded = s.ik([Inequality("A - 1"), kempe.constraints.Position("tip", (1.2, 0.3))])
     assert bounded.success and bounded.q[0] >= 1.0 - 1e-7
-    called = s.ik([Equation(branching, of=("A", "B")), kempe.constraints.OnLine("tip", (0.0, 0.5), (1.0, 0.0))])
+    called = s.ik(
+        [
+            Equation(branching, of=("A", "B")),
+            kempe.constraints.OnLine("tip", (0.0, 0.5), (1.0, 0.0)),
+        ]
+    )
     assert called.success and called.q[0] == pytest.approx(2 * called.q[1], abs=1e-7)
 
 
@@ -186,31 +197,83 @@ def test_velocities_are_no_tasks_of_ik():
 # ---- refusals
 
 WRONG = {
-    "near name": (lambda m: m.equation("e", "A - 2*Bb"), DescriptionError, "'e'.*no coordinate 'Bb'; did you mean 'B'"),
+    "near name": (
+        lambda m: m.equation("e", "A - 2*Bb"),
+        DescriptionError,
+        "'e'.*no coordinate 'Bb'; did you mean 'B'",
+    ),
     "time unsaid": (lambda m: m.equation("e", "A - t"), DescriptionError, "'e'.*'t'.*time=True"),
-    "raises": (lambda m: m.equation("e", lambda x: x["A"] - 1 / 0, of=("A",)), InputError, "'e' raised Zero.*at A = "),
-    "wrong size": (lambda m: m.equation("e", lambda x: [[1, x["A"]]], of=("A",)), InputError, r"'e'.*shape \(1, 2\)"),
-    "NaN": (lambda m: m.equation("e", lambda x: math.nan * x["A"], of=("A",)), InputError, "'e'.*nan"),
-    "nothing": (lambda m: m.equation("e", lambda x: None, of=("A",)), InputError, "'e': it returns None"),
-    "undeclared": (lambda m: m.equation("e", lambda x: x["B"], of=("A",)), UnknownNameError, "undeclared.*'B'"),
+    "raises": (
+        lambda m: m.equation("e", lambda x: x["A"] - 1 / 0, of=("A",)),
+        InputError,
+        "'e' raised Zero.*at A = ",
+    ),
+    "wrong size": (
+        lambda m: m.equation("e", lambda x: [[1, x["A"]]], of=("A",)),
+        InputError,
+        r"'e'.*shape \(1, 2\)",
+    ),
+    "NaN": (
+        lambda m: m.equation("e", lambda x: math.nan * x["A"], of=("A",)),
+        InputError,
+        "'e'.*nan",
+    ),
+    "nothing": (
+        lambda m: m.equation("e", lambda x: None, of=("A",)),
+        InputError,
+        "'e': it returns None",
+    ),
+    "undeclared": (
+        lambda m: m.equation("e", lambda x: x["B"], of=("A",)),
+        UnknownNameError,
+        "undeclared.*'B'",
+    ),
     "no names": (lambda m: m.equation("e", lambda x: x["A"]), InputError, r"'e'.*of=\(\.\.\.\)"),
-    "code": (lambda m: m.equation("e", "__import__('os').getcwd()"), KempeError, "no expression holds"),
-    "attribute": (lambda m: m.equation("e", "A.__class__"), DescriptionError, "no coordinate 'A.__class__'"),
+    "code": (
+        lambda m: m.equation("e", "__import__('os').getcwd()"),
+        KempeError,
+        "no expression holds",
+    ),
+    "attribute": (
+        lambda m: m.equation("e", "A.__class__"),
+        DescriptionError,
+        "no coordinate 'A.__class__'",
+    ),
     "call": (lambda m: m.equation("e", "open(A)"), KempeError, "open"),
     "twice": (lambda m: m.equation("e", "A", of=("A", "A")), InputError, "'A' twice"),
     "inequality": (lambda m: m.inequality("e", "A = 1"), InputError, "not negative"),
-    "matrix": (lambda m: m.velocity_equation("e", [[1]], of=("A", "B")), InputError, "2 entries, for A, B"),
-    "ragged": (lambda m: m.velocity_equation("e", [[1, 2], [3]], of=("A", "B")), InputError, "different lengths"),
-    "b": (lambda m: m.velocity_equation("e", [[1, 2]], of=("A", "B"), b=[1, 2]), InputError, "b of .*'e'"),
+    "matrix": (
+        lambda m: m.velocity_equation("e", [[1]], of=("A", "B")),
+        InputError,
+        "2 entries, for A, B",
+    ),
+    "ragged": (
+        lambda m: m.velocity_equation("e", [[1, 2], [3]], of=("A", "B")),
+        InputError,
+        "different lengths",
+    ),
+    "b": (
+        lambda m: m.velocity_equation("e", [[1, 2]], of=("A", "B"), b=[1, 2]),
+        InputError,
+        "b of .*'e'",
+    ),
     "branching rows": (
-        lambda m: m.velocity_equation("e", lambda x: [[abs(x["A"]), 1]], of=("A", "B")), InputError, "'e' cannot be"),
-    "a whole posture": (lambda m: m.constrain(kempe.constraints.Posture({"A": 0.1}, weight=None)),
-                        DescriptionError, "one call of ik"),
+        lambda m: m.velocity_equation("e", lambda x: [[abs(x["A"]), 1]], of=("A", "B")),
+        InputError,
+        "'e' cannot be",
+    ),
+    "a whole posture": (
+        lambda m: m.constrain(kempe.constraints.Posture({"A": 0.1}, weight=None)),
+        DescriptionError,
+        "one call of ik",
+    ),
     "bounds of several": (
-        lambda m: m.constrain(kempe.constraints.Equation(["A", "B"], at_least=[0.0, 1.0, 2.0])), DescriptionError,
-        r"at_least .* has shape \(3,\)"),
+        lambda m: m.constrain(kempe.constraints.Equation(["A", "B"], at_least=[0.0, 1.0, 2.0])),
+        DescriptionError,
+        r"at_least .* has shape \(3,\)",
+    ),
     "of a file": (lambda m: m.equation("e", 3 + 4j), KempeError, "text"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -265,7 +328,9 @@ def test_the_words_of_a_tape_are_its_inputs():
     assert Equation(branching, of=("B", "A")).words == ("B", "A")
 
 
-@pytest.mark.parametrize(("entry", "said"), [("C", "no .*'C'"), ("t", "no .*'t'.*; for the time say time=True")])
+@pytest.mark.parametrize(
+    ("entry", "said"), [("C", "no .*'C'"), ("t", "no .*'t'.*; for the time say time=True")]
+)
 def test_names_in_rows_of_velocities_that_are_neither_coordinates_nor_parameters(entry, said):
     made = VelocityEquation([[entry, "p"]], of=("A", "B"), parameters=("p",))
     with pytest.raises(InputError, match=said):

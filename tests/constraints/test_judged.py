@@ -18,7 +18,9 @@ HELD = [n for n in EXAMPLES if n not in TASKS_ONLY]
 
 
 def apart(system: System, q: np.ndarray) -> np.ndarray:
-    """How far (..., n, 2) each constraint is missed by the kernels: the norms of its rows in metres, and of others."""
+    """How far (..., n, 2) each constraint is missed by the kernels: the norms of its rows in
+    metres, and of others.
+    """
     packed = closure_rows.full(system, False)
     values = closure_rows.residual(system, q)
     names = [n for n, _ in packed.names]
@@ -33,7 +35,9 @@ def apart(system: System, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("name", HELD)
 def test_each_kind(name, dim, hunt):
-    """Where the kernels close it, it holds; elsewhere the miss is that of the kernels' rows, or zero with them."""
+    """Where the kernels close it, it holds; elsewhere the miss is that of the kernels' rows, or
+    zero with them.
+    """
     m = two_bodies(dim)
     rng = hunt.rng()
     m.constrain(made := EXAMPLES[name](dim), "it")
@@ -43,20 +47,31 @@ def test_each_kind(name, dim, hunt):
     q = np.stack([system.random(rng) for _ in range(hunt.cases(20))])
     there = judge(system, q)
     closed = system.assemble(start=q)
-    assert closed.success.all() and closed.judged.holds.all() and there.names == (("it",) if rows else ())
+    assert (
+        closed.success.all()
+        and closed.judged.holds.all()
+        and there.names == (("it",) if rows else ())
+    )
     if rows and len(equal) == len(rows):
         rows_ = apart(system, q)
-        if made.kind in ("pointing", "look_at"):  # the kernels' rows are the chord between directions
+        if made.kind in (
+            "pointing",
+            "look_at",
+        ):  # the kernels' rows are the chord between directions
             rows_[..., 1] = 2.0 * np.arcsin(np.minimum(rows_[..., 1] / 2.0, 1.0))
         np.testing.assert_allclose(there.errors, rows_, atol=1e-7)
         assert not there.holds.any()
     if rows and not equal:
         beyond = one_sided_rows(system).beyond(q, declared=True)
-        np.testing.assert_allclose(np.linalg.norm(there.errors[0], axis=-1), np.linalg.norm(beyond, axis=-1), atol=1e-9)
+        np.testing.assert_allclose(
+            np.linalg.norm(there.errors[0], axis=-1), np.linalg.norm(beyond, axis=-1), atol=1e-9
+        )
         assert there.holds.tolist() == (beyond == 0.0).all(axis=-1).tolist() and there.holds.any()
 
 
-@pytest.mark.parametrize("name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
+@pytest.mark.parametrize(
+    "name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).rows(3))]
+)
 def test_tasks_and_declared_are_judged_alike(name, hunt):
     m = two_bodies(3)
     rng = hunt.rng()
@@ -67,14 +82,20 @@ def test_tasks_and_declared_are_judged_alike(name, hunt):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
+@pytest.mark.parametrize(
+    "name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).rows(3))]
+)
 def test_answers_of_ik_are_judged(name, dim):
-    """What is required is judged at poses that are multiplied out; another configuration is no answer."""
+    """What is required is judged at poses that are multiplied out; another configuration is no
+    answer.
+    """
     system = two_bodies(dim).build()
     made = EXAMPLES[name](dim)
     answer = system.ik(made.demand(weight=None), start=system.random(3))
     assert answer.success and answer.judged and answer.judged.names == (made.label,)
-    np.testing.assert_allclose(answer.judged.errors[0], tasks.miss(system, made, answer.q), atol=1e-12)
+    np.testing.assert_allclose(
+        answer.judged.errors[0], tasks.miss(system, made, answer.q), atol=1e-12
+    )
     elsewhere = replace(answer, q=answer.q + np.linspace(0.7, 1.9, system.nq))
     one_sided = name in ("half_space", "contact", "in_box", "inequality")
     assert one_sided or (not elsewhere.judged and "success is contradicted" in elsewhere.verdict)

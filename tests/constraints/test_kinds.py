@@ -1,4 +1,6 @@
-"""Every kind of constraint does what kinds do, and needs no other kind; no name of a kind stands outside its table."""
+"""Every kind of constraint does what kinds do, and needs no other kind; no name of a kind stands
+outside its table.
+"""
 
 from __future__ import annotations
 
@@ -52,30 +54,51 @@ for other in kinds_battery.EXAMPLES:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", some([
-    "distance", *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance")
-], 4))  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    some(
+        [
+            "distance",
+            *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance"),
+        ],
+        4,
+    ),
+)
 def test_no_kind_needs_another(name):
     script = WITHOUT.format(here=str(HERE), name=name)
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
 
 
-@sources.each([p for p in SOURCE.rglob("*.py") if p.relative_to(SOURCE).as_posix() not in ALLOWED], SOURCE)
+@sources.each(
+    [p for p in SOURCE.rglob("*.py") if p.relative_to(SOURCE).as_posix() not in ALLOWED], SOURCE
+)
 def test_kinds_are_named_in_their_table_only(path):
     """Everywhere else what is to be done follows from their rows."""
     classes = {kind.__name__ for kind in KINDS.values()} - {"Function"}
     for node in sources.nodes(path):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("kempe.constraints"):
+        if (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.startswith("kempe.constraints")
+        ):
             assert not classes & {alias.name for alias in node.names}, f"line {node.lineno}"
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            assert not (node.value.id in ("constraints", "tasks") and node.attr in classes), f"line {node.lineno}"
-        if isinstance(node, ast.Compare):
-            names = {x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and isinstance(x.value, str)}
-            kinds = any(isinstance(x, ast.Attribute) and x.attr == "kind" for x in ast.walk(node))
-            assert not (kinds and names & (set(KINDS) - {"joint"}) and "constraint" in ast.unparse(node)), (
+            assert not (node.value.id in ("constraints", "tasks") and node.attr in classes), (
                 f"line {node.lineno}"
             )
+        if isinstance(node, ast.Compare):
+            names = {
+                x.value
+                for x in ast.walk(node)
+                if isinstance(x, ast.Constant) and isinstance(x.value, str)
+            }
+            kinds = any(isinstance(x, ast.Attribute) and x.attr == "kind" for x in ast.walk(node))
+            assert not (
+                kinds and names & (set(KINDS) - {"joint"}) and "constraint" in ast.unparse(node)
+            ), f"line {node.lineno}"
 
 
 SWITCHES = [(name, f.name) for name in EXAMPLES for f in fields(KINDS[name]) if f.type == "bool"]
@@ -91,16 +114,27 @@ def test_a_switch_is_true_or_false(name, switch, given):
 
 def test_a_kind_whose_fields_are_not_written_as_text_is_refused():
     """What a field is, such as a frame, is read from its annotation."""
-    made = type("Odd", (Constraint,), {"__annotations__": {"frame": object}, "rows": lambda self, dim: ()})
-    with pytest.raises(InputError, match="Odd: its module must begin with: from __future__ import annotations"):
+    made = type(
+        "Odd", (Constraint,), {"__annotations__": {"frame": object}, "rows": lambda self, dim: ()}
+    )
+    with pytest.raises(
+        InputError, match="Odd: its module must begin with: from __future__ import annotations"
+    ):
         kind("odd")(made)
     assert "odd" not in KINDS
 
 
 def test_what_may_be_left_out_is_given_by_name_only_and_parameters_are_not_shown():
     made = [EXAMPLES[name](3) for name in EXAMPLES]
-    late = {(m.kind, f.name) for m in made if m.rows(3) for f in fields(m) if f.default is None and not f.kw_only
-            and f.name in ("other", "parameters", "at_least", "at_most", "name")}  # fmt: skip
+    late = {
+        (m.kind, f.name)
+        for m in made
+        if m.rows(3)
+        for f in fields(m)
+        if f.default is None
+        and not f.kw_only
+        and f.name in ("other", "parameters", "at_least", "at_most", "name")
+    }
     assert late == {(name, "other") for name in ("contact", "no_sideslip", "rolls")}
     assert not [m.kind for m in made if "parameters=" in repr(m)]
 
@@ -108,12 +142,19 @@ def test_what_may_be_left_out_is_given_by_name_only_and_parameters_are_not_shown
 def test_the_content_of_a_constraint_is_its_kind_and_what_it_says_but_not_the_parameters_of_a_mechanism():
     made = c.Equation("A - 2*B")
     assert content(made)[0] == "equation" and ("expression", "A - 2*B") in content(made)
-    assert content(made) == content(replace(made, parameters=("p",))) != content(c.Equation("A - 3*B"))
+    assert (
+        content(made) == content(replace(made, parameters=("p",))) != content(c.Equation("A - 3*B"))
+    )
 
 
-@pytest.mark.parametrize(("name", "label"), [
-    ("centre_of_points", "CentreOfPoints of 'tip', 'eye'"), ("centre_of_mass", "CentreOfMass of the system"),
-    ("distance", "Distance of 'tip' and 'eye'"), ("position", "Position of 'tip'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        ("centre_of_points", "CentreOfPoints of 'tip', 'eye'"),
+        ("centre_of_mass", "CentreOfMass of the system"),
+        ("distance", "Distance of 'tip' and 'eye'"),
+        ("position", "Position of 'tip'"),
+    ],
+)
 def test_messages_name_what_a_constraint_is_about(name, label):
     assert EXAMPLES[name](3).label == label

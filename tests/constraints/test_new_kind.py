@@ -1,4 +1,6 @@
-"""A new kind is one class: declared, given to ik, counted, closed, traced, classified, written, drawn, explained."""
+"""A new kind is one class: declared, given to ik, counted, closed, traced, classified, written,
+drawn, explained.
+"""
 
 from __future__ import annotations
 

@@ -27,21 +27,35 @@ def test_each_kind_is_said(name, dim):
     said = facts.system_facts(system := m.build())["constraints"][0]["says"]
     assert said == made.sentence and f" {said}\n" in info(system)
     assert not {*"{}[]"} & {*said} and "None" not in said and "array" not in said
-    frames = [x for x in (getattr(made, "frame", None), getattr(made, "other", None)) if x is not None]
+    frames = [
+        x for x in (getattr(made, "frame", None), getattr(made, "other", None)) if x is not None
+    ]
     assert all(frame in said for frame in frames)
 
 
-@pytest.mark.parametrize(("made", "said"), [
-    (c.Distance("tip", "eye", 0.9), "tip and eye are 0.9 m apart"),
-    (c.Distance("tip", "eye", at_most="2*l"), "tip and eye are at most 1 m apart"),
-    (c.Distance("tip", "eye", at_least=0.1, at_most=0.5), "tip and eye are at least 0.1 and at most 0.5 m apart"),
-    (c.OnSphere("tip", (0, 0, 0), 0.5), "tip is 0.5 m away from a point of the ground"),
-    (c.Pose("tip", np.eye(4), other="eye"), "tip is at a given pose, seen from eye"),
-    (c.Equation(lambda x: [x["Ja.x"] - 1, 2 * x["Ja.y"]], of=("Ja.x", "Ja.y")), "Ja.x - 1 = 0, 2*Ja.y = 0"),
-    (c.Equation(lambda x: 1.0 if x["Ja.x"] > 0 else 2.0, of=("Ja.x",)), "f(Ja.x) = 0"),
-    (c.Inequality("1 - `Ja.x`"), "1 - `Ja.x` >= 0"),
-    (c.VelocityEquation([["1", "2"]], of=("Ja.x", "Ja.y")), "the velocities v of (Ja.x, Ja.y) obey ((1, 2)) v = 0"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (c.Distance("tip", "eye", 0.9), "tip and eye are 0.9 m apart"),
+        (c.Distance("tip", "eye", at_most="2*l"), "tip and eye are at most 1 m apart"),
+        (
+            c.Distance("tip", "eye", at_least=0.1, at_most=0.5),
+            "tip and eye are at least 0.1 and at most 0.5 m apart",
+        ),
+        (c.OnSphere("tip", (0, 0, 0), 0.5), "tip is 0.5 m away from a point of the ground"),
+        (c.Pose("tip", np.eye(4), other="eye"), "tip is at a given pose, seen from eye"),
+        (
+            c.Equation(lambda x: [x["Ja.x"] - 1, 2 * x["Ja.y"]], of=("Ja.x", "Ja.y")),
+            "Ja.x - 1 = 0, 2*Ja.y = 0",
+        ),
+        (c.Equation(lambda x: 1.0 if x["Ja.x"] > 0 else 2.0, of=("Ja.x",)), "f(Ja.x) = 0"),
+        (c.Inequality("1 - `Ja.x`"), "1 - `Ja.x` >= 0"),
+        (
+            c.VelocityEquation([["1", "2"]], of=("Ja.x", "Ja.y")),
+            "the velocities v of (Ja.x, Ja.y) obey ((1, 2)) v = 0",
+        ),
+    ],
+)
 def test_sentences(made, said):
     m = two_bodies(3)
     m.parameter("l", 0.5)

@@ -1,4 +1,6 @@
-"""Tapes against numpy, sympy and themselves: what is recorded or read is the function that was meant."""
+"""Tapes against numpy, sympy and themselves: what is recorded or read is the function that was
+meant.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,15 @@ from kempe.errors import InputError, KempeError, UnknownNameError
 from kempe.values import FUNCTIONS, OF_TWO
 
 NAMES_OF_INPUTS = ["A", "rear axle", "joint.x", "λ", "lambda", "sin", "ϕ"]
-WORDS = {"A": "A", "rear axle": "`rear axle`", "joint.x": "joint.x", "λ": "λ", "lambda": "`lambda`", "sin": "`sin`",
-         "ϕ": "`ϕ`"}  # fmt: skip
+WORDS = {
+    "A": "A",
+    "rear axle": "`rear axle`",
+    "joint.x": "joint.x",
+    "λ": "λ",
+    "lambda": "`lambda`",
+    "sin": "`sin`",
+    "ϕ": "`ϕ`",
+}
 VALUES = {name: 0.21 + 0.13 * k for k, name in enumerate(NAMES_OF_INPUTS)}
 
 
@@ -80,7 +89,9 @@ def test_every_function_of_expressions_has_an_operation():
         call = "A, B" if name in OF_TWO else "A"
         x = {"A": 1.5 if name == "acosh" else 0.4, "B": 0.7}
         expected = FUNCTIONS[name](*(x[n] for n in call.split(", ")))
-        assert from_text(f"{name}({call})", ["A", "B"]).evaluate(x)[0] == pytest.approx(expected, rel=1e-14)
+        assert from_text(f"{name}({call})", ["A", "B"]).evaluate(x)[0] == pytest.approx(
+            expected, rel=1e-14
+        )
 
 
 leaves = st.sampled_from(["A", "B", "t", "2", "0.5", "pi"])
@@ -90,7 +101,9 @@ expressions = st.recursive(
         st.tuples(inner, st.sampled_from("+-*/"), inner).map(lambda x: f"({x[0]}){x[1]}({x[2]})"),
         inner.map(lambda x: f"-({x})"),
         st.tuples(inner, st.integers(2, 7)).map(lambda x: f"({x[0]})**{x[1]}"),
-        st.tuples(st.sampled_from(["sin", "cos", "exp", "atan", "sqrt"]), inner).map(lambda x: f"{x[0]}({x[1]})"),
+        st.tuples(st.sampled_from(["sin", "cos", "exp", "atan", "sqrt"]), inner).map(
+            lambda x: f"{x[0]}({x[1]})"
+        ),
     ),
     max_leaves=12,
 )
@@ -112,12 +125,21 @@ def test_tapes_are_values(text):
 @pytest.mark.parametrize(
     ("text", "meaning"),
     [
-        ("A = 2*B", "A - 2*B"), ("A^2^3", "A**8"), ("-A^2", "-(A**2)"), ("A - (B - 1)", "A - B + 1"),
-        ("2^-1*A", "A/2"), ("A = 0", "A"), ("A + B*A**3 = B", "A + B*(A*A*A) - B"), ("1_0*A", "10*A"),
+        ("A = 2*B", "A - 2*B"),
+        ("A^2^3", "A**8"),
+        ("-A^2", "-(A**2)"),
+        ("A - (B - 1)", "A - B + 1"),
+        ("2^-1*A", "A/2"),
+        ("A = 0", "A"),
+        ("A + B*A**3 = B", "A + B*(A*A*A) - B"),
+        ("1_0*A", "10*A"),
         ("\tA +\n B", "B + A"),
-        ("radians(180)*A", "pi*A"), ("A**0.5", "sqrt(A)"), ("A*A*A*A", "(A**2)**2"), ("+A", "A"),
+        ("radians(180)*A", "pi*A"),
+        ("A**0.5", "sqrt(A)"),
+        ("A*A*A*A", "(A**2)**2"),
+        ("+A", "A"),
     ],
-)  # fmt: skip
+)
 def test_the_language(text, meaning, hunt):
     rng = hunt.rng()
     x = {"A": rng.uniform(0.1, 2, 20), "B": rng.uniform(0.1, 2, 20)}
@@ -129,21 +151,43 @@ def test_the_language(text, meaning, hunt):
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("__import__('os')", "has \"'\" at place 12"), ("__import__(A)", "calls '__import__'"),
-        ("A.__class__", "no name 'A.__class__'"), ("A if B else 1", "is not an expression"),
-        ("A = B = 1", "2 signs of equality"), ("1/0*A", "must be finite"), ("abs(A)", "calls 'abs'"),
-        ("A**", "is not an expression"), ("(A", "is not an expression"), ("(" * 10**6 + ")" * 10**6, "at most"),
+        ("__import__('os')", 'has "\'" at place 12'),
+        ("__import__(A)", "calls '__import__'"),
+        ("A.__class__", "no name 'A.__class__'"),
+        ("A if B else 1", "is not an expression"),
+        ("A = B = 1", "2 signs of equality"),
+        ("1/0*A", "must be finite"),
+        ("abs(A)", "calls 'abs'"),
+        ("A**", "is not an expression"),
+        ("(A", "is not an expression"),
+        ("(" * 10**6 + ")" * 10**6, "at most"),
         ("(" * 9000 + "A" + ")" * 9000, "is not an expression"),
-        ("A" + "+A" * 9000, "is not an expression|inside"), ("A" + "+A" * 500, "operations inside each other"),
-        ("sin", "without its brackets"), ("`sin`", "no name 'sin'"), ("A//2", "is not an expression"),
-        ("A < 2", "'<' at place 3"), ("`A", "'`' at place 1"), ("``", "empty name"), ("", "is not an expression"),
-        ("9**9**9", "must be finite"), ("1e999*A", "is not an expression"), ("0x10*A", "at place 1"),
-        ("A[0]", r"'\[' at place 2"), ("lambda: A", "':' at place 7"), ("A := 1", "':' at place 3"),
-        ("hypot(A)", "it takes 2"), ("sin(*A)", "is not an expression"), ("2 A", "is not an expression"),
-        ("1.A", "is not an expression|at place"), ("A\x00", "at place 2"), ("\\", "at place 1"), (3, "must be text"),
-        ("`rear wheel`/0", "no name 'rear wheel'; did you mean 'rear axle'"), ("`rear axle`//2", "`rear axle`//2"),
+        ("A" + "+A" * 9000, "is not an expression|inside"),
+        ("A" + "+A" * 500, "operations inside each other"),
+        ("sin", "without its brackets"),
+        ("`sin`", "no name 'sin'"),
+        ("A//2", "is not an expression"),
+        ("A < 2", "'<' at place 3"),
+        ("`A", "'`' at place 1"),
+        ("``", "empty name"),
+        ("", "is not an expression"),
+        ("9**9**9", "must be finite"),
+        ("1e999*A", "is not an expression"),
+        ("0x10*A", "at place 1"),
+        ("A[0]", r"'\[' at place 2"),
+        ("lambda: A", "':' at place 7"),
+        ("A := 1", "':' at place 3"),
+        ("hypot(A)", "it takes 2"),
+        ("sin(*A)", "is not an expression"),
+        ("2 A", "is not an expression"),
+        ("1.A", "is not an expression|at place"),
+        ("A\x00", "at place 2"),
+        ("\\", "at place 1"),
+        (3, "must be text"),
+        ("`rear wheel`/0", "no name 'rear wheel'; did you mean 'rear axle'"),
+        ("`rear axle`//2", "`rear axle`//2"),
     ],
-)  # fmt: skip
+)
 def test_other_texts_are_refused(text, error):
     with pytest.raises(KempeError, match=error) as raised:
         from_text(text, ["A", "B", "rear axle"])
@@ -161,10 +205,14 @@ def test_parameters_are_fixed_without_a_change_of_structure(hunt):
     rng = hunt.rng()
     tape = from_text("(x/a)**n + (y/b)**n - 1", ["x", "y"], ["a", "b", "n"])
     assert tape.inputs == ("x", "y", "a", "b", "n")
-    one, other = (tape.fixed({"a": a, "b": 0.5, "n": n, "unused": 1.0}) for a, n in ((2.0, 4.0), (3.0, 2.0)))
+    one, other = (
+        tape.fixed({"a": a, "b": 0.5, "n": n, "unused": 1.0}) for a, n in ((2.0, 4.0), (3.0, 2.0))
+    )
     assert one.nodes == other.nodes and one.inputs == ("x", "y") and one.outputs == other.outputs
     x, y = rng.normal(size=(2, 50))
-    assert one.evaluate({"x": x, "y": y})[:, 0] == pytest.approx((x / 2) ** 4 + (y / 0.5) ** 4 - 1, rel=1e-13)
+    assert one.evaluate({"x": x, "y": y})[:, 0] == pytest.approx(
+        (x / 2) ** 4 + (y / 0.5) ** 4 - 1, rel=1e-13
+    )
     assert other.with_numbers((2.0, 0.5, 4.0, *one.numbers[3:])) == one
     with pytest.raises(InputError, match="2 numbers are given; the tape has"):
         tape.with_numbers([1.0, 2.0])
@@ -173,10 +221,19 @@ def test_parameters_are_fixed_without_a_change_of_structure(hunt):
 @pytest.mark.parametrize(
     ("text", "degree"),
     [
-        ("A*v + B*w", 1), ("A**2*sin(B)*v - 3", 1), ("v*w", 2), ("v**2", 2), ("A/v", 2), ("v/A", 1), ("sin(v)", 2),
-        ("-v/2 + A**v", 2), ("A*B", 0), ("-(v - w)*A", 1), ("hypot(v, A)", 2),
+        ("A*v + B*w", 1),
+        ("A**2*sin(B)*v - 3", 1),
+        ("v*w", 2),
+        ("v**2", 2),
+        ("A/v", 2),
+        ("v/A", 1),
+        ("sin(v)", 2),
+        ("-v/2 + A**v", 2),
+        ("A*B", 0),
+        ("-(v - w)*A", 1),
+        ("hypot(v, A)", 2),
     ],
-)  # fmt: skip
+)
 def test_degrees_are_read_off_the_program(text, degree):
     tape = from_text(text, ["A", "B", "v", "w"])
     assert tape.degrees_in(["v", "w"]) == (degree,) and tape.linear_in(["v", "w"]) == (degree < 2)
@@ -200,11 +257,31 @@ def of_numpy(x):
     point = np.array([a, b, 1.0])
     turned = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ np.array([b, 2.0])
     return [
-        np.linalg.norm(point), np.dot(point, [1, 2, 3]), np.cross(point, [0, 1, b])[1], turned[0], turned.sum(),
-        np.float64(2) * a, np.arctan2(a, b), np.hypot(3, b), np.deg2rad(a) + np.log1p(b * b), b**a, 2**a, a**-2,
-        np.square(a) / np.float32(2), np.exp2(b) - np.log10(a * a), sum([a, b]), np.array(3) * a, 1 - a, 1 / b, -a,
-        np.sin(point[:2])[1], np.mean([a, b]), (point**2)[1], a * np.array([1.0, 2.0])[1], np.trace(np.diag(point)),
-    ]  # fmt: skip
+        np.linalg.norm(point),
+        np.dot(point, [1, 2, 3]),
+        np.cross(point, [0, 1, b])[1],
+        turned[0],
+        turned.sum(),
+        np.float64(2) * a,
+        np.arctan2(a, b),
+        np.hypot(3, b),
+        np.deg2rad(a) + np.log1p(b * b),
+        b**a,
+        2**a,
+        a**-2,
+        np.square(a) / np.float32(2),
+        np.exp2(b) - np.log10(a * a),
+        sum([a, b]),
+        np.array(3) * a,
+        1 - a,
+        1 / b,
+        -a,
+        np.sin(point[:2])[1],
+        np.mean([a, b]),
+        (point**2)[1],
+        a * np.array([1.0, 2.0])[1],
+        np.trace(np.diag(point)),
+    ]
 
 
 def test_numpy_is_recorded(hunt):
@@ -254,15 +331,22 @@ def test_equal_functions_give_equal_tapes():
 @pytest.mark.parametrize(
     ("function", "reason"),
     [
-        (lambda x: math.sin(x["A"]), "plain number"), (lambda x: x["A"] if x["A"] > 0 else 1.0, "compares"),
-        (lambda x: abs(x["A"]), "abs"), (lambda x: max(x["A"], x["B"]), "compares"),
-        (lambda x: np.maximum(x["A"], 1), "numpy.maximum"), (lambda x: x["A"] % 2, "remainder"),
-        (lambda x: float(x["A"]), "plain number"), (lambda x: x["A"] and x["B"], "branches"),
-        (lambda x: {1.0: 2.0}.get(x["A"], 3.0), "as a key"), (lambda x: np.where(x["A"] > 0, 1.0, 2.0), "compares"),
-        (lambda x: [1.0, 2.0][int(x["A"] > 9)], "compares"), (lambda x: x["A"].item(), "AttributeError"),
-        (lambda x: np.add(x["A"], 1, dtype=float), "numpy.add"), (lambda x: round(x["A"]), "remainder"),
+        (lambda x: math.sin(x["A"]), "plain number"),
+        (lambda x: x["A"] if x["A"] > 0 else 1.0, "compares"),
+        (lambda x: abs(x["A"]), "abs"),
+        (lambda x: max(x["A"], x["B"]), "compares"),
+        (lambda x: np.maximum(x["A"], 1), "numpy.maximum"),
+        (lambda x: x["A"] % 2, "remainder"),
+        (lambda x: float(x["A"]), "plain number"),
+        (lambda x: x["A"] and x["B"], "branches"),
+        (lambda x: {1.0: 2.0}.get(x["A"], 3.0), "as a key"),
+        (lambda x: np.where(x["A"] > 0, 1.0, 2.0), "compares"),
+        (lambda x: [1.0, 2.0][int(x["A"] > 9)], "compares"),
+        (lambda x: x["A"].item(), "AttributeError"),
+        (lambda x: np.add(x["A"], 1, dtype=float), "numpy.add"),
+        (lambda x: round(x["A"]), "remainder"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_recorded_says_why(function, reason):
     with pytest.raises(NotRecorded, match=f"the function cannot be recorded: .*{reason}"):
         record(function, ["A", "B"])
@@ -288,33 +372,50 @@ KEPT: list = []
     ("function", "message"),
     [
         (lambda x: 1 / 0, "raised ZeroDivisionError at A = 0.0945.*, B = .*: division by zero"),
-        (lambda x: [1, 2][3] * x["A"], "raised IndexError at A ="), (lambda x: "text", "returns 'text'"),
-        (lambda x: None, "returns None"), (lambda x: [[1], [2, 3]], "lists of different lengths"),
-        (lambda x: [[[x["A"]]]], "deeper than rows"), (lambda x: [], "an empty list"), (lambda x: True, "returns True"),
-        (lambda x: {"A": x["A"]}, "returns {"), (lambda x: math.nan * x["A"], "nan; it must be finite"),
-        (lambda x: [x["A"], math.inf], "inf; it must be finite"), (lambda x: 1j * x["A"], "returns .*j"),
-        (lambda x: math.sqrt(-1 - x["A"] ** 2), "raised ValueError at A ="), (lambda x: x["A"] + "a", "raised"),
-        (lambda: 1, "raised TypeError"), (lambda x: x["A"] > 0, "returns .*True|returns .*False"),
+        (lambda x: [1, 2][3] * x["A"], "raised IndexError at A ="),
+        (lambda x: "text", "returns 'text'"),
+        (lambda x: None, "returns None"),
+        (lambda x: [[1], [2, 3]], "lists of different lengths"),
+        (lambda x: [[[x["A"]]]], "deeper than rows"),
+        (lambda x: [], "an empty list"),
+        (lambda x: True, "returns True"),
+        (lambda x: {"A": x["A"]}, "returns {"),
+        (lambda x: math.nan * x["A"], "nan; it must be finite"),
+        (lambda x: [x["A"], math.inf], "inf; it must be finite"),
+        (lambda x: 1j * x["A"], "returns .*j"),
+        (lambda x: math.sqrt(-1 - x["A"] ** 2), "raised ValueError at A ="),
+        (lambda x: x["A"] + "a", "raised"),
+        (lambda: 1, "raised TypeError"),
+        (lambda x: x["A"] > 0, "returns .*True|returns .*False"),
         (lambda x: abs(x["A"]) * math.nan, "not finite wherever it was tried, such as at A ="),
-        (Changing(2), "hidden state"), (Changing(3), r"gives \[.*\] at A = .*, B = .* when it was recorded: .*hidden"),
-        (Changing(9), "at A = .*hidden state"), (lambda x: x["A"] * np.random.random(), "hidden state"),
-        (lambda x: abs(x["A"]) * np.random.random(), "gives .* when it is called again: it depends on hidden state"),
+        (Changing(2), "hidden state"),
+        (Changing(3), r"gives \[.*\] at A = .*, B = .* when it was recorded: .*hidden"),
+        (Changing(9), "at A = .*hidden state"),
+        (lambda x: x["A"] * np.random.random(), "hidden state"),
+        (
+            lambda x: abs(x["A"]) * np.random.random(),
+            "gives .* when it is called again: it depends on hidden state",
+        ),
         (lambda x: (KEPT.append(x["A"]), KEPT[0])[1], "hidden state|cannot be recorded"),
     ],
-)  # fmt: skip
+)
 def test_bad_functions_are_named_with_the_call(function, message):
     with pytest.raises(KempeError, match=message):
         record(function, ["A", "B"])
 
 
 def test_undeclared_names_are_refused():
-    with pytest.raises(UnknownNameError, match="asks for an undeclared name.*'elbw'; did you mean 'elbow'"):
+    with pytest.raises(
+        UnknownNameError, match="asks for an undeclared name.*'elbw'; did you mean 'elbow'"
+    ):
         record(lambda x: x["elbw"], ["elbow"])
 
 
 def test_functions_that_are_not_defined_everywhere_are_recorded():
     tape, _ = record(lambda x: np.sqrt(1 - x["A"] ** 2) / x["A"], ["A"])
-    assert np.isnan(tape.evaluate({"A": 2.0})[0]) and tape.evaluate({"A": 0.6})[0] == pytest.approx(0.8 / 0.6)
+    assert np.isnan(tape.evaluate({"A": 2.0})[0]) and tape.evaluate({"A": 0.6})[0] == pytest.approx(
+        0.8 / 0.6
+    )
 
 
 def test_text_agrees_with_sympy(hunt):
@@ -326,7 +427,9 @@ def test_text_agrees_with_sympy(hunt):
     rng = hunt.rng()
     tape = from_text(text, ["A", "B"])
     for a, b in rng.uniform(0.1, 2, size=(hunt.cases(30), 2)):
-        assert tape.evaluate({"A": a, "B": b})[0] == pytest.approx(float(other.subs({A: a, B: b})), rel=1e-12)
+        assert tape.evaluate({"A": a, "B": b})[0] == pytest.approx(
+            float(other.subs({A: a, B: b})), rel=1e-12
+        )
 
 
 def test_long_texts_are_refused_where_shared_parts_multiply():
@@ -342,10 +445,20 @@ def test_long_texts_are_refused_where_shared_parts_multiply():
         tape.texts()
 
 
-@pytest.mark.parametrize(("name", "plain"), [
-    ("q1", True), ("arm.q1", True), ("arm.if", False), ("if", False), ("if.q1", False), ("1q", False), ("sin", False),
-    ("a b", False), ("", False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [
+        ("q1", True),
+        ("arm.q1", True),
+        ("arm.if", False),
+        ("if", False),
+        ("if.q1", False),
+        ("1q", False),
+        ("sin", False),
+        ("a b", False),
+        ("", False),
+    ],
+)
 def test_names_that_stand_in_text_as_they_are(name, plain):
     assert is_plain(name) is plain
 
@@ -361,7 +474,9 @@ def test_an_entry_of_a_list_is_the_number_at_its_place():
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_every_function_of_numpy_is_recorded_as_itself():
     one, two = (sorted(table, key=lambda f: f.__name__) for table in (_UFUNCS, _UFUNCS_2))
-    tape, _ = record(lambda x: [f(x["A"]) for f in one] + [f(x["A"], x["B"]) for f in two], ["A", "B"])
+    tape, _ = record(
+        lambda x: [f(x["A"]) for f in one] + [f(x["A"], x["B"]) for f in two], ["A", "B"]
+    )
     for a, b in ((0.3, 0.7), (1.4, 0.2), (0.9, 1.6)):
         expected = [f(a) for f in one] + [f(a, b) for f in two]
         np.testing.assert_allclose(tape.evaluate({"A": a, "B": b}), expected, rtol=1e-14)

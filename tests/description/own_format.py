@@ -1,4 +1,6 @@
-"""A format of one's own, declared in tests only: Denavit-Hartenberg rows of a chain as comma-separated values."""
+"""A format of one's own, declared in tests only: Denavit-Hartenberg rows of a chain as
+comma-separated values.
+"""
 
 from __future__ import annotations
 
@@ -34,14 +36,23 @@ def write_rows(mechanism: Mechanism) -> str:
     for joint in mechanism.joints.values():
         if joint.type.type_name not in ("revolute", "prismatic"):
             allowed = CANNOT["joints that are neither revolute nor prismatic"]
-            findings.add(f"it is {joint.type.type_name}", f"joint {joint.name!r}", joint.where, allowed)
+            findings.add(
+                f"it is {joint.type.type_name}", f"joint {joint.name!r}", joint.where, allowed
+            )
         if joint.parent != last:
-            findings.add("it leaves the chain", f"joint {joint.name!r}", joint.where, CANNOT["trees and loops"])
+            findings.add(
+                "it leaves the chain",
+                f"joint {joint.name!r}",
+                joint.where,
+                CANNOT["trees and loops"],
+            )
         before, after = (
             angle_and_shift(X.evaluate(mechanism.parameters), axis)
             for X, axis in ((joint.X_PF, 2), (joint.X_CM.inverse(), 0))
         )
-        lines.append(",".join([joint.type.type_name, *map(repr, (*reversed(after), *reversed(before)))]))
+        lines.append(
+            ",".join([joint.type.type_name, *map(repr, (*reversed(after), *reversed(before)))])
+        )
         last = joint.child
     findings.finish()
     return "\n".join(lines) + "\n"
@@ -54,6 +65,11 @@ def angle_and_shift(pose: np.ndarray, axis: int) -> tuple[float, float]:
 
 
 ROWS = Format(
-    "rows of a DH table", (".csv",), read_rows, write_rows, recognises=lambda start: start.startswith(",".join(HEAD)),
-    cannot=CANNOT, loses=("names", "limits", "frames"),
-)  # fmt: skip
+    "rows of a DH table",
+    (".csv",),
+    read_rows,
+    write_rows,
+    recognises=lambda start: start.startswith(",".join(HEAD)),
+    cannot=CANNOT,
+    loses=("names", "limits", "frames"),
+)

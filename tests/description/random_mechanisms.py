@@ -10,13 +10,28 @@ from kempe.description.constrain import between
 from kempe.description.mechanism import Mechanism
 from kempe.placement import Placement, place, steps_from_data
 
-NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6).filter(str.strip)
+NAMES = st.text(
+    st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6
+).filter(str.strip)
 NUMBERS = st.one_of(
-    st.sampled_from([0.0, -0.0, 1.0, math.pi / 2, 1e-300, -1e16, 0.1]), st.floats(-10.0, 10.0, allow_subnormal=True)
+    st.sampled_from([0.0, -0.0, 1.0, math.pi / 2, 1e-300, -1e16, 0.1]),
+    st.floats(-10.0, 10.0, allow_subnormal=True),
 )
-AXES = st.sampled_from([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -2.0), (0.1, -0.2, 0.3)])
+AXES = st.sampled_from(
+    [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -2.0), (0.1, -0.2, 0.3)]
+)
 TURNS = {
-    3: ["fixed", "revolute", "prismatic", "helical", "cylindrical", "universal", "planar", "spherical", "free"],
+    3: [
+        "fixed",
+        "revolute",
+        "prismatic",
+        "helical",
+        "cylindrical",
+        "universal",
+        "planar",
+        "spherical",
+        "free",
+    ],
     2: ["fixed", "revolute", "planar", "free"],
 }
 SLIDES = {3: ["translation", "free", "fixed"], 2: ["translation", "free", "planar", "fixed"]}
@@ -59,7 +74,11 @@ def placements(draw, dim, parameters):
 def limits(draw):
     """Lower and upper limit, either of which may be missing."""
     lower, upper = sorted((draw(NUMBERS), draw(NUMBERS)))
-    return draw(st.sampled_from([(lower, upper), (lower, math.inf), (-math.inf, upper), (-math.inf, math.inf)]))
+    return draw(
+        st.sampled_from(
+            [(lower, upper), (lower, math.inf), (-math.inf, upper), (-math.inf, math.inf)]
+        )
+    )
 
 
 @st.composite
@@ -76,11 +95,28 @@ def mechanisms(draw):
             m.particle(name, mass=draw(st.none() | st.floats(0.0, 9.0)))
         else:
             center = draw(st.none() | st.tuples(NUMBERS, NUMBERS, NUMBERS))
-            m.body(name, draw(st.none() | st.floats(0.0, 9.0)), center, draw(st.lists(st.text(max_size=9), max_size=2)))
+            m.body(
+                name,
+                draw(st.none() | st.floats(0.0, 9.0)),
+                center,
+                draw(st.lists(st.text(max_size=9), max_size=2)),
+            )
     ends = [(draw(st.integers(0, i - 1)), i) for i in range(1, len(names))]
-    ends += draw(st.lists(st.tuples(*[st.integers(0, len(names) - 1)] * 2).filter(lambda e: e[0] != e[1]), max_size=2))
+    ends += draw(
+        st.lists(
+            st.tuples(*[st.integers(0, len(names) - 1)] * 2).filter(lambda e: e[0] != e[1]),
+            max_size=2,
+        )
+    )
     for number, (a, b) in enumerate(ends):
-        _joint(draw, m, f"{draw(st.sampled_from(['J', 'é ', '日本.']))}{number}", names[a], names[b], parameters)
+        _joint(
+            draw,
+            m,
+            f"{draw(st.sampled_from(['J', 'é ', '日本.']))}{number}",
+            names[a],
+            names[b],
+            parameters,
+        )
     for name in draw(st.lists(NAMES, max_size=2, unique=True)):
         if name not in m.bodies:
             body = draw(st.sampled_from(names))
@@ -104,27 +140,51 @@ def _joint(draw, m: Mechanism, name: str, parent: str, child: str, parameters: l
         options["angles"] = draw(st.booleans())
     X_PF = draw(placements(m.dim, parameters))
     X_CM = Placement() if particle else draw(placements(m.dim, parameters))
-    joint = m.joint(name, kind, parent, child, at=X_PF, child_at=X_CM, cut=draw(st.booleans()), **options)
+    joint = m.joint(
+        name, kind, parent, child, at=X_PF, child_at=X_CM, cut=draw(st.booleans()), **options
+    )
     del m.joints[name]
-    names = [c for c in joint.type.velocities(m.dim, particle) if c in joint.type.coordinates(m.dim, particle)]
+    names = [
+        c
+        for c in joint.type.velocities(m.dim, particle)
+        if c in joint.type.coordinates(m.dim, particle)
+    ]
     chosen = draw(st.lists(st.sampled_from(names), max_size=2, unique=True)) if names else []
     bounds = {k: {c: draw(st.floats(0.0, 9.0)) for c in chosen} for k in ("velocity", "effort")}
     m.joint(
-        name, kind, parent, child, at=X_PF, child_at=X_CM, cut=joint.cut, limits={c: draw(limits()) for c in chosen},
-        actuated=draw(st.none() | st.booleans()), **bounds, **options,
-    )  # fmt: skip
+        name,
+        kind,
+        parent,
+        child,
+        at=X_PF,
+        child_at=X_CM,
+        cut=joint.cut,
+        limits={c: draw(limits()) for c in chosen},
+        actuated=draw(st.none() | st.booleans()),
+        **bounds,
+        **options,
+    )
 
 
 def _constraints(draw, m: Mechanism, parameters: list[str]) -> None:
     """Rods, points on lines and in planes, between bodies and particles."""
     for name in draw(st.lists(NAMES, max_size=2, unique=True)):
         a, b = draw(st.permutations(list(m.bodies)))[:2]
-        kinds = ["distance"] if m.bodies[a].particle else ["distance", "point_on_line", "point_on_plane"][: m.dim]
+        kinds = (
+            ["distance"]
+            if m.bodies[a].particle
+            else ["distance", "point_on_line", "point_on_plane"][: m.dim]
+        )
         kind = draw(st.sampled_from(kinds))
         X_PF, X_CM = (
-            Placement() if m.bodies[body].particle else draw(placements(m.dim, parameters)) for body in (a, b)
+            Placement() if m.bodies[body].particle else draw(placements(m.dim, parameters))
+            for body in (a, b)
         )
-        axis = draw(st.sampled_from([(1.0, 0.0), (0.6, -0.8)])) if (m.dim, kind) == (2, "point_on_line") else None
+        axis = (
+            draw(st.sampled_from([(1.0, 0.0), (0.6, -0.8)]))
+            if (m.dim, kind) == (2, "point_on_line")
+            else None
+        )
         length = draw(st.sampled_from([1.0, 5e-324, 0.1, 1e300])) if kind == "distance" else None
         if length and parameters:
             length = draw(st.sampled_from([length, f"2 + sin({parameters[0]})"]))
@@ -145,6 +205,12 @@ def _relations(draw, m: Mechanism, parameters: list[str]) -> None:
         sources = {s: draw(values(parameters)) for s in order[: draw(st.integers(1, i))]}
         m.couple(of, sources, draw(values(parameters)))
     for name in draw(st.lists(NAMES, max_size=2, unique=True)):
-        m.posture(name, {c: draw(NUMBERS) for c in draw(st.lists(st.sampled_from(names), unique=True, max_size=3))})
+        m.posture(
+            name,
+            {
+                c: draw(NUMBERS)
+                for c in draw(st.lists(st.sampled_from(names), unique=True, max_size=3))
+            },
+        )
     if draw(st.booleans()):
         m.lock({names[-1]: draw(NUMBERS)})

@@ -1,7 +1,9 @@
-"""Robot files of other people, read as their owners read them: Pinocchio, and the file's text by plain numpy.
+"""Robot files of other people, read as their owners read them: Pinocchio, and the file's text by
+plain numpy.
 
-The files are those of the package example-robot-data, and all below the folder in ``KEMPE_URDF_FOLDER``, which holds
-a folder for each package. This file, run as a program with such a folder, prints the page `docs/collected.md`:
+The files are those of the package example-robot-data, and all below the folder in
+``KEMPE_URDF_FOLDER``, which holds a folder for each package. This file, run as a program with such
+a folder, prints the page `docs/collected.md`:
 ``python tests/description/test_collected.py FOLDER > docs/collected.md``.
 """
 
@@ -33,8 +35,15 @@ pin = pytest.importorskip("pinocchio")
 
 FOLDER = os.environ.get("KEMPE_URDF_FOLDER", "")
 
-TYPES = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed",
-         "floating": "free", "planar": "planar", "spherical": "spherical"}  # fmt: skip
+TYPES = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": "fixed",
+    "floating": "free",
+    "planar": "planar",
+    "spherical": "spherical",
+}
 
 DIRT = {
     "swapped limits": "its limits are swapped",
@@ -52,13 +61,17 @@ DIRT = {
     "an attribute given twice": "is given twice",
     "a joint from a link to itself": "to itself",
     "a mimic of a joint with several coordinates": "but .* has several coordinates",
-}  # fmt: skip
+}
 """What is wrong with files that are refused, and the words that say so."""
 
 
 def files(folder: str | Path = FOLDER) -> dict[str, Path]:
     """Files to read, by name: those of example-robot-data, and those below a folder."""
-    found = {f"example-robot-data/{p.relative_to(DATA[0])}": p for p in sorted(DATA[0].rglob("*.urdf"))} if DATA else {}
+    found = (
+        {f"example-robot-data/{p.relative_to(DATA[0])}": p for p in sorted(DATA[0].rglob("*.urdf"))}
+        if DATA
+        else {}
+    )
     if folder:
         root = Path(folder)
         found |= {str(p.relative_to(root)): p for p in sorted(root.rglob("*.urdf"))}
@@ -69,7 +82,9 @@ def files(folder: str | Path = FOLDER) -> dict[str, Path]:
 
 
 class Joint(NamedTuple):
-    """A joint as it is written: type, links, placement (4, 4), unit axis, limits, and what it follows."""
+    """A joint as it is written: type, links, placement (4, 4), unit axis, limits, and what it
+    follows.
+    """
 
     kind: str
     parent: str
@@ -94,7 +109,9 @@ def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
 
 def written(path: Path) -> dict[str, Joint]:
     """The joints of a file, read without regard to what else is in it."""
-    text = re.sub(rb"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])", rb"\1\2_", path.read_bytes())
+    text = re.sub(
+        rb"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])", rb"\1\2_", path.read_bytes()
+    )
     out = {}
     for element in ET.fromstring(text.lstrip()).findall("joint"):
         X = np.eye(4)
@@ -115,20 +132,34 @@ def written(path: Path) -> dict[str, Joint]:
             bounds = float(limit.get("lower", 0)), float(limit.get("upper", 0))
         follows = None
         if mimic is not None and kind != "fixed":
-            follows = mimic.get("joint"), float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
+            follows = (
+                mimic.get("joint"),
+                float(mimic.get("multiplier", 1)),
+                float(mimic.get("offset", 0)),
+            )
         length = np.linalg.norm(axis)
         out[element.get("name")] = Joint(
-            kind, element.find("parent").get("link"), element.find("child").get("link"), X,
-            axis / length if length else axis, bounds, follows,
-        )  # fmt: skip
+            kind,
+            element.find("parent").get("link"),
+            element.find("child").get("link"),
+            X,
+            axis / length if length else axis,
+            bounds,
+            follows,
+        )
     return out
 
 
-def values_of(joints: dict[str, Joint], system: kempe.System, q: np.ndarray) -> dict[str, np.ndarray]:
+def values_of(
+    joints: dict[str, Joint], system: kempe.System, q: np.ndarray
+) -> dict[str, np.ndarray]:
     """Coordinates of each joint that moves, those that follow others by the file's own numbers."""
     named = system.q_dict(q)
-    own = {n: np.array([named[c] for c in system.structure.coordinates_of_joint(n) if c in named])
-           for n, j in joints.items() if j.kind != "fixed" and j.mimic is None}  # fmt: skip
+    own = {
+        n: np.array([named[c] for c in system.structure.coordinates_of_joint(n) if c in named])
+        for n, j in joints.items()
+        if j.kind != "fixed" and j.mimic is None
+    }
     waiting = {n: j.mimic for n, j in joints.items() if j.mimic}
     while waiting:
         ready = [n for n, (source, _, _) in waiting.items() if source in own]
@@ -154,8 +185,12 @@ def motion(joint: Joint, x: np.ndarray) -> np.ndarray:
     return M
 
 
-def plain_poses(joints: dict[str, Joint], root: str, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Poses of all links that joints lead to from the root; planar joints and what hangs on them are left out."""
+def plain_poses(
+    joints: dict[str, Joint], root: str, values: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Poses of all links that joints lead to from the root; planar joints and what hangs on them
+    are left out.
+    """
     by_parent: dict[str, list[str]] = {}
     for name, joint in joints.items():
         by_parent.setdefault(joint.parent, []).append(name)
@@ -166,7 +201,9 @@ def plain_poses(joints: dict[str, Joint], root: str, values: dict[str, np.ndarra
         for name in by_parent.get(link, ()):
             joint = joints[name]
             if joint.kind != "planar" and joint.child not in poses:
-                poses[joint.child] = poses[link] @ joint.X @ motion(joint, values.get(name, np.zeros(0)))
+                poses[joint.child] = (
+                    poses[link] @ joint.X @ motion(joint, values.get(name, np.zeros(0)))
+                )
                 waiting.append(joint.child)
     return poses
 
@@ -208,7 +245,9 @@ def pinocchio_poses(model, values: dict[str, np.ndarray]) -> dict[str, np.ndarra
 
 
 class Answer(NamedTuple):
-    """What came of a file: "equal" or "refused", by what it was judged, and the reason of a refusal."""
+    """What came of a file: "equal" or "refused", by what it was judged, and the reason of a
+    refusal.
+    """
 
     kind: str
     judge: str
@@ -216,14 +255,18 @@ class Answer(NamedTuple):
 
 
 def judge(path: Path, rng: np.random.Generator) -> Answer:
-    """Compare names, types, limits, followers and poses of a file with both judges; differences fail."""
+    """Compare names, types, limits, followers and poses of a file with both judges; differences
+    fail.
+    """
     try:
         mechanism = read(path)
     except DescriptionError as error:
         return Answer("refused", "", str(error.problems[0]).removeprefix(f"{path.parent}/"))
     system = mechanism.build()
     joints = written(path)
-    assert {n: j.type.type_name for n, j in mechanism.joints.items()} == {n: TYPES[j.kind] for n, j in joints.items()}
+    assert {n: j.type.type_name for n, j in mechanism.joints.items()} == {
+        n: TYPES[j.kind] for n, j in joints.items()
+    }
     assert {n: (j.parent, j.child) for n, j in mechanism.joints.items()} == {
         n: (j.parent, j.child) for n, j in joints.items()
     }
@@ -297,12 +340,16 @@ def page(folder: str | Path) -> str:
         row["numpy"] += answer.judge == "numpy"
         if answer.kind == "refused":
             other = "refuses it" if isinstance(pinocchio_model(path), str) else "reads it"
-            refused.append(f"| {name.split('/')[0]}: {path.name} | `` {answer.reason} `` | {other} |")
+            refused.append(
+                f"| {name.split('/')[0]}: {path.name} | `` {answer.reason} `` | {other} |"
+            )
     total = Counter[str]()
     for row in tally.values():
         total.update(row)
-    lines = [f"| {name.replace('_', '-')} | {' | '.join(str(row[k]) for k in COLUMNS)} |"
-             for name, row in [*sorted(tally.items()), ("**all**", total)]]  # fmt: skip
+    lines = [
+        f"| {name.replace('_', '-')} | {' | '.join(str(row[k]) for k in COLUMNS)} |"
+        for name, row in [*sorted(tally.items()), ("**all**", total)]
+    ]
     head = HEAD.format(version=pin.__version__)
     return head + "\n".join(lines) + "\n" + REFUSED + "\n".join(dict.fromkeys(refused)) + "\n"
 

@@ -47,7 +47,10 @@ def test_ends_are_bodies_or_frames():
         (lambda m: m.distance("r", "a", "a", 1.0), "ties body 'a' to itself"),
         (lambda m: m.distance("r", "tip", "a", 1.0), "ties body 'a' to itself"),
         (lambda m: m.distance("r", "a", "c", 1.0), "no body 'c'"),
-        (lambda m: m.distance("r", "a", "b", 0.0), "length is 0; it must be above zero; points that coincide"),
+        (
+            lambda m: m.distance("r", "a", "b", 0.0),
+            "length is 0; it must be above zero; points that coincide",
+        ),
         (lambda m: m.distance("r", "a", "b", -0.5), "length is -0.5; it must be above zero"),
         (lambda m: m.distance("r", "a", "b", math.nan), "length is nan; it must be finite"),
         (lambda m: m.distance("r", "a", "b", math.inf), "length is inf; it must be finite"),
@@ -55,17 +58,35 @@ def test_ends_are_bodies_or_frames():
         (lambda m: m.distance("r", "a", "b", "l - 2"), r"length is 0 \(length = l - 2\)"),
         (lambda m: m.distance("r", "a", "b", "sqrt(-l)"), "length is nan"),
         (lambda m: m.distance("r", "a", "b", "l/0"), "length is nan"),
-        (lambda m: m.distance("r", "a", "b", "k"), "length is k: no parameter 'k'; did you mean|there are: 'l'"),
+        (
+            lambda m: m.distance("r", "a", "b", "k"),
+            "length is k: no parameter 'k'; did you mean|there are: 'l'",
+        ),
         (lambda m: m.distance("r", "a", "b", None), "no length"),
         (lambda m: m.distance("Ja", "a", "b", 1.0), "another joint of this name"),
         (lambda m: m.distance("r", "a", "b", 1.0, at=(math.nan, 0)), "at is nan"),
         (lambda m: m.distance("r", "a", "b", 1.0, at="nowhere"), "no frame 'nowhere'"),
-        (lambda m: between(m, "r", "distanc", *ENDS, None, None), "no kind of constraint .distanc.; did you mean"),
-        (lambda m: between(m, "r", "point_on_line", *ENDS, 1.0, None), "point_on_line takes no length"),
+        (
+            lambda m: between(m, "r", "distanc", *ENDS, None, None),
+            "no kind of constraint .distanc.; did you mean",
+        ),
+        (
+            lambda m: between(m, "r", "point_on_line", *ENDS, 1.0, None),
+            "point_on_line takes no length",
+        ),
         (lambda m: m.point_on_line("r", "a", "b", axis=(0, 0, 0)), "axis is 0.0 0.0 0.0"),
-        (lambda m: m.point_on_line("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
-        (lambda m: m.point_on_plane("r", m.particle("p"), "b"), "'p' is a particle, which has no axes"),
-        (lambda m: m.point_on_line("r", "a", m.particle("p"), child_at=(1, 0)), "particle .* has no extent"),
+        (
+            lambda m: m.point_on_line("r", m.particle("p"), "b"),
+            "'p' is a particle, which has no axes",
+        ),
+        (
+            lambda m: m.point_on_plane("r", m.particle("p"), "b"),
+            "'p' is a particle, which has no axes",
+        ),
+        (
+            lambda m: m.point_on_line("r", "a", m.particle("p"), child_at=(1, 0)),
+            "particle .* has no extent",
+        ),
     ],
 )
 def test_what_is_refused(call, said):
@@ -91,7 +112,9 @@ def test_in_the_plane():
     m = two_bodies(2)
     m.distance("rod", "a", "b", "l", at=(1, 0))
     m.point_on_line("guide", "tip", "b", axis=(0, 1))
-    with pytest.raises(DescriptionError, match="does not exist in the plane; planar systems take distance"):
+    with pytest.raises(
+        DescriptionError, match="does not exist in the plane; planar systems take distance"
+    ):
         m.point_on_plane("p", "a", "b")
     with pytest.raises(DescriptionError, match=r"out of the plane; give its axis=\(x, y\)"):
         m.point_on_line("p", "a", "b")
@@ -125,7 +148,9 @@ def test_they_belong_to_what_the_mechanism_is():
     assert m.build() != plain and m.copy() == m
     assert m.build().mechanism.lock({"Ja.x": 0.5}).build().mechanism.constraints == m.constraints
     assert System(m).mechanism.constraints == m.constraints
-    assert "constraints" in vars(m) and hash(m.constraints["rod"]) == hash(m.copy().constraints["rod"])
+    assert "constraints" in vars(m) and hash(m.constraints["rod"]) == hash(
+        m.copy().constraints["rod"]
+    )
 
 
 def test_they_are_no_connection():
@@ -149,7 +174,9 @@ def test_mounting_and_cutting_out():
     assert moved.X_PF == m.frames["tip"].X_BF
     other = Mechanism("other")
     other.revolute("x_rod", other.ground, other.body("z"))
-    with pytest.raises(DescriptionError, match="both have joints and constraints 'x_rod'.*prefix='x_2_'"):
+    with pytest.raises(
+        DescriptionError, match="both have joints and constraints 'x_rod'.*prefix='x_2_'"
+    ):
         other.attach(m, prefix="x_")
     assert m.subchain("a", "b").constraints.keys() == {"rod"}
     assert m.subchain("ground", "tip").constraints == {}
@@ -159,7 +186,9 @@ def test_urdf_cannot_say_it():
     m = two_bodies()
     m.distance("rod", "a", "b", 1.0)
     m.point_on_plane("plane", "a", "b")
-    with pytest.raises(DescriptionError, match="constraint 'rod': a distance does not exist in URDF") as caught:
+    with pytest.raises(
+        DescriptionError, match="constraint 'rod': a distance does not exist in URDF"
+    ) as caught:
         write_urdf(m)
     assert len(caught.value.problems) == 2
 
@@ -168,7 +197,9 @@ def test_length_follows_parameters():
     m = two_bodies()
     rod = m.distance("rod", "a", "b", "l - 1")
     assert rod.length(m.parameters) == 1.0
-    with pytest.raises(DescriptionError, match=r"constraint 'rod': its length is -0.5 \(length = l - 1\)"):
+    with pytest.raises(
+        DescriptionError, match=r"constraint 'rod': its length is -0.5 \(length = l - 1\)"
+    ):
         m.build().with_parameters(l=0.5).assemble()
 
 

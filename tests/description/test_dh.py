@@ -15,7 +15,9 @@ from kempe.errors import InputError
 ANGLE = st.floats(-3.2, 3.2)
 LENGTH = st.floats(-2.0, 2.0)
 ROWS = st.lists(
-    st.tuples(LENGTH, ANGLE, LENGTH, ANGLE, st.sampled_from(["revolute", "prismatic", "fixed"]), ANGLE),
+    st.tuples(
+        LENGTH, ANGLE, LENGTH, ANGLE, st.sampled_from(["revolute", "prismatic", "fixed"]), ANGLE
+    ),
     min_size=1,
     max_size=5,
 )
@@ -38,7 +40,10 @@ def product(rows, convention: str) -> list[np.ndarray]:
 @pytest.mark.parametrize("convention", ["standard", "modified"])
 @given(rows=ROWS)
 def test_dh_tables(convention: str, rows):
-    table = [{"a": a, "alpha": alpha, "d": d, "theta": theta, "type": kind} for a, alpha, d, theta, kind, _ in rows]
+    table = [
+        {"a": a, "alpha": alpha, "d": d, "theta": theta, "type": kind}
+        for a, alpha, d, theta, kind, _ in rows
+    ]
     s = from_dh(table, convention).build()
     q = {f"q{i}": row[5] for i, row in enumerate(rows, 1) if row[4] != "fixed"}
     for i, X in enumerate(product(rows, convention), 1):
@@ -48,17 +53,28 @@ def test_dh_tables(convention: str, rows):
 
 def test_base_tool_names_and_parameters():
     m = from_dh(
-        [DHRow(a="l1", name="A", body="upper", limits=(-1, 1)), DHRow(a="l2", alpha="pi/2", velocity=2.0)],
+        [
+            DHRow(a="l1", name="A", body="upper", limits=(-1, 1)),
+            DHRow(a="l2", alpha="pi/2", velocity=2.0),
+        ],
         name="planar",
         base=reference.slide("z", 0.5).astype(float),
         tool={"at": (0, 0, "l1/2")},
         parameters={"l1": 0.3, "l2": 0.2},
     )
-    assert m.name == "planar" and list(m.bodies) == ["ground", "upper", "link2"] and list(m.joints) == ["A", "q2"]
+    assert (
+        m.name == "planar"
+        and list(m.bodies) == ["ground", "upper", "link2"]
+        and list(m.joints) == ["A", "q2"]
+    )
     assert m.joints["A"].limits == {"": (-1.0, 1.0)} and m.joints["q2"].velocity_limits == {"": 2.0}
-    np.testing.assert_allclose(m.build().fk([0, 0], "tool")[:3, 3], [0.5, -0.15, 0.5], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        m.build().fk([0, 0], "tool")[:3, 3], [0.5, -0.15, 0.5], rtol=0, atol=1e-15
+    )
     longer = m.build().with_parameters(l1=1.0)
-    np.testing.assert_allclose(longer.fk([0, 0], "tool")[:3, 3], [1.2, -0.5, 0.5], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        longer.fk([0, 0], "tool")[:3, 3], [1.2, -0.5, 0.5], rtol=0, atol=1e-15
+    )
 
 
 UNIT = (
@@ -77,7 +93,9 @@ def twists(draw):
     kind = draw(st.integers(0, 2))
     if kind == 0:
         return np.concatenate([axis, np.zeros(3)])
-    return np.concatenate([np.cross(point, axis) + (kind - 1) * draw(st.floats(0.1, 1.0)) * axis, axis])
+    return np.concatenate(
+        [np.cross(point, axis) + (kind - 1) * draw(st.floats(0.1, 1.0)) * axis, axis]
+    )
 
 
 def exponential(twist: np.ndarray, q: float) -> np.ndarray:
@@ -123,20 +141,32 @@ def test_types_of_screws():
     ("call", "words"),
     [
         (lambda: from_dh([]), "no rows"),
-        (lambda: from_dh([{}], "paul"), "convention is 'paul'; it must be 'standard' or 'modified'"),
+        (
+            lambda: from_dh([{}], "paul"),
+            "convention is 'paul'; it must be 'standard' or 'modified'",
+        ),
         (lambda: from_dh([{"A": 1}]), "row 1 has an unknown entry 'A'; did you mean 'a'"),
-        (lambda: from_dh([{"type": "ball"}]), "row 1: type is 'ball'; it must be revolute, prismatic, fixed"),
+        (
+            lambda: from_dh([{"type": "ball"}]),
+            "row 1: type is 'ball'; it must be revolute, prismatic, fixed",
+        ),
         (lambda: from_dh([{"a": float("nan")}]), "row 1: a is nan; it must be finite"),
         (lambda: from_dh([3.0]), "it must be plain numbers or a dict"),
         (lambda: from_dh([{}], tool={"xyz": 1}), "tool has an unknown entry 'xyz'"),
         (lambda: from_dh([{}], tool="gripper"), "pose"),
         (lambda: from_screws([]), "empty"),
-        (lambda: from_screws([[0, 0, 1, 0, 0, 0.5]]), "rotation part w has length 0.5; it must be 1"),
+        (
+            lambda: from_screws([[0, 0, 1, 0, 0, 0.5]]),
+            "rotation part w has length 0.5; it must be 1",
+        ),
         (lambda: from_screws([[0, 0, 0, 0, 0, 0]]), "linear part v has length 0; it must be 1"),
         (lambda: from_screws([[0, 0, 1]]), "screw 1: twist has 3 numbers; it must have 6"),
         (lambda: from_screws([{}]), "either twist or axis"),
         (lambda: from_screws([{"axis": (0, 0, 0)}]), "axis is 0.0 0.0 0.0"),
-        (lambda: from_screws([{"twist": ["l", 0, 0, 0, 0, 1]}], parameters={"l": 1}), "with parameters use axis"),
+        (
+            lambda: from_screws([{"twist": ["l", 0, 0, 0, 0, 1]}], parameters={"l": 1}),
+            "with parameters use axis",
+        ),
         (lambda: from_screws([{"axis": (0, 0, 1), "pitch": "x"}]), "pitch"),
     ],
 )

@@ -1,4 +1,6 @@
-"""The table of formats: each row reads what it writes and refuses by name what it cannot say; a row is all it takes."""
+"""The table of formats: each row reads what it writes and refuses by name what it cannot say; a row
+is all it takes.
+"""
 
 from __future__ import annotations
 
@@ -41,25 +43,34 @@ def own(monkeypatch) -> Iterator[Format]:
 
 
 def fits_urdf(m: Mechanism) -> bool:
-    """Whether a model of the library is a tree of joints that URDF has; none has locks or limits of several motions."""
+    """Whether a model of the library is a tree of joints that URDF has; none has locks or limits of
+    several motions.
+    """
     kinds = {"revolute", "prismatic", "fixed", "planar", "spherical", "free"}
     children = [j.child for j in m.joints.values()]
     return (
         sorted(children) == sorted(set(m.bodies) - {m.ground.name})
-        and not m.constraints and not any(b.particle for b in m.bodies.values())
+        and not m.constraints
+        and not any(b.particle for b in m.bodies.values())
         and all(j.type.type_name in kinds and not j.type.options for j in m.joints.values())
         and all(len(c.sources) == 1 for c in m.couplings.values())
-    )  # fmt: skip
+    )
 
 
 FITS: dict[str, Callable[[Mechanism], bool]] = {"urdf": fits_urdf, "toml": lambda m: True}
 """What a format can say, of the models of the library, written out beside the writers."""
 
 
-MODELS = [(name, model, FITS[name](system.mechanism)) for name in WRITTEN for model, system in shipped().items()]
+MODELS = [
+    (name, model, FITS[name](system.mechanism))
+    for name in WRITTEN
+    for model, system in shipped().items()
+]
 
 
-@pytest.mark.parametrize(("name", "model"), [(name, model) for name, model, fits in MODELS if not fits])
+@pytest.mark.parametrize(
+    ("name", "model"), [(name, model) for name, model, fits in MODELS if not fits]
+)
 def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, tmp_path: Path):
     row = FORMATS[name]
     m = read(model)
@@ -72,7 +83,9 @@ def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, 
     assert all(any(repr(part) in p.subject for part in parts) for p in caught.value.problems)
 
 
-@pytest.mark.parametrize(("name", "model"), some([(name, model) for name, model, fits in MODELS if fits], 3))
+@pytest.mark.parametrize(
+    ("name", "model"), some([(name, model) for name, model, fits in MODELS if fits], 3)
+)
 def test_models_of_the_library_come_back(name: str, model: str, tmp_path: Path):
     row = FORMATS[name]
     m = read(model)
@@ -85,7 +98,9 @@ def test_models_of_the_library_come_back(name: str, model: str, tmp_path: Path):
     q = system.random(0, 5)
     by_name = np.array([again.q(system.q_dict(row)) for row in q])
     for frame in system.frame_names:
-        np.testing.assert_allclose(again.fk(by_name, frame), system.fk(q, frame), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            again.fk(by_name, frame), system.fk(q, frame), rtol=0, atol=1e-12
+        )
 
 
 class Unknown(Revolute):
@@ -106,24 +121,39 @@ CASES: dict[tuple[str, str], tuple[Callable[[Mechanism], object], str]] = {
     ("urdf", "bodies that no joint carries"): (lambda m: m.body("x"), "mechanism"),
     ("urdf", "joints of other types"): (lambda m: m.universal("u", "a", m.body("x")), "joint 'u'"),
     ("urdf", "limits of joints with several coordinates"): (
-        lambda m: m.planar("f", "a", m.body("x"), limits={"x": (0, 1)}), "joint 'f'"),
+        lambda m: m.planar("f", "a", m.body("x"), limits={"x": (0, 1)}),
+        "joint 'f'",
+    ),
     ("urdf", "locks of a part of a joint"): (lambda m: m.lock({"p.x": 0.1}), "joint 'p'"),
     ("urdf", "locks of coordinates that follow others"): (locked_follower, "coordinate 'k'"),
-    ("urdf", "couplings with several sources"): (lambda m: m.couple("k", {"j": 1.0, "p.x": 1.0}), "coordinate 'k'"),
+    ("urdf", "couplings with several sources"): (
+        lambda m: m.couple("k", {"j": 1.0, "p.x": 1.0}),
+        "coordinate 'k'",
+    ),
     ("urdf", "couplings of a part of a joint"): (a_part, "coordinate 'p.x'"),
     ("urdf", "particles"): (lambda m: m.free("f", "a", m.particle("x")), "body 'x'"),
     ("urdf", "constraints that are not joints"): (
-        lambda m: m.distance("rod", "a", "b", 1.0), "constraint 'rod'"),
+        lambda m: m.distance("rod", "a", "b", 1.0),
+        "constraint 'rod'",
+    ),
     ("urdf", "control characters in names"): (lambda m: setattr(m, "name", "\x01"), r"name '\x01'"),
     ("toml", "joints of types that are not in the table of joints"): (
-        lambda m: m.joint("own", Unknown(), "a", m.body("x")), "joint 'own'"),
+        lambda m: m.joint("own", Unknown(), "a", m.body("x")),
+        "joint 'own'",
+    ),
     ("toml", "Python functions that are no expression"): (
-        lambda m: m.equation("law", lambda x: float(x["j"]), of=("j",)), "constraint 'law'"),
+        lambda m: m.equation("law", lambda x: float(x["j"]), of=("j",)),
+        "constraint 'law'",
+    ),
     ("toml", "expressions that are too long"): (
-        lambda m: m.equation("law", lambda x: sum(np.sin(x["j"] + i / 7) for i in range(2000)), of=("j",)),
-        "constraint 'law'"),
-}  # fmt: skip
-"""For each thing that a format cannot say: what to add to a mechanism, and the subject of the refusal."""
+        lambda m: m.equation(
+            "law", lambda x: sum(np.sin(x["j"] + i / 7) for i in range(2000)), of=("j",)
+        ),
+        "constraint 'law'",
+    ),
+}
+"""For each thing that a format cannot say: what to add to a mechanism, and the subject of the
+refusal."""
 
 
 def test_each_thing_that_cannot_be_said_has_a_case():
@@ -177,43 +207,73 @@ def test_endings_tell_the_format(name: str, tmp_path: Path):
         else:
             with pytest.raises(UnsupportedError) as caught:
                 read(path)
-            assert str(caught.value) == f"{path}: {row.title} files are not read; Kempe reads URDF and TOML"
-            with pytest.raises(InputError, match=f"format is {name!r}; it must be 'urdf' or 'toml'"):
+            assert (
+                str(caught.value)
+                == f"{path}: {row.title} files are not read; Kempe reads URDF and TOML"
+            )
+            with pytest.raises(
+                InputError, match=f"format is {name!r}; it must be 'urdf' or 'toml'"
+            ):
                 read(path, format=name)
 
 
 @pytest.mark.parametrize(
     ("text", "ending", "title"),
     [
-        ("<robot/>", ".xml", "URDF"), ("<robot/>", ".sdf", "URDF"), ("<!-- <sdf> --><robot/>", "", "URDF"),
-        ("<sdf/>", ".urdf", "SDF"), ("<sdf/>", ".toml", "SDF"), ("<?xml?><!DOCTYPE sdf><sdf/>", "", "SDF"),
-        ("<!--> --><!-- <robot> -->\n<mujoco/>", ".xml", "MJCF (MuJoCo)"), ("<mjcf/>", "", "MJCF (MuJoCo)"),
-        ("format = 1", "", "TOML"), ("# a comment\nformat = 1", "", "TOML"), ("format = 1", ".sdf", "TOML"),
-        ("<a", "", "URDF"), ("<!-- <sdf>", "", "URDF"), ("words", ".urdf", "URDF"), ("<x/>", ".toml", "TOML"),
+        ("<robot/>", ".xml", "URDF"),
+        ("<robot/>", ".sdf", "URDF"),
+        ("<!-- <sdf> --><robot/>", "", "URDF"),
+        ("<sdf/>", ".urdf", "SDF"),
+        ("<sdf/>", ".toml", "SDF"),
+        ("<?xml?><!DOCTYPE sdf><sdf/>", "", "SDF"),
+        ("<!--> --><!-- <robot> -->\n<mujoco/>", ".xml", "MJCF (MuJoCo)"),
+        ("<mjcf/>", "", "MJCF (MuJoCo)"),
+        ("format = 1", "", "TOML"),
+        ("# a comment\nformat = 1", "", "TOML"),
+        ("format = 1", ".sdf", "TOML"),
+        ("<a", "", "URDF"),
+        ("<!-- <sdf>", "", "URDF"),
+        ("words", ".urdf", "URDF"),
+        ("<x/>", ".toml", "TOML"),
         ("words", "", "TOML"),
     ],
-)  # fmt: skip
-def test_contents_and_endings_together(text: str, ending: str, title: str, tmp_path: Path, monkeypatch):
+)
+def test_contents_and_endings_together(
+    text: str, ending: str, title: str, tmp_path: Path, monkeypatch
+):
     """Contents tell a format that is not read, and one where the ending tells none that is."""
     for name, row in FORMATS.items():
 
         def said(text, source, _title=row.title, **options):
             raise UnsupportedError(_title)
 
-        changed = Format(row.title, row.endings, row.read and said, recognises=row.recognises, options=row.options)
+        changed = Format(
+            row.title,
+            row.endings,
+            row.read and said,
+            recognises=row.recognises,
+            options=row.options,
+        )
         monkeypatch.setitem(FORMATS, name, changed)
         if row is DEFAULT:
             monkeypatch.setattr("kempe.description.read.DEFAULT", changed)
     (tmp_path / f"m{ending}").write_text(text)
     with pytest.raises(UnsupportedError) as caught:
         read(tmp_path / f"m{ending}")
-    assert str(caught.value).removeprefix(f"{tmp_path / f'm{ending}'}: ").partition(" files")[0] == title
+    assert (
+        str(caught.value).removeprefix(f"{tmp_path / f'm{ending}'}: ").partition(" files")[0]
+        == title
+    )
 
 
 # ---- a row of one's own
 
 
-DH = [{"a": 0.5, "alpha": 0.3, "d": 0.1, "theta": 0.2}, {"a": 0.4, "type": "prismatic"}, {"alpha": -1.0, "d": 0.2}]
+DH = [
+    {"a": 0.5, "alpha": 0.3, "d": 0.1, "theta": 0.2},
+    {"a": 0.4, "type": "prismatic"},
+    {"alpha": -1.0, "d": 0.2},
+]
 
 
 def test_a_format_of_ones_own_is_loaded_saved_and_converted(own: Format, tmp_path: Path):
@@ -224,7 +284,9 @@ def test_a_format_of_ones_own_is_loaded_saved_and_converted(own: Format, tmp_pat
     text = path.read_text()
     (tmp_path / "arm.txt").write_text(text)
     for source in (path, text, text.encode(), tmp_path / "arm.txt"):
-        np.testing.assert_allclose(kempe.load(source).fk(q, "tool"), arm.build().fk(q, "tool"), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            kempe.load(source).fk(q, "tool"), arm.build().fk(q, "tool"), rtol=0, atol=1e-14
+        )
     assert read(path, format="rows") == read(text)
     assert check(path) == ((), ())
     for ending in (".csv", ".toml", ".urdf"):
@@ -232,7 +294,9 @@ def test_a_format_of_ones_own_is_loaded_saved_and_converted(own: Format, tmp_pat
         result = Result("convert", str(path), str(out))
         assert result.code == 0 and f"written to {out}" in result.out
         again = kempe.load(out)
-        np.testing.assert_allclose(again.fk(q, "tool"), arm.build().fk(q, "tool"), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            again.fk(q, "tool"), arm.build().fk(q, "tool"), rtol=0, atol=1e-12
+        )
     back = Result("convert", str(tmp_path / "converted.toml"), str(tmp_path / "back.csv"))
     assert back.code == 0 and "revolute,0.5,0.3,0.1,0.2\n" in (tmp_path / "back.csv").read_text()
 
@@ -245,10 +309,16 @@ def test_a_format_of_ones_own_is_in_the_messages(own: Format, tmp_path: Path, mo
         (lambda: read("."), "this is a folder; give one of its files: arm.csv"),
         (lambda: read("<sdf/>"), "Kempe reads URDF, TOML and rows of a DH table"),
         (lambda: read("arm.csv", format="cvs"), "it must be 'urdf', 'toml' or 'rows'"),
-        (lambda: read("arm.csv", base="free"), "the option 'base' is for URDF, and this is rows of a DH table"),
+        (
+            lambda: read("arm.csv", base="free"),
+            "the option 'base' is for URDF, and this is rows of a DH table",
+        ),
         (lambda: read(""), "it must hold a description (URDF, TOML or rows of a DH table)"),
         (lambda: hinge().save("m.odt"), "it must be .urdf, .toml or .csv"),
-        (lambda: read("four_bar").save("m.csv"), "it leaves the chain; each body of a chain carries one joint at most"),
+        (
+            lambda: read("four_bar").save("m.csv"),
+            "it leaves the chain; each body of a chain carries one joint at most",
+        ),
         (lambda: read("ball").save("m.csv"), "a row turns about z or slides along it"),
     ]
     for call, words in said:

@@ -1,4 +1,6 @@
-"""Descriptions of many bodies: the work grows as their number, and TOML read line by line is what `tomllib` reads."""
+"""Descriptions of many bodies: the work grows as their number, and TOML read line by line is what
+`tomllib` reads.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,12 @@ def urdf(n: int, shape: str) -> str:
     out = ['<robot name="large">', '<link name="l0"/>']
     for i in range(1, n + 1):
         parent = {"star": 0, "tree": int(rng.integers(0, i))}.get(shape, i - 1)
-        kind = {"fixed": "fixed" if i % 2 else "revolute", "unlimited": "continuous"}.get(shape, "revolute")
-        limit = '<limit lower="-1" upper="1" effort="1" velocity="2"/>' if kind == "revolute" else ""
+        kind = {"fixed": "fixed" if i % 2 else "revolute", "unlimited": "continuous"}.get(
+            shape, "revolute"
+        )
+        limit = (
+            '<limit lower="-1" upper="1" effort="1" velocity="2"/>' if kind == "revolute" else ""
+        )
         axis = '<axis xyz="0 1 0"/>' if kind != "fixed" else ""
         x, y, z = rng.random(3)
         out.append(
@@ -52,19 +58,28 @@ def built(n: int, shape: str) -> Mechanism:
     for i in range(1, n + 1):
         parent = {"star": 0, "tree": int(rng.integers(0, i))}.get(shape, i - 1)
         add = m.fixed if shape == "fixed" and i % 2 else m.revolute
-        add(f"j{i}", f"l{parent}" if parent else m.ground, m.body(f"l{i}"), at=tuple(rng.random(3)),
-            **({} if add == m.fixed else {"limits": (-1.0, 1.0)}))  # fmt: skip
+        add(
+            f"j{i}",
+            f"l{parent}" if parent else m.ground,
+            m.body(f"l{i}"),
+            at=tuple(rng.random(3)),
+            **({} if add == m.fixed else {"limits": (-1.0, 1.0)}),
+        )
     return m
 
 
 def calls(function, *given) -> int:
-    """How many functions Kempe calls, those written in C among them; not what these call: some keep what they found."""
+    """How many functions Kempe calls, those written in C among them; not what these call: some keep
+    what they found.
+    """
     count = 0
 
     def counted(frame, event, _argument):
         nonlocal count
         caller = frame.f_back if event == "call" else frame
-        count += event in ("call", "c_call") and caller.f_globals.get("__name__", "").startswith("kempe")
+        count += event in ("call", "c_call") and caller.f_globals.get("__name__", "").startswith(
+            "kempe"
+        )
 
     sys.setprofile(counted)
     try:
@@ -86,7 +101,9 @@ WAYS = {
 @pytest.mark.parametrize("shape", some(SHAPES, 6))
 @pytest.mark.parametrize("way", WAYS)
 def test_work_grows_as_the_number_of_bodies(way, shape):
-    """Twice the bodies, twice the calls: counted, not timed. Calls in C that take longer show as none, see below."""
+    """Twice the bodies, twice the calls: counted, not timed. Calls in C that take longer show as
+    none, see below.
+    """
     few, many = (calls(*WAYS[way](n, shape)) for n in (300, 600))
     assert many < 2.1 * few + 100, (few, many)
 
@@ -177,11 +194,49 @@ def test_a_dropped_system_and_its_reading_need_no_garbage_collector(write):
 
 WORDS = ("a", "b", "joint", "body", "x-1", "2", "true")
 VALUES = (
-    '"text"', '"#, [x] = \\"no\\""', "'literal'", '"""\nmany\n[[joint]]\n"""', "1", "-7", "+0", "1_000", "0x1f", "1.5",
-    "-0.0", "5e-3", "+1.25E+10", "1e5", "inf", "-nan", "true", "false", "1979-05-27", "[]", "[1, 2.5]", "[1,2,]",
-    "[ -0.5 ,\t3e2 ]", '["a", "b"]', "[[1, 2], [3]]", "[\n1,\n2,\n]", "[\n[1],\n[2]\n]", "{x = 1, y = 'z'}", "[true]",
-    "", "1 2", "[1 2]", "[,]", "01", "1.", ".5", "--1", '"\\u00e9"', '"é"', '"tab\\t"', "[1, # c\n 2]", "'[x]'",
-)  # fmt: skip
+    '"text"',
+    '"#, [x] = \\"no\\""',
+    "'literal'",
+    '"""\nmany\n[[joint]]\n"""',
+    "1",
+    "-7",
+    "+0",
+    "1_000",
+    "0x1f",
+    "1.5",
+    "-0.0",
+    "5e-3",
+    "+1.25E+10",
+    "1e5",
+    "inf",
+    "-nan",
+    "true",
+    "false",
+    "1979-05-27",
+    "[]",
+    "[1, 2.5]",
+    "[1,2,]",
+    "[ -0.5 ,\t3e2 ]",
+    '["a", "b"]',
+    "[[1, 2], [3]]",
+    "[\n1,\n2,\n]",
+    "[\n[1],\n[2]\n]",
+    "{x = 1, y = 'z'}",
+    "[true]",
+    "",
+    "1 2",
+    "[1 2]",
+    "[,]",
+    "01",
+    "1.",
+    ".5",
+    "--1",
+    '"\\u00e9"',
+    '"é"',
+    '"tab\\t"',
+    "[1, # c\n 2]",
+    "'[x]'",
+)
 
 
 def random_text(rng: np.random.Generator) -> str:
@@ -193,12 +248,16 @@ def random_text(rng: np.random.Generator) -> str:
         blank = rng.choice(["", "", "", " ", "\t"])
         comment = rng.choice(["", "", "", " # said", "#[[x]]"])
         if what < 0.35:
-            head = rng.choice(["[[{}]]", "[[{}]]", "[{}]", "[{}.c]", "[[{}.c]]", "[[ {} ]]", '["{}"]', "[[{}]"])
+            head = rng.choice(
+                ["[[{}]]", "[[{}]]", "[{}]", "[{}.c]", "[[{}.c]]", "[[ {} ]]", '["{}"]', "[[{}]"]
+            )
             head = head.format(word)
             lines.append(f"{blank}{head}{comment}")
         elif what < 0.95:
             value = rng.choice(VALUES[:1] if rng.random() < 0.5 else VALUES)
-            key = rng.choice([f"k{rng.integers(20)}", f"k{rng.integers(20)}", f"k.{word}", f'"{word}"'])
+            key = rng.choice(
+                [f"k{rng.integers(20)}", f"k{rng.integers(20)}", f"k.{word}", f'"{word}"']
+            )
             equals = rng.choice([" = ", "=", " =\t"])
             lines.append(f"{blank}{key}{equals}{value}{comment}")
         else:
@@ -215,7 +274,9 @@ def alike(a: object, b: object) -> bool:
     if isinstance(a, list):
         return len(a) == len(b) and all(map(alike, a, b))
     if isinstance(a, float) and isinstance(b, float):
-        return (math.isnan(a) and math.isnan(b)) or (a == b and math.copysign(1, a) == math.copysign(1, b))
+        return (math.isnan(a) and math.isnan(b)) or (
+            a == b and math.copysign(1, a) == math.copysign(1, b)
+        )
     return a == b
 
 
@@ -242,7 +303,10 @@ def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
             fast += 1
             scanned = Places(Source("text", text))
             for path, offset in places.items():
-                assert scanned.where(*path) == Source("text", text).where_offset(offset), (text, path)
+                assert scanned.where(*path) == Source("text", text).where_offset(offset), (
+                    text,
+                    path,
+                )
     assert fast > 0.1 * good > 0
 
 
@@ -255,7 +319,10 @@ def test_models_of_the_library_are_read_line_by_line(name, monkeypatch):
 
 
 def test_dates_are_still_refused_with_their_line():
-    text = write_toml(read(urdf(60, "chain"))) + "\n[[frame]]\nname = 'f'\nbody = 'l1'\nat = 1979-05-27\n"
+    text = (
+        write_toml(read(urdf(60, "chain")))
+        + "\n[[frame]]\nname = 'f'\nbody = 'l1'\nat = 1979-05-27\n"
+    )
     line = text.split("\n").index("at = 1979-05-27") + 1
     assert isinstance(tomllib.loads(text)["frame"][0]["at"], datetime.date)
     with pytest.raises(DescriptionError, match=rf"<text>:{line}: .*is a date"):

@@ -80,7 +80,10 @@ def test_a_file_goes_before_a_model_of_the_library(tmp_path, monkeypatch):
         ("empty", "this is a folder; give the path of a file"),
         ("a\0b.urdf", "holds a zero byte, which no name of a file has"),
         ("n" * 5000, "cannot be read: File name too long"),
-        ("model.urdf.xacro", "this is a xacro file, a program that writes URDF; load it with xacro=True"),
+        (
+            "model.urdf.xacro",
+            "this is a xacro file, a program that writes URDF; load it with xacro=True",
+        ),
     ],
 )
 def test_files_that_are_not_there(source: str, words: str, tmp_path, monkeypatch):
@@ -94,7 +97,9 @@ def test_files_that_are_not_there(source: str, words: str, tmp_path, monkeypatch
         read(source)
 
 
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a user whom files can be closed to")
+@pytest.mark.skipif(
+    os.name != "posix" or os.geteuid() == 0, reason="needs a user whom files can be closed to"
+)
 def test_files_without_permission(tmp_path):
     path = tmp_path / "m.urdf"
     path.write_text(URDF)
@@ -113,7 +118,10 @@ def test_endless_files():
     ("text", "words"),
     [
         ("<sdf version='1.9'/>", "SDF files are not read; Kempe reads URDF and TOML"),
-        ("<?xml version='1.0'?>\n<!-- <robot> -->\n<mujoco/>", r"MJCF \(MuJoCo\) files are not read; Kempe reads"),
+        (
+            "<?xml version='1.0'?>\n<!-- <robot> -->\n<mujoco/>",
+            r"MJCF \(MuJoCo\) files are not read; Kempe reads",
+        ),
     ],
 )
 def test_formats_to_come(text: str, words: str, tmp_path):
@@ -174,12 +182,20 @@ def scene(name: str) -> bytes:
 
 PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 OTHERS = [
-    ("Git LFS", "git lfs pull", b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"),
+    (
+        "Git LFS",
+        "git lfs pull",
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n",
+    ),
     ("symbolic link", "the file that it names", b"../urdf/robot.urdf"),
     ("web page", "Raw", b"<!DOCTYPE html><html><head><title>404</title></head></html>"),
     ("web page", "Raw", b"\n<!-- saved from -->\n<HTML lang='en'>\n<body></body></HTML>"),
     ("web page", "Raw", b"<!doctype HTML>\n<title>robot.urdf</title><p>text"),
-    ("web page", "Raw", b'<?xml version="1.0"?><!DOCTYPE html PUBLIC "-//W3C//DTD XHTML 1.0//EN" "x">\n<html/>'),
+    (
+        "web page",
+        "Raw",
+        b'<?xml version="1.0"?><!DOCTYPE html PUBLIC "-//W3C//DTD XHTML 1.0//EN" "x">\n<html/>',
+    ),
     ("web server", "address", b"404: Not Found"),
     ("web server", "address", b'<?xml version="1.0"?>\n<Error><Code>AccessDenied</Code></Error>'),
     ("gzip", "unpack", gzip.compress(URDF.encode())),
@@ -212,13 +228,21 @@ OTHERS = [
     ("JSON", "no JSON", b'{\n  "message": "Not Found"\n}\n'),
     ("JSON", "no JSON", b"{}\n"),
     ("launch file", "URDF", b"<launch><param name='robot_description'/></launch>"),
-    ("package manifest", "package", b"<?xml version='1.0'?><package format='3'><name>r</name></package>"),
+    (
+        "package manifest",
+        "package",
+        b"<?xml version='1.0'?><package format='3'><name>r</name></package>",
+    ),
     (
         "SRDF",
         "load the URDF",
         b'<robot name="r">\n<group name="arm"><chain base_link="a" tip_link="b"/></group></robot>',
     ),
-    ("SRDF", "<virtual_joint>", b'<robot name="r"><virtual_joint name="v" type="fixed" child_link="b"/></robot>'),
+    (
+        "SRDF",
+        "<virtual_joint>",
+        b'<robot name="r"><virtual_joint name="v" type="fixed" child_link="b"/></robot>',
+    ),
     (
         "SRDF",
         "<group_state>",
@@ -230,7 +254,10 @@ OTHERS = [
 
 @pytest.mark.parametrize(("what", "advice", "data"), OTHERS)
 def test_a_file_of_another_kind_is_named(what: str, advice: str, data: bytes, tmp_path: Path):
-    sources: list[tuple[str, object, str | None]] = [("<text>", data, None), ("<text>", data, "urdf")]
+    sources: list[tuple[str, object, str | None]] = [
+        ("<text>", data, None),
+        ("<text>", data, "urdf"),
+    ]
     for name in ("a.urdf", "a.toml", "a.xml", "a"):
         (tmp_path / name).write_bytes(data)
         sources.append((str(tmp_path / name), tmp_path / name, None))
@@ -238,14 +265,19 @@ def test_a_file_of_another_kind_is_named(what: str, advice: str, data: bytes, tm
     if text.encode() == data:
         sources += [("<text>", f"\n{text}", "urdf"), ("<text>", f" {text}\n ", "toml")]
         if b"\0" not in data:
-            sources += [("<text>", text.encode(encoding), None) for encoding in ("utf-8-sig", "utf-16")]
+            sources += [
+                ("<text>", text.encode(encoding), None) for encoding in ("utf-8-sig", "utf-16")
+            ]
     if what == "SRDF":
         sources = [s for s in sources if not str(s[0]).endswith(".toml") and s[2] != "toml"]
     for place, source, format in sources:
         with pytest.raises(DescriptionError) as caught:
             read(source, format=format)  # type: ignore[arg-type]
         (problem,) = caught.value.problems
-        assert problem.message.startswith("this is a") and what in problem.message, (source, str(problem))
+        assert problem.message.startswith("this is a") and what in problem.message, (
+            source,
+            str(problem),
+        )
         assert advice in problem.message + problem.allowed and problem.where is not None
         assert (problem.where.file, problem.where.line) == (place, 1) or what == "SRDF"
         assert str(caught.value).count(place) == 1 and "\0" not in str(caught.value)
@@ -256,8 +288,17 @@ def test_each_other_kind_has_an_example():
     assert kinds == {kind.what for kind in OTHER_KINDS}
 
 
-@pytest.mark.parametrize(("name", "what"), [("dae", "COLLADA"), ("stl_ascii", "STL"), ("obj", "OBJ"), ("ply", "PLY"),
-                                            ("glb", "glTF"), ("gltf", "JSON")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("dae", "COLLADA"),
+        ("stl_ascii", "STL"),
+        ("obj", "OBJ"),
+        ("ply", "PLY"),
+        ("glb", "glTF"),
+        ("gltf", "JSON"),
+    ],
+)
 def test_meshes_that_trimesh_writes_are_named(name: str, what: str):
     if name == "dae":
         pytest.importorskip("collada")
@@ -267,14 +308,18 @@ def test_meshes_that_trimesh_writes_are_named(name: str, what: str):
 
 
 def test_no_valid_file_is_taken_for_another_kind(hunt):
-    """Shipped models, robots of example-robot-data, and what is written of them, behind blanks, comments and marks."""
+    """Shipped models, robots of example-robot-data, and what is written of them, behind blanks,
+    comments and marks.
+    """
     rng = hunt.rng()
     texts = [library.path(name).read_text(encoding="utf-8") for name in library_models()]
     texts += [path.read_text(encoding="utf-8", errors="replace") for path in urdf_files().values()]
     texts += [case.text for case in (*URDF_CASES, *TOML_CASES) if case.says is None]
     for text in texts:
         assert other_kind(text) is None and other_kind(text.encode()) is None
-    words = [data.decode("latin-1").replace("\0", "").replace("--", "").strip() for _, _, data in OTHERS]
+    words = [
+        data.decode("latin-1").replace("\0", "").replace("--", "").strip() for _, _, data in OTHERS
+    ]
     for _ in range(hunt.cases(1000)):
         text = texts[rng.integers(len(texts))]
         word = words[rng.integers(len(words))].splitlines()[0]
@@ -294,12 +339,20 @@ def test_a_message_names_the_path_once(text: str, tmp_path: Path, monkeypatch: p
     (tmp_path / "folder").mkdir()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
-    for source in ("m.xml", "./m.xml", "~/m.xml", "../" + tmp_path.name + "/m.xml", tmp_path / "m.xml", "folder"):
+    for source in (
+        "m.xml",
+        "./m.xml",
+        "~/m.xml",
+        "../" + tmp_path.name + "/m.xml",
+        tmp_path / "m.xml",
+        "folder",
+    ):
         for given in ({}, {"xacro": False}):
             (problem,) = check(source, **given).problems
-            assert str(problem).count("m.xml") == (source != "folder") and str(problem).count("folder") < 3, str(
-                problem
-            )
+            assert (
+                str(problem).count("m.xml") == (source != "folder")
+                and str(problem).count("folder") < 3
+            ), str(problem)
     (problem,) = check(text).problems
     assert str(problem).count("<text>") == 1
 
@@ -359,7 +412,10 @@ def test_files_of_the_home_folder(tmp_path, monkeypatch):
     (tmp_path / "models").mkdir()
     for source in ("~/m.urdf", Path("~/m.urdf")):
         m = read(source, package_dirs=["~/models"])
-        assert m == read(tmp_path / "m.urdf") and m.roots == (str(tmp_path), str(tmp_path / "models"))
+        assert m == read(tmp_path / "m.urdf") and m.roots == (
+            str(tmp_path),
+            str(tmp_path / "models"),
+        )
     assert check("~/m.urdf").problems == ()
     with pytest.raises(DescriptionError, match=f"{tmp_path}/no.urdf: there is no such file"):
         read("~/no.urdf")
@@ -370,8 +426,14 @@ def test_files_of_the_home_folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("https://example.org/a/ur5.urdf", "'https://example.org/a/ur5.urdf' is a URL; .* download it first"),
-        (Path("https://example.org/a.urdf"), "'https://example.org/a.urdf' is a URL; .* download it first"),
+        (
+            "https://example.org/a/ur5.urdf",
+            "'https://example.org/a/ur5.urdf' is a URL; .* download it first",
+        ),
+        (
+            Path("https://example.org/a.urdf"),
+            "'https://example.org/a.urdf' is a URL; .* download it first",
+        ),
         ("git+ssh://x/y.urdf", "'git.ssh://x/y.urdf' is a URL"),
         ("file:///tmp/a.urdf", "is a URL; give the path alone, without file://"),
         ("package://ur/ur5.urdf", "is a URL; give the path of the file"),
@@ -410,14 +472,17 @@ def test_xacro_is_expanded_on_request(tmp_path):
     path = tmp_path / "m.urdf.xacro"
     path.write_text(
         XACRO.format(
-            '<xacro:include filename="part.xacro"/><xacro:property name="l" value="0.25"/><link name="a"/>'
+            '<xacro:include filename="part.xacro"/><xacro:property name="l" value="0.25"/><link '
+            'name="a"/>'
             + '<xacro:leg n="1"/>'
             + joint("j", '<origin xyz="${2*l} 0 0"/>' + LIMIT, parent="a", child="leg1")
         )
     )
     m = read(path, xacro=True)
     assert m.joints["j"].X_PF.steps[0] == ("x", (0.5,)) and m.roots == (str(tmp_path),)
-    assert m.joints["j"].where is not None and m.joints["j"].where.file.endswith("m.urdf.xacro (expanded)")
+    assert m.joints["j"].where is not None and m.joints["j"].where.file.endswith(
+        "m.urdf.xacro (expanded)"
+    )
     with pytest.raises(InputError, match="from a file, not from text"):
         read(path.read_text(), xacro=True)
 
@@ -431,7 +496,9 @@ def test_a_folder_of_the_packages_name_is_taken_for_it(dirs, tmp_path):
     folder = tmp_path / "packages" / "my_legs" / "urdf"
     folder.mkdir(parents=True)
     (folder / "part.xacro").write_text(XACRO.format(LEG))
-    assert '<link name="leg1"/>' in expanded(tmp_path, USE, package_dirs=[tmp_path / d for d in dirs])
+    assert '<link name="leg1"/>' in expanded(
+        tmp_path, USE, package_dirs=[tmp_path / d for d in dirs]
+    )
 
 
 def test_a_folder_above_the_file_is_taken_for_its_package(tmp_path):
@@ -457,13 +524,18 @@ def test_a_package_that_names_itself_comes_first(tmp_path):
 def test_a_package_that_is_not_found_is_named(dirs, tmp_path):
     (tmp_path / "empty").mkdir()
     where = f" in '{tmp_path}/empty'" if dirs else ""
-    words = f"m.urdf.xacro: xacro finds no package 'my_legs'{where}; name by package_dirs a folder that holds one"
+    words = (
+        f"m.urdf.xacro: xacro finds no package 'my_legs'{where}; name by package_dirs a folder "
+        "that holds one"
+    )
     with pytest.raises(DescriptionError, match=words):
         expanded(tmp_path, USE, package_dirs=[tmp_path / d for d in dirs])
 
 
 def test_xacro_arguments(tmp_path):
-    text = expanded(tmp_path, '<xacro:arg name="n" default="b"/><link name="$(arg n)"/>', arguments={"n": "c"})
+    text = expanded(
+        tmp_path, '<xacro:arg name="n" default="b"/><link name="$(arg n)"/>', arguments={"n": "c"}
+    )
     assert '<link name="c"/>' in text
 
 
@@ -471,12 +543,18 @@ def test_xacro_in_a_home_folder_reads_the_files_beside_it_alone(tmp_path, monkey
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("parts.xacro", "secret/parts.xacro"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="arm"/></robot>')
+        (tmp_path / name).write_text(
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="arm"/></robot>'
+        )
     assert '<link name="arm"' in expanded(tmp_path, '<xacro:include filename="parts.xacro"/>')
-    with pytest.raises(DescriptionError, match=r"secret/parts.xacro lies outside the folders of the robot"):
+    with pytest.raises(
+        DescriptionError, match=r"secret/parts.xacro lies outside the folders of the robot"
+    ):
         expanded(tmp_path, '<xacro:include filename="secret/parts.xacro"/>')
     assert '<link name="arm"' in expanded(
-        tmp_path, '<xacro:include filename="secret/parts.xacro"/>', package_dirs=[tmp_path / "secret"]
+        tmp_path,
+        '<xacro:include filename="secret/parts.xacro"/>',
+        package_dirs=[tmp_path / "secret"],
     )
 
 
@@ -494,8 +572,14 @@ def test_xacro_in_a_home_folder_reads_the_files_beside_it_alone(tmp_path, monkey
             "<xacro:property name='x' value=\"${load_yaml('/etc/passwd')}\"/><link name='${x}'/>",
             "/etc/passwd lies outside",
         ),
-        ('<xacro:include filename="/etc/hostname"/>', "/etc/hostname lies outside the folders of the robot"),
-        ('<xacro:include filename="../../../../../../../../etc/hostname"/>', "/etc/hostname lies outside"),
+        (
+            '<xacro:include filename="/etc/hostname"/>',
+            "/etc/hostname lies outside the folders of the robot",
+        ),
+        (
+            '<xacro:include filename="../../../../../../../../etc/hostname"/>',
+            "/etc/hostname lies outside",
+        ),
     ],
 )
 def test_xacro_that_goes_wrong(inside: str, words: str, tmp_path, monkeypatch):
@@ -511,7 +595,10 @@ def test_links_out_of_the_folders_of_a_robot_are_not_followed(tmp_path):
     folder = tmp_path / "robots" / "arm" / "urdf"
     folder.mkdir(parents=True)
     (folder / "config.yaml").symlink_to(tmp_path / "away" / "secret.yaml")
-    use = "<xacro:property name='x' value=\"${load_yaml('config.yaml')}\"/><link name=\"${x['word']}\"/>"
+    use = (
+        "<xacro:property name='x' value=\"${load_yaml('config.yaml')}\"/><link "
+        "name=\"${x['word']}\"/>"
+    )
     with pytest.raises(DescriptionError, match="secret.yaml lies outside") as caught:
         expanded(folder, use)
     assert "hunter2" not in str(caught.value)
@@ -527,7 +614,9 @@ def test_neighbours_of_a_package_are_read(tmp_path):
     )
     (tmp_path / "robots" / "tool.yaml").write_text("length: 0.2")
     text = expanded(
-        folder, "<xacro:property name='x' value=\"${load_yaml('../../tool.yaml')}\"/><link name=\"${x['length']}\"/>"
+        folder,
+        "<xacro:property name='x' value=\"${load_yaml('../../tool.yaml')}\"/><link "
+        "name=\"${x['length']}\"/>",
     )
     assert '"0.2"' in text
 

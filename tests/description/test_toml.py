@@ -111,13 +111,18 @@ def test_what_the_format_says():
 
 def test_written_text_is_plain():
     text = write_toml(read_toml(FOUR_BAR))
-    assert 'at = ["crank", 0.0]' in text and 'angle = "pi/2"' in text and "limits = [-3.0, inf]" in text
+    assert (
+        'at = ["crank", 0.0]' in text
+        and 'angle = "pi/2"' in text
+        and "limits = [-3.0, inf]" in text
+    )
     assert "steps" not in text and "child_at = [2.5, 0.0]" in text
 
 
 def test_the_axis_of_the_parent_holds_for_the_child():
     head = (
-        'format = 1\n[[body]]\nname = "a"\n[[joint]]\nname = "j"\ntype = "revolute"\nparent = "ground"\nchild = "a"\n'
+        'format = 1\n[[body]]\nname = "a"\n[[joint]]\nname = "j"\ntype = "revolute"\nparent = '
+        '"ground"\nchild = "a"\n'
     )
     same = read_toml(head + "axis = [0, 1, 0]\n").joints["j"]
     assert same.X_PF == same.X_CM
@@ -137,7 +142,10 @@ def test_frames_name_places():
 
 
 def test_names_with_dots_need_no_quotes():
-    text = 'format = 1\n[[body]]\nname = "a"\n[[joint]]\nname = "p"\ntype = "planar"\nparent = "ground"\nchild = "a"\n'
+    text = (
+        'format = 1\n[[body]]\nname = "a"\n[[joint]]\nname = "p"\ntype = "planar"\nparent = '
+        '"ground"\nchild = "a"\n'
+    )
     m = read_toml(text + '[postures]\nhome = {p.x = 1, "p.rz" = 2}\n[locks]\np.y = 3\n')
     assert m.postures == {"home": {"p.x": 1.0, "p.rz": 2.0}} and m.locks == {"p.y": 3.0}
     with pytest.raises(DescriptionError, match="names 'p.x' twice"):
@@ -145,7 +153,9 @@ def test_names_with_dots_need_no_quotes():
 
 
 def test_ground_can_have_mass():
-    m = read_toml('format = 1\nground = "base"\n[[body]]\nname = "base"\nmass = 2\nvisuals = ["<visual/>"]\n')
+    m = read_toml(
+        'format = 1\nground = "base"\n[[body]]\nname = "base"\nmass = 2\nvisuals = ["<visual/>"]\n'
+    )
     assert m.ground.mass == 2.0 and m.ground.visuals == ("<visual/>",)
     assert read_toml(write_toml(m)) == m
 
@@ -176,7 +186,9 @@ child = "gripper"
     assert list(m.joints) == ["shoulder", "q2", "mount"] and "tool" in m.frames
     assert m.joints["q2"].where is not None and m.joints["q2"].where.line == 12
     assert m.joints["q2"].X_PF.steps == (("x", (Expression("l"),)), ("z", (0.05,)))
-    with pytest.raises(DescriptionError, match=r":12: dh: row 2 has an unknown entry 'tipe'; did you mean 'type'"):
+    with pytest.raises(
+        DescriptionError, match=r":12: dh: row 2 has an unknown entry 'tipe'; did you mean 'type'"
+    ):
         read_toml(text.replace('type = "prismatic"', 'tipe = "prismatic"'))
 
 
@@ -190,7 +202,9 @@ axis = [0, 0, 1]
 [[screws.rows]]
 twist = [0, -0.5, 0, 0, 0, 2]
 """
-    with pytest.raises(DescriptionError, match=r":7: screws: screw 2: its rotation part w has length 2"):
+    with pytest.raises(
+        DescriptionError, match=r":7: screws: screw 2: its rotation part w has length 2"
+    ):
         read_toml(text)
     m = read_toml(text.replace("0, 2]", "0, 1]"))
     assert m.joints["q2"].X_PF.steps == (("x", (0.5,)),)
@@ -203,10 +217,21 @@ def test_every_place_is_found():
     )
     where = Places(Source("t", text)).where
     expected = {
-        ("format",): (1, 10), ("notes",): (2, 9), ("notes", 0): (2, 10), ("notes", 1): (2, 19), ("notes", 2): (5, 3),
-        ("a",): (6, 1), ("a", "b"): (6, 1), ("a", "b", "x", "y"): (7, 7), ("c", 0): (8, 1), ("c", 0, "d e"): (9, 9),
-        ("c", 0, "d e", 1): (11, 2), ("c", 0, "f", "g"): (14, 5), ("c", 1, "h"): (18, 5), ("c", 1, "nothing"): (17, 1),
-    }  # fmt: skip
+        ("format",): (1, 10),
+        ("notes",): (2, 9),
+        ("notes", 0): (2, 10),
+        ("notes", 1): (2, 19),
+        ("notes", 2): (5, 3),
+        ("a",): (6, 1),
+        ("a", "b"): (6, 1),
+        ("a", "b", "x", "y"): (7, 7),
+        ("c", 0): (8, 1),
+        ("c", 0, "d e"): (9, 9),
+        ("c", 0, "d e", 1): (11, 2),
+        ("c", 0, "f", "g"): (14, 5),
+        ("c", 1, "h"): (18, 5),
+        ("c", 1, "nothing"): (17, 1),
+    }
     assert {path: (where(*path).line, where(*path).column) for path in expected} == expected
 
 
@@ -220,7 +245,9 @@ def test_joint_types_from_outside_are_refused():
         write_toml(m)
 
 
-@pytest.mark.parametrize("name", ["\n", "a\nb", "'''", '"', "\\", "a'\n'", "\r\n\r", "\x00\x7f", "#", "=", "é", " x "])
+@pytest.mark.parametrize(
+    "name", ["\n", "a\nb", "'''", '"', "\\", "a'\n'", "\r\n\r", "\x00\x7f", "#", "=", "é", " x "]
+)
 def test_any_text_survives(name: str):
     m = Mechanism("a" + name)
     m.posture("p" + name, {})
@@ -236,13 +263,17 @@ def test_floats_survive_to_the_last_bit():
         m.posture(str(i), {"j": x})
     m.revolute("j", m.ground, m.body("a"))
     again = read_toml(write_toml(m))
-    assert [np.float64(p["j"]).tobytes() for p in again.postures.values()] == [np.float64(x).tobytes() for x in numbers]
+    assert [np.float64(p["j"]).tobytes() for p in again.postures.values()] == [
+        np.float64(x).tobytes() for x in numbers
+    ]
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "toml.md"
 
 
-@pytest.mark.parametrize("text", re.findall(r"^```toml\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE))
+@pytest.mark.parametrize(
+    "text", re.findall(r"^```toml\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE)
+)
 def test_examples_of_the_page(text: str):
     m = read_toml(text)
     assert read_toml(write_toml(m)) == m and m.build().nq >= 3
@@ -251,30 +282,59 @@ def test_examples_of_the_page(text: str):
 def test_the_page_names_every_key():
     page = PAGE.read_text()
     keys = {key.removeprefix("child_") for known in KEYS.values() for key in known} | set(COUNTS)
-    assert {key for key in keys if f"`{key}`" not in page and f"[[{key}]]" not in page and f"[{key}]" not in page} <= {
-        "of", "sources", "offset", "rows", "convention",
-    }  # fmt: skip
+    assert {
+        key
+        for key in keys
+        if f"`{key}`" not in page and f"[[{key}]]" not in page and f"[{key}]" not in page
+    } <= {
+        "of",
+        "sources",
+        "offset",
+        "rows",
+        "convention",
+    }
     assert all(f"{key} = " in page for key in ("of", "sources", "rows", "convention"))
 
 
-@pytest.mark.parametrize("text", [
-    "[a{}]", "a{} = 1", "[[a{}]]", "'a'{} = 1", '[ "a" {} ]', "x = {{a{} = 1}}", "x = {{b = 2, a{} = 1}}",
-    'x = [{{"a"{} = 1}}]', "x = {{y = 'z', 'a'{} = 1}}", "x = {{a{}",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[a{}]",
+        "a{} = 1",
+        "[[a{}]]",
+        "'a'{} = 1",
+        '[ "a" {} ]',
+        "x = {{a{} = 1}}",
+        "x = {{b = 2, a{} = 1}}",
+        'x = [{{"a"{} = 1}}]',
+        "x = {{y = 'z', 'a'{} = 1}}",
+        "x = {{a{}",
+    ],
+)
 def test_long_dotted_keys_are_refused_before_they_take_long(text, monkeypatch):
     """The time of `tomllib` grows as the square of their names: it does not get them."""
     from kempe.description.toml import toml_fast
 
     monkeypatch.setattr(toml_fast.tomllib, "loads", lambda text: pytest.fail("given to tomllib"))
     for names in (65, 100_000):
-        with pytest.raises(DescriptionError, match="<text>:2: .*a dotted key of more than 64 names"):
+        with pytest.raises(
+            DescriptionError, match="<text>:2: .*a dotted key of more than 64 names"
+        ):
             read_toml("# a comment\n" + text.format(". b" * names) + "\n")
 
 
-@pytest.mark.parametrize("text", [
-    'name = "{{{}"', "name = '{{{}'", 'name = """\n{{{}\n"""\nb = 1', "name = '''\n, {}\n'''", "b = 1 # {{{}",
-    'a = ["\\", {}"]', 'a = [1, # , {}\n 2]',
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name = "{{{}"',
+        "name = '{{{}'",
+        'name = """\n{{{}\n"""\nb = 1',
+        "name = '''\n, {}\n'''",
+        "b = 1 # {{{}",
+        'a = ["\\", {}"]',
+        "a = [1, # , {}\n 2]",
+    ],
+)
 def test_strings_and_comments_may_look_like_long_keys(text):
     from kempe.description.toml import toml_fast
 
@@ -287,4 +347,6 @@ def test_places_of_deep_keys_are_those_of_what_encloses_them():
 
     deep = tuple("abcdefghijklmnopqrstuvwxyz")
     places = Places(Source("x", f"x = 1\n[{'.'.join(deep)}]\ny = 2\n"))
-    assert places.where(*deep[:3]).line == places.where(*deep, "y").line == 2 and len(deep) > DEEPEST
+    assert (
+        places.where(*deep[:3]).line == places.where(*deep, "y").line == 2 and len(deep) > DEEPEST
+    )

@@ -38,11 +38,17 @@ X0 = pose((1, -2, 0.5), (0.3, -0.1, 2))
 REST = joint("rest", "", "fixed", "arm", "hand")
 
 
-@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, -1, 0), (0, 0, -1), (0.6, 0, 0.8), (1, 2, -3)])
-@pytest.mark.parametrize(("kind", "motion"), [("revolute", about), ("continuous", about), ("prismatic", along)])
+@pytest.mark.parametrize(
+    "axis", [(0, 0, 1), (1, 0, 0), (0, -1, 0), (0, 0, -1), (0.6, 0, 0.8), (1, 2, -3)]
+)
+@pytest.mark.parametrize(
+    ("kind", "motion"), [("revolute", about), ("continuous", about), ("prismatic", along)]
+)
 @pytest.mark.parametrize("q", [0.0, 0.7])
 def test_joints_with_an_axis(q, kind: str, motion, axis):
-    text = robot(joint("j", f'{ORIGIN}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{LIMIT}', kind), REST)
+    text = robot(
+        joint("j", f'{ORIGIN}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{LIMIT}', kind), REST
+    )
     s = read_urdf(text).build()
     np.testing.assert_allclose(s.fk([q], "arm"), X0 @ motion(axis, q), rtol=0, atol=1e-14)
 
@@ -52,16 +58,22 @@ def test_planar_joints_move_in_the_plane_across_their_axis(axis):
     text = robot(joint("j", f'{ORIGIN}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>', "planar"), REST)
     s = read_urdf(text).build()
     np.testing.assert_allclose(s.fk(s.neutral, "arm"), X0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(s.fk({"j.rz": 0.4}, "arm"), X0 @ about(axis, 0.4), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        s.fk({"j.rz": 0.4}, "arm"), X0 @ about(axis, 0.4), rtol=0, atol=1e-14
+    )
     moved = np.linalg.inv(X0) @ s.fk({"j.x": 0.3, "j.y": -0.4}, "arm")
     np.testing.assert_allclose(moved[:3, :3], np.eye(3), rtol=0, atol=1e-14)
-    assert abs(np.dot(moved[:3, 3], axis)) < 1e-14 and abs(np.linalg.norm(moved[:3, 3]) - 0.5) < 1e-14
+    assert (
+        abs(np.dot(moved[:3, 3], axis)) < 1e-14 and abs(np.linalg.norm(moved[:3, 3]) - 0.5) < 1e-14
+    )
 
 
 def test_floating_joints():
     s = read_urdf(robot(joint("j", ORIGIN, "floating"), REST)).build()
     q = {"j.x": 1.0, "j.y": 2.0, "j.z": 3.0, "j.qw": math.cos(0.2), "j.qx": math.sin(0.2)}
-    np.testing.assert_allclose(s.fk(q, "arm"), X0 @ pose((1, 2, 3)) @ about((1, 0, 0), 0.4), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        s.fk(q, "arm"), X0 @ pose((1, 2, 3)) @ about((1, 0, 0), 0.4), rtol=0, atol=1e-14
+    )
 
 
 def test_defaults():
@@ -72,8 +84,13 @@ def test_defaults():
 
 
 def test_quaternions_of_newer_files():
-    text = robot(joint("j", f'<origin xyz="1 2 3" quat_xyzw="0 0 {math.sin(0.3)} {math.cos(0.3)}"/>{LIMIT}'), REST)
-    with pytest.raises(DescriptionError, match="quat_xyzw is of URDF 1.1, and this file is of version 1.0"):
+    text = robot(
+        joint("j", f'<origin xyz="1 2 3" quat_xyzw="0 0 {math.sin(0.3)} {math.cos(0.3)}"/>{LIMIT}'),
+        REST,
+    )
+    with pytest.raises(
+        DescriptionError, match="quat_xyzw is of URDF 1.1, and this file is of version 1.0"
+    ):
         read_urdf(text)
     text = text.replace("<robot", '<robot version="1.1"')
     s = read_urdf(text).build()
@@ -89,7 +106,11 @@ def test_quaternions_of_newer_files():
         ('<limit upper="2"/>', (0.0, 2.0), (None, None)),
         ('<limit lower="-2"/>', (-2.0, 0.0), (None, None)),
         ('<limit lower="-inf" upper="2"/>', (-math.inf, 2.0), (None, None)),
-        ('<limit lower="-1e308" upper="+Infinity" effort="1e308" velocity="inf"/>', None, (None, None)),
+        (
+            '<limit lower="-1e308" upper="+Infinity" effort="1e308" velocity="inf"/>',
+            None,
+            (None, None),
+        ),
         ("", None, (None, None)),
     ],
 )
@@ -107,45 +128,65 @@ def test_limits_without_bounds_are_zero_and_say_so(kind: str):
     text = robot(joint("j", '<limit effort="1" velocity="2"/>', kind), REST)
     m = read_urdf(text)
     assert m.joints["j"].limits == {"": (0.0, 0.0)} and m.joints["j"].unstated
-    assert m.notes == ["<text>:5: joint 'j': its <limit> has no lower and upper; by the rules of URDF both are 0 and "
-                       "the joint cannot move (lenient_limits=True reads it as unlimited)"]  # fmt: skip
+    assert m.notes == [
+        "<text>:5: joint 'j': its <limit> has no lower and upper; by the rules of URDF both are 0 "
+        "and the joint cannot move (lenient_limits=True reads it as unlimited)"
+    ]
     free = read_urdf(text, lenient_limits=True)
     assert free.joints["j"].limits == {} and not free.joints["j"].unstated
-    assert (free.joints["j"].velocity_limits, free.joints["j"].effort_limits) == ({"": 2.0}, {"": 1.0})
+    assert (free.joints["j"].velocity_limits, free.joints["j"].effort_limits) == (
+        {"": 2.0},
+        {"": 1.0},
+    )
     assert "it is read as unlimited, as requested" in free.notes[0]
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_swapped_limits_are_refused_or_none(kind: str):
     text = robot(joint("j", SWAPPED, kind), REST)
-    with pytest.raises(DescriptionError, match="limits are swapped.*unlimited: lenient_limits=True reads it so"):
+    with pytest.raises(
+        DescriptionError, match="limits are swapped.*unlimited: lenient_limits=True reads it so"
+    ):
         read_urdf(text)
     m = read_urdf(text, lenient_limits=True)
     assert m.joints["j"].limits == {} and m.joints["j"].velocity_limits == {"": 3.0}
-    assert m.notes == ["<text>:5: joint 'j': its limits are swapped (lower='1' upper='-1'); "
-                       "it is read as unlimited, as requested"]  # fmt: skip
+    assert m.notes == [
+        "<text>:5: joint 'j': its limits are swapped (lower='1' upper='-1'); "
+        "it is read as unlimited, as requested"
+    ]
 
 
 def by_the_rules(given: dict[str, float], lenient: bool) -> tuple[float, float] | None:
-    """Limits by the rules of URDF, or of Bullet where `lenient`; None where the file is to be refused."""
+    """Limits by the rules of URDF, or of Bullet where `lenient`; None where the file is to be
+    refused.
+    """
     lower = given.get("lower", 0.0)
     upper = given.get("upper", 0.0)
     if lenient and (not given or lower > upper):
         return -math.inf, math.inf
     if lower > upper or lower == math.inf or upper == -math.inf:
         return None
-    return (lower, upper) if abs(lower) < math.inf or abs(upper) < math.inf else (-math.inf, math.inf)
+    return (
+        (lower, upper) if abs(lower) < math.inf or abs(upper) < math.inf else (-math.inf, math.inf)
+    )
 
 
 def test_limits_of_all_kinds_are_read_by_the_rules(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(1000)):
         values = [float(x) for x in rng.choice([0.0, -1.0, 1.0, 0.5, -2.5, math.inf, -math.inf], 2)]
-        given = {k: x for k, x in zip(("lower", "upper"), values, strict=True) if rng.random() < 0.7}
+        given = {
+            k: x for k, x in zip(("lower", "upper"), values, strict=True) if rng.random() < 0.7
+        }
         said = "".join(f' {k}="{x}"' for k, x in given.items())
         lenient = bool(rng.random() < 0.5)
         text = robot(
-            joint("j", f'<limit effort="1" velocity="1"{said}/>', str(rng.choice(["revolute", "prismatic"]))), REST
+            joint(
+                "j",
+                f'<limit effort="1" velocity="1"{said}/>',
+                str(rng.choice(["revolute", "prismatic"])),
+            ),
+            REST,
         )
         wanted = by_the_rules(given, lenient)
         try:
@@ -159,7 +200,8 @@ def test_limits_of_all_kinds_are_read_by_the_rules(hunt):
 
 def test_limits_that_hold_a_range_are_the_same_either_way():
     text = robot(
-        joint("j", '<limit upper="2"/>'), joint("k", '<limit lower="0" upper="0"/>', "revolute", "arm", "hand")
+        joint("j", '<limit upper="2"/>'),
+        joint("k", '<limit lower="0" upper="0"/>', "revolute", "arm", "hand"),
     )
     strict = read_urdf(text)
     lenient = read_urdf(text, lenient_limits=True)
@@ -170,23 +212,34 @@ def test_the_link_world_need_not_be_in_the_file():
     text = robot(joint("weld", "", "fixed", "world", "base"), joint("j"), REST)
     m = read_urdf(text)
     assert m.ground.name == "world" and list(m.bodies) == ["world", "base", "arm", "hand"]
-    said = "its parent link 'world' is not in the file; it is taken for the ground, as Drake takes it"
+    said = (
+        "its parent link 'world' is not in the file; it is taken for the ground, as Drake takes it"
+    )
     assert m.notes == [f"<text>:5: joint 'weld': {said}"]
     written = read_urdf(text.replace("</robot>", '<link name="world"/></robot>'))
-    assert written.notes == [] and written.build().fk([0.3], "hand").tolist() == m.build().fk([0.3], "hand").tolist()
+    assert (
+        written.notes == []
+        and written.build().fk([0.3], "hand").tolist() == m.build().fk([0.3], "hand").tolist()
+    )
     assert read_urdf(text, base="free").ground.name == "world_2"
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (robot(joint("w", parent="arm", child="world"), joint(), REST), "child link 'world' does not exist"),
+        (
+            robot(joint("w", parent="arm", child="world"), joint(), REST),
+            "child link 'world' does not exist",
+        ),
         (robot(joint("w", parent="wrld"), REST), "parent link 'wrld' does not exist"),
         (
             robot(joint("w", parent="world"), REST, links=LINKS + '<link name="World"/>'),
             "'world' does not exist; did you",
         ),
-        (robot(joint("w", "", "fixed", "world", "arm"), REST), "2 links are nobody's child: 'base' .*, 'world'"),
+        (
+            robot(joint("w", "", "fixed", "world", "arm"), REST),
+            "2 links are nobody's child: 'base' .*, 'world'",
+        ),
     ],
 )
 def test_the_implicit_world_hides_no_slip(text: str, words: str):
@@ -214,21 +267,28 @@ def test_limits_of_continuous_joints_are_not_used():
     m = read_urdf(robot(joint("j", LIMIT, "continuous"), REST))
     assert m.joints["j"].limits == {} and m.joints["j"].velocity_limits == {"": 2.0}
     assert m.notes == [
-        "<text>:5: joint 'j': a continuous joint turns without end: its lower and upper limit are not used"
+        "<text>:5: joint 'j': a continuous joint turns without end: its lower and upper limit are "
+        "not used"
     ]
 
 
 def test_mimic_chains_multiply():
     text = robot(
         joint("a"),
-        joint("b", f'{LIMIT}<mimic joint="a" multiplier="-2" offset="0.5"/>', child="hand", parent="arm"),
+        joint(
+            "b",
+            f'{LIMIT}<mimic joint="a" multiplier="-2" offset="0.5"/>',
+            child="hand",
+            parent="arm",
+        ),
         joint("c", f'{LIMIT}<mimic joint="b" multiplier="3"/>', child="tip", parent="hand"),
         '<link name="tip"/>',
     )
     m = read_urdf(text)
     assert {k: (v.sources, v.offset) for k, v in m.couplings.items()} == {
-        "b": ({"a": -2.0}, 0.5), "c": ({"b": 3.0}, 0.0)
-    }  # fmt: skip
+        "b": ({"a": -2.0}, 0.5),
+        "c": ({"b": 3.0}, 0.0),
+    }
     s = m.build()
     q = 0.1
     total = q + (-2 * q + 0.5) + 3 * (-2 * q + 0.5)
@@ -248,13 +308,23 @@ def test_mimic_of_a_fixed_joint_is_noted():
 
 
 def test_masses_and_visuals():
-    visual = '<visual name="v">\n  <geometry><mesh filename="package://p/m.stl"/></geometry></visual>'
-    inertial = '<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="4.5"/><inertia ixx="1"/></inertial>'
+    visual = (
+        '<visual name="v">\n  <geometry><mesh filename="package://p/m.stl"/></geometry></visual>'
+    )
+    inertial = (
+        '<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="4.5"/><inertia '
+        'ixx="1"/></inertial>'
+    )
     links = (
-        f'<link name="base">{inertial}{visual}<visual/></link><link name="arm"><inertial/></link><link name="hand"/>\n'
+        f'<link name="base">{inertial}{visual}<visual/></link><link '
+        'name="arm"><inertial/></link><link name="hand"/>\n'
     )
     m = read_urdf(robot(joint("j"), REST, links=links), package_dirs=["/models"])
-    assert (m.ground.mass, m.ground.center, m.ground.visuals) == (4.5, (1.0, 2.0, 3.0), (visual, "<visual/>"))
+    assert (m.ground.mass, m.ground.center, m.ground.visuals) == (
+        4.5,
+        (1.0, 2.0, 3.0),
+        (visual, "<visual/>"),
+    )
     assert (m.bodies["arm"].mass, m.bodies["arm"].center) == (None, (0.0, 0.0, 0.0))
     assert m.bodies["hand"].center is None and m.roots == ("/models",)
     with pytest.raises(DescriptionError, match="link 'base': mass is -1; it must not be negative"):
@@ -273,7 +343,9 @@ def test_floating_base():
 
 
 def test_root_is_chosen_where_the_file_leaves_it_open():
-    circle = robot(joint("a"), joint("b", parent="arm", child="hand"), joint("c", parent="hand", child="base"))
+    circle = robot(
+        joint("a"), joint("b", parent="arm", child="hand"), joint("c", parent="hand", child="base")
+    )
     m = read_urdf(circle, root="arm")
     assert m.ground.name == "arm" and m.build().structure.closures
     two = robot(joint("a", child="hand"), joint("b", parent="arm", child="hand"))
@@ -306,7 +378,8 @@ def test_what_is_not_read_is_noted():
     text = robot(
         joint("a", LIMIT + "<spring/>"),
         REST,
-        '<gazebo><joint name="loop" type="revolute"><parent>base</parent><child>hand</child></joint></gazebo>',
+        '<gazebo><joint name="loop" '
+        'type="revolute"><parent>base</parent><child>hand</child></joint></gazebo>',
         "<loop_joint/>",
         '<ros2_control><joint name="nobody"/></ros2_control>',
         '<material name="m"/>',
@@ -322,13 +395,16 @@ def test_what_is_not_read_is_noted():
     assert notes.count("\n") == 3
 
 
-@pytest.mark.parametrize(("tag", "words"), [
-    ("sdf", "SDF"),
-    ("mujoco", "MJCF"),
-    ("launch", "launch file"),
-    ("svg", "SVG picture"),
-    ("kml", "starts with <robot"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("tag", "words"),
+    [
+        ("sdf", "SDF"),
+        ("mujoco", "MJCF"),
+        ("launch", "launch file"),
+        ("svg", "SVG picture"),
+        ("kml", "starts with <robot"),
+    ],
+)
 def test_other_files_are_named(tag, words):
     with pytest.raises(DescriptionError, match=words):
         read_urdf(f"<{tag}/>")
@@ -345,8 +421,10 @@ def test_long_names_and_values_do_not_flood_the_message():
 # ---- MuJoCo, which reads URDF by rules of its own
 
 
+# it wants some
 INERTIAL = (
-    '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'  # it wants some
+    '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+    'iyz="0"/></inertial>'
 )
 
 
@@ -360,10 +438,13 @@ def test_lenient_limits_are_those_of_mujoco(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         lower, upper = rng.choice([0.0, -1.0, 1.0, 0.5, -2.5], 2, replace=False).tolist()
-        given = {"lower": lower, "upper": upper} if rng.random() < 0.7 else {}  # of one bound it makes no limit
+        given = (
+            {"lower": lower, "upper": upper} if rng.random() < 0.7 else {}
+        )  # of one bound it makes no limit
         said = "".join(f' {k}="{x}"' for k, x in given.items())
         text = for_mujoco(
-            joint("j", f'<limit effort="1" velocity="1"{said}/>'), joint("rest", "", "continuous", "arm", "hand")
+            joint("j", f'<limit effort="1" velocity="1"{said}/>'),
+            joint("rest", "", "continuous", "arm", "hand"),
         )
         model = mujoco.MjModel.from_xml_string(text)
         wanted = tuple(model.jnt_range[0].tolist()) if model.jnt_limited[0] else None
@@ -373,8 +454,10 @@ def test_lenient_limits_are_those_of_mujoco(hunt):
 def test_balls_of_mujoco(hunt):
     mujoco = pytest.importorskip("mujoco")
     rng = hunt.rng()
-    text = for_mujoco(joint("b", ORIGIN + '<axis xyz="0 1 0"/>', "spherical"),
-                      joint("h", '<origin xyz="0.3 0 1"/>', "continuous", "arm", "hand"))  # fmt: skip
+    text = for_mujoco(
+        joint("b", ORIGIN + '<axis xyz="0 1 0"/>', "spherical"),
+        joint("h", '<origin xyz="0.3 0 1"/>', "continuous", "arm", "hand"),
+    )
     model = mujoco.MjModel.from_xml_string(text)
     s = read_urdf(text).build()
     data = mujoco.MjData(model)
@@ -392,8 +475,8 @@ def test_balls_of_mujoco(hunt):
 
 def test_swapped_letters_of_a_short_attribute_are_a_slip():
     text = (
-        "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/>"
-        "<child link='b'/><origin xzy='1 0 0'/></joint></robot>"
+        "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent "
+        "link='a'/><child link='b'/><origin xzy='1 0 0'/></joint></robot>"
     )
     with pytest.raises(DescriptionError, match="did you mean 'xyz'"):
         kempe.load(text)

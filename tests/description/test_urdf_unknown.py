@@ -1,4 +1,6 @@
-"""What stands in URDF files beside what is read: names, prefixes, versions, and a hunt for what vanishes silently."""
+"""What stands in URDF files beside what is read: names, prefixes, versions, and a hunt for what
+vanishes silently.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ from kempe.errors import DescriptionError
 
 REST = joint("rest", "", "fixed", "arm", "hand")
 BALL = (
-    '<drake:ball_constraint><drake:ball_constraint_body_A name="base"/><drake:ball_constraint_p_AP value="0 0 1"/>'
-    '<drake:ball_constraint_body_B name="hand"/></drake:ball_constraint>'
+    '<drake:ball_constraint><drake:ball_constraint_body_A name="base"/><drake:ball_constraint_p_AP '
+    'value="0 0 1"/><drake:ball_constraint_body_B name="hand"/></drake:ball_constraint>'
 )
 
 
@@ -31,7 +33,14 @@ def with_namespace(text: str, prefix: str, uri: str) -> str:
 
 @pytest.mark.parametrize(
     "name",
-    ["self_collision_checking", "collision_checking", "self_collide", "colision", "soft_visual", "gravity_scale"],
+    [
+        "self_collision_checking",
+        "collision_checking",
+        "self_collide",
+        "colision",
+        "soft_visual",
+        "gravity_scale",
+    ],
 )
 def test_elements_without_a_part_in_the_motion_are_never_refused(name):
     links = LINKS.replace('base"/>', f'base"><{name}/></link>')
@@ -39,7 +48,10 @@ def test_elements_without_a_part_in_the_motion_are_never_refused(name):
 
 
 def test_kukas_own_shapes_are_read_without_a_word():
-    shape = '<origin rpy="0 0 0" xyz="0 0 0"/><geometry><capsule length="0.25" radius="0.15"/></geometry>'
+    shape = (
+        '<origin rpy="0 0 0" xyz="0 0 0"/><geometry><capsule length="0.25" '
+        'radius="0.15"/></geometry>'
+    )
     inside = f"<self_collision_checking>{shape}</self_collision_checking>"
     links = LINKS.replace('arm"/>', f'arm">{inside}</link>')
     assert read_urdf(robot(joint(), REST, links=links)).notes == []
@@ -57,7 +69,9 @@ def test_a_name_that_holds_a_known_one_is_no_slip(name):
     assert notes == [f"<text>:5: joint 'elbow': the element '{name}' is not read (lower='0')"]
 
 
-@pytest.mark.parametrize("name", ["max_velocity", "gear_velocity", "drake:acceleration", "effort_limit"])
+@pytest.mark.parametrize(
+    "name", ["max_velocity", "gear_velocity", "drake:acceleration", "effort_limit"]
+)
 def test_attributes_of_other_programs_are_noted(name):
     (note,) = read_urdf(robot(joint(inside=f'<limit lower="0" upper="1" {name}="2"/>'), REST)).notes
     assert note.endswith(f"the limit attribute '{name}' is not read")
@@ -69,32 +83,68 @@ def test_versions_of_urdf(given):
 
 
 @pytest.mark.parametrize(
-    "given", ["2.0", "foo", "-1.0", "1.3", "1", "", "1.0.0", "1.10", "1.", ".1", "1.0a", "１.0", "1.-0", "1.+0", "1.3"]
+    "given",
+    [
+        "2.0",
+        "foo",
+        "-1.0",
+        "1.3",
+        "1",
+        "",
+        "1.0.0",
+        "1.10",
+        "1.",
+        ".1",
+        "1.0a",
+        "１.0",
+        "1.-0",
+        "1.+0",
+        "1.3",
+    ],
 )
 def test_other_versions_are_refused(given):
-    with pytest.raises(DescriptionError, match=f"robot: the version is '{given}'; it is the version of URDF"):
+    with pytest.raises(
+        DescriptionError, match=f"robot: the version is '{given}'; it is the version of URDF"
+    ):
         read_urdf(robot(joint(), REST).replace("<robot", f'<robot version="{given}"'))
 
 
 @pytest.mark.parametrize(
     "uri",
-    ["http://www.ros.org", "http://www.ros.org/", "http://www.ros.org/wiki/urdf", "http://wiki.ros.org/urdf/XML"],
+    [
+        "http://www.ros.org",
+        "http://www.ros.org/",
+        "http://www.ros.org/wiki/urdf",
+        "http://wiki.ros.org/urdf/XML",
+    ],
 )
 def test_elements_in_the_namespace_of_urdf_are_read(uri):
     text = robot(joint(inside='<origin xyz="1 2 3"/>' + LIMIT), REST)
-    prefixed = with_namespace(re.sub(r"<(/?)(\w)", r"<\1u:\2", text).replace("<u:robot", "<robot", 1), "u", uri)
+    prefixed = with_namespace(
+        re.sub(r"<(/?)(\w)", r"<\1u:\2", text).replace("<u:robot", "<robot", 1), "u", uri
+    )
     prefixed = prefixed.replace("</u:robot", "</robot")
     assert fingerprint(read_urdf(prefixed)) == fingerprint(read_urdf(text))
-    whole = re.sub(r"<(/?)(\w)", r"<\1u:\2", text).replace("<u:robot", f'<u:robot xmlns:u="{uri}"', 1)
+    whole = re.sub(r"<(/?)(\w)", r"<\1u:\2", text).replace(
+        "<u:robot", f'<u:robot xmlns:u="{uri}"', 1
+    )
     assert fingerprint(read_urdf(whole)) == fingerprint(read_urdf(text))
 
 
 def test_the_namespace_of_the_outermost_element_is_its_own():
-    text = robot(joint(), REST, joint("x", LIMIT, "ball", "base", "hand").replace("joint", "drake:joint"))
-    text = text.replace("</joint>\n</robot>", "</drake:joint>\n</robot>").replace("/drake:joint>", "/drake:joint>")
+    text = robot(
+        joint(), REST, joint("x", LIMIT, "ball", "base", "hand").replace("joint", "drake:joint")
+    )
+    text = text.replace("</joint>\n</robot>", "</drake:joint>\n</robot>").replace(
+        "/drake:joint>", "/drake:joint>"
+    )
     with pytest.raises(DescriptionError, match="the prefix of <drake:joint> hides it"):
         read_urdf(with_namespace(text, "drake", "http://drake.mit.edu"))
-    own = with_namespace(text.replace("<robot", '<robot xmlns="http://drake.mit.edu"'), "drake", "http://drake.mit.edu")
+    own = with_namespace(
+        text.replace("<robot", '<robot xmlns="http://drake.mit.edu"'),
+        "drake",
+        "http://drake.mit.edu",
+    )
     with pytest.raises(DescriptionError, match="unknown type 'ball'"):
         read_urdf(own)
 
@@ -102,17 +152,25 @@ def test_the_namespace_of_the_outermost_element_is_its_own():
 @pytest.mark.parametrize("tag", sorted(MOTION))
 @pytest.mark.parametrize("prefix", ["drake:", "r:"])
 def test_prefixes_hide_nothing(tag, prefix):
-    inside = '<link name="x"/>' if tag == "link" else f"<{tag} link='arm' joint='rest' xyz='1 0 0' lower='1'/>"
+    inside = (
+        '<link name="x"/>'
+        if tag == "link"
+        else f"<{tag} link='arm' joint='rest' xyz='1 0 0' lower='1'/>"
+    )
     hidden = inside.replace(f"<{tag}", f"<{prefix}{tag}")
     for text in (robot(joint(inside=LIMIT + hidden), REST), robot(joint(), REST, hidden)):
         with pytest.raises(DescriptionError, match=rf"<{prefix}{tag}>"):
             read_urdf(text)
 
 
-@pytest.mark.parametrize("tag", ["drake:ball_constraint", "loop_joint", "loop", "x:closure", "equality", "gear"])
+@pytest.mark.parametrize(
+    "tag", ["drake:ball_constraint", "loop_joint", "loop", "x:closure", "equality", "gear"]
+)
 def test_what_ties_links_is_refused_and_what_ties_none_is_noted(tag):
     tied = f'<{tag}><a name="base"/><b>hand</b></{tag}>'
-    with pytest.raises(DescriptionError, match=f"<{tag}> is not read, and it ties 'base' and 'hand'"):
+    with pytest.raises(
+        DescriptionError, match=f"<{tag}> is not read, and it ties 'base' and 'hand'"
+    ):
         read_urdf(robot(joint(), REST, tied))
     (note,) = read_urdf(robot(joint(), REST, f'<{tag} of="nobody"/>')).notes
     assert f"the element '{tag}' is not read (of='nobody')" in note
@@ -128,8 +186,14 @@ def test_a_version_with_more_digits_decides_on_quaternions():
 @pytest.mark.parametrize(
     ("inside", "said"),
     [
-        ('<equality><connect body1="base" body2="hand" anchor="0 0 1"/></equality>', "'base' and 'hand'"),
-        ('<equality><joint joint1="elbow" joint2="rest" polycoef="0 1 0 0 0"/></equality>', "'elbow' and 'rest'"),
+        (
+            '<equality><connect body1="base" body2="hand" anchor="0 0 1"/></equality>',
+            "'base' and 'hand'",
+        ),
+        (
+            '<equality><joint joint1="elbow" joint2="rest" polycoef="0 1 0 0 0"/></equality>',
+            "'elbow' and 'rest'",
+        ),
         ('<extension><equality><weld body1="arm"/></equality></extension>', "'arm'"),
         ('<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon>', "'elbow'"),
     ],
@@ -142,7 +206,12 @@ def test_what_ties_links_for_one_simulator_is_noted(block, inside, said):
 
 
 @pytest.mark.parametrize(
-    "inside", ['<compiler discardvisual="true"/>', '<contact><exclude body1="base" body2="arm"/></contact>', ""]
+    "inside",
+    [
+        '<compiler discardvisual="true"/>',
+        '<contact><exclude body1="base" body2="arm"/></contact>',
+        "",
+    ],
 )
 def test_what_ties_nothing_for_a_simulator_is_passed_over(inside):
     assert not read_urdf(robot(joint(), REST, f"<mujoco>{inside}</mujoco>")).notes
@@ -157,7 +226,8 @@ def test_blocks_of_simulators_are_noted():
         "<gazebo><plugin><joint>rest</joint><mimicJoint>elbow</mimicJoint></plugin></gazebo>",
         '<transmission name="t"><joint name="elbow"/><limit lower="0"/></transmission>',
         '<sensor name="s"><parent link="arm"/><origin xyz="0 0 1"/></sensor>',
-        '<drake:collision_filter_group name="g"><drake:member link="arm"/></drake:collision_filter_group>',
+        '<drake:collision_filter_group name="g"><drake:member '
+        'link="arm"/></drake:collision_filter_group>',
     )
     notes = read_urdf(text).notes
     assert [note.split(":")[1] for note in notes] == ["8", "9", "10", "12"]
@@ -169,10 +239,17 @@ def test_blocks_of_simulators_are_noted():
 def fingerprint(mechanism: Mechanism) -> tuple:
     """All that decides on the motion."""
     joints = tuple(
-        (j.name, j.type.type_name, j.parent, j.child, j.X_PF.evaluate({}).tobytes(), j.X_CM.evaluate({}).tobytes(),
-         tuple(sorted(j.limits.items())))
+        (
+            j.name,
+            j.type.type_name,
+            j.parent,
+            j.child,
+            j.X_PF.evaluate({}).tobytes(),
+            j.X_CM.evaluate({}).tobytes(),
+            tuple(sorted(j.limits.items())),
+        )
         for j in mechanism.joints.values()
-    )  # fmt: skip
+    )
     return mechanism.ground.name, tuple(mechanism.bodies), joints, repr(mechanism.couplings)
 
 
@@ -189,7 +266,12 @@ def words(rng: np.random.Generator, name: str) -> str:
     """A name with one slip, a related name, or another one."""
     k = int(rng.integers(len(name)))
     other = "abcdefghijklmnopqrstuvwxyz"[rng.integers(26)]
-    slips = [name[:k] + name[k + 1 :], name[:k] + other + name[k:], name[:k] + other + name[k + 1 :], name.upper()]
+    slips = [
+        name[:k] + name[k + 1 :],
+        name[:k] + other + name[k:],
+        name[:k] + other + name[k + 1 :],
+        name.upper(),
+    ]
     return str(rng.choice([*slips, name + "s", "my_" + name, name + "2", "pose", "element", "jnt"]))
 
 
@@ -212,13 +294,26 @@ def mutate(rng: np.random.Generator, root: ET.Element) -> str:
         element.set(new, value)
         return new
     holder.remove(element)
-    places = [p for p in root.iter() if p is not holder and p.tag not in ("robot", "origin") and p is not element]
-    if element.tag in ("origin", "parent", "child", "axis", "limit", "mimic"):  # inside another joint it is that one's
+    places = [
+        p
+        for p in root.iter()
+        if p is not holder and p.tag not in ("robot", "origin") and p is not element
+    ]
+    if element.tag in (
+        "origin",
+        "parent",
+        "child",
+        "axis",
+        "limit",
+        "mimic",
+    ):  # inside another joint it is that one's
         places = [p for p in places if p.tag != "joint"]
     if element.tag == "origin":  # a visual has an origin, too
         places = [p for p in places if p.tag not in ("visual", "collision", "inertial", "sensor")]
     if how == 3 or not places:
-        wrapper = ET.SubElement(holder, str(rng.choice(["group", "drake", "extra", "mujoco", "transmission"])))
+        wrapper = ET.SubElement(
+            holder, str(rng.choice(["group", "drake", "extra", "mujoco", "transmission"]))
+        )
         wrapper.append(element)
         return wrapper.tag
     places[rng.integers(len(places))].append(element)
@@ -227,9 +322,18 @@ def mutate(rng: np.random.Generator, root: ET.Element) -> str:
 
 def base_files() -> list[tuple[str, str]]:
     """Small real robots, and one with a loop and a follower."""
-    loop = robot(joint(), REST, joint("close", LIMIT, "revolute", "base", "hand"), joint("m", LIMIT + mimic("elbow"),
-                 "revolute", "hand", "tip"), links=LINKS + '<link name="tip"/>\n')  # fmt: skip
-    small = [(n, p.read_text(encoding="utf-8")) for n, p in good_urdf_files().items() if p.stat().st_size < 60_000]
+    loop = robot(
+        joint(),
+        REST,
+        joint("close", LIMIT, "revolute", "base", "hand"),
+        joint("m", LIMIT + mimic("elbow"), "revolute", "hand", "tip"),
+        links=LINKS + '<link name="tip"/>\n',
+    )
+    small = [
+        (n, p.read_text(encoding="utf-8"))
+        for n, p in good_urdf_files().items()
+        if p.stat().st_size < 60_000
+    ]
     return [("loop", loop), *small[:12]]
 
 

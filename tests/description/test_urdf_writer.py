@@ -59,11 +59,17 @@ def test_trees_of_what_urdf_has(seed: int):
     rng = np.random.default_rng(seed)
     m = Mechanism("tree")
     bodies = [m.ground]
-    for i, kind in enumerate(rng.choice(["revolute", "prismatic", "fixed", "planar", "free", "spherical"], 8)):
+    for i, kind in enumerate(
+        rng.choice(["revolute", "prismatic", "fixed", "planar", "free", "spherical"], 8)
+    ):
         bodies.append(m.body(f"b{i}"))
         X_PF = place(rng.normal(size=3), rpy=rng.normal(size=3))
-        X_CM = place(rng.normal(size=3) * (rng.random() < 0.5), rpy=rng.normal(size=3) * (rng.random() < 0.5))
-        m.joint(f"j{i}", kind, bodies[rng.integers(len(bodies) - 1)], bodies[-1], at=X_PF, child_at=X_CM)
+        X_CM = place(
+            rng.normal(size=3) * (rng.random() < 0.5), rpy=rng.normal(size=3) * (rng.random() < 0.5)
+        )
+        m.joint(
+            f"j{i}", kind, bodies[rng.integers(len(bodies) - 1)], bodies[-1], at=X_PF, child_at=X_CM
+        )
     m.frame("tip", bodies[-1], at=(0.1, 0.2, 0.3), quat_wxyz=(1, 2, 3, 4))
     same_poses(m, seed)
 
@@ -76,7 +82,10 @@ def test_spherical_joints_are_written_with_a_remark():
 
 
 def test_dh_chains_get_links_for_their_axes():
-    m = from_dh([{"a": 0.5, "alpha": "pi/2", "d": 0.1}, {"a": "l", "alpha": 0.3}, {"d": 0.2}], parameters={"l": 0.4})
+    m = from_dh(
+        [{"a": 0.5, "alpha": "pi/2", "d": 0.1}, {"a": "l", "alpha": 0.3}, {"d": 0.2}],
+        parameters={"l": 0.4},
+    )
     text = write_urdf(m)
     assert text.count("<link") == 4 + 2 + 1  # two axes off their body's origin, and the tool
     same_poses(m)
@@ -92,7 +101,9 @@ def test_limits_of_all_kinds():
     again = read_urdf(write_urdf(m))
     assert again.notes == []
     assert [j.limits for j in again.joints.values()] == [{"": (-1.0, math.inf)}, {}, {}, {}]
-    assert again.joints["a"].velocity_limits == {"": 2.0} and again.joints["c"].effort_limits == {"": 3.0}
+    assert again.joints["a"].velocity_limits == {"": 2.0} and again.joints["c"].effort_limits == {
+        "": 3.0
+    }
     assert 'type="prismatic"' in write_urdf(m) and 'lower="-1e+308"' in write_urdf(m)
 
 
@@ -106,7 +117,10 @@ def test_locks_become_fixed_joints():
     m.couple("c", {"b": 2.0, "d": 0.5}, 0.1)
     m.lock({"b": 0.4})
     text = write_urdf(m)
-    assert text.count('type="fixed"') == 1 and '<mimic joint="d" multiplier="0.5" offset="0.9"/>' in text
+    assert (
+        text.count('type="fixed"') == 1
+        and '<mimic joint="d" multiplier="0.5" offset="0.9"/>' in text
+    )
     same_poses(m)
     m.lock({"d": 0.2})
     assert write_urdf(m).count('type="fixed"') == 3
@@ -128,7 +142,11 @@ def test_names_masses_and_visuals():
     m.revolute('"j"', m.ground, "a\tb'")
     m.frame("a frame", "a\tb'")
     again = read_urdf(write_urdf(m))
-    assert again.name == m.name and again.bodies["a\tb'"] == m.bodies["a\tb'"] and '"j"' in again.joints
+    assert (
+        again.name == m.name
+        and again.bodies["a\tb'"] == m.bodies["a\tb'"]
+        and '"j"' in again.joints
+    )
     assert again.joints["a frame_fixed"].child == "a frame"
 
 
@@ -175,7 +193,10 @@ def test_all_that_urdf_cannot_say_is_listed():
         (lambda m: m.body("x", visuals=["<box/>"]), "a visual is not one <visual> element"),
         (lambda m: m.frame("\x01", "a"), "a character that XML forbids"),
         (lambda m: m.free("z", "a", m.body("b"), angles=True), "a free joint by angles"),
-        (lambda m: m.fixed("z", "a", m.body("b"), at=("1/(l - 1)", 0, 0)), "not a number with these parameters"),
+        (
+            lambda m: m.fixed("z", "a", m.body("b"), at=("1/(l - 1)", 0, 0)),
+            "not a number with these parameters",
+        ),
     ],
 )
 def test_one_reason_at_a_time(change, words: str):

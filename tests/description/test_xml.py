@@ -10,13 +10,19 @@ from kempe.description.source import MANY_PROBLEMS, SIZE_LIMIT, Findings, Source
 from kempe.description.urdf.xml import DEPTH_LIMIT, ELEMENT_LIMIT, parse_xml
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Where
 
-TEXT = '<?xml version="1.0"?>\r\n<a é="1" b=\'>/>\'>\n  <c/>text &amp; <d\n x="&lt;"\t>/>\n</d>\r</a>'
+TEXT = (
+    '<?xml version="1.0"?>\r\n<a é="1" b=\'>/>\'>\n  <c/>text &amp; <d\n x="&lt;"\t>/>\n</d>\r</a>'
+)
 
 
 def test_elements_know_their_places():
     a = parse_xml(TEXT, "f")
     c, d = a.children
-    assert [(e.tag, e.where.line, e.where.column) for e in a.walk()] == [("a", 2, 1), ("c", 3, 3), ("d", 3, 18)]
+    assert [(e.tag, e.where.line, e.where.column) for e in a.walk()] == [
+        ("a", 2, 1),
+        ("c", 3, 3),
+        ("d", 3, 18),
+    ]
     assert a.attributes == {"é": "1", "b": ">/>"} and d.attributes == {"x": "<"}
     assert (d.where_of("x").line, d.where_of("x").column) == (4, 5)
     assert d.where_of("y") == d.where
@@ -54,8 +60,14 @@ def test_declared_latin(declared: str):
     ("data", "words"),
     [
         ("<a/>".encode("utf-32"), "UTF-32"),
-        (b'\xef\xbb\xbf<?xml version="1.0" encoding="ISO-8859-1"?><a/>', "byte order mark says UTF-8"),
-        ('\ufeff<?xml version="1.0" encoding="utf-8"?><a/>'.encode("utf-16-le"), "byte order mark says UTF-16"),
+        (
+            b'\xef\xbb\xbf<?xml version="1.0" encoding="ISO-8859-1"?><a/>',
+            "byte order mark says UTF-8",
+        ),
+        (
+            '\ufeff<?xml version="1.0" encoding="utf-8"?><a/>'.encode("utf-16-le"),
+            "byte order mark says UTF-16",
+        ),
         ("<a/>".encode("utf-16")[:-1], "ends inside a character of UTF-16"),
         ("<a>é</a>".encode()[:4], "0xc3 is not UTF-8"),
         (b"<a b='1' b='2'/>", "an attribute is given twice"),
@@ -69,7 +81,9 @@ def test_declared_latin(declared: str):
         (b"<a b='", "truncated"),
         (b"<!DOCTYPE a><a/>", "DTD"),
         (b"<a>" * (DEPTH_LIMIT + 1), f"more than {DEPTH_LIMIT} deep"),
-        pytest.param(b"<r>" + b"<a/>" * ELEMENT_LIMIT, "more than 1000000 elements", marks=pytest.mark.slow),
+        pytest.param(
+            b"<r>" + b"<a/>" * ELEMENT_LIMIT, "more than 1000000 elements", marks=pytest.mark.slow
+        ),
         (b" " * (SIZE_LIMIT + 1), "more than 32 MiB"),
         ("<a>\ud800</a>", "surrogate"),
     ],

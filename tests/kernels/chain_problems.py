@@ -19,7 +19,8 @@ POINT = (1, 1, 0, 0, 0, 0)
 ORIENTATION = (0, 0, 0, 1, 1, 1)
 DIRECTION = (0, 0, 0, 1, 1, 1, 1)
 POSITION_AXIS = (1, 1, 1, 1, 1, 1, 1)
-"""Rows of a task that count; a seventh number 1 says that of the orientation only the tip's z axis does."""
+"""Rows of a task that count; a seventh number 1 says that of the orientation only the tip's z axis
+does."""
 
 TOLERANCE = 1e-6
 
@@ -37,7 +38,9 @@ class Chain:
         return self.table.poses(q)[0]
 
     def random_q(self, rng, n):
-        """n configurations (n, nq) inside the limits; of slides within 1 of zero where there is no limit."""
+        """n configurations (n, nq) inside the limits; of slides within 1 of zero where there is no
+        limit.
+        """
         out = np.zeros((n, self.table.nq))
         for r in self.table.rows:
             if r.kind == BALL:
@@ -53,7 +56,11 @@ class Chain:
         return np.array([self.forward(x) for x in q]).reshape(-1, 4, 4), q
 
     def within_limits(self, q):
-        return all(self.lower[r.iv] <= q[r.iq] <= self.upper[r.iv] for r in self.table.rows if r.kind != BALL)
+        return all(
+            self.lower[r.iv] <= q[r.iq] <= self.upper[r.iv]
+            for r in self.table.rows
+            if r.kind != BALL
+        )
 
 
 @dataclass
@@ -67,9 +74,21 @@ class Answers:
 
 
 def solve(
-    chain, targets, mask=POSE, seeds=None, seed=1, first=0, starts=100, steps=20, tol=TOLERANCE, length=0.0, slow=False
+    chain,
+    targets,
+    mask=POSE,
+    seeds=None,
+    seed=1,
+    first=0,
+    starts=100,
+    steps=20,
+    tol=TOLERANCE,
+    length=0.0,
+    slow=False,
 ):
-    """What the kernels write for targets (N, 4, 4); seeds (1 or N, K, nq). slow: starts one at a time."""
+    """What the kernels write for targets (N, 4, 4); seeds (1 or N, K, nq). slow: starts one at a
+    time.
+    """
     n = len(targets)
     nq = chain.table.nq
     seeds = np.empty((1, 0, nq)) if seeds is None else np.asarray(seeds, dtype=float)
@@ -77,11 +96,24 @@ def solve(
     out = np.full((n, nq + ANSWER), 7.0)
     task = np.r_[np.array((*mask, 0)[:7]), chain.circular]
     arguments = (
-        *chain.table.pack(), limits, task, np.ascontiguousarray(targets), seeds, seed, first, starts, steps, tol, tol,
-        length, out,
-    )  # fmt: skip
+        *chain.table.pack(),
+        limits,
+        task,
+        np.ascontiguousarray(targets),
+        seeds,
+        seed,
+        first,
+        starts,
+        steps,
+        tol,
+        tol,
+        length,
+        out,
+    )
     balls = any(r.kind == BALL for r in chain.table.rows)
-    if (compiled.scalar_search.reach_one_by_one if balls or slow else compiled.schedule.reach)(*arguments):
+    if (compiled.scalar_search.reach_one_by_one if balls or slow else compiled.schedule.reach)(
+        *arguments
+    ):
         compiled.fallback.approach(*arguments)
     missed = int((out[:, nq + STATUS] != 0).sum())
     q = out[:, :nq].copy()
@@ -104,11 +136,19 @@ def distance(chain, q, target, mask=POSE):
 
 
 def judge(chain, answers, targets, mask=POSE, tol=TOLERANCE):
-    """Which answers reach their targets inside the limits (N,); fails if the kernel's own word differs."""
-    found = np.array([distance(chain, q, t, mask) for q, t in zip(answers.q, targets, strict=True)]).reshape(-1, 2)
-    right = (found <= tol).all(axis=1) & np.array([chain.within_limits(q) for q in answers.q], dtype=bool)
+    """Which answers reach their targets inside the limits (N,); fails if the kernel's own word
+    differs.
+    """
+    found = np.array(
+        [distance(chain, q, t, mask) for q, t in zip(answers.q, targets, strict=True)]
+    ).reshape(-1, 2)
+    right = (found <= tol).all(axis=1) & np.array(
+        [chain.within_limits(q) for q in answers.q], dtype=bool
+    )
     assert np.array_equal(right, answers.status == 0) and answers.missed == (~right).sum()
-    assert np.abs(found - answers.residual).max(initial=0.0) < 1e-7 * (1.0 + np.abs(found).max(initial=0.0))
+    assert np.abs(found - answers.residual).max(initial=0.0) < 1e-7 * (
+        1.0 + np.abs(found).max(initial=0.0)
+    )
     return right
 
 
@@ -118,7 +158,9 @@ def limited(table, lower, upper, circular=0):
 
 
 def free(chain):
-    """The same chain without limits; circular where a coordinate has one turning row with multiplier +-1."""
+    """The same chain without limits; circular where a coordinate has one turning row with
+    multiplier +-1.
+    """
     readers = {}
     for r in chain.table.rows:
         readers.setdefault(r.iv, []).append(r)
@@ -127,7 +169,9 @@ def free(chain):
         for rows in (readers.get(v, ()) for v in range(chain.table.nv))
     ]
     n = chain.table.nv
-    return Chain(chain.table, np.full(n, -np.inf), np.full(n, np.inf), np.array(circular, dtype=np.int64))
+    return Chain(
+        chain.table, np.full(n, -np.inf), np.full(n, np.inf), np.array(circular, dtype=np.int64)
+    )
 
 
 def planar_arm(*lengths, circular=1):
@@ -149,7 +193,8 @@ def floating_arm():
     to_y = Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix()
     placements = [pose(to_x), pose(to_x.T @ to_y), pose(to_y.T), pose()]
     rows = [
-        Row(k, i - 1, i, i, X) for i, (k, X) in enumerate(zip((SLIDE, SLIDE, SLIDE, BALL), placements, strict=True))
+        Row(k, i - 1, i, i, X)
+        for i, (k, X) in enumerate(zip((SLIDE, SLIDE, SLIDE, BALL), placements, strict=True))
     ]
     rows += [Row(TURN, i + 3, i + 7, i + 6, pose(to_y, (0.3, 0.0, 0.1))) for i in range(3)]
     table = Table(rows, [(6, False, pose(p=(0.1, 0.05, 0.0)))], 10, 9, True, [(3, 3)])

@@ -18,7 +18,11 @@ pin = pytest.importorskip("pinocchio")
 
 def urdf(name):
     """Path of a file of the package example-robot-data."""
-    found = sorted(Path(sys.prefix).glob(f"lib/python*/site-packages/cmeel.prefix/share/example-robot-data/**/{name}"))
+    found = sorted(
+        Path(sys.prefix).glob(
+            f"lib/python*/site-packages/cmeel.prefix/share/example-robot-data/**/{name}"
+        )
+    )
     if not found:
         pytest.skip("example-robot-data is not installed")
     return str(found[0])
@@ -30,7 +34,9 @@ def axis_to_z(axis):
 
 
 class Arm(Chain):
-    """A chain of joints with one coordinate, from the root to a frame, with Pinocchio's own forward model."""
+    """A chain of joints with one coordinate, from the root to a frame, with Pinocchio's own forward
+    model.
+    """
 
     def __init__(self, file, frame):
         self.model = pin.buildModelFromUrdf(urdf(file))
@@ -51,10 +57,14 @@ class Arm(Chain):
             joint = self.model.joints[j]
             data = joint.createData()
             joint.calc(data, pin.neutral(self.model), np.zeros(self.model.nv))
-            motion = np.asarray(data.S if isinstance(data.S, np.ndarray) else data.S.matrix()).reshape(6)
+            motion = np.asarray(
+                data.S if isinstance(data.S, np.ndarray) else data.S.matrix()
+            ).reshape(6)
             kind = TURN if np.any(motion[3:]) else SLIDE
             A = pose(axis_to_z(motion[3:] if kind == TURN else motion[:3]))
-            rows.append(Row(kind, i - 1, i, i, back @ self.model.jointPlacements[j].homogeneous @ A))
+            rows.append(
+                Row(kind, i - 1, i, i, back @ self.model.jointPlacements[j].homogeneous @ A)
+            )
             back = A.T
             unlimited = joint.nq == 2
             lower.append(-np.inf if unlimited else self.model.lowerPositionLimit[joint.idx_q])
@@ -62,13 +72,20 @@ class Arm(Chain):
         n = len(joints)
         self.joints = [self.model.joints[j] for j in joints]
         table = Table(rows, [(n - 1, False, back @ f.placement.homogeneous)], n, n, True)
-        circular = [int(r.kind == TURN and b - a >= 2 * np.pi) for r, a, b in zip(rows, lower, upper, strict=True)]
-        super().__init__(table, np.array(lower), np.array(upper), np.array(circular, dtype=np.int64))
+        circular = [
+            int(r.kind == TURN and b - a >= 2 * np.pi)
+            for r, a, b in zip(rows, lower, upper, strict=True)
+        ]
+        super().__init__(
+            table, np.array(lower), np.array(upper), np.array(circular, dtype=np.int64)
+        )
 
     def forward(self, q):
         full = pin.neutral(self.model)
         for joint, x in zip(self.joints, q, strict=True):
-            full[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(x), np.sin(x)] if joint.nq == 2 else x
+            full[joint.idx_q : joint.idx_q + joint.nq] = (
+                [np.cos(x), np.sin(x)] if joint.nq == 2 else x
+            )
         pin.framesForwardKinematics(self.model, self.data, full)
         return self.data.oMf[self.frame].homogeneous.copy()
 
@@ -77,5 +94,7 @@ class Arm(Chain):
         q = self.random_q(rng, n)
         for x in q:
             chosen = rng.permutation(len(x))[: len(x) // 2]
-            x[chosen] = np.where(rng.random(len(chosen)) < 0.5, self.lower[chosen], self.upper[chosen])
+            x[chosen] = np.where(
+                rng.random(len(chosen)) < 0.5, self.lower[chosen], self.upper[chosen]
+            )
         return q

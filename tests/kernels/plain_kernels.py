@@ -1,8 +1,9 @@
 """Kernel modules as plain Python, without the compiler, and with memory that is checked.
 
-The source of a kernel module is run with stand-ins for the decorators that compile, for pointers, and for the few
-operations on vectors that the modules tested here use. So helpers that no caller outside of kernels reaches can be
-tested one by one, where Numba is not installed, too; an index out of bounds is an IndexError.
+The source of a kernel module is run with stand-ins for the decorators that compile, for pointers,
+and for the few operations on vectors that the modules tested here use. So helpers that no caller
+outside of kernels reaches can be tested one by one, where Numba is not installed, too; an index out
+of bounds is an IndexError.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ WITHOUT_COMPILER = "_layout"
 
 
 class Pointer:
-    """A pointer into an array: index 0 is entry `at` of it; reading and writing outside of the array is an error."""
+    """A pointer into an array: index 0 is entry `at` of it; reading and writing outside of the
+    array is an error.
+    """
 
     def __init__(self, array: np.ndarray, at: int = 0):
         self.array = array
@@ -78,13 +81,20 @@ class StandIns(SimpleNamespace):
 
 STAND_INS: dict[str, Any] = {
     "_jit": SimpleNamespace(device=_as_it_is, routine=_as_it_is, kernel=lambda *_, **__: _as_it_is),
-    "scratch": SimpleNamespace(beyond=lambda p, n: Pointer(p.array, p.at + int(n)), copy=_copy, aligned=_as_it_is),
-    "vectors": StandIns(
-        LANES=4, pack4=lambda *x: np.array(x), load4=lambda p, k: np.array([p[k + i] for i in range(4)]),
-        entry=lambda v, i: v[i], last_of=lambda v: v[3], negative=lambda x: np.signbit(x),
-        where=lambda c, a, b: a if c else b, with_sign_of=lambda a, b: np.copysign(a, b),
+    "scratch": SimpleNamespace(
+        beyond=lambda p, n: Pointer(p.array, p.at + int(n)), copy=_copy, aligned=_as_it_is
     ),
-}  # fmt: skip
+    "vectors": StandIns(
+        LANES=4,
+        pack4=lambda *x: np.array(x),
+        load4=lambda p, k: np.array([p[k + i] for i in range(4)]),
+        entry=lambda v, i: v[i],
+        last_of=lambda v: v[3],
+        negative=lambda x: np.signbit(x),
+        where=lambda c, a, b: a if c else b,
+        with_sign_of=lambda a, b: np.copysign(a, b),
+    ),
+}
 """What stands for modules that need the compiler, by name."""
 _made: dict[str, Any] = {}
 
@@ -102,7 +112,9 @@ def plain(name: str) -> Any:
     return _made[name]
 
 
-def _imported(name: str, scope: Any = None, own: Any = None, wanted: tuple[str, ...] = (), level: int = 0) -> Any:
+def _imported(
+    name: str, scope: Any = None, own: Any = None, wanted: tuple[str, ...] = (), level: int = 0
+) -> Any:
     """What `import` gives in such a module: other kernels as they are here, all else as it is."""
     if not name.startswith("kempe.kernels"):
         return builtins.__import__(name, scope, own, wanted, level)

@@ -13,7 +13,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "add" / "kernel.md"
 
 
 def test_the_kernel_of_the_page(tmp_path):
-    found = re.search(r"^```py\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    found = re.search(
+        r"^```py\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
     assert found is not None
     path = tmp_path / "lengths.py"
     path.write_text(found[1], encoding="utf-8")

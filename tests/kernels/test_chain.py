@@ -96,7 +96,12 @@ def test_far_coordinates_and_strange_norms_are_right_beside_near_ones():
 
 # ---- parts of poses
 
-WIDTHS = {12: lambda X: X[:, :3].reshape(-1, 12), 7: None, 3: lambda X: X[:, :3, 3], 16: lambda X: X.reshape(-1, 16)}
+WIDTHS = {
+    12: lambda X: X[:, :3].reshape(-1, 12),
+    7: None,
+    3: lambda X: X[:, :3, 3],
+    16: lambda X: X.reshape(-1, 16),
+}
 
 
 def written(table, q, width):
@@ -108,7 +113,9 @@ def part(width, X):
     """What is written of poses by these widths, quaternions by scipy."""
     if width != 7:
         return WIDTHS[width](X)
-    quat = Rotation.from_matrix(X[:, :3, :3].reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
+    quat = Rotation.from_matrix(X[:, :3, :3].reshape(-1, 3, 3)).as_quat(
+        scalar_first=True, canonical=True
+    )
     return np.c_[X[:, :3, 3], quat.reshape(-1, 4)]
 
 
@@ -129,7 +136,9 @@ def test_half_turns_have_quaternions(width):
     """About each axis and between them, where the largest component changes, and w is zero."""
     rng = np.random.default_rng(0)
     axes = np.r_[np.eye(3), rng.normal(size=(20, 3)), [[1, 1, 0], [0, 1, 1], [1, 1, 1]]]
-    turns = Rotation.from_rotvec(np.pi * axes / np.linalg.norm(axes, axis=1, keepdims=True)).as_matrix()
+    turns = Rotation.from_rotvec(
+        np.pi * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    ).as_matrix()
     for R in turns:
         X = np.eye(4)
         X[:3, :3] = R
@@ -153,7 +162,11 @@ def test_a_bad_configuration_leaves_others_alone(width, value):
     clean = written(table, q, width)[1]
     q[11] = value
     bad, out = written(table, q, width)
-    assert bad == 1 and np.isnan(out[11, :3]).all() and np.array_equal(np.delete(out, 11, 0), np.delete(clean, 11, 0))
+    assert (
+        bad == 1
+        and np.isnan(out[11, :3]).all()
+        and np.array_equal(np.delete(out, 11, 0), np.delete(clean, 11, 0))
+    )
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -1,4 +1,6 @@
-"""Entry points of kernels: the library is found, fits, is never stale, and refuses what it cannot take."""
+"""Entry points of kernels: the library is found, fits, is never stale, and refuses what it cannot
+take.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from kempe.kernels import compiled
 from kempe.kernels.digest import source_digests
 from kempe.kernels.forward.table_layout import fuse
 
-native = pytest.mark.skipif(compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process")
+native = pytest.mark.skipif(
+    compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process"
+)
 with_numba = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
 
 SLIDER = """
@@ -58,7 +62,11 @@ def test_every_verb_runs_without_numba_and_without_the_sources_of_kernels():
     kernels = ROOT / "src" / "kempe" / "kernels"
     loaded = set(re.findall(r"kempe\.kernels\.([\w.]+)", printed(BLOCKED + VERBS)))
     layouts = {f"{path.parent.name}.{path.stem}" for path in kernels.glob("*/*layout.py")}
-    assert loaded <= layouts | {name.partition(".")[0] for name in layouts} | {"compiled", "digest", "_native"}
+    assert loaded <= layouts | {name.partition(".")[0] for name in layouts} | {
+        "compiled",
+        "digest",
+        "_native",
+    }
 
 
 OUTSIDE = [p for p in sorted((ROOT / "src" / "kempe").rglob("*.py")) if "kernels" not in p.parts]
@@ -67,15 +75,22 @@ OUTSIDE = [p for p in sorted((ROOT / "src" / "kempe").rglob("*.py")) if "kernels
 @pytest.mark.parametrize("path", OUTSIDE, ids=lambda p: p.stem)
 def test_sources_of_kernels_are_for_the_compiler_only(path):
     """No module outside `kernels` imports another module of it than `compiled` and the layouts."""
-    pattern = re.compile(r"^\s*(?:from|import) kempe\.kernels(?:\.(\w+))?(?: import |\.)(\w+)", re.M)
+    pattern = re.compile(
+        r"^\s*(?:from|import) kempe\.kernels(?:\.(\w+))?(?: import |\.)(\w+)", re.M
+    )
     for folder, name in pattern.findall(path.read_text()):
-        assert "compiled" in (folder, name) or re.fullmatch(r"\w*layout", name), f"{path.name} imports {name}"
+        assert "compiled" in (folder, name) or re.fullmatch(r"\w*layout", name), (
+            f"{path.name} imports {name}"
+        )
 
 
 @native
 def test_the_library_is_that_of_the_sources():
     assert compiled._native.SOURCES == source_digests()
-    assert compiled.VARIANT in compiled._native.VARIANTS and compiled._native.VARIANTS[compiled.VARIANT]
+    assert (
+        compiled.VARIANT in compiled._native.VARIANTS
+        and compiled._native.VARIANTS[compiled.VARIANT]
+    )
 
 
 # ------------------------------------------------------------------ nothing stale
@@ -88,7 +103,9 @@ def edited(tmp_path):
     helper = package / "kernels" / "forward" / "table_sweep.py"
     text = helper.read_text()
     assert text.count("slid(multiplier * q[index], c)") == 1
-    helper.write_text(text.replace("slid(multiplier * q[index], c)", "slid(2.0 * multiplier * q[index], c)"))
+    helper.write_text(
+        text.replace("slid(multiplier * q[index], c)", "slid(2.0 * multiplier * q[index], c)")
+    )
     return package
 
 
@@ -109,7 +126,9 @@ def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
     done = run(BLOCKED + SLIDER, edited)
     assert done.returncode and "KernelsError" in done.stderr and "pip install -e ." in done.stderr
     done = run(SLIDER, edited, KEMPE_KERNELS=compiled.VARIANT)
-    assert done.returncode and f"KEMPE_KERNELS is '{compiled.VARIANT}', but the sources" in done.stderr
+    assert (
+        done.returncode and f"KEMPE_KERNELS is '{compiled.VARIANT}', but the sources" in done.stderr
+    )
 
 
 @native
@@ -123,7 +142,10 @@ def test_each_change_of_the_sources_is_seen(tmp_path, change):
     else:
         some.rename(some.with_name("quartics.py")) if change == "renamed" else some.unlink()
     name = {"new file": "more.py", "renamed": "quartic.py", "removed": "quartic.py"}[change]
-    assert f"edited after they were compiled (closed_form/{name})" in run(BLOCKED + SLIDER, package).stderr
+    assert (
+        f"edited after they were compiled (closed_form/{name})"
+        in run(BLOCKED + SLIDER, package).stderr
+    )
 
 
 @native
@@ -155,29 +177,42 @@ def test_without_a_library_the_error_says_what_to_do(tmp_path):
     assert "not compiled" in error and "a wheel of Kempe for this platform" in error
     (package / "kernels" / "_native.abi3.so").write_bytes(b"no library")
     error = run(BLOCKED + SLIDER, package).stderr
-    assert "KernelsError: the library of kernels cannot be loaded" in error and "KEMPE_KERNELS=jit" in error
+    assert (
+        "KernelsError: the library of kernels cannot be loaded" in error
+        and "KEMPE_KERNELS=jit" in error
+    )
 
 
 @pytest.mark.parametrize("name", ["v5", "V4", " ", "native"])
 def test_unknown_variants_are_refused_with_what_is_allowed(name):
     error = run(SLIDER, KEMPE_KERNELS=name).stderr
-    assert f"KEMPE_KERNELS is {name!r}" in error and ("allowed here: " in error or "not compiled" in error)
+    assert f"KEMPE_KERNELS is {name!r}" in error and (
+        "allowed here: " in error or "not compiled" in error
+    )
 
 
 def test_the_version_is_reported_even_without_kernels():
-    done = run("from kempe.cli import main; import sys; sys.argv[1:] = ['--version']; main()", KEMPE_KERNELS="v9")
+    done = run(
+        "from kempe.cli import main; import sys; sys.argv[1:] = ['--version']; main()",
+        KEMPE_KERNELS="v9",
+    )
     assert done.returncode == 2 and done.stdout == f"kempe {kempe.__version__}\n"
     assert done.stderr.startswith("error: KEMPE_KERNELS is 'v9'") and "Traceback" not in done.stderr
 
 
 def test_jit_without_numba_says_so():
-    assert "KEMPE_KERNELS is 'jit', but there is no Numba" in run(BLOCKED + SLIDER, KEMPE_KERNELS="jit").stderr
+    assert (
+        "KEMPE_KERNELS is 'jit', but there is no Numba"
+        in run(BLOCKED + SLIDER, KEMPE_KERNELS="jit").stderr
+    )
 
 
 @pytest.mark.slow
 @with_numba
 def test_compiled_in_the_process_on_request():
-    assert printed(SLIDER + "print(kempe.kernels.compiled.VARIANT)", KEMPE_KERNELS="jit").split() == ["0.5", "jit"]
+    assert printed(
+        SLIDER + "print(kempe.kernels.compiled.VARIANT)", KEMPE_KERNELS="jit"
+    ).split() == ["0.5", "jit"]
 
 
 # ------------------------------------------------------------------ the C layer
@@ -186,13 +221,18 @@ ROWS = re.compile(r"(\w+): ([fib])(?:\[([^]]*)\])?(!?)")
 
 
 def entry_points() -> dict[str, tuple[Any, list[tuple[str, str, list[str], bool]]]]:
-    """Each entry point with its arguments: name, kind of entries, lengths of axes, whether it is written."""
+    """Each entry point with its arguments: name, kind of entries, lengths of axes, whether it is
+    written.
+    """
     found = {}
     for name in dir(compiled._native):
         entry = getattr(compiled._native, name)
         if "__" in name.strip("_"):
             rows = ROWS.findall(entry.__doc__.partition("(")[2])
-            found[name] = entry, [(a, k, s.split(", ") if s else [], bool(w)) for a, k, s, w in rows]
+            found[name] = (
+                entry,
+                [(a, k, s.split(", ") if s else [], bool(w)) for a, k, s, w in rows],
+            )
     return found
 
 
@@ -251,7 +291,9 @@ def test_what_does_not_fit_is_refused_and_named(name):
             given[k] = spoilt(given[k], how)
             with pytest.raises(TypeError) as caught:
                 entry(*given)
-            assert not isinstance(given[k], np.ndarray) or f": {argument} must be " in str(caught.value)
+            assert not isinstance(given[k], np.ndarray) or f": {argument} must be " in str(
+                caught.value
+            )
     for count in (0, len(rows) - 1, len(rows) + 1):
         with pytest.raises(TypeError, match=f"takes {len(rows)} arguments, not {count}"):
             entry(*[0] * count)
@@ -276,15 +318,23 @@ def test_lengths_that_differ_are_refused_and_named(name):
     written = [x for _, _, lengths, _ in rows for x in lengths]
     uses = [x.rpartition("|")[2].partition("+")[0] for x in written]
     measured = [x.isdigit() or (x != "_" and uses.count(x) > 1) for x in uses]
-    axes = [(k, argument, axis) for k, (argument, _, lengths, _) in enumerate(rows) for axis in range(len(lengths))]
+    axes = [
+        (k, argument, axis)
+        for k, (argument, _, lengths, _) in enumerate(rows)
+        for axis in range(len(lengths))
+    ]
     for place, (k, argument, axis) in enumerate(axes):
         if measured[place]:
             given = [good(kind_, lengths_, {}) for _, kind_, lengths_, _ in rows]
-            given[k] = np.zeros([n + 7 * (j == axis) for j, n in enumerate(given[k].shape)], dtype=given[k].dtype)
+            given[k] = np.zeros(
+                [n + 7 * (j == axis) for j, n in enumerate(given[k].shape)], dtype=given[k].dtype
+            )
             with pytest.raises(ValueError, match=r"axis \d of \w+ has length") as caught:
                 entry(*given)
             judge = uses[place] in written and written.index(uses[place]) == place
-            assert judge or argument in str(caught.value)  # where the others are measured by it, they are named
+            assert judge or argument in str(
+                caught.value
+            )  # where the others are measured by it, they are named
 
 
 @native
@@ -296,11 +346,33 @@ def test_no_sequence_of_arguments_ends_the_process(data):
     entry, rows = ENTRY_POINTS[name]
     given_ = [good(kind, lengths, {}) for _, kind, lengths, _ in rows]
     arrays = [k for k, row in enumerate(rows) if row[2]]
-    odd = [None, "x", b"x", 1.5, -1, 2**70, float("nan"), [], {}, np.zeros(()), np.zeros(0), np.zeros(3, "O"),
-           np.zeros((2, 2), "M8[s]"), np.ma.zeros(3), np.float64(1), object(), np.zeros((0, 0, 0)), entry]  # fmt: skip
+    odd = [
+        None,
+        "x",
+        b"x",
+        1.5,
+        -1,
+        2**70,
+        float("nan"),
+        [],
+        {},
+        np.zeros(()),
+        np.zeros(0),
+        np.zeros(3, "O"),
+        np.zeros((2, 2), "M8[s]"),
+        np.ma.zeros(3),
+        np.float64(1),
+        object(),
+        np.zeros((0, 0, 0)),
+        entry,
+    ]
     for k in data.draw(st.sets(st.sampled_from(arrays), min_size=1)):
         right = given_[k]
-        unfit = [x for x in odd if not isinstance(x, np.ndarray) or x.dtype != right.dtype or x.ndim != right.ndim]
+        unfit = [
+            x
+            for x in odd
+            if not isinstance(x, np.ndarray) or x.dtype != right.dtype or x.ndim != right.ndim
+        ]
         given_[k] = data.draw(st.sampled_from(unfit))
     for k in data.draw(st.sets(st.integers(0, len(rows) - 1))) - set(arrays):
         given_[k] = data.draw(st.sampled_from(odd))
@@ -369,7 +441,12 @@ def test_scratch_that_does_not_fit_into_memory_is_a_memory_error():
 def test_made_arrays_are_ordinary_ones():
     for shape in ((), (0,), (4, 4), (1, 2, 3)):
         made = compiled.maker(*shape)()
-        assert made.shape == shape and made.dtype == float and made.flags.owndata and made.flags.c_contiguous
+        assert (
+            made.shape == shape
+            and made.dtype == float
+            and made.flags.owndata
+            and made.flags.c_contiguous
+        )
     new = compiled.maker(2)
     assert new() is not new()
     for wrong in ((-1,), ("a",), (1.5,), (1,) * 9 + (-1,)):
@@ -384,7 +461,11 @@ def test_answers_of_plain_calls_can_be_pickled():
         ask(X, "tool")
         answer = ask(X, "tool")  # by the bound form, which the first call has made
         back = pickle.loads(pickle.dumps(answer))
-        assert np.array_equal(back.q, answer.q) and str(back) == str(answer) and back.status == answer.status
+        assert (
+            np.array_equal(back.q, answer.q)
+            and str(back) == str(answer)
+            and back.status == answer.status
+        )
 
 
 # ------------------------------------------------------------------ threads, forks, interrupts
@@ -421,14 +502,18 @@ for _ in range(5):
     assert os.waitpid(child, 0)[1] == 0
 busy.join(); print("done")
 """
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=120
+    )
     assert done.stdout.strip() == "done", done.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", some([1, 2], 3))
 def test_an_interrupt_ends_a_long_call(threads):
-    """It comes in the second piece of a call of the slowest kernel; the process says how far it was."""
+    """It comes in the second piece of a call of the slowest kernel; the process says how far it
+    was.
+    """
     code = f"""
 import signal, numpy as np, kempe
 from kempe.kernels.compiled import elimination_ik
@@ -472,7 +557,10 @@ def test_guards_end_a_process_that_reads_out_of_bounds():
     for guard, index in (("after", 1), ("before", -1)):
         assert printed(BEYOND.format(index=0), KEMPE_GUARD=guard) == "0"
         assert run(BEYOND.format(index=index), KEMPE_GUARD=guard).returncode == -signal.SIGSEGV
-    assert "KEMPE_GUARD is 'on'; allowed: 'after', 'before'" in run(BEYOND.format(index=0), KEMPE_GUARD="on").stderr
+    assert (
+        "KEMPE_GUARD is 'on'; allowed: 'after', 'before'"
+        in run(BEYOND.format(index=0), KEMPE_GUARD="on").stderr
+    )
 
 
 TOO_SMALL = """
@@ -501,6 +589,11 @@ print("done")
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
 @pytest.mark.parametrize("size, less", [("BLOCKS", 1), ("ENVELOPE", 9)])
 def test_guards_end_a_process_whose_scratch_is_too_small(size, less):
-    """By one entry; of the block that begins at a whole register, by one more than what it may pass over."""
+    """By one entry; of the block that begins at a whole register, by one more than what it may pass
+    over.
+    """
     assert printed(TOO_SMALL.format(size=size, less=0), KEMPE_GUARD="after") == "done"
-    assert run(TOO_SMALL.format(size=size, less=less), KEMPE_GUARD="after").returncode == -signal.SIGSEGV
+    assert (
+        run(TOO_SMALL.format(size=size, less=less), KEMPE_GUARD="after").returncode
+        == -signal.SIGSEGV
+    )

@@ -71,7 +71,11 @@ def test_registers_are_carried_and_turned_round():
     XA = matrix(*A)
     XB = matrix(*B)
     inverse = np.linalg.inv
-    for op, expected in ((K.CARRY, XB @ XA), (K.DIVIDE, XA @ inverse(XB)), (K.REBASE, inverse(XA) @ XB)):
+    for op, expected in (
+        (K.CARRY, XB @ XA),
+        (K.DIVIDE, XA @ inverse(XB)),
+        (K.REBASE, inverse(XA) @ XB),
+    ):
         code = Code(4, 2)
         r = code.register
         code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [0.0, *A, *IDENTITY])
@@ -99,7 +103,9 @@ def test_sums_and_expectations():
     assert q[:, 1].tolist() == [-1.25, 1.0] and status[:, 0].tolist() == [4.5, 0.0]
 
 
-@pytest.mark.parametrize("low, high", [(-np.inf, np.inf), (-1.0, 1.0), (2.0, 2.0 + 2 * np.pi), (-20.0, -10.0)])
+@pytest.mark.parametrize(
+    "low, high", [(-np.inf, np.inf), (-1.0, 1.0), (2.0, 2.0 + 2 * np.pi), (-20.0, -10.0)]
+)
 def test_representatives(low, high):
     """Nearest to the target; then inside the limits, where a whole number of turns leads there."""
     code = Code(2, 2)
@@ -124,7 +130,9 @@ def test_representatives(low, high):
 
 
 def test_lanes_do_not_depend_on_each_other():
-    """A bad row is NaN, one beyond the polynomials' reach goes by the library of C, and the others stay as they are."""
+    """A bad row is NaN, one beyond the polynomials' reach goes by the library of C, and the others
+    stay as they are.
+    """
     code = Code(2, 2)
     r = code.register
     code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
@@ -141,7 +149,9 @@ def test_lanes_do_not_depend_on_each_other():
 
 @pytest.mark.parametrize("kind", ["RRR", "RRP", "RPR", "PRR"])
 def test_the_margin_is_the_sine_of_the_angle_between_the_links(kind):
-    """It says how far two branches are apart; of a link on a slider, the angle is that to the normal of the slide."""
+    """It says how far two branches are apart; of a link on a slider, the angle is that to the
+    normal of the slide.
+    """
     for seed in range(10):
         chain = random_chain(seed, (kind,), most=1, variable=False)
         system = chain.system()

@@ -79,7 +79,9 @@ def test_graded(n):
 
 
 def test_companion_of_known_roots():
-    roots = np.concatenate([np.linspace(-2.0, 2.0, 8), *[[z, z.conjugate()] for z in np.exp([0.5j, 1j, 1.5j, 2j])]])
+    roots = np.concatenate(
+        [np.linspace(-2.0, 2.0, 8), *[[z, z.conjugate()] for z in np.exp([0.5j, 1j, 1.5j, 2j])]]
+    )
     coefficients = np.poly(roots).real
     companion = np.diag(np.ones(15), -1)
     companion[0] = -coefficients[1:]
@@ -89,23 +91,31 @@ def test_companion_of_known_roots():
 
 @pytest.mark.parametrize("size, tolerance", [(2, 1e-6), (3, 1e-4), (4, 1e-3)])
 def test_defective(size, tolerance):
-    """A Jordan block of order k lets eigenvalues move by the k-th root of a rounding error, and no further."""
+    """A Jordan block of order k lets eigenvalues move by the k-th root of a rounding error, and no
+    further.
+    """
     rng = np.random.default_rng(size)
-    J = np.diag(np.repeat(np.arange(1.0, 16 // size + 1), size)) + np.diag(np.ones(16 // size * size - 1), 1)
+    J = np.diag(np.repeat(np.arange(1.0, 16 // size + 1), size)) + np.diag(
+        np.ones(16 // size * size - 1), 1
+    )
     J[np.arange(size, len(J), size) - 1, np.arange(size, len(J), size)] = 0.0
     Q = np.linalg.qr(rng.standard_normal(J.shape))[0]
     assert apart(eigenvalues([Q @ J @ Q.T])[0], np.diag(J)) < tolerance
 
 
 def test_equal_eigenvalues_that_are_not_defective():
-    """Each eigenvalue twice, real ones and pairs: the Hessenberg form falls apart only by rounding errors."""
+    """Each eigenvalue twice, real ones and pairs: the Hessenberg form falls apart only by rounding
+    errors.
+    """
     rng = np.random.default_rng(0)
     for _ in range(50):
         A = rng.standard_normal((8, 8))
         X = rng.standard_normal((16, 16))
         twice = X @ np.kron(np.eye(2), A) @ np.linalg.inv(X)
         values = np.linalg.eigvals(A)
-        allowed = 1e-13 * np.linalg.cond(X) * np.linalg.norm(A) * np.linalg.cond(np.linalg.eig(A)[1])
+        allowed = (
+            1e-13 * np.linalg.cond(X) * np.linalg.norm(A) * np.linalg.cond(np.linalg.eig(A)[1])
+        )
         assert apart(eigenvalues([twice])[0], [*values, *values]) < allowed
 
 

@@ -21,11 +21,13 @@ ODD = 1
 
 PI = np.pi
 NEARLY_SINGULAR = 1e-5
-"""Smallest singular value of the Jacobian below which a posture may be missed (a few in 100 000)."""
+"""Smallest singular value of the Jacobian below which a posture may be missed (a few in 100
+000)."""
 TURNS = np.zeros(6, np.int64)
 
-# a, alpha [degrees], d, offset [degrees] of each joint; lengths in any unit. (*): dimensions as commonly given, not
-# checked against the maker's document; the tests need the kind of geometry, not the millimetre.
+# a, alpha [degrees], d, offset [degrees] of each joint; lengths in any unit. (*): dimensions as
+# commonly given, not checked against the maker's document; the tests need the kind of geometry, not
+# the millimetre.
 STANDARD = {
     # Manseur and Doty 1989, "A robot manipulator with 16 real inverse kinematic solution sets"
     "manseur": [(0.3, 90, 0, 0), (1, 1, 0, 0), (0, 90, 0.2, 0), (1.5, 1, 0, 0), (0, 90, 0, 0), (0, 1, 0, 0)],
@@ -100,7 +102,9 @@ def scaled(lines) -> np.ndarray:
 
 
 def arm(name, error=0.0) -> np.ndarray:
-    """A published arm, its parameters off by normal errors: lengths relative to the largest, angles in radians."""
+    """A published arm, its parameters off by normal errors: lengths relative to the largest, angles
+    in radians.
+    """
     rows = table(name)
     rows[:, [0, 2]] /= abs(rows[:, [0, 2]]).max()
     rows += error * np.random.default_rng(7).standard_normal(rows.shape)
@@ -168,7 +172,9 @@ def run(lines, goals, formulation, kinds=TURNS):
     thetas = np.full((n, CANDIDATES, 6), np.nan)
     counts = np.empty(n, np.int64)
     suspects = np.empty(n, np.int64)
-    found = elimination_batch.eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects)
+    found = elimination_batch.eliminate_each(
+        kinds, lines, goals, formulation, thetas, counts, suspects
+    )
     assert found == (suspects != 0).sum()
     assert np.array_equal(np.isfinite(thetas).all(axis=2), np.arange(CANDIDATES) < counts[:, None])
     assert np.array_equal(counts % 2 == 1, suspects & ODD != 0)
@@ -176,7 +182,9 @@ def run(lines, goals, formulation, kinds=TURNS):
 
 
 def gaps(a, b, kinds=TURNS) -> np.ndarray:
-    """Largest difference of the coordinates of postures, angles by the shorter way; infinite with NaN."""
+    """Largest difference of the coordinates of postures, angles by the shorter way; infinite with
+    NaN.
+    """
     d = a - b
     d = np.where(kinds == SLIDE, d, (d + PI) % (2 * PI) - PI)
     d = abs(d).max(axis=-1)
@@ -188,7 +196,9 @@ def has(thetas, theta, kinds=TURNS, tolerance=1e-5) -> np.ndarray:
 
 
 def solve(lines, goals, forms, kinds=TURNS) -> tuple[list[np.ndarray], np.ndarray]:
-    """Distinct postures of each goal, by more formulations where the one before was suspect; first suspects."""
+    """Distinct postures of each goal, by more formulations where the one before was suspect; first
+    suspects.
+    """
     answers = [np.empty((0, 6)) for _ in goals]
     left = np.arange(len(goals))
     first = None
@@ -211,8 +221,14 @@ def same_sets(a, b, tolerance=1e-7) -> bool:
     return len(a) == len(b) and all((gaps(b, theta) < tolerance).sum() == 1 for theta in a)
 
 
-ARMS = {name: arm(name) for name in ("manseur", "jaco2", "crx10", "xarm6", "hc10", "m1013", "piper")}
-ARMS |= {f"{name} {error:g}": arm(name, error) for name in ("ur10e", "puma") for error in (1e-3, 1e-5, 1e-7)}
+ARMS = {
+    name: arm(name) for name in ("manseur", "jaco2", "crx10", "xarm6", "hc10", "m1013", "piper")
+}
+ARMS |= {
+    f"{name} {error:g}": arm(name, error)
+    for name in ("ur10e", "puma")
+    for error in (1e-3, 1e-5, 1e-7)
+}
 ARMS |= {f"random {seed}": random_arm(seed) for seed in range(3)}
 FORMS: dict[str, list[int]] = {}
 
@@ -242,7 +258,9 @@ def battery(name, n, seed):
 
 
 def merged(lines, missed) -> bool:
-    """Whether all that was missed is as good as singular, and rare: there it merges with another within accuracy."""
+    """Whether all that was missed is as good as singular, and rare: there it merges with another
+    within accuracy.
+    """
     return len(missed) < 10 and all(weakest(lines, t) < NEARLY_SINGULAR for t in missed)
 
 
@@ -259,7 +277,9 @@ def test_known_postures_are_found_always(name):
 
 def test_sixteen_postures_of_manseur_and_doty():
     lines, M = from_table(table("manseur"))
-    R = np.array([[-0.760117, -0.641689, 0.102262], [0.133333, 0, 0.991071], [-0.635959, 0.766965, 0.085558]])
+    R = np.array(
+        [[-0.760117, -0.641689, 0.102262], [0.133333, 0, 0.991071], [-0.635959, 0.766965, 0.085558]]
+    )
     u, _, vt = np.linalg.svd(R)
     target = np.eye(4)
     target[:3, :3] = u @ vt
@@ -317,7 +337,9 @@ def test_gauges_change_nothing(seed):
 
 @pytest.mark.parametrize("name", some(list(ARMS), 4))
 def test_right_angles_and_half_turns(name):
-    """Neither half-angle tangents at infinity nor parallel and crossing axes lose a posture that is not singular."""
+    """Neither half-angle tangents at infinity nor parallel and crossing axes lose a posture that is
+    not singular.
+    """
     lines = ARMS[name]
     rng = np.random.default_rng(3)
     theta = postures(120, 3)

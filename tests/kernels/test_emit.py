@@ -1,4 +1,6 @@
-"""The builder: what it cannot carry it refuses with a sentence; its processes share the work, all of it."""
+"""The builder: what it cannot carry it refuses with a sentence; its processes share the work, all
+of it.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,13 @@ def emitted(folder, source: str) -> subprocess.CompletedProcess:
     package = copied(folder)
     (package / "kernels" / "bad.py").write_text(HEAD + source)
     env = os.environ | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-    command = [sys.executable, str(folder / "native" / "emit.py"), "base", str(folder / "bad.o"), "bad"]
+    command = [
+        sys.executable,
+        str(folder / "native" / "emit.py"),
+        "base",
+        str(folder / "bad.o"),
+        "bad",
+    ]
     return subprocess.run(command, env=env, capture_output=True, text=True)
 
 
@@ -58,9 +66,13 @@ def test_what_cannot_be_carried_is_refused(tmp_path, what):
 
 @pytest.mark.slow
 def test_a_good_kernel_is_emitted_with_its_declaration(tmp_path):
-    done = emitted(tmp_path, "@kernel(F('n'), OUT('n'))\ndef bad(x, y):\n    y[0] = 2.0 * x[0]\n    return 7\n")
+    done = emitted(
+        tmp_path, "@kernel(F('n'), OUT('n'))\ndef bad(x, y):\n    y[0] = 2.0 * x[0]\n    return 7\n"
+    )
     assert done.returncode == 0 and not done.stderr, done.stderr
-    assert (tmp_path / "bad.o").stat().st_size > 0 and '"bad__bad"' in (tmp_path / "bad.json").read_text()
+    assert (tmp_path / "bad.o").stat().st_size > 0 and '"bad__bad"' in (
+        tmp_path / "bad.json"
+    ).read_text()
 
 
 @pytest.mark.slow
@@ -70,7 +82,12 @@ def test_two_objects_are_the_same_byte_by_byte(tmp_path, monkeypatch):
     for name in ("one", "two"):
         copied(tmp_path / name)
         monkeypatch.setattr(library, "HERE", tmp_path / name / "native")
-        library.emit(min(library.variants()), ["forward.chain", "closed_form.candidates"], tmp_path / f"{name}.o", [])
+        library.emit(
+            min(library.variants()),
+            ["forward.chain", "closed_form.candidates"],
+            tmp_path / f"{name}.o",
+            [],
+        )
         made.append((tmp_path / f"{name}.o").read_bytes())
     assert made[0] == made[1] and len(made[0]) > 10_000
 
@@ -78,9 +95,13 @@ def test_two_objects_are_the_same_byte_by_byte(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_processes_share_all_modules_with_kernels_about_evenly():
     shares = library.shares()
-    modules = [path.stem for path in library.KERNELS.rglob("*.py") if "@kernel(" in path.read_text()]
+    modules = [
+        path.stem for path in library.KERNELS.rglob("*.py") if "@kernel(" in path.read_text()
+    ]
     shared = [name.rpartition(".")[2] for share in shares for name in share]
-    assert sorted(shared) == sorted(set(modules) - {"_jit", "declare"}) and shares == library.shares()
+    assert (
+        sorted(shared) == sorted(set(modules) - {"_jit", "declare"}) and shares == library.shares()
+    )
     lines = [len(frozenset().union(*map(library.needed, share))) for share in shares]
     assert max(lines) <= 2 * min(lines)
 
@@ -112,7 +133,9 @@ def test_wishes_are_checked(monkeypatch):
     monkeypatch.delenv("KEMPE_BUILD")
     assert len(library.requested()) == 1
     monkeypatch.setenv("KEMPE_BUILD", "v7")
-    with pytest.raises(library.BuildError, match="KEMPE_BUILD is 'v7'; allowed: 'release', or names among"):
+    with pytest.raises(
+        library.BuildError, match="KEMPE_BUILD is 'v7'; allowed: 'release', or names among"
+    ):
         library.requested()
 
 

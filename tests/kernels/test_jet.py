@@ -9,14 +9,23 @@ from primitive_tables import pose, random_pose, random_table
 from scipy.linalg import expm
 
 from kempe.kernels.compiled import jet, projection
-from kempe.kernels.constraints.loop_layout import ALIGN, ANGLE, CROSS, DISTANCE, FULL, LINEAR, NO_TURN
+from kempe.kernels.constraints.loop_layout import (
+    ALIGN,
+    ANGLE,
+    CROSS,
+    DISTANCE,
+    FULL,
+    LINEAR,
+    NO_TURN,
+)
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
 
 ORDER = 8
 RADIUS = 0.15
 POINTS = 48
-"""The circle: large enough for rounding to be divided by little at order 8, small enough for aliases to vanish."""
+"""The circle: large enough for rounding to be divided by little at order 8, small enough for
+aliases to vanish."""
 
 
 def cross(w):
@@ -24,7 +33,9 @@ def cross(w):
 
 
 def complex_poses(table, q, v):
-    """Poses (n_out, 4, 4) after the tangent vector v, which may be complex, from q; no conjugation anywhere."""
+    """Poses (n_out, 4, 4) after the tangent vector v, which may be complex, from q; no conjugation
+    anywhere.
+    """
     after = []
     for r in table.rows:
         X = np.eye(4) if r.parent < 0 else after[r.parent]
@@ -32,7 +43,9 @@ def complex_poses(table, q, v):
             R = np.array(table.motion(r, q), dtype=complex)[:3, :3]
             turn = expm(cross(v[r.iv : r.iv + 3]))
             M = pose().astype(complex)
-            M[:3, :3] = R @ turn if r.multiplier > 0 else turn.T @ R  # of a reversed ball `motion` is the inverse
+            M[:3, :3] = (
+                R @ turn if r.multiplier > 0 else turn.T @ R
+            )  # of a reversed ball `motion` is the inverse
         else:
             x = r.multiplier * (q[r.iq] + v[r.iv])
             M = pose().astype(complex)
@@ -44,12 +57,18 @@ def complex_poses(table, q, v):
                 M[:2, :2] = [[c, -s], [s, c]]
         after.append(X @ r.X @ M)
     out = [(np.eye(4) if row < 0 else after[row]) @ X for row, _, X in table.outputs]
-    return np.array([np.block([[np.eye(3), T[:3, 3:]], [np.zeros((1, 3)), 1]]) if o[1] else T
-                     for o, T in zip(table.outputs, out, strict=True)])  # fmt: skip
+    return np.array(
+        [
+            np.block([[np.eye(3), T[:3, 3:]], [np.zeros((1, 3)), 1]]) if o[1] else T
+            for o, T in zip(table.outputs, out, strict=True)
+        ]
+    )
 
 
 def coefficients(function, order=ORDER):
-    """Taylor coefficients (order + 1, ...) of an analytic function of one variable at 0 (Lyness, Moler, 1967)."""
+    """Taylor coefficients (order + 1, ...) of an analytic function of one variable at 0 (Lyness,
+    Moler, 1967).
+    """
     t = RADIUS * np.exp(2j * np.pi * np.arange(POINTS) / POINTS)
     series = np.fft.fft(np.array([function(x) for x in t]), axis=0) / POINTS
     k = np.arange(order + 1).reshape(-1, *(1,) * (series.ndim - 1))
@@ -58,8 +77,11 @@ def coefficients(function, order=ORDER):
 
 def ties_of(kinds, numbers, length, relation=()):
     """Packed ties; kinds: (mask, turns) for each."""
-    rows = [bin(mask).count("1") + {NO_TURN: 0, ANGLE: 1, ALIGN: 2, CROSS: 1, FULL: 3, DISTANCE: 1, LINEAR: 1}[turns]
-            for mask, turns in kinds]  # fmt: skip
+    rows = [
+        bin(mask).count("1")
+        + {NO_TURN: 0, ANGLE: 1, ALIGN: 2, CROSS: 1, FULL: 3, DISTANCE: 1, LINEAR: 1}[turns]
+        for mask, turns in kinds
+    ]
     ints = [len(kinds)]
     first = 0
     for (mask, turns), n in zip(kinds, rows, strict=True):
@@ -70,7 +92,9 @@ def ties_of(kinds, numbers, length, relation=()):
 
 
 def equations(T, kinds, numbers, length, q, v, relation):
-    """The equations as they are defined, from poses T of the frames A, B, A, B, ..., complex or not."""
+    """The equations as they are defined, from poses T of the frames A, B, A, B, ..., complex or
+    not.
+    """
     out = []
     for k, (mask, turns) in enumerate(kinds):
         if turns == LINEAR:
@@ -85,7 +109,13 @@ def equations(T, kinds, numbers, length, q, v, relation):
             continue
         out += [d[i] / length for i in range(3) if mask >> i & 1]
         skew = [(R[2, 1] - R[1, 2]) / 2, (R[0, 2] - R[2, 0]) / 2, (R[1, 0] - R[0, 1]) / 2]
-        out += {NO_TURN: [], FULL: skew, ANGLE: skew[2:], ALIGN: [-R[1, 2], R[0, 2]], CROSS: [R[0, 1]]}[turns]
+        out += {
+            NO_TURN: [],
+            FULL: skew,
+            ANGLE: skew[2:],
+            ALIGN: [-R[1, 2], R[0, 2]],
+            CROSS: [R[0, 1]],
+        }[turns]
     return np.array(out)
 
 
@@ -133,7 +163,9 @@ def test_series_of_poses_and_equations(seed, kinds, particles):
         return complex_poses(table, q[0], along(v[0], t))
 
     expected = coefficients(lambda t: poses(t)[:, :3])
-    got = np.concatenate([frames[0, ..., :9].reshape(-1, ORDER + 1, 3, 3), frames[0, ..., 9:, None]], axis=-1)
+    got = np.concatenate(
+        [frames[0, ..., :9].reshape(-1, ORDER + 1, 3, 3), frames[0, ..., 9:, None]], axis=-1
+    )
     scale = np.abs(expected).max(axis=(1, 2, 3)) + 1.0
     assert (np.abs(np.swapaxes(got, 0, 1) - expected).max(axis=(1, 2, 3)) < 1e-8 * scale).all()
 
@@ -141,7 +173,9 @@ def test_series_of_poses_and_equations(seed, kinds, particles):
         return equations(poses(t), held, numbers, 0.7, q[0], along(v[0], t), relation)
 
     expected = coefficients(violation)
-    assert (np.abs(out[0] - expected) < 1e-8 * (np.abs(expected).max(axis=1, keepdims=True) + 1.0)).all()
+    assert (
+        np.abs(out[0] - expected) < 1e-8 * (np.abs(expected).max(axis=1, keepdims=True) + 1.0)
+    ).all()
     assert np.abs(out[0, 1:]).max() > 0.1
 
 
@@ -178,17 +212,26 @@ def test_several_curves_do_not_disturb_each_other():
     v3 = np.concatenate([v, 2 * v, -v])
     all_ = run(table, ties, packed, m, q3, v3)[1]
     for i in range(3):
-        assert np.array_equal(all_[i], run(table, ties, packed, m, q3[i : i + 1], v3[i : i + 1])[1][0])
+        assert np.array_equal(
+            all_[i], run(table, ties, packed, m, q3[i : i + 1], v3[i : i + 1])[1][0]
+        )
     signs = (-1.0) ** np.arange(ORDER + 1)
-    rest = all_[2] - all_[0] * signs[:, None]  # v(t) -> -v is not t -> -t: that changes odd orders of v only
+    rest = (
+        all_[2] - all_[0] * signs[:, None]
+    )  # v(t) -> -v is not t -> -t: that changes odd orders of v only
     assert np.abs(rest[1:]).max() > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_values_and_jacobian_are_orders_0_and_1(seed):
     table, held, numbers, relation, q, _ = random_case(seed)
-    for k, (_, turns) in enumerate(held):  # a particle has no axes to be in, and no orientation to be held
-        flags = (seed % 2 == 1 and turns == DISTANCE, seed % 2 == 1 and turns in (DISTANCE, NO_TURN))
+    for k, (_, turns) in enumerate(
+        held
+    ):  # a particle has no axes to be in, and no orientation to be held
+        flags = (
+            seed % 2 == 1 and turns == DISTANCE,
+            seed % 2 == 1 and turns in (DISTANCE, NO_TURN),
+        )
         for i, flag in enumerate(flags):
             row, _, X = table.outputs[2 * k + i]
             table.outputs[2 * k + i] = (row, flag, X)
@@ -199,7 +242,11 @@ def test_values_and_jacobian_are_orders_0_and_1(seed):
     out = run(table, ties, packed, m, np.repeat(q, table.nv, axis=0), v, [(0, 1)])[1]
     assert np.allclose(out[0, 0], value[0], atol=1e-14)
     plain = complex_poses(table, q[0], np.zeros(table.nv)).real
-    assert np.allclose(value[0], equations(plain, held, numbers, 0.7, q[0], np.zeros(table.nv), relation), atol=1e-13)
+    assert np.allclose(
+        value[0],
+        equations(plain, held, numbers, 0.7, q[0], np.zeros(table.nv), relation),
+        atol=1e-13,
+    )
     assert np.allclose(out[:, 1].T, J[0], atol=1e-12)
 
 
@@ -220,9 +267,20 @@ def projected(table, ties, numbers, m, places, start, centers, radius, iteration
     value = np.zeros((n, m))
     J = np.zeros((n, m, table.nv))
     projection.project(
-        *table.pack(), ties, numbers, places, np.ones(table.nv), centers, out, np.full(n, radius), iterations, 0.2,
-        info, value, J,
-    )  # fmt: skip
+        *table.pack(),
+        ties,
+        numbers,
+        places,
+        np.ones(table.nv),
+        centers,
+        out,
+        np.full(n, radius),
+        iterations,
+        0.2,
+        info,
+        value,
+        J,
+    )
     return out, info, value, J
 
 
@@ -234,7 +292,10 @@ def closed_pair(seed):
     q = table.random_q(rng, 1)
     poses_ = table.row_poses(q[0])[1]
     X = random_pose(rng)
-    table.outputs = [(last[0], False, X), (last[1], False, np.linalg.inv(poses_[last[1]]) @ poses_[last[0]] @ X)]
+    table.outputs = [
+        (last[0], False, X),
+        (last[1], False, np.linalg.inv(poses_[last[1]]) @ poses_[last[0]] @ X),
+    ]
     ties, numbers, m = ties_of([(7, FULL)], [0.0], 1.0)
     for iq, _ in table.quaternions:
         q[0, iq : iq + 4] /= np.linalg.norm(q[0, iq : iq + 4])
@@ -248,7 +309,9 @@ def test_projection_closes_and_keeps_the_distance(seed, radius):
     n = 4
     v = rng.normal(size=(n, table.nv)) * 0.02
     start = np.array([table.moved(q[0], x) for x in v])
-    out, info, value, J = projected(table, ties, numbers, m, places, start, np.repeat(q, n, axis=0), radius, 60)
+    out, info, value, J = projected(
+        table, ties, numbers, m, places, start, np.repeat(q, n, axis=0), radius, 60
+    )
     _, _, again, J_again = projected(table, ties, numbers, m, places, out, out, 0.0, 0)
     assert np.array_equal(value, again) and np.array_equal(J, J_again)
     assert np.abs(value).max() < 1e-12 and info[:, 0].max() < 1e-12

@@ -22,7 +22,9 @@ def unit(key, counter):
 
 def drawn(table, bounds, first, n):
     """The configurations (n, nq) of the samples from `first` on."""
-    u = np.array([[unit(key, k) for key in KEYS[: table.nq]] for k in range(first, first + n)]).reshape(n, table.nq)
+    u = np.array(
+        [[unit(key, k) for key in KEYS[: table.nq]] for k in range(first, first + n)]
+    ).reshape(n, table.nq)
     q = bounds[: table.nq, 0] + bounds[: table.nq, 1] * u
     for row in (r for r in table.rows if r.kind == BALL):
         a = u[:, row.iq]
@@ -98,11 +100,15 @@ def test_a_slide_is_uniform():
 
 
 def test_a_ball_turns_uniformly():
-    """A point at rest in the ball is uniform on a sphere: so are its three coordinates (Archimedes)."""
+    """A point at rest in the ball is uniform on a sphere: so are its three coordinates
+    (Archimedes).
+    """
     rng = np.random.default_rng(6)
     table = random_table(rng, 1, chain=True, kinds=(BALL,), forms=(GENERAL,))
     out = np.empty((20000, 3))
-    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], np.zeros((table.nq, 2)), 0, out)
+    lane_positions.random_positions(
+        *table.pack(), KEYS[: table.nq], np.zeros((table.nq, 2)), 0, out
+    )
     away = out - table.rows[0].X[:3, 3]
     radius = np.linalg.norm(away, axis=1).mean()
     assert all(stats.kstest(0.5 + 0.5 * x / radius, "uniform").pvalue > 0.01 for x in away.T)

@@ -1,7 +1,8 @@
-"""Packed layers of kernels against dense or brute-force ones: the envelope, the active set, merged rows, their order.
+"""Packed layers of kernels against dense or brute-force ones: the envelope, the active set, merged
+rows, their order.
 
-Helpers run as Python, with memory that is checked (`plain_kernels`), so that what a compiler makes of them is not the
-judge, and each is looked at alone.
+Helpers run as Python, with memory that is checked (`plain_kernels`), so that what a compiler makes
+of them is not the judge, and each is looked at alone.
 """
 
 from __future__ import annotations
@@ -32,14 +33,18 @@ SOLVER = {"max_examples": examples(60), "deadline": None}
 
 
 class Packed(NamedTuple):
-    """Packed loops of which the blocks are random: what kernels read, and the same Jacobian (m, nv) as a matrix."""
+    """Packed loops of which the blocks are random: what kernels read, and the same Jacobian (m, nv)
+    as a matrix.
+    """
 
     loops: Any
     J: np.ndarray
     size: int
 
 
-def packed(plan: np.ndarray, nv: int, rng: np.random.Generator, q: Any = None, weights: Any = None) -> Packed:
+def packed(
+    plan: np.ndarray, nv: int, rng: np.random.Generator, q: Any = None, weights: Any = None
+) -> Packed:
     """Loops of a plan with random blocks; the dense Jacobian is read off the uses of each velocity."""
     blocks = rng.normal(size=int(plan[L.BLOCKS]))
     J = np.zeros((int(plan[L.N_ROWS]), nv))
@@ -53,20 +58,31 @@ def packed(plan: np.ndarray, nv: int, rng: np.random.Generator, q: Any = None, w
             block = plan[at + L.BLOCK]
             J[row : row + rows, v] += blocks[block + rows * column : block + rows * (column + 1)]
     loops = SimpleNamespace(
-        plan=Pointer(plan), blocks=Pointer(blocks), nv=nv, q=q, weights=weights, error=room(len(J)), nq=nv
+        plan=Pointer(plan),
+        blocks=Pointer(blocks),
+        nv=nv,
+        q=q,
+        weights=weights,
+        error=room(len(J)),
+        nq=nv,
     )
     return Packed(loops, J, int(plan[L.ENVELOPE]))
 
 
 def random_plan(rng: np.random.Generator, ties: int, nv: int) -> np.ndarray:
-    """A plan of ties with up to three rows each, over random velocities; its envelope begins where rows share one."""
+    """A plan of ties with up to three rows each, over random velocities; its envelope begins where
+    rows share one.
+    """
     rows = rng.integers(1, 4, ties)
     of = [np.flatnonzero(rng.random(nv) < 0.5) for _ in range(ties)]
     first = np.cumsum([0, *rows])
     block = np.cumsum([0, *(r * len(v) for r, v in zip(rows, of, strict=True))])
     table = np.zeros((ties, L.TIE_INTS), dtype=np.int64)
     table[:, L.ROWS], table[:, L.FIRST_ROW], table[:, L.BLOCK] = rows, first[:-1], block[:-1]
-    uses = [[(k, int(np.flatnonzero(of[k] == v)[0])) for k in range(ties) if v in of[k]] for v in range(nv)]
+    uses = [
+        [(k, int(np.flatnonzero(of[k] == v)[0])) for k in range(ties) if v in of[k]]
+        for v in range(nv)
+    ]
     begins = []
     envelope = []
     for k in range(ties):
@@ -76,11 +92,12 @@ def random_plan(rng: np.random.Generator, ties: int, nv: int) -> np.ndarray:
             envelope.append(i + 1 - begins[-1])
     starts = np.cumsum([0, *envelope])
     parts = {
-        L.AT_TIES: table.ravel(), L.AT_VARS: np.cumsum([0, *map(len, uses)]),
+        L.AT_TIES: table.ravel(),
+        L.AT_VARS: np.cumsum([0, *map(len, uses)]),
         L.AT_USES: np.array([x for u in uses for pair in u for x in pair]),
         L.AT_ROWS: np.array([x for pair in zip(begins, starts, strict=False) for x in pair]),
         L.AT_PLACES: np.array([x for v in range(nv) for x in (v, L.SLIDE, 0)]),
-    }  # fmt: skip
+    }
     plan = np.zeros(L.HEAD, dtype=np.int64)
     plan[[L.N_TIES, L.N_ROWS, L.BLOCKS, L.ENVELOPE]] = ties, first[-1], block[-1], starts[-1]
     for place, part in parts.items():
@@ -125,7 +142,9 @@ def check_envelope(plan: np.ndarray, nv: int, rng: np.random.Generator) -> None:
     kernel.normal(p.loops, step, damping, a, column)
     used = np.where(out, 0.0, p.J)
     whole = used @ used.T + damping * np.eye(m)
-    assert np.allclose(within(a.array, plan), np.tril(whole), atol=1e-10), "or the envelope does not hold it"
+    assert np.allclose(within(a.array, plan), np.tril(whole), atol=1e-10), (
+        "or the envelope does not hold it"
+    )
     kernel.factor(p.loops, a, 1e-14)
     lower = within(a.array, plan)
     D = np.diag(lower).copy()
@@ -133,7 +152,11 @@ def check_envelope(plan: np.ndarray, nv: int, rng: np.random.Generator) -> None:
     assert np.allclose(lower * D @ lower.T, whole, atol=1e-8) and np.all(D > 0.0)
     solved = pointer(y)
     kernel.solve(p.loops, a, solved)
-    assert np.allclose(whole @ solved.array, y, atol=1e-8 * (1.0 + np.abs(solved.array).max() * np.abs(whole).max()))
+    assert np.allclose(
+        whole @ solved.array,
+        y,
+        atol=1e-8 * (1.0 + np.abs(solved.array).max() * np.abs(whole).max()),
+    )
 
 
 @settings(**SOLVER)
@@ -150,7 +173,9 @@ def test_the_envelope_of_shipped_systems_holds_all_that_is_not_zero(name):
 
 
 def test_a_pivot_that_is_rounding_becomes_the_least():
-    """Two equal rows: without damping the second pivot is zero, and the second multiplier is left to the least."""
+    """Two equal rows: without damping the second pivot is zero, and the second multiplier is left
+    to the least.
+    """
     rng = np.random.default_rng(1)
     plan = random_plan(rng, 1, 3)
     while plan[L.N_ROWS] != 2:
@@ -166,11 +191,20 @@ def test_a_pivot_that_is_rounding_becomes_the_least():
 # ---- the active set
 
 
-def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, high: np.ndarray, wish: np.ndarray,
-               ends: np.ndarray) -> np.ndarray:  # fmt: skip
-    """The step d (nv,) by trying all sets: each coordinate free or at an end, each row between bounds at one or not.
+def exhaustive(
+    J: np.ndarray,
+    e: np.ndarray,
+    weak: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    wish: np.ndarray,
+    ends: np.ndarray,
+) -> np.ndarray:
+    """The step d (nv,) by trying all sets: each coordinate free or at an end, each row between
+    bounds at one or not.
 
-    It minimises |d - wish|^2 / 2 + sum (miss of e + J d from [low, high])^2 / (2 weak), ends[0] <= d <= ends[1].
+    It minimises |d - wish|^2 / 2 + sum (miss of e + J d from [low, high])^2 / (2 weak), ends[0] <=
+    d <= ends[1].
     """
     best = np.zeros(len(wish))
     least = math.inf
@@ -180,7 +214,11 @@ def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, 
         free = np.array([i for i, s in enumerate(stops) if s is None], dtype=int)
         d = np.array([0.0 if s is None else ends[s, i] for i, s in enumerate(stops)])
         for sides in itertools.product((None, low, high), repeat=len(between)):
-            counting = [i for i in range(len(e)) if i not in between or sides[list(between).index(i)] is not None]
+            counting = [
+                i
+                for i in range(len(e))
+                if i not in between or sides[list(between).index(i)] is not None
+            ]
             to = low.copy()
             for i, side in zip(between, sides, strict=True):
                 to[i] = low[i] if side is None else side[i]
@@ -201,7 +239,9 @@ def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, 
 @settings(max_examples=examples(40), deadline=None)
 @given(seed=SEEDS, ties=st.integers(1, 2), nv=st.integers(1, 4))
 def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
-    """One quadratic programme: slides between limits, rows that are lowered, some of them between bounds."""
+    """One quadratic programme: slides between limits, rows that are lowered, some of them between
+    bounds.
+    """
     rng = np.random.default_rng(seed)
     kernel = plain("active_set")
     p = packed(random_plan(rng, ties, nv), nv, rng)
@@ -220,10 +260,21 @@ def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
     outside = value - np.clip(value, low, high)
     counts = (low == high) | (outside != 0.0)
     work = SimpleNamespace(
-        step=room(nv), stop=room(nv), wish=pointer(wish), mark=room(nv), way=room(nv), value=pointer(value),
-        low=pointer(low), high=pointer(high), weak=pointer(weak), damp=pointer(np.where(counts, weak, kernel.OFF)),
-        y=room(m), ahead=room(m), column=room(m), a=room(p.size),
-    )  # fmt: skip
+        step=room(nv),
+        stop=room(nv),
+        wish=pointer(wish),
+        mark=room(nv),
+        way=room(nv),
+        value=pointer(value),
+        low=pointer(low),
+        high=pointer(high),
+        weak=pointer(weak),
+        damp=pointer(np.where(counts, weak, kernel.OFF)),
+        y=room(m),
+        ahead=room(m),
+        column=room(m),
+        a=room(p.size),
+    )
     p.loops.error.array[:] = outside
     kernel.free_all(p.loops, work)
     kernel.step_to(p.loops, work, 4 * (nv + m) + 8, True, True)
@@ -255,11 +306,15 @@ def apart(a: np.ndarray, b: np.ndarray, slides: np.ndarray) -> float:
 @settings(**SOLVER)
 @given(seed=SEEDS, count=st.integers(1, 12), n=st.integers(1, 6))
 def test_united_rows_are_those_of_comparing_all_pairs(seed, count, n):
-    """Solutions a whole turn apart or nearer than `SAME` are one; roots are counted together, none is lost."""
+    """Solutions a whole turn apart or nearer than `SAME` are one; roots are counted together, none
+    is lost.
+    """
     rng = np.random.default_rng(seed)
     merging = plain("merging")
     true = rng.uniform(-3.0, 3.0, (max(1, count // 2), n))
-    thetas = true[rng.integers(0, len(true), count)] + rng.choice([0.0, 0.2 * merging.SAME], (count, 1))
+    thetas = true[rng.integers(0, len(true), count)] + rng.choice(
+        [0.0, 0.2 * merging.SAME], (count, 1)
+    )
     found, rows = found_rows(merging, thetas, rng)
     slides = found.model.kinds.array == 1
     thetas += np.where(slides, 0.0, 2.0 * np.pi * rng.integers(-1, 2, thetas.shape))
@@ -270,9 +325,14 @@ def test_united_rows_are_those_of_comparing_all_pairs(seed, count, n):
     weak = rows[:count, merging.WEAKEST] < merging.MERGED
     assert after[:, merging.TURNS].sum() == rows[:count, merging.TURNS].sum()
     for k in range(count):
-        assert min(apart(thetas[k], x, slides) for x in after[:, merging.SOLUTION :]) <= merging.SAME
+        assert (
+            min(apart(thetas[k], x, slides) for x in after[:, merging.SOLUTION :]) <= merging.SAME
+        )
     if weak.all():
-        places = [next(j for j in range(count) if apart(x, thetas[j], slides) <= merging.SAME) for x in thetas]
+        places = [
+            next(j for j in range(count) if apart(x, thetas[j], slides) <= merging.SAME)
+            for x in thetas
+        ]
         assert left == len(set(places))
     else:
         assert left >= (~weak).sum()
@@ -281,7 +341,9 @@ def test_united_rows_are_those_of_comparing_all_pairs(seed, count, n):
 @settings(**SOLVER)
 @given(seed=SEEDS, slides=st.booleans())
 def test_a_coordinate_is_the_turn_inside_the_limits_that_is_nearest(seed, slides):
-    """Against trying all turns: inside if one is, of those the nearest to `near`, else the nearest of all."""
+    """Against trying all turns: inside if one is, of those the nearest to `near`, else the nearest
+    of all.
+    """
     rng = np.random.default_rng(seed)
     merging = plain("merging")
     numbers = np.zeros(A.JOINT_FLOATS)
@@ -296,7 +358,10 @@ def test_a_coordinate_is_the_turn_inside_the_limits_that_is_nearest(seed, slides
     fitting = every[(every >= numbers[A.LOW]) & (every <= numbers[A.HIGH])]
     assert inside == bool(len(fitting))
     among = fitting if inside else every
-    assert abs(q - near) == pytest.approx(np.abs(among - near).min(), abs=1e-9) and np.abs(among - q).min() < 1e-9
+    assert (
+        abs(q - near) == pytest.approx(np.abs(among - near).min(), abs=1e-9)
+        and np.abs(among - q).min() < 1e-9
+    )
 
 
 @settings(**SOLVER)

@@ -22,11 +22,21 @@ def test_published_sequence():
 def test_uniform_and_inside_the_unit_interval():
     x = np.array([unit.py_func(b) for b in numbers(0, 4000)])
     assert x.min() >= 0.0 and x.max() < 1.0
-    assert np.abs(np.sort(x) - np.linspace(0, 1, 4000)).max() < 1.63 / np.sqrt(4000)  # Kolmogorov and Smirnov, 1 %
+    assert np.abs(np.sort(x) - np.linspace(0, 1, 4000)).max() < 1.63 / np.sqrt(
+        4000
+    )  # Kolmogorov and Smirnov, 1 %
     assert unit.py_func(np.uint64(2**64 - 1)) < 1.0
 
 
 def test_nested_sequences_are_unrelated():
     with np.errstate(over="ignore"):
-        x = np.array([[unit.py_func(mix.py_func(key, np.uint64(i))) for i in range(60)] for key in numbers(3, 60)])
-    assert np.abs(np.corrcoef(x) - np.eye(60)).max() < 0.6 and np.abs(np.corrcoef(x.T) - np.eye(60)).max() < 0.6
+        x = np.array(
+            [
+                [unit.py_func(mix.py_func(key, np.uint64(i))) for i in range(60)]
+                for key in numbers(3, 60)
+            ]
+        )
+    assert (
+        np.abs(np.corrcoef(x) - np.eye(60)).max() < 0.6
+        and np.abs(np.corrcoef(x.T) - np.eye(60)).max() < 0.6
+    )

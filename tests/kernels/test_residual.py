@@ -1,4 +1,6 @@
-"""The error of the inverse kinematics, its Jacobian and the Hessian of its energy, against finite differences."""
+"""The error of the inverse kinematics, its Jacobian and the Hessian of its energy, against finite
+differences.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from chain_problems import DIRECTION, ORIENTATION, POSE, POSITION, POSITION_AXIS, distance, floating_arm, limited
+from chain_problems import (
+    DIRECTION,
+    ORIENTATION,
+    POSE,
+    POSITION,
+    POSITION_AXIS,
+    distance,
+    floating_arm,
+    limited,
+)
 from primitive_tables import pose, random_table
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +27,13 @@ from kempe.kernels.base.declare import OUT, F, I
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.kernels.one_frame.descent import fill_hessian
-from kempe.kernels.one_frame.ik_problem import aim, count_columns, problem_floats, problem_ints, problem_of
+from kempe.kernels.one_frame.ik_problem import (
+    aim,
+    count_columns,
+    problem_floats,
+    problem_ints,
+    problem_of,
+)
 from kempe.kernels.one_frame.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
 
 pytestmark = pytest.mark.slow  # a kernel is compiled
@@ -31,7 +48,23 @@ def look(ints, floats, limits, task, targets, q, out, e, J, H):
     notes = np.empty(problem_ints(columns, nv), np.int64)
     block = np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
-        ints, floats, limits, task, targets, q, 0, 0, 1, 1, 1e-6, 1e-6, 0.7, out, columns, raw(notes), raw(block)
+        ints,
+        floats,
+        limits,
+        task,
+        targets,
+        q,
+        0,
+        0,
+        1,
+        1,
+        1e-6,
+        1e-6,
+        0.7,
+        out,
+        columns,
+        raw(notes),
+        raw(block),
     )
     chain = problem.chain
     aim(chain, problem.targets, 0)
@@ -71,7 +104,12 @@ def looked_at(chain, q, target, mask):
 
 def scales(chain):
     """Units of the velocity coordinates: a radian, or the chain's length for those that only slide."""
-    turning = {v for r in chain.table.rows if r.kind != SLIDE for v in range(r.iv, r.iv + (1 if r.kind == TURN else 3))}
+    turning = {
+        v
+        for r in chain.table.rows
+        if r.kind != SLIDE
+        for v in range(r.iv, r.iv + (1 if r.kind == TURN else 3))
+    }
     return np.array([1.0 if v in turning else LENGTH for v in range(chain.table.nv)])
 
 
@@ -109,7 +147,9 @@ def test_gradient_and_hessian_are_those_of_the_distance(name, mask):
         gradient = np.array([(at(s) - at(-s)) / (2 * h) for s in steps])
         assert np.allclose(-J.T @ e, gradient, atol=1e-6 * (1 + np.abs(gradient).max()))
         if name != "floating":  # along a ball second differences depend on the path
-            second = np.array([[at(a + b) - at(a - b) - at(b - a) + at(-a - b) for a in steps] for b in steps])
+            second = np.array(
+                [[at(a + b) - at(a - b) - at(b - a) + at(-a - b) for a in steps] for b in steps]
+            )
             second /= 4 * h * h
             assert np.allclose(H, second, atol=2e-4 * (1 + np.abs(second).max()))
 
@@ -123,6 +163,8 @@ def test_hessian_near_the_goal(angle):
     target = chain.forward(q)
     target[:3, :3] = Rotation.from_rotvec([angle, 0, 0]).as_matrix() @ target[:3, :3]
     e, J, H = looked_at(chain, q, target, DIRECTION)
-    assert np.linalg.norm(e) <= 1.001 * angle + 1e-15 and np.allclose(H, J.T @ J, atol=4 * angle + 1e-12)
+    assert np.linalg.norm(e) <= 1.001 * angle + 1e-15 and np.allclose(
+        H, J.T @ J, atol=4 * angle + 1e-12
+    )
     axis = chain.forward(q)[:3, 2]
     assert np.abs(axis @ J[3:]).max() < 1e-14

@@ -25,7 +25,10 @@ from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 
 
 def same(a, b):
-    return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+    return all(
+        np.array_equal(x, y, equal_nan=True)
+        for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
+    )
 
 
 def rows_of(answers, chosen):
@@ -57,10 +60,13 @@ def test_floating_base():
     assert np.allclose(np.linalg.norm(answers.q[:, 3:7], axis=1), 1.0, atol=1e-15)
 
 
-@pytest.mark.parametrize(("n", "mask"), [
-    *((2, mask) for mask in (POSITION, POINT)),
-    *((n, mask) for n in (3, 10, 40) for mask in (POSITION, POINT, PLANAR, POSE)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("n", "mask"),
+    [
+        *((2, mask) for mask in (POSITION, POINT)),
+        *((n, mask) for n in (3, 10, 40) for mask in (POSITION, POINT, PLANAR, POSE)),
+    ],
+)
 def test_planar_arms(n, mask):
     chain = planar_arm(*[1.0 / n] * n)
     rng = np.random.default_rng(n)
@@ -71,7 +77,8 @@ def test_planar_arms(n, mask):
 
 
 @pytest.mark.parametrize(
-    "radius, distances", [(0.8, 0.0), (0.2, 0.0), (0.92, 0.12), (5.0, 4.2), (0.05, 0.15), (0.0, 0.2)]
+    "radius, distances",
+    [(0.8, 0.0), (0.2, 0.0), (0.92, 0.12), (5.0, 4.2), (0.05, 0.15), (0.0, 0.2)],
 )
 def test_two_links_at_and_beyond_the_boundary(radius, distances):
     chain = planar_arm(0.5, 0.3)
@@ -86,7 +93,9 @@ def test_two_links_at_and_beyond_the_boundary(radius, distances):
 def test_nearest_when_a_limit_blocks():
     chain = limited(planar_arm(1.0).table, 0.0, 0.5)
     angles = np.linspace(0.6, 1.5, 20)
-    answers = solve(chain, points(np.c_[np.cos(angles), np.sin(angles), 0 * angles]), POSITION, starts=4)
+    answers = solve(
+        chain, points(np.c_[np.cos(angles), np.sin(angles), 0 * angles]), POSITION, starts=4
+    )
     assert (answers.q == 0.5).all() and (answers.status == NOT_FOUND).all()
     assert np.allclose(answers.residual[:, 0], 2 * np.sin((angles - 0.5) / 2), rtol=0, atol=1e-14)
 
@@ -94,14 +103,22 @@ def test_nearest_when_a_limit_blocks():
 @pytest.mark.parametrize("mask", [POSITION, POSE])
 def test_nearest_of_three_slides_is_the_nearest_corner_of_the_box(mask):
     gantry = floating_arm().table.rows[:3]
-    chain = limited(Table(gantry, [(2, False, pose(gantry[2].X[:3, :3] @ gantry[0].X[:3, :3]))], 3, 3, True), -1.0, 2.0)
+    chain = limited(
+        Table(gantry, [(2, False, pose(gantry[2].X[:3, :3] @ gantry[0].X[:3, :3]))], 3, 3, True),
+        -1.0,
+        2.0,
+    )
     wanted = np.random.default_rng(0).uniform(-5, 5, (50, 3))
     targets = points(wanted)
     targets[:, :3, :3] = chain.forward(np.zeros(3))[:3, :3]
     answers = solve(chain, targets, mask)
-    axes = np.array([chain.forward(x)[:3, 3] for x in np.eye(3)])  # each slide moves along one axis of the ground
+    axes = np.array(
+        [chain.forward(x)[:3, 3] for x in np.eye(3)]
+    )  # each slide moves along one axis of the ground
     best = np.clip(wanted, *np.sort([-axes.sum(axis=0), 2 * axes.sum(axis=0)], axis=0))
-    assert np.allclose(answers.residual[:, 0], np.linalg.norm(wanted - best, axis=1), rtol=0, atol=1e-12)
+    assert np.allclose(
+        answers.residual[:, 0], np.linalg.norm(wanted - best, axis=1), rtol=0, atol=1e-12
+    )
     judge(chain, answers, targets, mask)
 
 
@@ -120,14 +137,20 @@ def descend_elsewhere(chain, target, mask, length, q0):
 
     bounds = list(zip(chain.lower, chain.upper, strict=True))
     options = {"ftol": 1e-15, "gtol": 1e-10, "maxiter": 2000, "maxfun": 4000}
-    return np.sqrt(2 * minimize(cost, q0[:nv], jac=True, method="L-BFGS-B", bounds=bounds, options=options).fun)
+    return np.sqrt(
+        2 * minimize(cost, q0[:nv], jac=True, method="L-BFGS-B", bounds=bounds, options=options).fun
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 6))])
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 6))]
+)
 @pytest.mark.parametrize("mask", [POSITION, POSE])
 def test_nearest_is_a_local_minimum_of_the_distance(seed, mask):
-    """From the answer an independent optimiser finds no way down, from random starts nothing nearer."""
+    """From the answer an independent optimiser finds no way down, from random starts nothing
+    nearer.
+    """
     rng = np.random.default_rng(seed)
     table = random_table(rng, 6, chain=True, kinds=(TURN, TURN, SLIDE))
     chain = limited(table, -1.5, 1.5)
@@ -137,15 +160,27 @@ def test_nearest_is_a_local_minimum_of_the_distance(seed, mask):
     for target, q, (linear, angular) in zip(targets, answers.q, answers.residual, strict=True):
         reached = np.hypot(linear / 0.7, angular)
         assert descend_elsewhere(chain, target, mask, 0.7, q) > reached - 1e-9
-        elsewhere = min(descend_elsewhere(chain, target, mask, 0.7, rng.uniform(-1.5, 1.5, table.nq)) for _ in range(5))
+        elsewhere = min(
+            descend_elsewhere(chain, target, mask, 0.7, rng.uniform(-1.5, 1.5, table.nq))
+            for _ in range(5)
+        )
         assert elsewhere > reached - 1e-7
 
 
 def test_nearest_with_balls_is_stationary():
     """Along no velocity of the chain does the distance decrease to first order, nor to second."""
     rng = np.random.default_rng(2)
-    kinds = [(BALL, 0, 0, 1.0), (TURN, 4, 3, -0.7), (BALL, 5, 4, -1.0), (SLIDE, 9, 7, 1.0), (TURN, 4, 3, 1.0)]
-    rows = [Row(kind, i - 1, iq, iv, random_pose(rng), 0.0, m) for i, (kind, iq, iv, m) in enumerate(kinds)]
+    kinds = [
+        (BALL, 0, 0, 1.0),
+        (TURN, 4, 3, -0.7),
+        (BALL, 5, 4, -1.0),
+        (SLIDE, 9, 7, 1.0),
+        (TURN, 4, 3, 1.0),
+    ]
+    rows = [
+        Row(kind, i - 1, iq, iv, random_pose(rng), 0.0, m)
+        for i, (kind, iq, iv, m) in enumerate(kinds)
+    ]
     table = Table(rows, [(4, False, random_pose(rng))], 10, 8, True, [(0, 0), (5, 4)])
     chain = limited(table, -1.0, 1.0)
     targets = points(rng.normal(size=(10, 3)) * 20)
@@ -168,10 +203,14 @@ def test_size_does_not_matter(size):
     for r in table.rows:
         r.X[:3, 3] *= size
     table.outputs[0][2][:3, 3] *= size
-    slides = np.array([any(r.iv == v and r.kind == SLIDE for r in table.rows) for v in range(table.nv)])
+    slides = np.array(
+        [any(r.iv == v and r.kind == SLIDE for r in table.rows) for v in range(table.nv)]
+    )
     limit = np.where(slides, 2.0 * size, 2.0)
     chain = limited(table, -limit, limit)
-    targets = np.array([chain.forward(x) for x in rng.uniform(-1, 1, (200, table.nq)) * np.r_[limit, 0.0]])
+    targets = np.array(
+        [chain.forward(x) for x in rng.uniform(-1, 1, (200, table.nq)) * np.r_[limit, 0.0]]
+    )
     answers = solve(chain, targets, tol=1e-6 * min(size, 1.0))
     assert judge(chain, answers, targets, tol=1e-6 * min(size, 1.0)).all()
     assert answers.steps.mean() < 60
@@ -195,7 +234,10 @@ def test_unlimited_coordinates_come_back_to_the_seed_or_to_half_a_turn():
     assert np.abs(solve(chain, targets, PLANAR).q).max() <= np.pi
     far = np.full((1, 1, 3), 1000.0)
     answers = solve(chain, targets, PLANAR, far)
-    assert judge(chain, answers, targets, PLANAR).all() and np.abs(answers.q - 1000.0).max() <= np.pi + 1e-9
+    assert (
+        judge(chain, answers, targets, PLANAR).all()
+        and np.abs(answers.q - 1000.0).max() <= np.pi + 1e-9
+    )
 
 
 def test_a_seed_that_solves_is_the_answer():
@@ -210,13 +252,17 @@ def test_a_seed_that_solves_is_the_answer():
 def test_seeds_outside_the_limits_are_brought_inside():
     chain = limited(planar_arm(0.5, 0.3).table, -1.0, 1.0)
     answers = solve(chain, points([[0.1, 0.1, 0.0]]), POSITION, seeds=[[[7.0, -9.0]]], starts=1)
-    assert judge(chain, answers, points([[0.1, 0.1, 0.0]]), POSITION).sum() == 0 and chain.within_limits(answers.q[0])
+    assert judge(
+        chain, answers, points([[0.1, 0.1, 0.0]]), POSITION
+    ).sum() == 0 and chain.within_limits(answers.q[0])
 
 
 def test_later_seeds_are_tried_when_the_first_fails():
     arm = planar_arm(0.5, 0.3)
     target = points(arm.forward(np.array([0.4, 0.9]))[:3, 3])
-    singular = np.arctan2(target[0, 1, 3], target[0, 0, 3])  # stretched towards the target: no step leads out
+    singular = np.arctan2(
+        target[0, 1, 3], target[0, 0, 3]
+    )  # stretched towards the target: no step leads out
     answers = solve(arm, target, POSITION, seeds=[[[singular, 0.0], [0.4, 0.9]]])
     assert answers.starts[0] == 2 and np.allclose(answers.q, [[0.4, 0.9]])
 
@@ -253,7 +299,9 @@ def spoil(pose_, how):
         pose_[how[0], how[1]] = how[2]
 
 
-@pytest.mark.parametrize("how", ["scaled", "mirrored", (0, 3, np.nan), (1, 3, np.inf), (2, 2, np.nan), (0, 3, 1e200)])
+@pytest.mark.parametrize(
+    "how", ["scaled", "mirrored", (0, 3, np.nan), (1, 3, np.inf), (2, 2, np.nan), (0, 3, 1e200)]
+)
 def test_a_bad_target_becomes_nan_and_leaves_the_others_alone(how):
     chain, rng = random_chain(1)
     targets, _ = chain.reachable(rng, 9)
@@ -264,7 +312,9 @@ def test_a_bad_target_becomes_nan_and_leaves_the_others_alone(how):
     rest = [1, 2, 3, 5, 6, 7]
     assert answers.missed == 3 and (answers.status[[0, 4, 8]] == BAD_INPUT).all()
     assert np.isnan(answers.q[[0, 4, 8]]).all() and np.isnan(answers.residual[[0, 4, 8]]).all()
-    assert all(np.array_equal(v, rows_of(clean, rest)[k]) for k, v in rows_of(answers, rest).items())
+    assert all(
+        np.array_equal(v, rows_of(clean, rest)[k]) for k, v in rows_of(answers, rest).items()
+    )
 
 
 def test_what_the_task_does_not_read_may_be_nan():
@@ -316,7 +366,10 @@ def test_equal_and_huge_limits():
     chain = planar_arm(0.5, 0.3, 0.2)
     limits = limited(chain.table, [-1.7e308, 0.3, -1e308], [1.7e308, 0.3, np.inf])
     targets = np.array(
-        [limits.forward(q) for q in np.random.default_rng(0).uniform(-2, 2, (20, 3)) * [1, 0, 1] + [0, 0.3, 0]]
+        [
+            limits.forward(q)
+            for q in np.random.default_rng(0).uniform(-2, 2, (20, 3)) * [1, 0, 1] + [0, 0.3, 0]
+        ]
     )
     answers = solve(limits, targets, POINT)
     assert judge(limits, answers, targets, POINT).all() and (answers.q[:, 1] == 0.3).all()
@@ -328,4 +381,8 @@ def test_unlimited_random_chains_need_few_starts():
         chain = free(chain)
         targets, _ = chain.reachable(rng, 100)
         answers = solve(chain, targets)
-        assert judge(chain, answers, targets).all() and answers.starts.mean() < 1.5 and answers.steps.mean() < 20
+        assert (
+            judge(chain, answers, targets).all()
+            and answers.starts.mean() < 1.5
+            and answers.steps.mean() < 20
+        )

@@ -26,13 +26,17 @@ def test_the_table_is_the_robot(name):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_reachable_targets(name):
-    """All found, judged by Pinocchio, with no more work than when the solver was tuned, and a margin."""
+    """All found, judged by Pinocchio, with no more work than when the solver was tuned, and a
+    margin.
+    """
     robot = arm(name)
     mask = POSITION if name == "so101" else POSE
     targets, _ = robot.reachable(np.random.default_rng(1), 400)
     answers = solve(robot, targets, mask)
     assert judge(robot, answers, targets, mask).all()
-    assert np.median(answers.steps) <= 12 and answers.steps.mean() < 30 and answers.starts.mean() < 2
+    assert (
+        np.median(answers.steps) <= 12 and answers.steps.mean() < 30 and answers.starts.mean() < 2
+    )
     assert np.median(answers.residual, axis=0).max() < 1e-12
 
 
@@ -54,13 +58,19 @@ def test_a_near_seed_needs_few_steps(name):
     targets = np.array([robot.forward(x) for x in q])
     seeds = np.clip(q + rng.uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
     answers = solve(robot, targets, seeds=seeds[:, None])
-    assert judge(robot, answers, targets).all() and np.median(answers.steps) <= 4 and answers.starts.mean() < 1.05
+    assert (
+        judge(robot, answers, targets).all()
+        and np.median(answers.steps) <= 4
+        and answers.starts.mean() < 1.05
+    )
     assert np.quantile(np.abs(answers.q - seeds).max(axis=1), 0.95) < 0.5
 
 
 @pytest.mark.parametrize("name", ["panda", "talos"])
 def test_out_of_reach_the_answer_does_not_depend_on_the_random_starts(name):
-    """Different random starts agree on the distance: it is the least one, not just any local minimum."""
+    """Different random starts agree on the distance: it is the least one, not just any local
+    minimum.
+    """
     robot = arm(name)
     rng = np.random.default_rng(4)
     targets, _ = robot.reachable(rng, 25)

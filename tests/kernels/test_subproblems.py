@@ -53,7 +53,9 @@ def one_unknown(slides, a, b, k, wide, out):
 
 @numba.njit
 def coupled(x_slides, z_slides, terms, work, x, z):
-    return quartic.coupled_pairs(x_slides, z_slides, raw(terms), beyond(raw(terms), 6), raw(work), raw(x), raw(z))
+    return quartic.coupled_pairs(
+        x_slides, z_slides, raw(terms), beyond(raw(terms), 6), raw(work), raw(x), raw(z)
+    )
 
 
 @numba.njit
@@ -91,7 +93,9 @@ def test_a_circle_meets_a_line_twice(theta, direction, size):
     for c, s in ((c0, s0), (c1, s1)):
         assert a * c + b * s == pytest.approx(k, abs=4e-15 * size)
         assert c * c + s * s == pytest.approx(1.0, abs=1e-15)
-    assert min(gap(math.atan2(s0, c0), theta), gap(math.atan2(s1, c1), theta)) < 1e-7  # a double root: half the digits
+    assert (
+        min(gap(math.atan2(s0, c0), theta), gap(math.atan2(s1, c1), theta)) < 1e-7
+    )  # a double root: half the digits
 
 
 def test_a_line_that_misses_the_circle_gives_the_nearest_point():
@@ -144,7 +148,9 @@ def test_cone_keeps_its_digits_where_wrists_are_singular(eps, about):
     n = (0.0, 0.0, 1.0)
     w = turn(k, about) @ turn(h, eps) @ n
     c0, s0, c1, s1, _ = cone_roots(k, h, n, tuple(w))
-    assert sorted([math.atan2(s0, c0), math.atan2(s1, c1)]) == pytest.approx([-eps, eps], rel=1e-9, abs=3e-16)
+    assert sorted([math.atan2(s0, c0), math.atan2(s1, c1)]) == pytest.approx(
+        [-eps, eps], rel=1e-9, abs=3e-16
+    )
 
 
 @pytest.mark.slow
@@ -176,7 +182,10 @@ def test_a_planar_motion_is_three_joints_of_the_plane(seed, letters):
     base = spatial.exp_so3(rng.standard_normal(3))
     kinds = np.array([TURN if x == "R" else SLIDE for x in letters])
     signs = rng.choice([-1.0, 1.0], 3)
-    h = [signs[i] * base[:, 2] if kinds[i] == TURN else base[:, :2] @ unit(rng.standard_normal(2)) for i in range(3)]
+    h = [
+        signs[i] * base[:, 2] if kinds[i] == TURN else base[:, :2] @ unit(rng.standard_normal(2))
+        for i in range(3)
+    ]
     o = [base @ rng.standard_normal(3) for _ in range(3)]
     x = rng.uniform(-1.5, 1.5, 3)
 
@@ -200,8 +209,10 @@ def test_a_planar_motion_is_three_joints_of_the_plane(seed, letters):
     assert 1 <= count <= 2
     for theta in found:
         assert np.abs(motion(theta) - d).max() < 1e-6
-    off = [max(gap(t, y) if k == TURN else abs(t - y) for t, y, k in zip(theta, x, kinds, strict=True))
-           for theta in found]  # fmt: skip
+    off = [
+        max(gap(t, y) if k == TURN else abs(t - y) for t, y, k in zip(theta, x, kinds, strict=True))
+        for theta in found
+    ]
     assert min(off) < 1e-6
 
 

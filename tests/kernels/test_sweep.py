@@ -96,7 +96,11 @@ def test_frames_on_the_ground():
     X = random_pose(np.random.default_rng(0))
     table = Table([], [(-1, False, X), (-1, True, X)], 2, 2)
     bad, out = all_poses(table, np.full((3, 2), np.nan))
-    assert bad == 0 and np.array_equal(out[:, 0], [X] * 3) and np.array_equal(out[:, 1], [pose(p=X[:3, 3])] * 3)
+    assert (
+        bad == 0
+        and np.array_equal(out[:, 0], [X] * 3)
+        and np.array_equal(out[:, 1], [pose(p=X[:3, 3])] * 3)
+    )
     bad, T, J = all_jacobians(table, np.full((3, 2), np.nan), WORLD)
     assert bad == 0 and np.array_equal(T, [X] * 3) and not J.any()
 
@@ -119,7 +123,9 @@ def poisoned(table, row, value):
 def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
     rng = np.random.default_rng(4)
     table = random_table(rng, 14, n_out=20, particles=True)
-    rows = [k for k in range(14) if value != 0.0 or table.rows[k].kind == BALL]  # a zero is bad for a ball only
+    rows = [
+        k for k in range(14) if value != 0.0 or table.rows[k].kind == BALL
+    ]  # a zero is bad for a ball only
     assert rows
     for row in rows:
         q, hit = poisoned(table, row, value)
@@ -127,7 +133,10 @@ def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
         bad, out = all_poses(table, np.array([good, q, good]))
         spoilt = [parent >= 0 and hit[parent] for parent, _, _ in table.outputs]
         assert bad == int(any(spoilt))
-        assert np.isnan(out[1][spoilt][:, :3]).all() and not np.isnan(out[1][np.logical_not(spoilt)]).any()
+        assert (
+            np.isnan(out[1][spoilt][:, :3]).all()
+            and not np.isnan(out[1][np.logical_not(spoilt)]).any()
+        )
         assert np.array_equal(out[:, :, 3], np.broadcast_to([0.0, 0, 0, 1], out[:, :, 3].shape))
         assert not np.isnan(out[[0, 2]]).any()
         T = np.empty((4, 4))
@@ -181,7 +190,9 @@ def test_agrees_with_pinocchio(seed):
     for i, r in enumerate(table.rows):
         model.addJoint(r.parent + 1, joints[r.kind](), pin.SE3(r.X[:3, :3], r.X[:3, 3]), f"j{i}")
     row, _, X = table.outputs[0] = (11, False, table.outputs[0][2])
-    frame = model.addFrame(pin.Frame("f", row + 1, 0, pin.SE3(X[:3, :3], X[:3, 3]), pin.FrameType.OP_FRAME))
+    frame = model.addFrame(
+        pin.Frame("f", row + 1, 0, pin.SE3(X[:3, :3], X[:3, 3]), pin.FrameType.OP_FRAME)
+    )
     data = model.createData()
     q = table.random_q(rng, 1)[0]
     theirs = np.empty(model.nq)
@@ -194,10 +205,18 @@ def test_agrees_with_pinocchio(seed):
         theirs[joint.idx_q : joint.idx_q + joint.nq] = values
         columns += [(r.iv + k, joint.idx_v + k) for k in range(joint.nv)]
     pin.framesForwardKinematics(model, data, theirs)
-    for ours, reference in ((WORLD_ALIGNED, pin.LOCAL_WORLD_ALIGNED), (WORLD, pin.WORLD), (BODY, pin.LOCAL)):
+    for ours, reference in (
+        (WORLD_ALIGNED, pin.LOCAL_WORLD_ALIGNED),
+        (WORLD, pin.WORLD),
+        (BODY, pin.LOCAL),
+    ):
         expected = np.zeros((6, table.nv))
         J = pin.computeFrameJacobian(model, data, theirs, frame, reference)
         for a, b in columns:
             expected[:, a] = J[:, b]
         bad, T, J = all_jacobians(table, q[None], ours)
-        assert bad == 0 and close(T[0], data.oMf[frame].homogeneous, 10.0) and close(J[0], expected, 100.0)
+        assert (
+            bad == 0
+            and close(T[0], data.oMf[frame].homogeneous, 10.0)
+            and close(J[0], expected, 100.0)
+        )

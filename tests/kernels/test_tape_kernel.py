@@ -12,7 +12,12 @@ from kempe.constraints.text import from_text
 from kempe.kernels.compiled import tape_evaluation
 
 X, Y, T = sympy.symbols("x y t")
-MEANT = {"x": X, "y": Y, "hypot": lambda a, b: sympy.sqrt(a**2 + b**2), "radians": lambda a: a * sympy.pi / 180}
+MEANT = {
+    "x": X,
+    "y": Y,
+    "hypot": lambda a, b: sympy.sqrt(a**2 + b**2),
+    "radians": lambda a: a * sympy.pi / 180,
+}
 
 
 def form_of(text: str) -> sympy.Expr:
@@ -26,7 +31,9 @@ def run(t, inputs):
     n = len(inputs)
     values = np.full((n, len(t.outputs)), 7e77)
     gradients = np.full((n, len(t.outputs), len(t.inputs)), 7e77)
-    tape_evaluation.tapes(ints, floats, np.ascontiguousarray(inputs, dtype=float), values, gradients)
+    tape_evaluation.tapes(
+        ints, floats, np.ascontiguousarray(inputs, dtype=float), values, gradients
+    )
     return values, gradients
 
 
@@ -40,12 +47,42 @@ def series(t, inputs):
 
 
 FORMS = [
-    "x + y", "x - y", "x*y", "x/y", "-x", "x**2", "x**5", "x**-3", "x**1.5", "x**y", "2**x", "sqrt(x)", "exp(x)",
-    "log(x)", "sin(x)", "cos(x)", "tan(x)", "asin(x)", "acos(x)", "atan(x)", "sinh(x)", "cosh(x)", "tanh(x)",
-    "asinh(x)", "acosh(x + 1)", "atanh(x)", "atan2(x, y)", "hypot(x, y)", "sin(x)*cos(y)/(1 + x**2)", "radians(x)",
-    "x**70", "sqrt(x**2 + sin(y)**2)", "exp(-x*y)*atan2(sin(x), cos(y))", "3",
+    "x + y",
+    "x - y",
+    "x*y",
+    "x/y",
+    "-x",
+    "x**2",
+    "x**5",
+    "x**-3",
+    "x**1.5",
+    "x**y",
+    "2**x",
+    "sqrt(x)",
+    "exp(x)",
+    "log(x)",
+    "sin(x)",
+    "cos(x)",
+    "tan(x)",
+    "asin(x)",
+    "acos(x)",
+    "atan(x)",
+    "sinh(x)",
+    "cosh(x)",
+    "tanh(x)",
+    "asinh(x)",
+    "acosh(x + 1)",
+    "atanh(x)",
+    "atan2(x, y)",
+    "hypot(x, y)",
+    "sin(x)*cos(y)/(1 + x**2)",
+    "radians(x)",
+    "x**70",
+    "sqrt(x**2 + sin(y)**2)",
+    "exp(-x*y)*atan2(sin(x), cos(y))",
+    "3",
     "hypot(x*y, tan(y)) - acos(x*y/2)",
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("text", FORMS)
@@ -68,13 +105,18 @@ def test_values_and_gradients_are_those_of_sympy(text, hunt):
 def test_series_are_those_of_sympy(text):
     """Taylor coefficients along a curve through a generic point, with 60 digits."""
     order = 6
-    curve = {X: sympy.Rational(2, 5) + T / 2 - T**2 / 3 + T**4, Y: sympy.Rational(3, 5) - T + T**3 / 4}
+    curve = {
+        X: sympy.Rational(2, 5) + T / 2 - T**2 / 3 + T**4,
+        Y: sympy.Rational(3, 5) - T + T**3 / 4,
+    }
     f = sympy.lambdify(T, form_of(text).subs(curve, simultaneous=True), "mpmath")
     with mpmath.workdps(60):
         expected = [float(c) for c in mpmath.taylor(f, 0, order)]
     t = from_text(text, ["x", "y"])
     given = {"x": [0.4, 0.5, -1 / 3, 0, 1, 0, 0], "y": [0.6, -1, 0, 0.25, 0, 0, 0]}
-    found = series(t, [[given[name] for name in t.inputs]] if t.inputs else np.empty((1, 0, order + 1)))
+    found = series(
+        t, [[given[name] for name in t.inputs]] if t.inputs else np.empty((1, 0, order + 1))
+    )
     assert found[0, 0] == pytest.approx(expected, rel=1e-11, abs=1e-12)
 
 
@@ -85,13 +127,29 @@ def composed(rng, depth):
     a = composed(rng, depth - 1)
     b = composed(rng, depth - 1)
     forms = [
-        f"({a} + {b})", f"({a} - {b})", f"{a}*{b}", f"{a}/(2 + sin({b}))", f"sin({a})", f"cos({a})",
-        f"exp(-({a})**2)", f"sqrt(1 + ({a})**2)", f"log(2 + cos({a}))", f"atan({a})", f"tanh({a})", f"asinh({a})",
-        f"(1.5 + cos({a}))**0.7", f"atan2({a}, 2 + sin({b}))", f"hypot({a}, 1 + ({b})**2)", f"({a})**3",
+        f"({a} + {b})",
+        f"({a} - {b})",
+        f"{a}*{b}",
+        f"{a}/(2 + sin({b}))",
+        f"sin({a})",
+        f"cos({a})",
+        f"exp(-({a})**2)",
+        f"sqrt(1 + ({a})**2)",
+        f"log(2 + cos({a}))",
+        f"atan({a})",
+        f"tanh({a})",
+        f"asinh({a})",
+        f"(1.5 + cos({a}))**0.7",
+        f"atan2({a}, 2 + sin({b}))",
+        f"hypot({a}, 1 + ({b})**2)",
+        f"({a})**3",
         f"asin(sin({a})/2)",
-        f"acos(cos({a})/2)", f"atanh(tanh({a})/2)", f"acosh(2 + cos({a}))", f"(2 + sin({a}))**cos({b})",
+        f"acos(cos({a})/2)",
+        f"atanh(tanh({a})/2)",
+        f"acosh(2 + cos({a}))",
+        f"(2 + sin({a}))**cos({b})",
         f"1/(2 + cos({a}))**2",
-    ]  # fmt: skip
+    ]
     return str(rng.choice(forms))
 
 
@@ -116,7 +174,9 @@ def test_random_compositions_against_the_function_itself(hunt):
         with np.errstate(all="ignore"):
             f = complex_value(t, {"x": x, "y": y})
         coefficients = np.fft.fft(f)[: order + 1] / points / radius ** np.arange(order + 1)
-        assert along == pytest.approx(coefficients.real, rel=1e-6, abs=1e-6 * np.abs(coefficients).max()), text
+        assert along == pytest.approx(
+            coefficients.real, rel=1e-6, abs=1e-6 * np.abs(coefficients).max()
+        ), text
 
 
 def complex_value(t, x):
@@ -135,7 +195,9 @@ def complex_value(t, x):
         elif op == L.HYPOT:
             found[i] = np.sqrt(found[left] ** 2 + found[right] ** 2)
         else:
-            found[i] = BINARY[op](found[left], found[right]) if op in BINARY else UNARY[op](found[left])
+            found[i] = (
+                BINARY[op](found[left], found[right]) if op in BINARY else UNARY[op](found[left])
+            )
     return found[t.outputs[0]]
 
 
@@ -148,11 +210,15 @@ def test_kernel_and_judge_agree_on_random_tapes(hunt):
         t = from_text([*texts, "x - y"], ["x", "y"])
         at = rng.uniform(-2, 2, size=(4, 2))
         values, gradients = run(t, at)
-        assert values == pytest.approx(t.evaluate({"x": at[:, 0], "y": at[:, 1]}), rel=1e-12, abs=1e-14, nan_ok=True)
+        assert values == pytest.approx(
+            t.evaluate({"x": at[:, 0], "y": at[:, 1]}), rel=1e-12, abs=1e-14, nan_ok=True
+        )
         for k, step in enumerate(np.eye(2) * h):
             up, down = ({"x": p[:, 0], "y": p[:, 1]} for p in (at + step, at - step))
             slope = (t.evaluate(up) - t.evaluate(down)) / (2 * h)
-            assert gradients[:, :, k] == pytest.approx(slope, rel=1e-5, abs=1e-5 * (1 + np.abs(slope).max())), texts
+            assert gradients[:, :, k] == pytest.approx(
+                slope, rel=1e-5, abs=1e-5 * (1 + np.abs(slope).max())
+            ), texts
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
@@ -171,11 +237,25 @@ def test_powers_at_zero_are_exact(n):
 @pytest.mark.parametrize(
     ("text", "at"),
     [
-        ("sqrt(x)", -1.0), ("log(x)", -1.0), ("log(x)", 0.0), ("asin(x)", 1.5), ("acos(x)", -1.5), ("acosh(x)", 0.5),
-        ("atanh(x)", 1.0), ("1/x", 0.0), ("x/x", 0.0), ("x**1.5", -1.0), ("x**y", -1.0), ("sin(x)", np.inf),
-        ("0*x", np.nan), ("0*x", np.inf), ("x**0.5 - x", np.nan), ("hypot(x, 1)", np.nan), ("exp(x)", 1e4),
+        ("sqrt(x)", -1.0),
+        ("log(x)", -1.0),
+        ("log(x)", 0.0),
+        ("asin(x)", 1.5),
+        ("acos(x)", -1.5),
+        ("acosh(x)", 0.5),
+        ("atanh(x)", 1.0),
+        ("1/x", 0.0),
+        ("x/x", 0.0),
+        ("x**1.5", -1.0),
+        ("x**y", -1.0),
+        ("sin(x)", np.inf),
+        ("0*x", np.nan),
+        ("0*x", np.inf),
+        ("x**0.5 - x", np.nan),
+        ("hypot(x, 1)", np.nan),
+        ("exp(x)", 1e4),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_defined_is_no_number(text, at):
     t = from_text(text, ["x", "y"])
     values, gradients = run(t, [[at, 2.0][: len(t.inputs)]])
@@ -185,7 +265,12 @@ def test_what_is_not_defined_is_no_number(text, at):
     assert not np.isfinite(along[0])
 
 
-CORNERS = {"sqrt(x)": (np.inf,), "hypot(x, y)": (np.nan,) * 2, "atan2(x, y)": (np.nan,) * 2, "y*sqrt(x)": (np.nan, 0)}
+CORNERS = {
+    "sqrt(x)": (np.inf,),
+    "hypot(x, y)": (np.nan,) * 2,
+    "atan2(x, y)": (np.nan,) * 2,
+    "y*sqrt(x)": (np.nan, 0),
+}
 
 
 @pytest.mark.parametrize(("text", "rates"), CORNERS.items())

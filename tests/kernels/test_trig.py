@@ -54,7 +54,10 @@ def both(function, *arguments, n_results):
 def exact(function, *columns):
     """(value, value - double(value)) of a function of mpmath, as doubles."""
     with mpmath.workdps(60):
-        values = [function(*map(mpmath.mpf, row)) for row in zip(*(c.tolist() for c in columns), strict=True)]
+        values = [
+            function(*map(mpmath.mpf, row))
+            for row in zip(*(c.tolist() for c in columns), strict=True)
+        ]
         heads = np.array([float(v) for v in values])
         return heads, np.array([float(v - h) for v, h in zip(values, heads.tolist(), strict=True)])
 
@@ -65,16 +68,35 @@ def nasty_angles():
     near = counts * (math.pi / 2)
     eighths = (counts[counts % 2 == 0] + 0.5) * (math.pi / 2)
     x = np.r_[
-        near, np.nextafter(near, np.inf), np.nextafter(near, -np.inf), eighths, np.nextafter(eighths, np.inf),
-        0.0, -0.0, 5e-324, -1e-310, 1e-300, 1e-20, 1e-9, 1e-8, 0.5, 1.0, REACH, -REACH,
-    ]  # fmt: skip
+        near,
+        np.nextafter(near, np.inf),
+        np.nextafter(near, -np.inf),
+        eighths,
+        np.nextafter(eighths, np.inf),
+        0.0,
+        -0.0,
+        5e-324,
+        -1e-310,
+        1e-300,
+        1e-20,
+        1e-9,
+        1e-8,
+        0.5,
+        1.0,
+        REACH,
+        -REACH,
+    ]
     return x[np.abs(x) <= REACH]
 
 
 @pytest.mark.parametrize("function", [sincos_vectors, sincos_floats])
 @pytest.mark.parametrize("scale", some(["nasty", 1.0, 10.0, 1e3, 1e8], 3))
 def test_sincos_is_right_to_one_ulp(function, scale):
-    x = nasty_angles() if scale == "nasty" else np.random.default_rng(0).uniform(-scale, scale, 3000)
+    x = (
+        nasty_angles()
+        if scale == "nasty"
+        else np.random.default_rng(0).uniform(-scale, scale, 3000)
+    )
     s, c = both(function, x, n_results=2)
     for value, f in ((s, mpmath.sin), (c, mpmath.cos)):
         head, tail = exact(f, x)
@@ -153,7 +175,9 @@ def test_atan2_of_zeros_and_bad_numbers(function):
     y, x = map(list, zip(*zeros, strict=True))
     (value,) = both(function, y, x, n_results=1)
     expected = np.array([math.atan2(b, a) for b, a in zeros])
-    assert np.array_equal(value, expected) and np.array_equal(np.signbit(value), np.signbit(expected))
+    assert np.array_equal(value, expected) and np.array_equal(
+        np.signbit(value), np.signbit(expected)
+    )
     y = [np.nan, 1.0, np.inf, 1.0, -np.inf, np.nan, 1.7e308]
     x = [1.0, np.nan, 1.0, np.inf, np.inf, np.inf, 1.7e308]
     assert np.isnan(both(function, y, x, n_results=1)).all()

@@ -12,14 +12,21 @@ from kempe.errors import InputError, UnknownNameError
 def two_link() -> System:
     m = Mechanism("two-link", dim=2)
     m.parameter("l1", 1.0), m.parameter("l2", 0.7), m.parameter("alpha", 0.0)
-    m.revolute("q1", m.ground, m.body("a")), m.revolute("q2", "a", m.body("b"), at=("l1", 0), angle="alpha")
+    (
+        m.revolute("q1", m.ground, m.body("a")),
+        m.revolute("q2", "a", m.body("b"), at=("l1", 0), angle="alpha"),
+    )
     m.frame("tip", "b", at=("l2", 0))
     return m.build()
 
 
 def closed_form(l1, l2, alpha, q1, q2):
     return np.stack(
-        [l1 * np.cos(q1) + l2 * np.cos(q1 + q2 + alpha), l1 * np.sin(q1) + l2 * np.sin(q1 + q2 + alpha)], axis=-1
+        [
+            l1 * np.cos(q1) + l2 * np.cos(q1 + q2 + alpha),
+            l1 * np.sin(q1) + l2 * np.sin(q1 + q2 + alpha),
+        ],
+        axis=-1,
     )
 
 
@@ -40,7 +47,9 @@ def test_one_configuration_for_all():
     s = two_link()
     designs = s.with_parameters(l1=np.linspace(1, 2, 5))
     T = designs.fk({"q1": 0.3, "q2": 0.4}, "tip")
-    np.testing.assert_allclose(T[:, :2, 3], closed_form(np.linspace(1, 2, 5), 0.7, 0.0, 0.3, 0.4), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        T[:, :2, 3], closed_form(np.linspace(1, 2, 5), 0.7, 0.0, 0.3, 0.4), rtol=0, atol=1e-15
+    )
     np.testing.assert_array_equal(designs.fk([0.3, 0.4], s.structure.frames["tip"]), T)
 
 
@@ -48,7 +57,11 @@ def test_a_design_can_be_taken_out():
     s = two_link()
     designs = s.with_parameters(l1=np.linspace(1, 2, 6).reshape(2, 3), l2=0.5)
     one = designs[1, 2]
-    assert isinstance(one, System) and one.structure.parameters == {"l1": 2.0, "l2": 0.5, "alpha": 0.0}
+    assert isinstance(one, System) and one.structure.parameters == {
+        "l1": 2.0,
+        "l2": 0.5,
+        "alpha": 0.0,
+    }
     assert (
         designs[0].shape == (3,)
         and designs[:, 1:].shape == (2, 2)
@@ -76,7 +89,9 @@ def test_bad_questions():
         designs.fk([0, 0], "tipp")
     with pytest.raises(InputError, match="q has 3 coordinates; two-link needs 2"):
         designs.fk([0, 0, 0], "tip")
-    with pytest.raises(InputError, match=r"q has shape \(3, 2\); it must be \(2,\) or begin with \(2,\)"):
+    with pytest.raises(
+        InputError, match=r"q has shape \(3, 2\); it must be \(2,\) or begin with \(2,\)"
+    ):
         designs.fk(np.zeros((3, 2)), "tip")
 
 

@@ -1,4 +1,6 @@
-"""Enclosures against the same expressions in fifty digits: whatever is computed lies within its bounds."""
+"""Enclosures against the same expressions in fifty digits: whatever is computed lies within its
+bounds.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +40,13 @@ def test_values_slopes_and_curvatures_lie_within_their_bounds(hunt):
             found, f = drawn(rng, 3, x, *cos_sin(x))
             for i in range(4):
                 for part in (0.0, rng.random(), 1.0):
-                    t = mpmath.mpf(float(low[i])) + part * (mpmath.mpf(float(high[i])) - mpmath.mpf(float(low[i])))
+                    t = mpmath.mpf(float(low[i])) + part * (
+                        mpmath.mpf(float(high[i])) - mpmath.mpf(float(low[i]))
+                    )
                     for k, value in enumerate(mpmath.taylor(f, t, 2)):
-                        assert abs(value - mpmath.mpf(float(found.mid[k, i]))) <= mpmath.mpf(float(found.rad[k, i]))
+                        assert abs(value - mpmath.mpf(float(found.mid[k, i]))) <= mpmath.mpf(
+                            float(found.rad[k, i])
+                        )
 
 
 def test_bounds_are_not_useless():

@@ -45,7 +45,10 @@ def test_forms_are_parts_of_the_pose(name, form, shape, dtype):
 def test_positions_are_exact():
     system, frame = arm("panda")
     q = system.random(1, 1000)
-    assert np.abs(system.fk(q, frame, form="position") - system.fk(q, frame)[:, :3, 3]).max() < 1e-15 * 8
+    assert (
+        np.abs(system.fk(q, frame, form="position") - system.fk(q, frame)[:, :3, 3]).max()
+        < 1e-15 * 8
+    )
 
 
 def test_out_is_filled():

@@ -1,9 +1,12 @@
-"""Poses and Jacobians of whole systems: against the reference, against differences, in every way of asking."""
+"""Poses and Jacobians of whole systems: against the reference, against differences, in every way of
+asking.
+"""
 
 from __future__ import annotations
 
 import math
 import threading
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -123,8 +126,12 @@ def test_jacobians_are_derivatives_of_poses_on_the_manifold(graph: Graph, seed):
         v = (ahead[i] - back[i])[:3, 3] / (2 * h)
         scale = 1e-8 * (1 + np.abs(aligned).max())
         np.testing.assert_allclose(aligned[:, i], [*v, *w], rtol=0, atol=scale)
-        np.testing.assert_allclose(world[:, i], [*(v + np.cross(X[:3, 3], w)), *w], rtol=0, atol=scale)
-        np.testing.assert_allclose(body[:, i], [*(X[:3, :3].T @ v), *(X[:3, :3].T @ w)], rtol=0, atol=scale)
+        np.testing.assert_allclose(
+            world[:, i], [*(v + np.cross(X[:3, 3], w)), *w], rtol=0, atol=scale
+        )
+        np.testing.assert_allclose(
+            body[:, i], [*(X[:3, :3].T @ v), *(X[:3, :3].T @ w)], rtol=0, atol=scale
+        )
 
 
 @given(graph=graphs(most=8), seed=st.integers(0, 10**6))
@@ -156,7 +163,11 @@ def test_the_lectures_jacobian():
     s12 = np.sin(0.7)
     c12 = np.cos(0.7)
     expected = np.zeros((6, 2))
-    expected[0], expected[1], expected[5] = [-s1 - 0.7 * s12, -0.7 * s12], [c1 + 0.7 * c12, 0.7 * c12], [1, 1]
+    expected[0], expected[1], expected[5] = (
+        [-s1 - 0.7 * s12, -0.7 * s12],
+        [c1 + 0.7 * c12, 0.7 * c12],
+        [1, 1],
+    )
     np.testing.assert_allclose(s.jacobian([0.3, 0.4], "tip"), expected, rtol=0, atol=1e-15)
 
 
@@ -172,8 +183,14 @@ def test_q_may_be_anything_that_is_an_array():
     readonly = q.copy()
     readonly.setflags(write=False)
     batch = np.asfortranarray(np.array([q, q + 0.1, q - 0.1]))
-    for same in (q.tolist(), tuple(q), strided[:, 2], readonly, dict(zip(s.coordinate_names, q, strict=True)),
-                 MappingProxyType(dict(zip(s.coordinate_names, q, strict=True)))):  # fmt: skip
+    for same in (
+        q.tolist(),
+        tuple(q),
+        strided[:, 2],
+        readonly,
+        dict(zip(s.coordinate_names, q, strict=True)),
+        MappingProxyType(dict(zip(s.coordinate_names, q, strict=True))),
+    ):
         np.testing.assert_array_equal(s.fk(same, "tool"), expected)
         np.testing.assert_array_equal(s.jacobian(same, "tool"), s.jacobian(q, "tool"))
         np.testing.assert_array_equal(s.fk(same), s.fk(q))
@@ -188,8 +205,12 @@ def test_out_is_filled_and_returned():
     q = s.random(0)
     batch = s.random(0, (4, 3))
     f = s.query("tool")
-    for x, frame, shape in ((q, "tool", (4, 4)), (batch, "tool", (4, 3, 4, 4)), (q, None, (9, 4, 4)),
-                            (batch, ["hand", "tool"], (4, 3, 2, 4, 4))):  # fmt: skip
+    for x, frame, shape in (
+        (q, "tool", (4, 4)),
+        (batch, "tool", (4, 3, 4, 4)),
+        (q, None, (9, 4, 4)),
+        (batch, ["hand", "tool"], (4, 3, 2, 4, 4)),
+    ):
         out = np.full(shape, 7.0)
         assert s.fk(x, frame, out=out) is out
         np.testing.assert_array_equal(out, s.fk(x, frame))
@@ -201,16 +222,29 @@ def test_out_is_filled_and_returned():
     np.testing.assert_array_equal(columns, f.jacobian(q))
 
 
-@pytest.mark.parametrize("make", [
-    lambda: np.empty((3, 4)), lambda: np.empty((4, 4), dtype=np.float32), lambda: np.empty((4, 4), order="F"),
-    lambda: np.empty((8, 8))[::2, ::2], lambda: [[0.0] * 4] * 4, lambda: np.empty(16), lambda: "out",
-    lambda: np.broadcast_to(np.empty(4), (4, 4)), lambda: np.empty((1, 4, 4)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: np.empty((3, 4)),
+        lambda: np.empty((4, 4), dtype=np.float32),
+        lambda: np.empty((4, 4), order="F"),
+        lambda: np.empty((8, 8))[::2, ::2],
+        lambda: [[0.0] * 4] * 4,
+        lambda: np.empty(16),
+        lambda: "out",
+        lambda: np.broadcast_to(np.empty(4), (4, 4)),
+        lambda: np.empty((1, 4, 4)),
+    ],
+)
 def test_other_outs_are_refused(make):
     s = arm()
-    for call in (lambda out: s.fk(s.neutral, "tool", out=out), lambda out: s.query("tool")(s.neutral, out)):
+    for call in (
+        lambda out: s.fk(s.neutral, "tool", out=out),
+        lambda out: s.query("tool")(s.neutral, out),
+    ):
         with pytest.raises(
-            InputError, match=r"out is .*must be a writable, C-contiguous float64 array of shape \(4, 4\)"
+            InputError,
+            match=r"out is .*must be a writable, C-contiguous float64 array of shape \(4, 4\)",
         ):
             call(make())
     with pytest.raises(InputError, match=r"out is .*shape \(5, 4, 4\)"):
@@ -238,26 +272,34 @@ def test_the_ground_does_not_move():
 # ------------------------------------------------------------------ wrong questions
 
 
-@pytest.mark.parametrize(("q", "words"), [
-    ([0.0] * 6, "q has 6 coordinates; arm needs 7: q0, q1, q2, q3, q4, q5, q6"),
-    (np.zeros((3, 8)), "q has 8 coordinates; arm needs 7"),
-    (0.0, "q has a single number; arm needs 7"),
-    ([], "q has 0 coordinates"),
-    ("zero", "q is 'zero'; it must be an array of real numbers or a dict"),
-    (None, "q is None; it must be an array"),
-    ([0, 0, 0, 0, 0, 0, "a"], "q holds text; it must be an array of real numbers"),
-    ([[0], [0, 1]], "q is ragged; it must be an array of real numbers"),
+@pytest.mark.parametrize(
+    ("q", "words"),
+    [
+        ([0.0] * 6, "q has 6 coordinates; arm needs 7: q0, q1, q2, q3, q4, q5, q6"),
+        (np.zeros((3, 8)), "q has 8 coordinates; arm needs 7"),
+        (0.0, "q has a single number; arm needs 7"),
+        ([], "q has 0 coordinates"),
+        ("zero", "q is 'zero'; it must be an array of real numbers or a dict"),
+        (None, "q is None; it must be an array"),
+        ([0, 0, 0, 0, 0, 0, "a"], "q holds text; it must be an array of real numbers"),
+        ([[0], [0, 1]], "q is ragged; it must be an array of real numbers"),
         (["1"] * 7, "q holds text; it must be an array of real numbers"),
         ([1j] * 7, "q holds complex numbers; it must be an array of real numbers"),
         (np.full(7, 1j), "q holds complex numbers; it must be an array of real numbers"),
-    ([0, 0, np.nan, 0, 0, 0, 0], r"q\['q2'\] is nan; it must be a finite number"),
-    ([0, 0, 0, np.inf, 0, 0, 0], r"q\['q3'\] is inf; it must be a finite number"),
-    ({"q1": "a"}, "coordinate 'q1' is 'a'; it must be a number"),
-    ({"q1": np.nan}, r"q\['q1'\] is nan"),
-])  # fmt: skip
+        ([0, 0, np.nan, 0, 0, 0, 0], r"q\['q2'\] is nan; it must be a finite number"),
+        ([0, 0, 0, np.inf, 0, 0, 0], r"q\['q3'\] is inf; it must be a finite number"),
+        ({"q1": "a"}, "coordinate 'q1' is 'a'; it must be a number"),
+        ({"q1": np.nan}, r"q\['q1'\] is nan"),
+    ],
+)
 def test_bad_configurations(q, words):
     s = arm()
-    for ask in (lambda: s.fk(q, "tool"), lambda: s.fk(q), lambda: s.jacobian(q, "tool"), lambda: s.query("tool")(q)):
+    for ask in (
+        lambda: s.fk(q, "tool"),
+        lambda: s.fk(q),
+        lambda: s.jacobian(q, "tool"),
+        lambda: s.query("tool")(q),
+    ):
         with pytest.raises(InputError, match=words):
             ask()
 
@@ -268,16 +310,24 @@ def test_unknown_names():
         s.fk({"q9": 0.0}, "tool")
     for wrong in ("tol", "Tool"):
         for ask in (s.fk, s.jacobian):
-            with pytest.raises(UnknownNameError, match=f"arm has no frame '{wrong}'; did you mean 'tool'"):
+            with pytest.raises(
+                UnknownNameError, match=f"arm has no frame '{wrong}'; did you mean 'tool'"
+            ):
                 ask(s.neutral, wrong)
     with pytest.raises(UnknownNameError, match="arm has no frame 'tol'"):
         s.fk(s.neutral, ["tool", "tol"])
     for wrong in (3, {"tool"}, np.zeros(3)):
-        for ask in (lambda: s.query(wrong), lambda: s.fk(s.neutral, wrong), lambda: s.jacobian(s.neutral, wrong)):  # noqa: B023
+        for ask in (
+            partial(s.query, wrong),
+            partial(s.fk, s.neutral, wrong),
+            partial(s.jacobian, s.neutral, wrong),
+        ):
             with pytest.raises(UnknownNameError, match="arm has no frame"):
                 ask()
     for ask in (s.jacobian, lambda q, n, f: s.query(n).pose_and_jacobian(q, f)):
-        with pytest.raises(UnknownNameError, match="no frame of expression 'wrld'; did you mean 'world'"):
+        with pytest.raises(
+            UnknownNameError, match="no frame of expression 'wrld'; did you mean 'world'"
+        ):
             ask(s.neutral, "tool", "wrld")
 
 
@@ -293,7 +343,9 @@ def test_bad_rows_of_a_batch_leave_the_others_alone():
     for now, before in zip((s.fk(q, "tool"), s.fk(q), s.jacobian(q, "tool")), good, strict=True):
         np.testing.assert_array_equal(now[~bad], before[~bad])
         assert np.isnan(now[bad].reshape(3, -1)).any(axis=1).all()
-    assert np.isnan(s.fk(q, "tool")[bad][:, :3]).all() and np.isnan(s.jacobian(q, "tool")[bad]).all()
+    assert (
+        np.isnan(s.fk(q, "tool")[bad][:, :3]).all() and np.isnan(s.jacobian(q, "tool")[bad]).all()
+    )
     # bodies before the bad joint do not depend on it
     assert np.isfinite(s.fk(q)[1, 2, :4]).all() and np.isnan(s.fk(q)[1, 2, 4:, :3]).all()
     np.testing.assert_allclose(s.fk(q, "link2")[1, 2], good[1][1, 2, 3], rtol=0, atol=1e-15)
@@ -323,7 +375,9 @@ def test_threads_of_python_may_ask_anything_at_once():
     def work():
         try:
             mine = arm() if len(found) % 2 else s
-            found.append((mine.fk(q, "tool", threads=2), mine.jacobian(q[:100], "hand"), mine.fk(q[:200])))
+            found.append(
+                (mine.fk(q, "tool", threads=2), mine.jacobian(q[:100], "hand"), mine.fk(q[:200]))
+            )
         except BaseException as error:  # noqa: BLE001
             errors.append(error)
 
@@ -345,7 +399,10 @@ def four_bar() -> System:
     for name in ("crank", "coupler", "rocker"):
         m.body(name)
     m.revolute("A", m.ground, "crank"), m.revolute("B", "crank", "coupler", at=(1, 0))
-    m.revolute("C", "coupler", "rocker", at=(2, 0), child_at=(1, 0)), m.revolute("D", m.ground, "rocker", at=(2, 0))
+    (
+        m.revolute("C", "coupler", "rocker", at=(2, 0), child_at=(1, 0)),
+        m.revolute("D", m.ground, "rocker", at=(2, 0)),
+    )
     return m.build()
 
 
@@ -353,7 +410,9 @@ def test_closure_error_is_zero_where_the_loop_is_closed():
     s = four_bar()
     a = np.linspace(-3, 3, 20)
     q = np.stack([s.q({"A": x, "B": -x, "C": x, "D": x}) for x in a])
-    np.testing.assert_allclose(s.loops.closure_error(q), np.zeros((20, 1, 6)), rtol=0, atol=1e-15 * 10)
+    np.testing.assert_allclose(
+        s.loops.closure_error(q), np.zeros((20, 1, 6)), rtol=0, atol=1e-15 * 10
+    )
     assert s.loops.closure_error(q[0]).shape == (1, 6)
 
 
@@ -362,7 +421,9 @@ def test_closure_error_is_the_missing_twist():
     (name,) = s.structure.closures
     q = s.q({"A": 0.3, "B": -0.3, "C": 0.3, "D": 0.3})
     off = s.q({name: 0.3 + 0.01}, base=q)
-    np.testing.assert_allclose(np.abs(s.loops.closure_error(off)[0]), [0, 0, 0, 0, 0, 0.01], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        np.abs(s.loops.closure_error(off)[0]), [0, 0, 0, 0, 0, 0.01], rtol=0, atol=1e-15
+    )
 
 
 @given(graph=graphs(loops=5), seed=st.integers(0, 10**6))
@@ -381,7 +442,9 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
             X_PF, X_CM = graph.ends(e)
             X_WM = poses[e.parent] @ np.asarray(X_PF @ graph.joint_pose(e, values), dtype=float)
             turn = np.eye(4)
-            if e.kind == "prismatic" and graph.dim == 2:  # there M is turned so that its z is the axis of the slider
+            if (
+                e.kind == "prismatic" and graph.dim == 2
+            ):  # there M is turned so that its z is the axis of the slider
                 turn[:3, :3] = spatial.align_z([0.6, -0.8, 0.0])
             X_WM = X_WM @ turn
             there = poses[e.child] @ X_CM.astype(float) @ turn
@@ -389,11 +452,15 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
                 offset = X_WM[:3, :3].T @ (there[:3, 3] - X_WM[:3, 3])
                 np.testing.assert_allclose(error[row, k], [*offset, 0, 0, 0], rtol=0, atol=1e-12)
             else:
-                np.testing.assert_allclose(X_WM @ spatial.exp_se3(error[row, k]), there, rtol=0, atol=1e-11)
+                np.testing.assert_allclose(
+                    X_WM @ spatial.exp_se3(error[row, k]), there, rtol=0, atol=1e-11
+                )
 
 
 def test_arrays_that_are_not_aligned_are_copied():
-    """As in packed records: each verb gives what it gives for a copy, before and after a plain call."""
+    """As in packed records: each verb gives what it gives for a copy, before and after a plain
+    call.
+    """
     s = kempe.load("puma560")
     q = s.random(5, 4)
     X = s.fk(q, "tool")
@@ -409,17 +476,25 @@ def test_arrays_that_are_not_aligned_are_copied():
         for some in (q, q[0]):
             np.testing.assert_array_equal(s.fk(unaligned(some), "tool"), s.fk(some, "tool"))
             np.testing.assert_array_equal(s.fk(unaligned(some)), s.fk(some))
-            np.testing.assert_array_equal(s.jacobian(unaligned(some), "tool"), s.jacobian(some, "tool"))
+            np.testing.assert_array_equal(
+                s.jacobian(unaligned(some), "tool"), s.jacobian(some, "tool")
+            )
         for target in (X, X[0], X[:, :3, 3], X[0, :3, 3]):
             np.testing.assert_array_equal(s.ik(unaligned(target), "tool").q, s.ik(target, "tool").q)
         for target in (X, X[0]):
-            np.testing.assert_array_equal(s.ik_all(unaligned(target), "tool").q, s.ik_all(target, "tool").q)
+            np.testing.assert_array_equal(
+                s.ik_all(unaligned(target), "tool").q, s.ik_all(target, "tool").q
+            )
     np.testing.assert_array_equal(s.ik_path(unaligned(X), "tool").q, s.ik_path(X, "tool").q)
     bar = kempe.load("four_bar")
     closed = bar.assemble({"A": 1.0}).q
     assert bar.mobility(unaligned(closed)).dof == 1
-    np.testing.assert_array_equal(bar.loops.closure_error(unaligned(closed)), bar.loops.closure_error(closed))
-    np.testing.assert_array_equal(bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q)
+    np.testing.assert_array_equal(
+        bar.loops.closure_error(unaligned(closed)), bar.loops.closure_error(closed)
+    )
+    np.testing.assert_array_equal(
+        bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q
+    )
     with pytest.raises(InputError, match="aligned"):
         s.fk(q, "tool", out=unaligned(X))
 

@@ -1,4 +1,6 @@
-"""Functions of configurations and poses as constraints: derivatives, what they reach, what is refused."""
+"""Functions of configurations and poses as constraints: derivatives, what they reach, what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,13 @@ def check(of: c.Function, s: System, q: np.ndarray, atol: float = 1e-6) -> Whole
     for x in q:
         J = whole.jacobian(x)
         assert whole.values(x).shape == (whole.count,) and J.shape == (whole.count, s.nv)
-        ends = [[whole.values(s.configuration_space.integrate(x, h * e)) for h in (STEP, -STEP)] for e in np.eye(s.nv)]
-        np.testing.assert_allclose(J, np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1), atol=atol)
+        ends = [
+            [whole.values(s.configuration_space.integrate(x, h * e)) for h in (STEP, -STEP)]
+            for e in np.eye(s.nv)
+        ]
+        np.testing.assert_allclose(
+            J, np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1), atol=atol
+        )
     return whole
 
 
@@ -60,7 +67,9 @@ def test_differences_agree_with_exact_rows():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_functions_of_poses_have_the_derivatives_of_what_they_compute(dim):
-    """One that branches, against kinds that ask the same: the distance, and a position seen from another frame."""
+    """One that branches, against kinds that ask the same: the distance, and a position seen from
+    another frame.
+    """
     s = tree(dim).build()
 
     def apart(A, B):
@@ -84,7 +93,9 @@ def test_functions_of_poses_have_the_derivatives_of_what_they_compute(dim):
 def test_poses_in_assembly_and_in_ik():
     """A height that branches, in a loop; and a whole pose of a robot."""
     s = kempe.load("four_bar")
-    height = c.Function(lambda X: X[1, 3] - 0.3 if X[0, 3] > -9.0 else 1.0, frames="coupler_point", name="height")
+    height = c.Function(
+        lambda X: X[1, 3] - 0.3 if X[0, 3] > -9.0 else 1.0, frames="coupler_point", name="height"
+    )
     answer = s.assemble(also=height)
     assert answer and s.fk(answer.q, "coupler_point")[1, 3] == pytest.approx(0.3, abs=1e-9)
     assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
@@ -118,19 +129,30 @@ def test_wrong_jacobians_are_refused():
     said = f"'Function of mine': its Jacobian is wrong: the derivative of row 1 by '{name}'"
     mine = lambda q: analytic(q)  # noqa: E731
     mine.__name__ = "mine"
-    for broken, text in ((lambda x: right.jacobian(x) + wrong, said), (lambda x: np.eye(2), r"shape \(2, 2\)")):
+    for broken, text in (
+        (lambda x: right.jacobian(x) + wrong, said),
+        (lambda x: np.eye(2), r"shape \(2, 2\)"),
+    ):
         with pytest.raises(InputError, match=text):
             Whole(s, c.Function(mine, broken))
 
 
-@pytest.mark.parametrize(("made", "said"), [
-    (c.Function(lambda q: math.nan), "finite"), (c.Function(lambda q: "x"), "must give a number"),
-    (c.Function(lambda q: []), "gives no numbers at all"), (c.Function(NONE), "it must be a function of q"),
-    (c.Function(NONE, frames="coupler"), r"it must be a function of 1 pose \(4, 4\)"),
-    (c.Function(lambda X, Y: 0.0, frames="coupler"), "is called with 1 pose, of coupler, which it does not take"),
-    (c.Function(lambda q: q[0], low=1.0, high=0.0), "leave nothing"),
-    (c.Function(lambda q: q[0], weight=1.0), "has a weight, which ik reads of a wish"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (c.Function(lambda q: math.nan), "finite"),
+        (c.Function(lambda q: "x"), "must give a number"),
+        (c.Function(lambda q: []), "gives no numbers at all"),
+        (c.Function(NONE), "it must be a function of q"),
+        (c.Function(NONE, frames="coupler"), r"it must be a function of 1 pose \(4, 4\)"),
+        (
+            c.Function(lambda X, Y: 0.0, frames="coupler"),
+            "is called with 1 pose, of coupler, which it does not take",
+        ),
+        (c.Function(lambda q: q[0], low=1.0, high=0.0), "leave nothing"),
+        (c.Function(lambda q: q[0], weight=1.0), "has a weight, which ik reads of a wish"),
+    ],
+)
 def test_what_is_refused(made, said):
     with pytest.raises(InputError, match=said):
         kempe.load("four_bar").assemble(also=made)

@@ -1,4 +1,6 @@
-"""The Gauss-Newton loop against closed forms, scipy's least squares and exact rational pseudo-inverses."""
+"""The Gauss-Newton loop against closed forms, scipy's least squares and exact rational
+pseudo-inverses.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def test_the_least_solution_of_dependent_equations(hunt):
         for y in (one, many):
             size = np.linalg.norm(A, 2) * max(1.0, np.linalg.norm(b)) * max(1.0, np.linalg.norm(y))
             assert np.abs(A.T @ (A @ y - b)).max() < 1e-8 * size * max(1.0, np.linalg.norm(A, 2))
-            assert np.abs(null_space(A, 1e-9).T @ y).max(initial=0.0) < 1e-7 * max(1.0, np.linalg.norm(y))
+            assert np.abs(null_space(A, 1e-9).T @ y).max(initial=0.0) < 1e-7 * max(
+                1.0, np.linalg.norm(y)
+            )
 
 
 @pytest.mark.parametrize("rows", [g.LARGE - 1, g.LARGE + 1])
@@ -52,7 +56,9 @@ def test_large_and_small_problems_have_the_same_solution(rows):
     A[:, 4] = A[:, 0]
     y = least_squares(A, b)
     assert y[4] == pytest.approx(y[0], abs=1e-10)
-    np.testing.assert_allclose(np.append(y[1:4], 2 * y[0]), np.linalg.lstsq(A[:, [1, 2, 3, 0]], b)[0], atol=1e-10)
+    np.testing.assert_allclose(
+        np.append(y[1:4], 2 * y[0]), np.linalg.lstsq(A[:, [1, 2, 3, 0]], b)[0], atol=1e-10
+    )
 
 
 def test_damping_is_that_of_the_normal_equations():
@@ -64,7 +70,9 @@ def test_damping_is_that_of_the_normal_equations():
 
 
 def test_the_root_of_a_quadratic_in_the_closed_form():
-    """x^2 = a by Newton's method, and the number of its evaluations: what is left halves its digits each time."""
+    """x^2 = a by Newton's method, and the number of its evaluations: what is left halves its digits
+    each time.
+    """
     calls = []
 
     def both(x):
@@ -77,7 +85,9 @@ def test_the_root_of_a_quadratic_in_the_closed_form():
 
 
 def test_scipy_finds_the_same_minimum_where_no_solution_exists(hunt):
-    """Circles and points that contradict each other: small residuals, where Gauss-Newton steps converge."""
+    """Circles and points that contradict each other: small residuals, where Gauss-Newton steps
+    converge.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(60)):
         centres = rng.normal(size=(5, 2))
@@ -90,8 +100,14 @@ def test_scipy_finds_the_same_minimum_where_no_solution_exists(hunt):
             return far - radii, d / far[:, None]
 
         found = gauss_newton(both, p, 60, last=1e-13)
-        oracle = scipy_least_squares(lambda x, f=both: f(x)[0], p, lambda x, f=both: f(x)[1], xtol=1e-15, ftol=1e-15,
-                                     gtol=1e-15)  # fmt: skip
+        oracle = scipy_least_squares(
+            lambda x, f=both: f(x)[0],
+            p,
+            lambda x, f=both: f(x)[1],
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
         np.testing.assert_allclose(found.x, oracle.x, atol=1e-7)
 
 
@@ -107,8 +123,12 @@ def test_steps_from_many_starts_are_those_from_each(hunt):
 
     found = gauss_newton_of_many(many, x, 60, longest=0.3)
     assert np.abs(arm(found)[0] - target).max() < 1e-12
-    one = [gauss_newton_of_many(lambda y, _, k=k: many(y, np.array([k])), x[k : k + 1], 60, longest=0.3)[0]
-           for k in range(len(x))]  # fmt: skip
+    one = [
+        gauss_newton_of_many(
+            lambda y, _, k=k: many(y, np.array([k])), x[k : k + 1], 60, longest=0.3
+        )[0]
+        for k in range(len(x))
+    ]
     np.testing.assert_allclose(found, one, atol=1e-9)
 
 
@@ -116,24 +136,37 @@ def test_what_is_not_finite_ends_alone():
     def both(x, at):
         return np.where(at[:, None] == 1, np.nan, x - 3.0), np.ones((len(x), 1, 1))
 
-    np.testing.assert_array_equal(gauss_newton_of_many(both, np.zeros((3, 1)), 5), [[3.0], [np.nan], [3.0]])
+    np.testing.assert_array_equal(
+        gauss_newton_of_many(both, np.zeros((3, 1)), 5), [[3.0], [np.nan], [3.0]]
+    )
     found = gauss_newton(lambda x: (np.full(1, np.inf), np.eye(1)), np.ones(1), 5)
     assert found.x[0] == 1.0 and not found.size < np.inf
 
 
-@pytest.mark.parametrize(("options", "end"), [
-    ({"longest": 0.5}, 1.5), ({"met": 3.0}, 0.0), ({"step": lambda x, r, J: np.ones(1)}, 3.0), ({}, 10.0),
-    ({"last": 100.0}, 10.0), ({"step": lambda x, r, J: np.ones(1), "halving": True}, 1.0),
-    ({"move": lambda x, y: x - y}, -70.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "end"),
+    [
+        ({"longest": 0.5}, 1.5),
+        ({"met": 3.0}, 0.0),
+        ({"step": lambda x, r, J: np.ones(1)}, 3.0),
+        ({}, 10.0),
+        ({"last": 100.0}, 10.0),
+        ({"step": lambda x, r, J: np.ones(1), "halving": True}, 1.0),
+        ({"move": lambda x, y: x - y}, -70.0),
+    ],
+)
 def test_what_the_options_do(options, end):
     """Three steps towards where 0.3 (x - 10) is zero; each end by hand."""
-    found = gauss_newton(lambda x: (0.3 * (x - 10.0), np.full((1, 1), 0.3)), np.zeros(1), 3, **options)
+    found = gauss_newton(
+        lambda x: (0.3 * (x - 10.0), np.full((1, 1), 0.3)), np.zeros(1), 3, **options
+    )
     assert found.x[0] == pytest.approx(end)
 
 
 def test_dependent_equations_do_no_harm(hunt):
-    """The nearest point of a line in space, said by twice as many equations as it needs, by the exact projection."""
+    """The nearest point of a line in space, said by twice as many equations as it needs, by the
+    exact projection.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         A = rng.normal(size=(2, 3))
@@ -142,4 +175,6 @@ def test_dependent_equations_do_no_harm(hunt):
         x = rng.normal(size=3)
         found = gauss_newton(lambda x, M=M, b=b: (M @ (x - b), M), x, 5).x
         along = np.cross(A[0], A[1])
-        np.testing.assert_allclose(found, b + along * (along @ (x - b)) / (along @ along), atol=1e-6)
+        np.testing.assert_allclose(
+            found, b + along * (along @ (x - b)) / (along @ along), atol=1e-6
+        )

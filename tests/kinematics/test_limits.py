@@ -1,4 +1,6 @@
-"""What a system says of itself cannot be written to, and `with_limits` is how its limits are changed."""
+"""What a system says of itself cannot be written to, and `with_limits` is how its limits are
+changed.
+"""
 
 from __future__ import annotations
 
@@ -18,24 +20,51 @@ from kempe import Mechanism
 from kempe.errors import InputError, KempeError, UnknownNameError
 from kempe.model.compiled_system import Structure
 
-MODELS = ("panda", "four_bar", "stewart", "two_link_pose", "seven_bodies_loop", "joint_cylindrical", "rssr")
+MODELS = (
+    "panda",
+    "four_bar",
+    "stewart",
+    "two_link_pose",
+    "seven_bodies_loop",
+    "joint_cylindrical",
+    "rssr",
+)
 
 
 def properties(kind: type) -> list[str]:
     """Public properties of a class and its bases."""
-    return [n for n, x in inspect.getmembers(kind) if isinstance(x, (property, cached_property)) and n[0] != "_"]
+    return [
+        n
+        for n, x in inspect.getmembers(kind)
+        if isinstance(x, (property, cached_property)) and n[0] != "_"
+    ]
 
 
 def answers(system: kempe.System) -> list[object]:
     """An answer of each kind that a system gives without much work."""
     q = system.assemble().q
     tip = system.frame_names[-1]
-    out = [system, system.structure, system.configuration_space, system.assemble(), system.mobility(), system.mechanism]
+    out = [
+        system,
+        system.structure,
+        system.configuration_space,
+        system.assemble(),
+        system.mobility(),
+        system.mechanism,
+    ]
     if not system.structure.closures:
         X = system.fk(q, tip)
-        out += [system.ik(X, tip), system.ik_path(np.stack([X, X]), tip), system.ik_step(q, np.zeros(6), tip, 0.01)]
+        out += [
+            system.ik(X, tip),
+            system.ik_path(np.stack([X, X]), tip),
+            system.ik_step(q, np.zeros(6), tip, 0.01),
+        ]
     if system.structure.closures and system.dim == 2:
-        out += [system.trace(), system.assembly_modes({system.coordinate_names[0]: q[0]}), system.independent()]
+        out += [
+            system.trace(),
+            system.assembly_modes({system.coordinate_names[0]: q[0]}),
+            system.independent(),
+        ]
     return out
 
 
@@ -55,7 +84,9 @@ def mechanism() -> Mechanism:
 
 
 def had(thing: Any) -> Iterator[tuple[str, Any]]:
-    """What a system or an answer has: properties that raise, such as those of what was not found, are left out."""
+    """What a system or an answer has: properties that raise, such as those of what was not found,
+    are left out.
+    """
     for name in properties(type(thing)):
         with contextlib.suppress(KempeError):
             yield name, getattr(thing, name)
@@ -63,7 +94,9 @@ def had(thing: Any) -> Iterator[tuple[str, Any]]:
 
 @pytest.mark.parametrize("model", ["two_link", "four_bar", "panda", "slider_crank"])
 def test_writing_changes_something_or_is_refused(model):
-    """Over all properties of systems and answers: no array or dict is a copy that swallows what is written."""
+    """Over all properties of systems and answers: no array or dict is a copy that swallows what is
+    written.
+    """
     looked = 0
     for thing in answers(kempe.load(model)):
         for name, x in had(thing):
@@ -71,24 +104,38 @@ def test_writing_changes_something_or_is_refused(model):
                 looked += 1
                 if x.flags.writeable:
                     x.flat[0] = 12.5
-                    assert np.ravel(getattr(thing, name))[0] == 12.5, f"{type(thing).__name__}.{name}"
+                    assert np.ravel(getattr(thing, name))[0] == 12.5, (
+                        f"{type(thing).__name__}.{name}"
+                    )
                 else:
                     with pytest.raises(ValueError, match="read-only"):
                         x[0] = 1.0
             if isinstance(x, dict) and x and isinstance(thing, Structure):
                 looked += 1
                 key = next(iter(x))
-                for write in (lambda x=x, key=key: x.__setitem__(key, 1.0), x.clear, x.popitem,
-                              lambda x=x: x.update(a=1), lambda x=x, key=key: x.pop(key)):  # fmt: skip
+                for write in (
+                    lambda x=x, key=key: x.__setitem__(key, 1.0),
+                    x.clear,
+                    x.popitem,
+                    lambda x=x: x.update(a=1),
+                    lambda x=x, key=key: x.pop(key),
+                ):
                     with pytest.raises(TypeError, match="with_limits"):
                         write()
-                assert getattr(thing, name) == {**x} and pickle.loads(pickle.dumps(x)) == x == copy.deepcopy(x)
+                assert getattr(thing, name) == {**x} and pickle.loads(
+                    pickle.dumps(x)
+                ) == x == copy.deepcopy(x)
     assert looked >= 8
 
 
 def test_copies_can_be_written():
     system = kempe.load("panda")
-    copies = (system.mid.copy(), system.neutral.copy(), system.structure.limits.copy(), system.q("ready"))
+    copies = (
+        system.mid.copy(),
+        system.neutral.copy(),
+        system.structure.limits.copy(),
+        system.q("ready"),
+    )
     for array in (*copies, system.random(0), system.q({})):
         array[0] = 0.5
     joints = {**system.structure.joints}
@@ -107,8 +154,10 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
     for _ in range(hunt.cases(10)):
         some = rng.choice(names, size=int(rng.integers(1, len(names) + 1)), replace=False).tolist()
         ends = np.sort(rng.normal(size=(len(some), 2)), axis=1)
-        requested = {n: [None, (a, b), (None, b), (a, None), [a, np.inf], np.array([a, b])][rng.integers(6)]
-                 for n, (a, b) in zip(some, ends, strict=True)}  # fmt: skip
+        requested = {
+            n: [None, (a, b), (None, b), (a, None), [a, np.inf], np.array([a, b])][rng.integers(6)]
+            for n, (a, b) in zip(some, ends, strict=True)
+        }
         speeds = {n: [None, 0.0, 2.5][rng.integers(3)] for n in some[: len(some) // 2]}
         made = system.with_limits(requested, velocity=speeds)
         lower = system.lower.copy()
@@ -125,14 +174,28 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
         assert np.array_equal(made.structure.velocity_limits, fast) and np.array_equal(
             made.structure.limits.T, [lower, upper]
         )
-        assert made.coordinate_names == system.coordinate_names and made.structure.closures == system.structure.closures
-        assert made.parent == system.parent and made.structure.posture_names == system.structure.posture_names
-        assert made.structure.hash == system.structure.hash and made.structure.parameters == system.structure.parameters
+        assert (
+            made.coordinate_names == system.coordinate_names
+            and made.structure.closures == system.structure.closures
+        )
+        assert (
+            made.parent == system.parent
+            and made.structure.posture_names == system.structure.posture_names
+        )
+        assert (
+            made.structure.hash == system.structure.hash
+            and made.structure.parameters == system.structure.parameters
+        )
         q = system.random(rng)
-        assert np.array_equal(made.fk(q), system.fk(q)), "where things are does not depend on limits"
+        assert np.array_equal(made.fk(q), system.fk(q)), (
+            "where things are does not depend on limits"
+        )
         assert np.array_equal(made.loops.closure_error(q), system.loops.closure_error(q))
         mid = made.mid[made.structure.layout.vector_q]
-        assert np.all((mid >= lower[made.structure.layout.vector_v]) & (mid <= upper[made.structure.layout.vector_v]))
+        assert np.all(
+            (mid >= lower[made.structure.layout.vector_v])
+            & (mid <= upper[made.structure.layout.vector_v])
+        )
         back = made.with_limits(system.structure.limits, system.structure.velocity_limits)
         assert np.array_equal(back.structure.limits, system.structure.limits)
         assert np.array_equal(back.structure.velocity_limits, system.structure.velocity_limits)
@@ -179,14 +242,22 @@ def test_the_solvers_hold_other_limits():
     step = narrow.ik_step(narrow.mid, np.full(6, 0.5), hand, 0.001)
     assert abs(step.velocity[0]) <= 0.01 + 1e-15
     crank = kempe.load("four_bar").with_limits({"A": (0.1, 0.9)})
-    assert not crank.trace("A").closed and not crank.assemble({"A": 2.0}) and crank.assemble({"A": 0.5})
+    assert (
+        not crank.trace("A").closed
+        and not crank.assemble({"A": 2.0})
+        and crank.assemble({"A": 0.5})
+    )
 
 
 def test_coordinates_that_move_together():
     system = mechanism().build()
     i = system.structure.velocity_names.index("a")
-    assert system.structure.limits[i].tolist() == [-1.0, 2.0], "b = 0.1 - a / 2 in [-1.5, 1.5] leaves a in [-2.8, 3.2]"
-    with pytest.raises(InputError, match=r"'a' cannot have the limits \[-1, 10\]: .* \[-1, 3.2\]; give .* 'b', too"):
+    assert system.structure.limits[i].tolist() == [-1.0, 2.0], (
+        "b = 0.1 - a / 2 in [-1.5, 1.5] leaves a in [-2.8, 3.2]"
+    )
+    with pytest.raises(
+        InputError, match=r"'a' cannot have the limits \[-1, 10\]: .* \[-1, 3.2\]; give .* 'b', too"
+    ):
         system.with_limits({"a": (-1.0, 10.0)})
     made = system.with_limits({"a": (-1.0, 10.0), "b": None})
     assert made.structure.limits[i].tolist() == [-1.0, 10.0]
@@ -194,41 +265,70 @@ def test_coordinates_that_move_together():
     with pytest.raises(InputError, match="'b' cannot have the limits"):
         system.with_limits({"b": (-5.0, 5.0)})
     assert system.with_limits(velocity={"b": 1.0}).structure.velocity_limits[i] == 2.0
-    with pytest.raises(InputError, match="'b' cannot have the speed 2: .* leaves 1.5; give that of 'a', too"):
+    with pytest.raises(
+        InputError, match="'b' cannot have the speed 2: .* leaves 1.5; give that of 'a', too"
+    ):
         system.with_limits(velocity={"b": 2.0})
-    assert system.with_limits({"c.z": (0.2, 0.3)}).lower[system.structure.velocity_names.index("c.z")] == 0.2
+    assert (
+        system.with_limits({"c.z": (0.2, 0.3)}).lower[system.structure.velocity_names.index("c.z")]
+        == 0.2
+    )
     assert system.with_limits({"a": (0.0, 1.0)}).q("up")[0] == 0.5
 
 
-@pytest.mark.parametrize(("limits", "velocity", "error", "words"), [
-    ({"nope": (0, 1)}, None, UnknownNameError, "no coordinate 'nope'"),
-    ({"e": (0, 1)}, None, InputError, "'e' is held at 0.5"),
-    ({"ball.wx": (0, 1)}, None, KempeError, "wx"), ({"a": (2.0, 1.0)}, None, KempeError, "above upper"),
-    ({"a": (0.0, np.nan)}, None, KempeError, "must be numbers"), ({"a": ("0", "1")}, None, KempeError, "a pair"),
-    ({"a": 1.0}, None, KempeError, "a pair"), ({"a": (0, 1, 2)}, None, KempeError, "a pair"),
-    ({"a": (True, 2)}, None, KempeError, "a pair"), ([1.0], None, InputError, r"shape \(1,\)"),
-    (None, {"a": -1.0}, KempeError, "not negative"), (None, "fast", InputError, "velocity is 'fast'"),
-    (None, {"a": "1"}, KempeError, "velocity"), (np.zeros((3, 2)), None, InputError, "shape"),
-    ({"a": (np.inf, np.inf)}, None, KempeError, "must be numbers"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("limits", "velocity", "error", "words"),
+    [
+        ({"nope": (0, 1)}, None, UnknownNameError, "no coordinate 'nope'"),
+        ({"e": (0, 1)}, None, InputError, "'e' is held at 0.5"),
+        ({"ball.wx": (0, 1)}, None, KempeError, "wx"),
+        ({"a": (2.0, 1.0)}, None, KempeError, "above upper"),
+        ({"a": (0.0, np.nan)}, None, KempeError, "must be numbers"),
+        ({"a": ("0", "1")}, None, KempeError, "a pair"),
+        ({"a": 1.0}, None, KempeError, "a pair"),
+        ({"a": (0, 1, 2)}, None, KempeError, "a pair"),
+        ({"a": (True, 2)}, None, KempeError, "a pair"),
+        ([1.0], None, InputError, r"shape \(1,\)"),
+        (None, {"a": -1.0}, KempeError, "not negative"),
+        (None, "fast", InputError, "velocity is 'fast'"),
+        (None, {"a": "1"}, KempeError, "velocity"),
+        (np.zeros((3, 2)), None, InputError, "shape"),
+        ({"a": (np.inf, np.inf)}, None, KempeError, "must be numbers"),
+    ],
+)
 def test_limits_that_are_none_are_refused(limits, velocity, error, words):
     with pytest.raises(error, match=words):
         mechanism().build().with_limits(limits, velocity)
 
 
-LEGGED = ("stewart", "stewart_sps", "stewart_dietmaier", "three_rpr", "three_rps", "three_upu", "three_upu_snu")
+LEGGED = (
+    "stewart",
+    "stewart_sps",
+    "stewart_dietmaier",
+    "three_rpr",
+    "three_rps",
+    "three_upu",
+    "three_upu_snu",
+)
 
 
 @pytest.mark.parametrize("model", LEGGED)
 def test_legs_are_not_shorter_than_nothing(model, hunt):
-    """The legs of the library's platforms: no search gives one a negative length, and none can be requested."""
+    """The legs of the library's platforms: no search gives one a negative length, and none can be
+    requested.
+    """
     system = kempe.load(model)
-    legs = [n for n, joint in system.structure.joints.items() if joint.type.type_name == "prismatic"]
+    legs = [
+        n for n, joint in system.structure.joints.items() if joint.type.type_name == "prismatic"
+    ]
     at = [system.coordinate_names.index(n) for n in legs]
     rng = hunt.rng()
     home = system.q("closed")
     starts = np.stack(
-        [system.configuration_space.integrate(home, rng.normal(size=system.nv)) for _ in range(hunt.cases(60))]
+        [
+            system.configuration_space.integrate(home, rng.normal(size=system.nv))
+            for _ in range(hunt.cases(60))
+        ]
     )
     answer = system.assemble(start=starts)
     assert len(legs) in (3, 6) and answer.success.all() and np.all(answer.q[:, at] >= 0.0)

@@ -1,4 +1,6 @@
-"""The constraints of a system by rows: derivatives by finite differences on the manifold, counts, what they mean."""
+"""The constraints of a system by rows: derivatives by finite differences on the manifold, counts,
+what they mean.
+"""
 
 from __future__ import annotations
 
@@ -24,22 +26,33 @@ from kempe.model.closures.implicit_form import implicit_form
 STEP = 1e-6
 
 
-def by_differences(constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray) -> np.ndarray:
+def by_differences(
+    constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray
+) -> np.ndarray:
     """Jacobian by central differences along the manifold."""
     steps = STEP * np.eye(s.nv)
-    ends = [[constraint.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
+    ends = [
+        [constraint.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)]
+        for e in steps
+    ]
     return np.stack([(a - b) / (2 * STEP) for a, b in ends], axis=-1)
 
 
-def check(constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray, atol: float = 2e-7) -> None:
+def check(
+    constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray, atol: float = 2e-7
+) -> None:
     """The battery for one constraint at configurations (n, nq): shapes, one and many, derivatives."""
     r = constraint.residual(s, q)
     J = constraint.jacobian(s, q)
     assert r.shape == (*q.shape[:-1], constraint.size) and J.shape == (*r.shape, s.nv)
-    assert len(constraint.names) == constraint.size and len(set(constraint.names)) == constraint.size
+    assert (
+        len(constraint.names) == constraint.size and len(set(constraint.names)) == constraint.size
+    )
     np.testing.assert_allclose(constraint.residual(s, q[0]), r[0], atol=1e-13)
     np.testing.assert_allclose(constraint.jacobian(s, q[0]), J[0], atol=1e-12)
-    np.testing.assert_allclose(J, by_differences(constraint, s, q), atol=atol * (1 + np.abs(J).max(initial=0)))
+    np.testing.assert_allclose(
+        J, by_differences(constraint, s, q), atol=atol * (1 + np.abs(J).max(initial=0))
+    )
 
 
 def tree(dim: int = 3) -> Mechanism:
@@ -49,11 +62,16 @@ def tree(dim: int = 3) -> Mechanism:
 
     def at() -> dict:
         p = rng.uniform(-1, 1, 3)
-        return {"at": p[:dim], **({"rpy": rng.uniform(-1, 1, 3)} if dim == 3 else {"angle": rng.uniform(-1, 1)})}
+        return {
+            "at": p[:dim],
+            **({"rpy": rng.uniform(-1, 1, 3)} if dim == 3 else {"angle": rng.uniform(-1, 1)}),
+        }
 
     for side in "ab":
         m.revolute(f"{side}1", m.ground, m.body(f"{side}1"), **at())
-        m.joint(f"{side}2", "spherical" if dim == 3 else "free", f"{side}1", m.body(f"{side}2"), **at())
+        m.joint(
+            f"{side}2", "spherical" if dim == 3 else "free", f"{side}1", m.body(f"{side}2"), **at()
+        )
         m.frame(f"{side}", f"{side}2", **at())
     m.translation("p", "a1", m.particle("point"), **at())
     return m
@@ -88,14 +106,18 @@ def test_pairs_of_frames(dim, other):
         J = x.jacobian(s, q)[0]
         K = judge.jacobian(s, q)[0]
         if name != "rod":  # the judge's is signed the other way round
-            np.testing.assert_allclose(sizes[name], np.linalg.norm(judge.residual(s, q), axis=-1), atol=1e-13)
+            np.testing.assert_allclose(
+                sizes[name], np.linalg.norm(judge.residual(s, q), axis=-1), atol=1e-13
+            )
         assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K)] == 2 * [x.size], name
 
 
 # ------------------------------------------------------------------ closures, by joint type
 
 
-def loop(kind: str, options: dict, dim: int = 3, particle: bool = False, backwards: bool = False) -> System:
+def loop(
+    kind: str, options: dict, dim: int = 3, particle: bool = False, backwards: bool = False
+) -> System:
     """A loop of a long enough chain, cut at a joint of some type in odd frames."""
     m = Mechanism("loop", dim)
     rng = np.random.default_rng(len(kind) + dim)
@@ -120,17 +142,25 @@ def loop(kind: str, options: dict, dim: int = 3, particle: bool = False, backwar
 
 def closure_of(s: System, joint: str, own: bool = False) -> closure_rows.SystemConstraint:
     """The constraint of a joint that closes a loop; one with no rows where it has none."""
-    return next((c for c in closure_rows.of_system(s, own) if c.name == joint and c.names != ("relation",)),
-                closure_rows.SystemConstraint(joint, closure_rows.full(s, False), ()))  # fmt: skip
+    return next(
+        (c for c in closure_rows.of_system(s, own) if c.name == joint and c.names != ("relation",)),
+        closure_rows.SystemConstraint(joint, closure_rows.full(s, False), ()),
+    )
 
 
 CASES = [(k, o, 3, False) for k, o in KINDS] + [(k, o, 2, False) for k, o in PLANAR_KINDS]
 CASES += [(k, o, dim, True) for k, o in SLIDES for dim in (2, 3)]
 every_loop = pytest.mark.parametrize(
     ("kind", "options", "dim", "particle", "backwards"),
-    [(*case, backwards) for case in CASES for backwards in (False, True) if not (case[3] and backwards)],
+    [
+        (*case, backwards)
+        for case in CASES
+        for backwards in (False, True)
+        if not (case[3] and backwards)
+    ],
 )
-"""Each joint from the first chain to the second, and the other way round, but that nothing hangs on a particle."""
+"""Each joint from the first chain to the second, and the other way round, but that nothing hangs on
+a particle."""
 
 
 @pytest.mark.parametrize("own", some([False, True], 3))
@@ -140,7 +170,9 @@ def test_closures(kind, options, dim, particle, backwards, own):
     closure = closure_of(s, "J", own)
     type_ = joint_type(kind, **options)  # its constraints: see TABLE in tests/test_joint_zoo.py
     explicit = own or implicit_form(type_, dim, particle) is None
-    assert closure.size == type_.constraints(dim, particle) + (type_.dof(dim, particle) if explicit else 0)
+    assert closure.size == type_.constraints(dim, particle) + (
+        type_.dof(dim, particle) if explicit else 0
+    )
     check(closure, s, s.random(4, 6))
 
 
@@ -154,7 +186,9 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
     for body in "ab":
         m.bodies[body] = s.mechanism.bodies[body]
     m.joints = {n: s.structure.joints[n] for n in ("Ja", "J")}
-    X_b = m.build().fk({n: v for n, v in s.q_dict(q).items() if n.split(".")[0] in ("Ja", "J")}, "b")
+    X_b = m.build().fk(
+        {n: v for n, v in s.q_dict(q).items() if n.split(".")[0] in ("Ja", "J")}, "b"
+    )
     X = spatial.inverse(s.structure.joints["Jb"].X_PF.evaluate({})) @ X_b
     if particle or dim == 2:
         values = {f"Jb.{c}": X[i, 3] for i, c in enumerate("xyz"[:dim])}
@@ -162,7 +196,13 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
             values["Jb.rz"] = math.atan2(X[1, 0], X[0, 0])
     else:
         values = {f"Jb.{c}": X[i, 3] for i, c in enumerate("xyz")}
-        values |= dict(zip(["Jb.qw", "Jb.qx", "Jb.qy", "Jb.qz"], spatial.matrix_to_quat_wxyz(X[:3, :3]), strict=True))
+        values |= dict(
+            zip(
+                ["Jb.qw", "Jb.qx", "Jb.qy", "Jb.qz"],
+                spatial.matrix_to_quat_wxyz(X[:3, :3]),
+                strict=True,
+            )
+        )
     q = s.q(values, q)
     assert np.abs(s.loops.closure_error(q)).max() < 1e-12, joint
     for own in (False, True):
@@ -172,22 +212,34 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
     judge = closures.closure_of(s, "J", own=implicit_form(joint.type, dim, particle) is None)
     J = closure_of(s, "J").jacobian(s, q)
     K = judge.jacobian(s, q)
-    assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]  # none too many
+    assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [
+        len(J)
+    ]  # none too many
 
 
 def test_own_coordinates_of_two_branches():
-    """Three angles say a rotation twice, and a turn may be a full one more: the pose is what counts."""
+    """Three angles say a rotation twice, and a turn may be a full one more: the pose is what
+    counts.
+    """
     s = loop("spherical", {"angles": True})
     q = s.random(6)
     closure = closure_of(s, "J", own=True)
-    other = s.q({"J.rz": s.q_dict(q)["J.rz"] + math.pi, "J.ry": math.pi - s.q_dict(q)["J.ry"],
-                 "J.rx": s.q_dict(q)["J.rx"] - math.pi}, q)  # fmt: skip
+    other = s.q(
+        {
+            "J.rz": s.q_dict(q)["J.rz"] + math.pi,
+            "J.ry": math.pi - s.q_dict(q)["J.ry"],
+            "J.rx": s.q_dict(q)["J.rx"] - math.pi,
+        },
+        q,
+    )
     np.testing.assert_allclose(closure.residual(s, q), closure.residual(s, other), atol=1e-13)
     s = loop("revolute", {})
     q = s.random(6)
     closure = closure_of(s, "J", own=True)
     np.testing.assert_allclose(
-        closure.residual(s, q), closure.residual(s, s.q({"J": s.q_dict(q)["J"] + 4 * math.pi}, q)), atol=1e-13
+        closure.residual(s, q),
+        closure.residual(s, s.q({"J": s.q_dict(q)["J"] + 4 * math.pi}, q)),
+        atol=1e-13,
     )
 
 
@@ -203,7 +255,9 @@ def test_coordinates_that_are_not_free_are_tied():
         check(closure_of(s, "J"), s, s.random(7, 4))
     ball = loop("spherical", {}).mechanism
     quat = spatial.unit([1, 2, 3, 4.0])
-    ball = ball.lock(dict(zip(["J.qw", "J.qx", "J.qy", "J.qz"], quat.tolist(), strict=True))).build()
+    ball = ball.lock(
+        dict(zip(["J.qw", "J.qx", "J.qy", "J.qz"], quat.tolist(), strict=True))
+    ).build()
     assert closure_of(ball, "J").size == 6
     check(closure_of(ball, "J"), ball, ball.random(7, 4))
     m = loop("universal", {}).mechanism
@@ -228,9 +282,12 @@ def test_what_a_system_has():
     s = m.build()
     found = closure_rows.of_system(s)
     assert [(c.name, c.names) for c in found] == [
-        ("R", ("x", "y", "z", "rx", "ry", "rz")), ("rod", ("distance",)), ("line", ("x", "y")), ("plane", ("z",)),
+        ("R", ("x", "y", "z", "rx", "ry", "rz")),
+        ("rod", ("distance",)),
+        ("line", ("x", "y")),
+        ("plane", ("z",)),
         ("R", ("relation",)),
-    ]  # fmt: skip
+    ]
     for constraint in found:
         check(constraint, s, s.random(12, 4))
     assert found[1].residual(s, s.neutral) == pytest.approx([0.0])  # |(0, 1, 0)| = 2 l
@@ -250,7 +307,9 @@ def test_random_graphs(graph, seed):
 @given(graphs(most=4, loops=2), st.integers(0, 2**32))
 @settings(max_examples=examples(25))
 def test_same_zeros_as_closure_error(graph, seed):
-    """With rows for own coordinates the residual vanishes with the closure error, and grows with it."""
+    """With rows for own coordinates the residual vanishes with the closure error, and grows with
+    it.
+    """
     s = graph.mechanism().build()
     q = s.random(seed)
     for k, name in enumerate(s.structure.closures):
@@ -267,7 +326,9 @@ def test_same_zeros_as_closure_error(graph, seed):
 @pytest.mark.parametrize("at", [(0.0, 0.0), (1000.0, -2000.0)])
 def test_the_characteristic_length_is_of_the_links(cut, at):
     """Neither the cut nor where the ground has its origin matters."""
-    assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(0.4, rel=1e-9)
+    assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(
+        0.4, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("own", [NotImplemented, 1, "no", None])

@@ -1,4 +1,6 @@
-"""Maximal coordinates: counts, derivatives, the way to joint coordinates and back, projection, what is refused."""
+"""Maximal coordinates: counts, derivatives, the way to joint coordinates and back, projection, what
+is refused.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,10 @@ def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:
             X_PF[:3, 3] += s.fk(q, joint.parent)[:3, :3].T @ shift
         m.joints[name] = replace(joint, X_PF=placement_of_pose(X_PF))
     out = m.build()
-    assert out.structure.closures == s.structure.closures and np.abs(out.loops.closure_error(q)).max(initial=0.0) < 1e-8
+    assert (
+        out.structure.closures == s.structure.closures
+        and np.abs(out.loops.closure_error(q)).max(initial=0.0) < 1e-8
+    )
     return out, q
 
 
@@ -60,13 +65,33 @@ def chain() -> System:
     m = Mechanism("chain")
     here = m.ground
     rng = np.random.default_rng(0)
-    kinds = [("revolute", {}), ("prismatic", {}), ("helical", {"pitch": 0.2}), ("cylindrical", {}), ("universal", {}),
-             ("planar", {}), ("translation", {}), ("spherical", {}), ("spherical", {"angles": True}),
-             ("fixed", {}), ("free", {}), ("free", {"angles": True})]  # fmt: skip
+    kinds = [
+        ("revolute", {}),
+        ("prismatic", {}),
+        ("helical", {"pitch": 0.2}),
+        ("cylindrical", {}),
+        ("universal", {}),
+        ("planar", {}),
+        ("translation", {}),
+        ("spherical", {}),
+        ("spherical", {"angles": True}),
+        ("fixed", {}),
+        ("free", {}),
+        ("free", {"angles": True}),
+    ]
     for i, (kind, options) in enumerate(kinds):
         body = m.body(f"b{i}")
-        m.joint(f"J{i}", kind, here, body, at=rng.uniform(-1, 1, 3), rpy=rng.uniform(-1, 1, 3),
-                child_at=rng.uniform(-1, 1, 3), child_rpy=rng.uniform(-1, 1, 3), **options)  # fmt: skip
+        m.joint(
+            f"J{i}",
+            kind,
+            here,
+            body,
+            at=rng.uniform(-1, 1, 3),
+            rpy=rng.uniform(-1, 1, 3),
+            child_at=rng.uniform(-1, 1, 3),
+            child_rpy=rng.uniform(-1, 1, 3),
+            **options,
+        )
         here = body
     m.planar("Jp", here, m.particle("p"), at=(1, 2, 3))
     return m.build()
@@ -78,7 +103,11 @@ def chain() -> System:
 def test_it_is_the_same_bodies_on_free_joints():
     s = chain()
     other = convert.maximal(s)
-    assert other is convert.maximal(s) and other.body_names == s.body_names and set(other.parent) == {0}
+    assert (
+        other is convert.maximal(s)
+        and other.body_names == s.body_names
+        and set(other.parent) == {0}
+    )
     assert other.structure.closures == s.joint_names
     assert other.coordinate_names[-s.nq :] == s.coordinate_names
     assert other.nv == 6 * 12 + 3 + s.nv and other.coordinate_names[84:87] == ("p.x", "p.y", "p.z")
@@ -88,9 +117,13 @@ def test_it_is_the_same_bodies_on_free_joints():
     assert again == other and read_toml(write_toml(other.mechanism)).build() == other
 
 
-@pytest.mark.parametrize(("name", "numbers", "constraints"), [("four_links", 12, 10), ("seven_bodies", 42, 35)])
+@pytest.mark.parametrize(
+    ("name", "numbers", "constraints"), [("four_links", 12, 10), ("seven_bodies", 42, 35)]
+)
 def test_lecture_count(name, numbers, constraints):
-    """Four bodies in the plane, four revolute joints and a slider: 12 - 10 = 2; seven in space: 42 - 35 = 7."""
+    """Four bodies in the plane, four revolute joints and a slider: 12 - 10 = 2; seven in space: 42
+    - 35 = 7.
+    """
     found = convert.maximal(load(name)).mobility().counting
     assert (found.free, found.taken) == (numbers, constraints)
 
@@ -99,11 +132,18 @@ def test_lecture_count(name, numbers, constraints):
 def test_count_of_graphs(graph):
     """Bodies times 6 (3) less what joints and couplings take away, as of the system itself."""
     s = graph.mechanism().build()
-    taken = [j.type.constraints(s.dim, s.mechanism.bodies[j.child].particle) for j in s.structure.joints.values()]
+    taken = [
+        j.type.constraints(s.dim, s.mechanism.bodies[j.child].particle)
+        for j in s.structure.joints.values()
+    ]
     particles, full, few = len(graph.particles), *((6, 3) if s.dim == 3 else (3, 2))
     found = counting(convert.maximal(s))
     own = counting(s)
-    assert found.taken == own.taken == sum(taken) + len(s.structure.couplings) + len(s.structure.relations)
+    assert (
+        found.taken
+        == own.taken
+        == sum(taken) + len(s.structure.couplings) + len(s.structure.relations)
+    )
     assert found.free == own.free == full * (len(s.parent) - particles) + few * particles
 
 
@@ -127,7 +167,8 @@ def test_postures_put_the_bodies_in_place():
     assert convert.maximal(chain()).structure.posture_names == ("closed",)
 
 
-# ------------------------------------------------------------------ the same zeros and the same motions
+# ------------------------------------------------------------------ the same zeros and the same
+# motions
 
 
 def judged(s: System, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +183,9 @@ def null_space(J: np.ndarray, tol: float = 1e-7) -> np.ndarray:
 
 
 def twists(s: System, q_max: np.ndarray) -> np.ndarray:
-    """Matrix (numbers of the pairs, nv) from velocities of the maximal system to twists of its bodies."""
+    """Matrix (numbers of the pairs, nv) from velocities of the maximal system to twists of its
+    bodies.
+    """
     kept = range(6) if s.dim == 3 else (0, 1, 5)
     rows = []
     for body in s.body_names[1:]:
@@ -152,7 +195,9 @@ def twists(s: System, q_max: np.ndarray) -> np.ndarray:
 
 
 def compare(s: System, q: np.ndarray) -> None:
-    """At a closed q the system in maximal coordinates and the judge have the same motions of the bodies."""
+    """At a closed q the system in maximal coordinates and the judge have the same motions of the
+    bodies.
+    """
     q_max = maximal_q(s, q)
     assert np.abs(closure_rows.residual(convert.maximal(s), q_max)).max(initial=0.0) < 1e-7
     r, K = judged(s, q)
@@ -161,7 +206,9 @@ def compare(s: System, q: np.ndarray) -> None:
     moving = twists(s, q_max) @ null_space(J)
     assert np.abs(K @ moving).max(initial=0.0) < 1e-6
     singular = np.linalg.svd(K, compute_uv=False) if min(K.shape) else np.zeros(0)
-    if not np.any((singular > 1e-9) & (singular < 1e-4)):  # else a random configuration is near a singular one
+    if not np.any(
+        (singular > 1e-9) & (singular < 1e-4)
+    ):  # else a random configuration is near a singular one
         free = K.shape[1] - int((singular > 1e-6).sum())
         assert np.linalg.matrix_rank(moving, tol=1e-6) == free if moving.size else free == 0
     minimal = closure_rows.jacobian(s, q)
@@ -176,7 +223,9 @@ def test_same_motions(graph, seed):
     compare(*closed(graph, seed))
 
 
-@pytest.mark.parametrize("name", ["four_bar", "four_links", "jansen", "bennett", "sarrus", "stewart", "puma560"])
+@pytest.mark.parametrize(
+    "name", ["four_bar", "four_links", "jansen", "bennett", "sarrus", "stewart", "puma560"]
+)
 def test_same_motions_of_models(name):
     s = load(name)
     compare(s, s.assemble().q)
@@ -189,7 +238,9 @@ def test_same_motions_with_couplings_of_all_sorts():
     m.couple("J4.rx", {"J5.x": 1.0, "J4.ry": -0.7, "J8.ry": 0.3}, 0.2)
     m.gear("J8.rz", "J11.rx", 1.5)
     quat = spatial.unit([1.0, -2, 3, 4])
-    m.lock(dict(zip(["J7.qw", "J7.qx", "J7.qy", "J7.qz"], quat.tolist(), strict=True)) | {"J6.x": 0.3})
+    m.lock(
+        dict(zip(["J7.qw", "J7.qx", "J7.qy", "J7.qz"], quat.tolist(), strict=True)) | {"J6.x": 0.3}
+    )
     m.distance("rod", "b3", "p", 0.7, at=(1, 0, 0))
     m.point_on_line("line", "b1", "p", axis=(1, 2, 3))
     m.point_on_plane("plane", "b8", "b2", child_at=(0, 1, 0))
@@ -236,7 +287,9 @@ def test_a_batch():
     q = s.random(3, (2, 3))
     back = from_maximal(s, to_maximal(s, q), start=q)
     np.testing.assert_allclose(back, q, atol=1e-10)
-    np.testing.assert_allclose(from_maximal(s, to_maximal(s, q)[1, 2], start=q[1, 2]), q[1, 2], atol=1e-10)
+    np.testing.assert_allclose(
+        from_maximal(s, to_maximal(s, q)[1, 2], start=q[1, 2]), q[1, 2], atol=1e-10
+    )
     assert from_maximal(s, np.zeros((0, 13, 4, 4))).shape == (0, s.nq)
 
 
@@ -267,13 +320,17 @@ def test_followers_tell_the_turns_of_their_driver():
     m.gear("b", "a", 0.5, 0.1)
     m.gear("c", "a", -1 / 3)
     s = m.build()
-    q = np.array([4.5 * 2 * math.pi])  # a third of c's turns, and half of b's: known up to six turns of a
+    q = np.array(
+        [4.5 * 2 * math.pi]
+    )  # a third of c's turns, and half of b's: known up to six turns of a
     X = to_maximal(s, q)
     found = from_maximal(s, X)
     np.testing.assert_allclose(to_maximal(s, found), X, atol=1e-12)
     np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-12)
     X[1] = X[1] @ spatial.pose(spatial.rot_z(0.01))
-    with pytest.raises(InputError, match="violate coordinate 'b', which is tied to others or held, by 0.01 rad"):
+    with pytest.raises(
+        InputError, match="violate coordinate 'b', which is tied to others or held, by 0.01 rad"
+    ):
         from_maximal(s, X)
 
 
@@ -283,7 +340,9 @@ def test_relations_are_checked():
         m.revolute(name, m.ground, m.body(f"wheel {name}"))
     m.couple("c", {"a": 0.5, "b": 0.5})
     s = m.build()
-    q = s.q({"a": 2.0, "b": 1.0, "c": 1.5 + 4 * math.pi})  # c turned twice more: the poses cannot tell
+    q = s.q(
+        {"a": 2.0, "b": 1.0, "c": 1.5 + 4 * math.pi}
+    )  # c turned twice more: the poses cannot tell
     X = to_maximal(s, q)
     np.testing.assert_allclose(from_maximal(s, X), [2.0, 1.0, 1.5], atol=1e-12)
     with pytest.raises(InputError, match="'c'.*by 0.5 rad"):
@@ -294,7 +353,9 @@ def test_relations_are_checked():
 
 
 def mixed() -> System:
-    """A loop, a rod, a point on a line, one in a plane, and a relation, over few enough freedoms to leave some."""
+    """A loop, a rod, a point on a line, one in a plane, and a relation, over few enough freedoms to
+    leave some.
+    """
     m = Mechanism("mixed")
     for name in "abc":
         m.free(f"J{name}", m.ground, m.body(name))
@@ -341,13 +402,17 @@ def test_projection(graph, seed):
     if reached:
         np.testing.assert_allclose(maximal_residual(s, back, q), 0, atol=1e-8)
         R = back[..., :3, :3]
-        np.testing.assert_allclose(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+        np.testing.assert_allclose(
+            R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12
+        )
     same, reached = project(s, X, q, limits=False)
     assert reached and np.abs(same - X).max(initial=0.0) < 1e-6
 
 
 def bennett() -> System:
-    """A loop of four revolute joints that the count says cannot move: redundant equations (Bennett, 1903)."""
+    """A loop of four revolute joints that the count says cannot move: redundant equations (Bennett,
+    1903).
+    """
     a = 1.0
     b = 1.5
     alpha = 0.6
@@ -413,8 +478,12 @@ def test_units_do_not_matter(unit):
     bodies = [m.ground, *(m.body(n) for n in "abc")]
     for i, at in enumerate([0.0, 0.2, 0.7, 0.6]):
         ends = (bodies[i], bodies[i + 1]) if i < 3 else (m.ground, bodies[3])
-        m.revolute("ABCD"[i], *ends, at=((at if i < 3 else 0.8) * unit, 0, 0),
-                   child_at=(0.6 * unit, 0, 0) if i == 3 else (0, 0, 0))  # fmt: skip
+        m.revolute(
+            "ABCD"[i],
+            *ends,
+            at=((at if i < 3 else 0.8) * unit, 0, 0),
+            child_at=(0.6 * unit, 0, 0) if i == 3 else (0, 0, 0),
+        )
     s = m.build()
     q = s.assemble({"A": 0.7}).q
     X = convert.to_maximal(s, q)
@@ -435,9 +504,13 @@ def test_bodies_far_from_the_origin():
     m.distance("rod", m.ground, b, 0.5, at=(1e6 + 0.4, -1e6, 3e5), child_at=(0.3, 0.0, 0.1))
     s = m.build()
     q = s.assemble().q
-    np.testing.assert_allclose(convert.from_maximal(s, convert.to_maximal(s, q), start=q), q, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        convert.from_maximal(s, convert.to_maximal(s, q), start=q), q, rtol=0, atol=1e-8
+    )
     answer = convert.maximal(s).assemble(
-        start=convert.maximal(s).configuration_space.integrate(maximal_q(s, q), np.full(convert.maximal(s).nv, 0.01))
+        start=convert.maximal(s).configuration_space.integrate(
+            maximal_q(s, q), np.full(convert.maximal(s).nv, 0.01)
+        )
     )
     assert answer.success and convert.maximal(s).mobility(maximal_q(s, q)).dof == 2
 
@@ -462,10 +535,16 @@ def test_nothing_moves():
     [
         (lambda X: X[:-1], r"needs \(..., 3, 4, 4\): all bodies but the ground"),
         (lambda X: X + [[np.nan]], "pose of body 'crank' is not a pose: .* must be finite"),
-        (lambda X: 1.01 * X, "pose of body 'crank' is not a pose: its last row is .*1.01.; it must be 0 0 0 1"),
+        (
+            lambda X: 1.01 * X,
+            "pose of body 'crank' is not a pose: its last row is .*1.01.; it must be 0 0 0 1",
+        ),
         (lambda X: spatial.pose(spatial.rot_x(0.1)) @ X, "pose of body 'crank' leaves the plane"),
         (lambda X: spatial.pose(p=[0, 0, 0.1]) @ X, "pose of body 'crank' leaves the plane"),
-        (lambda X: spatial.pose(p=[0.3, 0.4, 0]) @ X, r"violate joint 'A' \(revolute\) by 0.5 m; at most 1e-06"),
+        (
+            lambda X: spatial.pose(p=[0.3, 0.4, 0]) @ X,
+            r"violate joint 'A' \(revolute\) by 0.5 m; at most 1e-06",
+        ),
     ],
 )
 def test_refused(change, said):
@@ -520,14 +599,19 @@ def test_poses_of_pinocchio():
     np.testing.assert_allclose(from_maximal(s, X, start=q), q, atol=1e-10)
 
 
-# ------------------------------------------------------------------ joints that hold nothing along fixed axes
+# ------------------------------------------------------------------ joints that hold nothing along
+# fixed axes
 
 
-@pytest.mark.parametrize(("kind", "dim"), [(t(), d) for t in OWN for d in (2, 3) if d == 3 or t.planar], ids=str)
+@pytest.mark.parametrize(
+    ("kind", "dim"), [(t(), d) for t in OWN for d in (2, 3) if d == 3 or t.planar], ids=str
+)
 def test_types_of_ones_own(kind, dim):
     """The rank, projection, and coordinates read off."""
     rng = np.random.default_rng(13)
-    shape = closed_graphs.closed(rng, dim, 2, [kind, Spherical() if dim == 3 else Revolute(), Free()], ring=True)
+    shape = closed_graphs.closed(
+        rng, dim, 2, [kind, Spherical() if dim == 3 else Revolute(), Free()], ring=True
+    )
     s = shape.system(frozenset({"j0"}))
     q = shape.values(s)
     compare(s, q)

@@ -1,4 +1,6 @@
-"""The judge: against the kernels' equations and long-double poses, and that it exposes equations that are wrong."""
+"""The judge: against the kernels' equations and long-double poses, and that it exposes equations
+that are wrong.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def test_poses_are_those_of_the_forward_model(name):
 
 
 def test_joints_that_close_loops(hunt):
-    """Open loops of random joints and products: the kernels' twists have lengths and angles that the judge finds."""
+    """Open loops of random joints and products: the kernels' twists have lengths and angles that
+    the judge finds.
+    """
     rng = hunt.rng()
     kinds = set()
     for _ in range(hunt.cases(100)):
@@ -65,7 +69,10 @@ def test_joints_that_close_loops(hunt):
         np.testing.assert_allclose(np.moveaxis(found.errors, 0, 1)[..., 1:], size, atol=2e-7)
         place = np.array([made.open_by(system, x) for x in q], dtype=float)
         assert found.holds.tolist() == (place < 1e-6).tolist() == [True, False]
-        kinds |= {system.structure.joints[n].type.type_name.split("(")[0] for n in system.structure.closures}
+        kinds |= {
+            system.structure.joints[n].type.type_name.split("(")[0]
+            for n in system.structure.closures
+        }
     assert len(kinds) >= 6
 
 
@@ -83,7 +90,9 @@ def test_couplings_with_several_sources():
 
 
 def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
-    """A residual that is always zero is believed by the solver; the report of its success says that it is wrong."""
+    """A residual that is always zero is believed by the solver; the report of its success says that
+    it is wrong.
+    """
     system = kempe.load("four_bar")
 
     def blind(*given):
@@ -97,7 +106,11 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
     answer = system.assemble({"A": 0.3}, start=system.neutral)
     assert answer.success and answer.residual == 0.0 and not answer.judged.holds
     said = "success is contradicted, judged by poses multiplied out in numpy: 'C' is missed by"
-    for shown in (str(answer), html.unescape(answer._repr_html_()), text(loop_report.assembly(answer))):
+    for shown in (
+        str(answer),
+        html.unescape(answer._repr_html_()),
+        text(loop_report.assembly(answer)),
+    ):
         assert said in shown
     data = facts.answer_facts(answer)["judged"]
     assert data["holds"] is False and max(data["errors"]["C"]) > 1e-3
@@ -106,7 +119,9 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
 
 
 def test_a_forward_model_that_is_wrong_is_exposed(monkeypatch):
-    """An `ik` that believes a tool to be where it is not is contradicted by the poses that the joints give."""
+    """An `ik` that believes a tool to be where it is not is contradicted by the poses that the
+    joints give.
+    """
     system = kempe.load("two_link")
     answer = system.ik([0.6, 0.3], "e")
     assert answer.judged and "judged by poses" in text(report.solution(system, answer))
@@ -114,7 +129,9 @@ def test_a_forward_model_that_is_wrong_is_exposed(monkeypatch):
     moved.__dict__.update(answer.__dict__, q=answer.q + 0.01)
     moved.__dict__.pop("judged")
     assert moved.success and not moved.judged
-    assert "success is contradicted" in str(moved) and "success is contradicted" in text(report.solution(system, moved))
+    assert "success is contradicted" in str(moved) and "success is contradicted" in text(
+        report.solution(system, moved)
+    )
     assert facts.answer_facts(moved)["judged"]["holds"] is False
 
 
@@ -126,6 +143,10 @@ def test_what_is_open_is_not_said_to_be_contradicted():
 def test_paths_and_batches():
     system = kempe.load("jansen")
     path = system.trace("O")
-    assert path.judged and path.judged.errors.shape == (3, len(path), 2) and "judged by" in text(loop_report.path(path))
+    assert (
+        path.judged
+        and path.judged.errors.shape == (3, len(path), 2)
+        and "judged by" in text(loop_report.path(path))
+    )
     batch = system.assemble({"O": [0.1, np.nan, 0.4]})
     assert batch.judged.holds.tolist() == [True, False, True] and batch.verdict == ""

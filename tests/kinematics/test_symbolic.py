@@ -1,4 +1,6 @@
-"""Formulas: those of the lecture and of textbooks to the letter, and the right numbers for systems of every kind."""
+"""Formulas: those of the lecture and of textbooks to the letter, and the right numbers for systems
+of every kind.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,11 @@ from kempe.kinematics.formulas.symbolic_turns import TURN_LIMIT  # noqa: E402
 
 def numbers(formula, system: System, q, **parameters) -> np.ndarray:
     """The formula as numbers, by sympy, at a configuration."""
-    values = {**system.structure.parameters, **parameters, **dict(zip(system.coordinate_names, q, strict=True))}
+    values = {
+        **system.structure.parameters,
+        **parameters,
+        **dict(zip(system.coordinate_names, q, strict=True)),
+    }
     function = sympy.lambdify([sympy.Symbol(n) for n in values], formula, modules="numpy", cse=True)
     return np.array(function(*values.values()), dtype=float)
 
@@ -48,7 +54,10 @@ def two_link() -> Mechanism:
 def test_the_lectures_formula():
     T = two_link().build().symbolic.fk("e")
     assert isinstance(T, sympy.Matrix) and T.shape == (4, 4)
-    assert [str(x) for x in T[:2, 3]] == ["l1*cos(q1) + l2*cos(q1 + q2)", "l1*sin(q1) + l2*sin(q1 + q2)"]
+    assert [str(x) for x in T[:2, 3]] == [
+        "l1*cos(q1) + l2*cos(q1 + q2)",
+        "l1*sin(q1) + l2*sin(q1 + q2)",
+    ]
     assert [str(x) for x in T[:2, 0]] == ["cos(q1 + q2)", "sin(q1 + q2)"]
     assert [str(x) for x in T[:2, 1]] == ["-sin(q1 + q2)", "cos(q1 + q2)"]
     assert list(T[2, :]) == [0, 0, 1, 0] and list(T[3, :]) == [0, 0, 0, 1]
@@ -57,7 +66,10 @@ def test_the_lectures_formula():
 
 def test_it_prints_as_latex():
     T = two_link().build().symbolic.fk("e")
-    assert sympy.latex(T[0, 3]) == r"l_{1} \cos{\left(q_{1} \right)} + l_{2} \cos{\left(q_{1} + q_{2} \right)}"
+    assert (
+        sympy.latex(T[0, 3])
+        == r"l_{1} \cos{\left(q_{1} \right)} + l_{2} \cos{\left(q_{1} + q_{2} \right)}"
+    )
     shown = T._repr_latex_()
     assert shown.startswith("$") and r"l_{2} \sin{\left(q_{1} + q_{2} \right)}" in shown
     assert pickle.loads(pickle.dumps(T)) == T
@@ -98,7 +110,9 @@ def test_a_joint_turned_over_counts_backwards():
     m = Mechanism("backwards")
     m.revolute("A", m.ground, m.body("a"))
     m.revolute("B", "a", m.body("b"), at=(1, 0, 0), axis=(0, 0, -1))
-    m.revolute("C", m.body("c"), "b", child_at=(2, 0, 0))  # the tree walks it from its child to its parent
+    m.revolute(
+        "C", m.body("c"), "b", child_at=(2, 0, 0)
+    )  # the tree walks it from its child to its parent
     T = m.build().symbolic.fk("c")
     assert str(T[0, 3]) == "cos(A) + 2*cos(A - B)" and str(T[0, 0]) == "cos(-A + B + C)"
 
@@ -108,8 +122,14 @@ def test_the_puma_of_the_textbooks():
     T = kempe.load("puma560").symbolic.fk("tool")
     c1, s1, c2, s2, c23, s23 = sympy.symbols("c1 s1 c2 s2 c23 s23")
     q1, q2, q3 = sympy.symbols("q1 q2 q3")
-    names = {sympy.cos(q1): c1, sympy.sin(q1): s1, sympy.cos(q2): c2, sympy.sin(q2): s2,
-             sympy.cos(q2 + q3): c23, sympy.sin(q2 + q3): s23}  # fmt: skip
+    names = {
+        sympy.cos(q1): c1,
+        sympy.sin(q1): s1,
+        sympy.cos(q2): c2,
+        sympy.sin(q2): s2,
+        sympy.cos(q2 + q3): c23,
+        sympy.sin(q2 + q3): s23,
+    }
     a2, a3, d3, d4 = sympy.symbols("a2 a3 d3 d4")
     reach = a2 * c2 + a3 * c23 - d4 * s23
     wanted = [c1 * reach + d3 * s1, s1 * reach - d3 * c1, a2 * s2 + a3 * s23 + d4 * c23]
@@ -118,7 +138,9 @@ def test_the_puma_of_the_textbooks():
 
 
 def test_the_stanford_arm_of_the_textbooks():
-    """Pose of the hand (Spong, Hutchinson, Vidyasagar, 2006, chapter 3), where the shoulder is the origin."""
+    """Pose of the hand (Spong, Hutchinson, Vidyasagar, 2006, chapter 3), where the shoulder is the
+    origin.
+    """
     arm = kempe.load("stanford")
     T = arm.symbolic.fk("tool", symbols={"d1": 0})
     d2, d3, d6 = sympy.symbols("d2 d3 d6")
@@ -156,7 +178,9 @@ def test_random_systems(graph: Graph, seed):
     expected = graph.poses(s, q)
     rng = np.random.default_rng(seed)
     for name in rng.choice(s.body_names, min(2, len(s.body_names)), replace=False).tolist():
-        np.testing.assert_allclose(numbers(s.symbolic.fk(name), s, q), expected[name], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            numbers(s.symbolic.fk(name), s, q), expected[name], rtol=0, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("backwards", [False, True])
@@ -172,9 +196,28 @@ def test_each_joint(kind, options, backwards):
     np.testing.assert_allclose(numbers(s.symbolic.fk("b"), s, q), expected, rtol=0, atol=1e-14)
 
 
-ANGLES = [math.pi / 2, -math.pi / 2, math.pi, math.pi / 3, -3 * math.pi / 4, 0.0, 0.7, "alpha", "pi/2 - alpha", "pi/6"]
+ANGLES = [
+    math.pi / 2,
+    -math.pi / 2,
+    math.pi,
+    math.pi / 3,
+    -3 * math.pi / 4,
+    0.0,
+    0.7,
+    "alpha",
+    "pi/2 - alpha",
+    "pi/6",
+]
 LENGTHS = [0.0, 0.3, -1.0, "l", "l/2 + 0.1", "l*cos(alpha)"]
-DIRECTIONS = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -2.5, 0), (1, 1, 0), (0.3, -0.4, 0.5), (1, 2, 3)]
+DIRECTIONS = [
+    (0, 0, 1),
+    (0, 0, -1),
+    (1, 0, 0),
+    (0, -2.5, 0),
+    (1, 1, 0),
+    (0.3, -0.4, 0.5),
+    (1, 2, 3),
+]
 
 
 @st.composite
@@ -198,11 +241,19 @@ def chains(draw) -> System:
         options = {"pitch": draw(st.sampled_from([0.2, -1.0]))} if kind == "helical" else {}
         ends = (body, here) if draw(st.booleans()) else (here, body)
         axis = draw(st.sampled_from(DIRECTIONS))
-        m.joint(f"j{i}", kind, *ends, **X, child_at=Y["at"], child_rpy=Y["rpy"], axis=axis, **options)
+        m.joint(
+            f"j{i}", kind, *ends, **X, child_at=Y["at"], child_rpy=Y["rpy"], axis=axis, **options
+        )
         here = body
-    single = [n for n, j in m.joints.items() if j.type.type_name in ("revolute", "prismatic", "helical")]
+    single = [
+        n for n, j in m.joints.items() if j.type.type_name in ("revolute", "prismatic", "helical")
+    ]
     if len(single) > 2 and draw(st.booleans()):
-        m.couple(single[0], {single[1]: draw(st.sampled_from([-1.0, 0.5, "2*l"]))}, draw(st.sampled_from(ANGLES)))
+        m.couple(
+            single[0],
+            {single[1]: draw(st.sampled_from([-1.0, 0.5, "2*l"]))},
+            draw(st.sampled_from(ANGLES)),
+        )
     if len(single) > 1 and draw(st.booleans()):
         m.lock({single[-1]: draw(st.sampled_from([math.pi / 2, 0.3]))})
     m.frame("e", here, **place(), axis=draw(st.sampled_from(DIRECTIONS)))
@@ -220,17 +271,30 @@ def test_chains_with_parameters(s: System, seed):
         np.testing.assert_allclose(numbers(T, s, q, **new), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["puma560", "ur5", "stanford", "cobra600", "panda", "seven_bodies_loop"])
+@pytest.mark.parametrize(
+    "name", ["puma560", "ur5", "stanford", "cobra600", "panda", "seven_bodies_loop"]
+)
 def test_shipped_models(name):
     s = kempe.load(name)
     q = s.random(1)
     for frame in (s.frame_names[-1], s.body_names[-1]):
-        np.testing.assert_allclose(numbers(s.symbolic.fk(frame), s, q), s.fk(q, frame), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            numbers(s.symbolic.fk(frame), s, q), s.fk(q, frame), rtol=0, atol=1e-12
+        )
 
 
 def test_panda_from_its_file():
-    folder = Path(sys.prefix) / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
-    found = sorted(folder.glob("cmeel.prefix/share/example-robot-data/robots/panda_description/urdf/panda.urdf"))
+    folder = (
+        Path(sys.prefix)
+        / "lib"
+        / f"python{sys.version_info[0]}.{sys.version_info[1]}"
+        / "site-packages"
+    )
+    found = sorted(
+        folder.glob(
+            "cmeel.prefix/share/example-robot-data/robots/panda_description/urdf/panda.urdf"
+        )
+    )
     if not found:
         pytest.skip("example-robot-data is not installed")
     s = kempe.load(found[0])
@@ -240,7 +304,9 @@ def test_panda_from_its_file():
 
 
 def test_loose_ends():
-    """The ground, a frame on it, a particle, a quaternion that is locked or set by parameters, a numeric matrix."""
+    """The ground, a frame on it, a particle, a quaternion that is locked or set by parameters, a
+    numeric matrix.
+    """
     m = Mechanism("loose ends")
     m.parameter("w", 0.3)
     m.frame("f", m.ground, at=(1, 2, 3), quat_wxyz=("w", 1, 0, 0.5))
@@ -252,7 +318,9 @@ def test_loose_ends():
     s = m.build()
     q = s.random(0)
     for name in s.frame_names:
-        np.testing.assert_allclose(numbers(s.symbolic.fk(name), s, q), s.fk(q, name), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            numbers(s.symbolic.fk(name), s, q), s.fk(q, name), rtol=0, atol=1e-14
+        )
     assert s.symbolic.fk("dot")[:3, :3] == sympy.eye(3) and s.symbolic.fk("ground") == sympy.eye(4)
 
 
@@ -272,10 +340,14 @@ def test_exact_angles(k):
         assert x == sympy.cos(sympy.pi * k / 12) * sympy.Symbol("x") and not x.has(sympy.Float)
 
 
-@pytest.mark.parametrize("angle", [1.5708, 0.5, 1.0, math.pi / 7, math.nextafter(math.nextafter(math.pi, 4), 4)])
+@pytest.mark.parametrize(
+    "angle", [1.5708, 0.5, 1.0, math.pi / 7, math.nextafter(math.nextafter(math.pi, 4), 4)]
+)
 def test_other_angles_stay_what_they_are(angle):
     factor = turned(angle).symbolic.fk("b")[0, 3].coeff(sympy.Symbol("x"))
-    assert isinstance(factor, sympy.Float) and float(factor) == pytest.approx(math.cos(angle), rel=1e-15)
+    assert isinstance(factor, sympy.Float) and float(factor) == pytest.approx(
+        math.cos(angle), rel=1e-15
+    )
 
 
 def test_lengths_stay_decimals_and_print_well():
@@ -298,7 +370,11 @@ def test_snap():
 
 def test_snap_of_a_matrix():
     m = Mechanism("matrix")
-    m.frame("f", m.ground, matrix=reference.placement((0, 0, 0), (1e-6, 0, math.pi / 2))[:3, :3].astype(float))
+    m.frame(
+        "f",
+        m.ground,
+        matrix=reference.placement((0, 0, 0), (1e-6, 0, math.pi / 2))[:3, :3].astype(float),
+    )
     s = m.build()
     T = s.symbolic.fk("f", snap=1e-5)
     assert T[:3, :3] == sympy.Matrix([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -376,5 +452,7 @@ def test_without_sympy():
         "try:\n    m.build().symbolic.fk('b')\n"
         "except kempe.errors.MissingExtraError as error:\n    print(error)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True
+    )
     assert done.stdout.strip().endswith("pip install 'sympy>=1.12'")

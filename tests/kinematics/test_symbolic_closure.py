@@ -1,4 +1,6 @@
-"""Equations of closed loops in symbols: zero where loops are closed, and of the rank that `mobility` finds."""
+"""Equations of closed loops in symbols: zero where loops are closed, and of the rank that
+`mobility` finds.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def function(system, closure):
     return lambda q: np.array(f(*system.structure.parameters.values(), *q), dtype=float).ravel()
 
 
-@pytest.mark.parametrize("name", some([*MODELS, *(pytest.param(n, marks=pytest.mark.slow) for n in sorted(LONG))], 4))
+@pytest.mark.parametrize(
+    "name", some([*MODELS, *(pytest.param(n, marks=pytest.mark.slow) for n in sorted(LONG))], 4)
+)
 def test_equations_are_zero_where_closed_and_have_the_rank_of_the_loops(name):
     system = kempe.load(name)
     f = function(system, system.symbolic.closure())
@@ -32,8 +36,14 @@ def test_equations_are_zero_where_closed_and_have_the_rank_of_the_loops(name):
     h = 1e-6
     np.testing.assert_allclose(f(q), 0.0, atol=1e-9)
     move = system.configuration_space.integrate
-    J = np.stack([(f(move(q, h * e)) - f(move(q, -h * e))) / (2 * h) for e in np.eye(system.nv)], axis=1)
-    cut = [system.structure.joints[j] for j in system.structure.closures if j not in must_be_explicit(system)]
+    J = np.stack(
+        [(f(move(q, h * e)) - f(move(q, -h * e))) / (2 * h) for e in np.eye(system.nv)], axis=1
+    )
+    cut = [
+        system.structure.joints[j]
+        for j in system.structure.closures
+        if j not in must_be_explicit(system)
+    ]
     absent = sum(j.type.dof(system.dim) for j in cut)  # coordinates of cut joints do not occur
     rank = np.linalg.matrix_rank(J, tol=1e-6)
     assert system.nv - absent - rank == system.mobility(q, local=False).rank_dof
@@ -53,18 +63,27 @@ def test_rods_slots_and_relations():
     m = kempe.Mechanism("m", dim=2)
     m.revolute("A", m.ground, m.body("crank"))
     m.revolute("D", m.ground, m.body("rocker"), at=(2, 0))
-    m.distance("rod", "crank", "rocker", length=m.parameter("l", 1.8), at=(0.5, 0), child_at=(1.0, 0))
+    m.distance(
+        "rod", "crank", "rocker", length=m.parameter("l", 1.8), at=(0.5, 0), child_at=(1.0, 0)
+    )
     m.revolute("E", "rocker", m.body("wheel"), at=(1, 0))
     m.couple("E", {"A": 2.0, "D": 1.0}, offset=0.1)
     system = m.build()
     closure = system.symbolic.closure()
     q = system.assemble().q
     np.testing.assert_allclose(function(system, closure)(q), 0.0, atol=1e-9)
-    assert list(closure.equations) == ["rod", "E"] and sympy.Symbol("l") in closure["rod"].free_symbols
+    assert (
+        list(closure.equations) == ["rod", "E"] and sympy.Symbol("l") in closure["rod"].free_symbols
+    )
     slot = kempe.read("two_link")
     slot.point_on_line("rail", slot.ground, "e", axis=(1, 0), at=(0, 0.2))
-    assert sympy.simplify(slot.build().symbolic.closure()["rail"][0] ** 2 - (
-        sympy.sympify("l1*sin(q1) + l2*sin(q1 + q2) - 0.2")) ** 2) == 0  # fmt: skip
+    assert (
+        sympy.simplify(
+            slot.build().symbolic.closure()["rail"][0] ** 2
+            - (sympy.sympify("l1*sin(q1) + l2*sin(q1 + q2) - 0.2")) ** 2
+        )
+        == 0
+    )
 
 
 def test_joints_that_are_cut_with_limits_are_led_on():

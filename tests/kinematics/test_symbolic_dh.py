@@ -21,7 +21,9 @@ CHAINS = [n for n in shipped() if n not in NONE and n not in with_loops()]
 
 def back(system, frame, table, q):
     """How far the chain of a table is from the system."""
-    columns = [[n.replace(".", "_") for n in system.coordinate_names].index(row.name) for row in table.rows]
+    columns = [
+        [n.replace(".", "_") for n in system.coordinate_names].index(row.name) for row in table.rows
+    ]
     return np.abs(table.mechanism().build().fk(q[:, columns], "tool") - system.fk(q, frame)).max()
 
 
@@ -36,7 +38,10 @@ def test_tables_of_shipped_chains_are_these_chains(name, convention):
 
 def test_the_lectures_arm():
     table = kempe.load("two_link").symbolic.to_dh("e")
-    assert [(r.a, r.alpha, r.d, r.theta) for r in table.rows] == [("l1", 0.0, 0.0, 0.0), ("l2", 0.0, 0.0, 0.0)]
+    assert [(r.a, r.alpha, r.d, r.theta) for r in table.rows] == [
+        ("l1", 0.0, 0.0, 0.0),
+        ("l2", 0.0, 0.0, 0.0),
+    ]
     np.testing.assert_array_equal(table.base, np.eye(4))
     np.testing.assert_array_equal(table.tool, np.eye(4))
     assert "joint = q2, a = l2, alpha = 0, d = 0, theta = q2" in str(table)
@@ -55,21 +60,32 @@ def test_the_published_table_of_the_panda():
         return float(sympy.sympify(x).subs(values))
 
     for row, (a, alpha, d) in zip(table.rows, published, strict=True):
-        assert (number(row.a), math.degrees(number(row.alpha)), number(row.d)) == pytest.approx((a, alpha, d))
+        assert (number(row.a), math.degrees(number(row.alpha)), number(row.d)) == pytest.approx(
+            (a, alpha, d)
+        )
 
 
 def test_random_chains(hunt):
-    """Axes in space in any direction, some of them parallel or meeting, turns and slides, the base anywhere."""
+    """Axes in space in any direction, some of them parallel or meeting, turns and slides, the base
+    anywhere.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
         m = kempe.Mechanism("chain")
         here = None
         for i in range(int(rng.integers(1, 5))):
-            axis = [(0, 0, 1), (0, 1, 0), (1, 0, 0), tuple(rng.uniform(-1, 1, 3)), (0, 0, -1)][int(rng.integers(5))]
+            axis = [(0, 0, 1), (0, 1, 0), (1, 0, 0), tuple(rng.uniform(-1, 1, 3)), (0, 0, -1)][
+                int(rng.integers(5))
+            ]
             at = np.where(rng.random(3) < 0.4, 0.0, rng.uniform(-1, 1, 3))
             make = m.revolute if rng.random() < 0.7 else m.prismatic
             make(
-                f"q{i}", here or m.ground, m.body(f"b{i}"), at=tuple(at), axis=axis, rpy=tuple(rng.choice([0, 0.3], 3))
+                f"q{i}",
+                here or m.ground,
+                m.body(f"b{i}"),
+                at=tuple(at),
+                axis=axis,
+                rpy=tuple(rng.choice([0, 0.3], 3)),
             )
             here = f"b{i}"
         m.frame("tip", here, at=tuple(rng.uniform(-1, 1, 3)), rpy=tuple(rng.choice([0, 0.5], 3)))
@@ -88,11 +104,14 @@ def test_zero_lengths_and_lengths_at_an_angle():
     m.frame("tip", "B", at=("a", 0))
     table = m.build().symbolic.to_dh("tip")
     assert (
-        float(table.rows[0].a) == pytest.approx(0.5) and back(m.build(), "tip", table, m.build().random(0, 3)) < 1e-12
+        float(table.rows[0].a) == pytest.approx(0.5)
+        and back(m.build(), "tip", table, m.build().random(0, 3)) < 1e-12
     )
 
 
-@pytest.mark.parametrize(("name", "frame"), [("ball", "ball"), ("joint_helical", "body"), ("joint_fixed", "body")])
+@pytest.mark.parametrize(
+    ("name", "frame"), [("ball", "ball"), ("joint_helical", "body"), ("joint_fixed", "body")]
+)
 def test_what_has_no_table(name, frame):
     with pytest.raises(UnsupportedError):
         kempe.load(name).symbolic.to_dh(frame)
@@ -116,12 +135,17 @@ def test_the_text_says_where_the_first_and_the_last_frame_are():
     table = m.build().symbolic.to_dh("tip")
     text = str(table)
     assert "frame 0 in the ground: at (0.2, 0.1, 0), rpy (0, 0, 0)" in text
-    assert "tip in the last frame: at (0, 0, 0), rpy (0, 0, 0.25)" in text and "0.25)" in table._repr_html_()
+    assert (
+        "tip in the last frame: at (0, 0, 0), rpy (0, 0, 0.25)" in text
+        and "0.25)" in table._repr_html_()
+    )
     assert "frame" not in str(kempe.load("two_link").symbolic.to_dh("e"))
 
 
 def test_axes_that_are_nearly_parallel(hunt):
-    """Angles down to a few 1e-8 are in the table: six decimals of pi / 2 are off by 3.3e-7, which a long arm shows."""
+    """Angles down to a few 1e-8 are in the table: six decimals of pi / 2 are off by 3.3e-7, which a
+    long arm shows.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         m = kempe.Mechanism("near")

@@ -1,4 +1,6 @@
-"""Formulas step by step, relative, as a Jacobian, in short: those of the lecture, and the numbers of `fk`."""
+"""Formulas step by step, relative, as a Jacobian, in short: those of the lecture, and the numbers
+of `fk`.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,19 @@ sympy = pytest.importorskip("sympy")
 from kempe.kinematics.formulas.symbolic_steps import short_form  # noqa: E402
 
 ARM = kempe.load("two_link")
-SYSTEMS = ["two_link", "seven_bodies", "puma560", "ur5", "panda", "four_bar", "four_links", "joint_helical",
-           "joint_universal", "joint_cylindrical", "seven_bodies_loop"]  # fmt: skip
+SYSTEMS = [
+    "two_link",
+    "seven_bodies",
+    "puma560",
+    "ur5",
+    "panda",
+    "four_bar",
+    "four_links",
+    "joint_helical",
+    "joint_universal",
+    "joint_cylindrical",
+    "seven_bodies_loop",
+]
 
 
 def numbers(system, formula, q):
@@ -40,9 +53,9 @@ def test_steps_multiply_to_the_forward_model(name):
     for (a, b), T, R, p, X in zip(pairs, steps.T, steps.R, steps.p, steps.numbers(q), strict=True):
         A = system.fk(q, a) if a != steps.names[0] else np.eye(4)
         B = system.fk(q, b)
-        assert np.allclose(numbers(system, T, q), spatial.inverse(A) @ B, atol=1e-12) and np.allclose(
-            X, spatial.inverse(A) @ B, atol=1e-12
-        )
+        assert np.allclose(
+            numbers(system, T, q), spatial.inverse(A) @ B, atol=1e-12
+        ) and np.allclose(X, spatial.inverse(A) @ B, atol=1e-12)
         assert T[:3, :3] == R and T[:3, 3] == p
     for b, product in zip(steps.names[1:], steps.products, strict=True):
         assert np.allclose(numbers(system, product, q), system.fk(q, b), atol=1e-12)
@@ -78,22 +91,36 @@ def test_the_lectures_arm_to_the_letter():
     assert formula == sympy.Matrix([l1 * c1 + l2 * c12, l1 * s1 + l2 * s12])
     assert legend[c12] == sympy.cos(q1 + q2) and legend[s1] == sympy.sin(q1) and len(legend) == 4
     J, _ = ARM.symbolic.short(ARM.symbolic.jacobian("e"))
-    assert J[:2, :] == sympy.Matrix([[-l1 * s1 - l2 * s12, -l2 * s12], [l1 * c1 + l2 * c12, l2 * c12]])
+    assert J[:2, :] == sympy.Matrix(
+        [[-l1 * s1 - l2 * s12, -l2 * s12], [l1 * c1 + l2 * c12, l2 * c12]]
+    )
     assert list(J[5, :]) == [1, 1]
     det = sympy.trigsimp(ARM.symbolic.jacobian("e")[:2, :].det())
-    assert sympy.simplify(det - l1 * l2 * sympy.sin(q2)) == 0  # singular where the arm is straight or folded
+    assert (
+        sympy.simplify(det - l1 * l2 * sympy.sin(q2)) == 0
+    )  # singular where the arm is straight or folded
 
 
 def test_latex_says_both_frames_at_the_left():
     steps = ARM.symbolic.steps("e")
-    assert r"{}^{\mathrm{ground}}_{\mathrm{B1}}T" in steps.latex() and steps._repr_latex_().startswith("$")
+    assert (
+        r"{}^{\mathrm{ground}}_{\mathrm{B1}}T" in steps.latex()
+        and steps._repr_latex_().startswith("$")
+    )
     assert "B2 in B1: p = (l1, 0, 0)" in str(steps)
 
 
-@pytest.mark.parametrize("formula, said", [
-    ("cos(q2 - q1)", "c_{1-2}"), ("sin(q1) + sin(q2)", "s1 + s2"), ("cos(2*q1)", "cos(2*q1)"), ("cos(l1)", "cos(l1)"),
-    ("cos(q1 + 1)", "cos(q1 + 1)"), ("c1 + cos(q1)", "c1 + cos(q1)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "formula, said",
+    [
+        ("cos(q2 - q1)", "c_{1-2}"),
+        ("sin(q1) + sin(q2)", "s1 + s2"),
+        ("cos(2*q1)", "cos(2*q1)"),
+        ("cos(l1)", "cos(l1)"),
+        ("cos(q1 + 1)", "cos(q1 + 1)"),
+        ("c1 + cos(q1)", "c1 + cos(q1)"),
+    ],
+)
 def test_short_names(formula, said):
     short, legend = short_form(ARM, sympy.sympify(formula))
     assert str(short) == said
@@ -107,14 +134,17 @@ def test_names_without_digits_stay_readable():
     m.frame("tip", "lower", at=(0.25, 0))
     system = m.build()
     assert (
-        str(system.symbolic.short(system.symbolic.fk("tip")[0, 3]).formula) == "0.5*c_shoulder + 0.25*c_shoulder_elbow"
+        str(system.symbolic.short(system.symbolic.fk("tip")[0, 3]).formula)
+        == "0.5*c_shoulder + 0.25*c_shoulder_elbow"
     )
 
 
 def test_values_in_place_of_symbols():
     J = ARM.symbolic.jacobian("e", symbols={"l1": 2, "l2": 1, "q1": 0})
     q2 = sympy.Symbol("q2")
-    assert J[:2, :] == sympy.Matrix([[-sympy.sin(q2), -sympy.sin(q2)], [2 + sympy.cos(q2), sympy.cos(q2)]])
+    assert J[:2, :] == sympy.Matrix(
+        [[-sympy.sin(q2), -sympy.sin(q2)], [2 + sympy.cos(q2), sympy.cos(q2)]]
+    )
     assert ARM.symbolic.steps("e", symbols={"l1": 2}).p[1][0] == 2
 
 
@@ -144,10 +174,16 @@ def test_what_is_no_formula_is_refused(wrong):
         ARM.symbolic.short(wrong)
 
 
-@pytest.mark.parametrize("names, said", [
-    (("q12", "q1", "q2"), "c_q12 + c_q12_q1 + c_q12_q1_q2"), (("left1", "right1"), "c_left1 + c_left1_right1"),
-    (("q1", "q2"), "c1 + c12"), (("q1", "swing"), "c1 + c1_swing"), (("a", "b", "a_b"), "c_a + c_a_b + c_a_b_a_b"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "names, said",
+    [
+        (("q12", "q1", "q2"), "c_q12 + c_q12_q1 + c_q12_q1_q2"),
+        (("left1", "right1"), "c_left1 + c_left1_right1"),
+        (("q1", "q2"), "c1 + c12"),
+        (("q1", "swing"), "c1 + c1_swing"),
+        (("a", "b", "a_b"), "c_a + c_a_b + c_a_b_a_b"),
+    ],
+)
 def test_short_names_tell_angles_apart(names, said):
     """Two angles have no short name in common: numbers put into the legend give the formula back."""
     m = Mechanism("arm", dim=2)
@@ -176,8 +212,17 @@ def test_words_are_upright_and_letters_are_not():
     m.frame("tip", "lower", at=(m.parameter("reach", 0.4), 0))
     arm = m.build()
     for text in (arm.symbolic.steps("tip").latex(), arm.symbolic.ik("tip").latex()):
-        assert r"\mathrm{shoulder}" in text and r"\mathrm{reach}" in text and r"\theta" in text and "l_{1}" in text
-        assert r"\mathrm{cos}" not in text and r"\mathrm{theta}" not in text and r"\mathrm{l}" not in text
+        assert (
+            r"\mathrm{shoulder}" in text
+            and r"\mathrm{reach}" in text
+            and r"\theta" in text
+            and "l_{1}" in text
+        )
+        assert (
+            r"\mathrm{cos}" not in text
+            and r"\mathrm{theta}" not in text
+            and r"\mathrm{l}" not in text
+        )
     short = arm.symbolic.fk("tip", short=True)._repr_latex_()
     assert r"c_{\mathrm{shoulder} \theta}" in short
 
@@ -189,7 +234,10 @@ def test_latex_of_names_with_signs_that_latex_reads(name):
     m.frame("e", "x^2 & " + name, at=(1, 0))
     system = m.build()
     escaped = name[0] + "\\" + name[1:]
-    for text in (system.symbolic.steps("e").latex(), system.symbolic.fk("e", short=True)._repr_latex_()):
+    for text in (
+        system.symbolic.steps("e").latex(),
+        system.symbolic.fk("e", short=True)._repr_latex_(),
+    ):
         assert escaped in text and name not in text and "x^2" not in text
     assert r"\mathrm{x\wedge 2 \& " in system.symbolic.steps("e").latex()
 
@@ -201,12 +249,20 @@ def test_the_jacobian_of_four_general_joints_is_not_multiplied_out():
     body = m.ground
     for i in range(4):
         child = m.body(f"b{i}")
-        m.revolute(f"j{i}", body, child, at=rng.normal(size=3).round(3), rpy=rng.normal(size=3).round(4))
+        m.revolute(
+            f"j{i}", body, child, at=rng.normal(size=3).round(3), rpy=rng.normal(size=3).round(4)
+        )
         body = child
     m.frame("tool", body, at=(0.1, 0, 0.2))
     system = m.build()
     q = rng.normal(size=4)
     J = system.symbolic.jacobian("tool")
-    assert any(isinstance(factor, sympy.Add) for term in sympy.Add.make_args(J[0, 0]) for factor in term.args)
+    assert any(
+        isinstance(factor, sympy.Add)
+        for term in sympy.Add.make_args(J[0, 0])
+        for factor in term.args
+    )
     values = {sympy.Symbol(n): x for n, x in zip(system.coordinate_names, q, strict=True)}
-    np.testing.assert_allclose(np.array(J.subs(values), dtype=float), system.jacobian(q, "tool"), atol=1e-12)
+    np.testing.assert_allclose(
+        np.array(J.subs(values), dtype=float), system.jacobian(q, "tool"), atol=1e-12
+    )

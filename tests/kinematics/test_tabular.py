@@ -1,4 +1,6 @@
-"""Answers that are saved as tables: what is in the files, and that the command line writes the same."""
+"""Answers that are saved as tables: what is in the files, and that the command line writes the
+same.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,15 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "solution": lambda: kempe.load("ur5").ik(targets(kempe.load("ur5"), 1)[0], "tool"),
     "solutions of a batch": lambda: kempe.load("ur5").ik(targets(kempe.load("ur5"), 3), "tool"),
     "all solutions": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 1)[0], "tool"),
-    "all solutions of a batch": lambda: kempe.load("ur5").ik_all(targets(kempe.load("ur5"), 3), "tool"),
+    "all solutions of a batch": lambda: kempe.load("ur5").ik_all(
+        targets(kempe.load("ur5"), 3), "tool"
+    ),
     "tasks": lambda: redundant().ik([kempe.tasks.Position("tool", [0.5, 0.5, 0])]),
     "ik_path": lambda: redundant().ik_path(np.linspace([0.9, 0.1, 0], [0.6, 0.3, 0], 9), "tool"),
-    "self_motion": lambda: redundant().inverse.self_motion([0.3, 0.4, 0.5], "tool", task="position",
-                                                   budget=kempe.Budget(points=20)),  # fmt: skip
-}  # fmt: skip
+    "self_motion": lambda: redundant().inverse.self_motion(
+        [0.3, 0.4, 0.5], "tool", task="position", budget=kempe.Budget(points=20)
+    ),
+}
 
 
 @pytest.mark.parametrize("what", list(MAKERS))
@@ -52,11 +57,16 @@ def test_what_is_saved_is_the_table(what: str, tmp_path: Path):
     assert isinstance(answer, Tabular)
     binary, text = (answer.save(tmp_path / f"x{ending}") for ending in (".npy", ".csv"))
     names, columns = answer.table()
-    assert (binary, text) == (tmp_path / "x.npy", tmp_path / "x.csv") and columns.shape == (len(columns), len(names))
+    assert (binary, text) == (tmp_path / "x.npy", tmp_path / "x.csv") and columns.shape == (
+        len(columns),
+        len(names),
+    )
     np.testing.assert_array_equal(np.load(binary), columns)
     head, *lines = text.read_text().splitlines()
     assert head.split(",") == names
-    np.testing.assert_array_equal(np.array([[float(x) for x in line.split(",")] for line in lines]), columns)
+    np.testing.assert_array_equal(
+        np.array([[float(x) for x in line.split(",")] for line in lines]), columns
+    )
     assert set(answer.system.coordinate_names) <= set(names)
 
 
@@ -80,7 +90,15 @@ def test_the_command_line_writes_the_same_of_batches(what: str, tmp_path: Path):
     X = targets(s, 3)
     np.save(tmp_path / "X.npy", X)
     answer = s.ik(X, "tool") if what == "ik" else s.ik_all(X, "tool")
-    words = [*what.split()[:1], "ur5", "--frame", "tool", "--target", tmp_path / "X.npy", *what.split()[1:]]
+    words = [
+        *what.split()[:1],
+        "ur5",
+        "--frame",
+        "tool",
+        "--target",
+        tmp_path / "X.npy",
+        *what.split()[1:],
+    ]
     assert Result(*words, "-o", tmp_path / "cli.csv").code == 0
     assert answer.save(tmp_path / "own.csv").read_text() == (tmp_path / "cli.csv").read_text()
 
@@ -115,4 +133,6 @@ def test_files_that_cannot_be_written(name: str, words: str, tmp_path: Path, mon
 def test_files_of_the_home_folder(tmp_path: Path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     assert bar().assemble({"A": 0.3}).save("~/x.csv") == tmp_path / "x.csv"
-    assert bar().mechanism.save("~/m.toml") == tmp_path / "m.toml" and kempe.load("~/m.toml") == bar()
+    assert (
+        bar().mechanism.save("~/m.toml") == tmp_path / "m.toml" and kempe.load("~/m.toml") == bar()
+    )

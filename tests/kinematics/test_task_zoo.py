@@ -1,4 +1,6 @@
-"""Every task of the zoo: derivatives by finite differences, errors against the forward model, masses by Pinocchio."""
+"""Every task of the zoo: derivatives by finite differences, errors against the forward model,
+masses by Pinocchio.
+"""
 
 from __future__ import annotations
 
@@ -29,37 +31,57 @@ def zoo(s: System, frame: str, other: str, rng: np.random.Generator) -> list[tas
     def p() -> np.ndarray:
         return rng.uniform(-1, 1, dim)
 
-    X = spatial.exp_se3(rng.normal(size=6)) if dim == 3 else spatial.pose(spatial.rot_z(rng.normal()), [*p(), 0.0])
+    X = (
+        spatial.exp_se3(rng.normal(size=6))
+        if dim == 3
+        else spatial.pose(spatial.rot_z(rng.normal()), [*p(), 0.0])
+    )
     particles = {n for n, (_, _, particle) in s.structure.table.at.items() if particle}
     out: list[tasks.Task] = [
-        tasks.Position(frame, p()), tasks.OnLine(frame, p(), p()), tasks.OnPlane(frame, p(), p()),
-        tasks.HalfSpace(frame, p(), p(), margin=0.3), tasks.OnSphere(frame, p() + 3.0, 0.7),
-        tasks.InBox(frame, -abs(p()), abs(p()), X), tasks.Distance(frame, other, 0.4),
-        tasks.CentreOfPoints([frame, other], p()), tasks.CentreOfPoints({frame: 1.0, other: 3.0, "ground": 2.0}, p()),
-        tasks.Posture(s.random(rng)), tasks.Function(lambda q: np.array([np.sum(np.sin(q)), q[0] * q[-1]])),
-    ]  # fmt: skip
+        tasks.Position(frame, p()),
+        tasks.OnLine(frame, p(), p()),
+        tasks.OnPlane(frame, p(), p()),
+        tasks.HalfSpace(frame, p(), p(), margin=0.3),
+        tasks.OnSphere(frame, p() + 3.0, 0.7),
+        tasks.InBox(frame, -abs(p()), abs(p()), X),
+        tasks.Distance(frame, other, 0.4),
+        tasks.CentreOfPoints([frame, other], p()),
+        tasks.CentreOfPoints({frame: 1.0, other: 3.0, "ground": 2.0}, p()),
+        tasks.Posture(s.random(rng)),
+        tasks.Function(lambda q: np.array([np.sum(np.sin(q)), q[0] * q[-1]])),
+    ]
     if frame not in particles:
         out += [
-            tasks.Pose(frame, X), tasks.Orientation(frame, X[:3, :3]), tasks.Pointing(frame, p(), p()),
-            tasks.LookAt(frame, p() + 3.0, p()), tasks.Position(frame, p(), point=p()),
-            tasks.OnLine(frame, p(), p(), point=p()), tasks.OnSphere(frame, p() + 3.0, 0.7, point=p()),
-        ]  # fmt: skip
+            tasks.Pose(frame, X),
+            tasks.Orientation(frame, X[:3, :3]),
+            tasks.Pointing(frame, p(), p()),
+            tasks.LookAt(frame, p() + 3.0, p()),
+            tasks.Position(frame, p(), point=p()),
+            tasks.OnLine(frame, p(), p(), point=p()),
+            tasks.OnSphere(frame, p() + 3.0, 0.7, point=p()),
+        ]
     if not {frame, other} & particles:
         out += [
-            tasks.RelativePose(frame, other, X), tasks.RelativePosition(frame, other, p(), point=p()),
+            tasks.RelativePose(frame, other, X),
+            tasks.RelativePosition(frame, other, p(), point=p()),
             tasks.Distance(frame, other, 0.4, point=p(), other_point=p() + 2.0),
             tasks.Distance(frame, other, at_least=0.2, at_most=0.3, point=p() + 2.0),
-        ]  # fmt: skip
+        ]
     return out
 
 
 def by_differences(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
-    ends = [tasks.error(s, task, s.configuration_space.integrate(q, x * STEP * np.eye(s.nv))) for x in (1, -1)]
+    ends = [
+        tasks.error(s, task, s.configuration_space.integrate(q, x * STEP * np.eye(s.nv)))
+        for x in (1, -1)
+    ]
     return (ends[0] - ends[1]).T / (2 * STEP)
 
 
 def is_smooth(task: tasks.Task, s: System, q: np.ndarray) -> bool:
-    """Whether the error has a derivative: near a half turn it grows without bounds, at no distance there is none."""
+    """Whether the error has a derivative: near a half turn it grows without bounds, at no distance
+    there is none.
+    """
     if isinstance(task, tasks.Distance):
         return tasks.miss(s, task, s.neutral)[0] != pytest.approx(0.4)
     return isinstance(task, tasks.Posture) or tasks.miss(s, task, q)[1] <= 3.0
@@ -71,8 +93,12 @@ def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
     e = tasks.error(s, task, q)
     J = tasks.jacobian(s, task, q)
     assert J.shape == (*e.shape, s.nv), task.label
-    np.testing.assert_allclose(J, by_differences(task, s, q), atol=3e-7 * (1 + np.abs(J).max(initial=0)),
-                               err_msg=task.label)  # fmt: skip
+    np.testing.assert_allclose(
+        J,
+        by_differences(task, s, q),
+        atol=3e-7 * (1 + np.abs(J).max(initial=0)),
+        err_msg=task.label,
+    )
     loops = Packed(s, [task], length=1.0).loops
     tie = next(t for t in loops.ties if t.name == task.label)
     if isinstance(task, (tasks.Pose, tasks.RelativePose)):
@@ -83,14 +109,18 @@ def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
         assert radians == pytest.approx(np.linalg.norm(e), abs=1e-7)
     elif not isinstance(task, tasks.Posture):
         low, high = np.array(tie.bounds).reshape(-1, 2).T if tie.bounds else (0.0, 0.0)
-        assert math.hypot(meters, radians) == pytest.approx(np.linalg.norm(e - np.clip(e, low, high)), abs=1e-9)
+        assert math.hypot(meters, radians) == pytest.approx(
+            np.linalg.norm(e - np.clip(e, low, high)), abs=1e-9
+        )
 
 
 @pytest.mark.slow
 @given(graphs(most=6, loops=2), st.integers(0, 2**32))
 @settings(deadline=None, max_examples=examples(25))
 def test_the_zoo_on_random_graphs(graph, seed):
-    """Trees and loops, in the plane and in space, with balls, screws, particles, gears and locked joints."""
+    """Trees and loops, in the plane and in space, with balls, screws, particles, gears and locked
+    joints.
+    """
     s = graph.mechanism().build()
     assume(s.nv)
     rng = np.random.default_rng(seed)
@@ -117,14 +147,29 @@ def test_one_axis_and_dict_of_coordinates():
 
 
 def weighed() -> System:
-    """A tree with a floating base, a ball, a coupling, a particle and masses off their frames, the ground's too."""
+    """A tree with a floating base, a ball, a coupling, a particle and masses off their frames, the
+    ground's too.
+    """
     m = Mechanism("weighed")
     m.bodies["ground"] = type(m.ground)("ground", False, 2.0, (0.1, 0.2, 0.3))
     rng = np.random.default_rng(1)
-    for k, (kind, parent) in enumerate([("free", "ground"), ("revolute", "b0"), ("spherical", "b1"), ("revolute", "b0"),
-                                        ("prismatic", "ground")]):  # fmt: skip
-        m.joint(f"j{k}", kind, parent, m.body(f"b{k}", 1.0 + k, rng.uniform(-1, 1, 3)), at=rng.uniform(-1, 1, 3),
-                rpy=rng.uniform(-1, 1, 3))  # fmt: skip
+    for k, (kind, parent) in enumerate(
+        [
+            ("free", "ground"),
+            ("revolute", "b0"),
+            ("spherical", "b1"),
+            ("revolute", "b0"),
+            ("prismatic", "ground"),
+        ]
+    ):
+        m.joint(
+            f"j{k}",
+            kind,
+            parent,
+            m.body(f"b{k}", 1.0 + k, rng.uniform(-1, 1, 3)),
+            at=rng.uniform(-1, 1, 3),
+            rpy=rng.uniform(-1, 1, 3),
+        )
     m.translation("p", "b1", m.particle("p", 0.5), at=rng.uniform(-1, 1, 3))
     m.gear("j3", "j1", -2.0, 0.3)
     return m.build()
@@ -135,22 +180,27 @@ def test_centre_of_mass_against_its_definition():
     q = s.random(1)
     bodies = s.mechanism.bodies
     total = sum(b.mass for b in bodies.values())
-    expected = sum(
-        b.mass * (s.fk(q, n) @ [*(b.center or (0, 0, 0)), 1.0])[:3] for n, b in bodies.items()
-    ) / total  # fmt: skip
+    expected = (
+        sum(b.mass * (s.fk(q, n) @ [*(b.center or (0, 0, 0)), 1.0])[:3] for n, b in bodies.items())
+        / total
+    )
     target = np.array([0.3, -0.2, 0.5])
     task = tasks.CentreOfMass(target)
     np.testing.assert_allclose(tasks.error(s, task, q), expected - target, atol=1e-14)
     for more in ({}, {"axes": "xz"}, {"axes": "z"}, {"within": 0.1}, {"within": [0.1, 0.2, 0.3]}):
         check(tasks.CentreOfMass(target, **more), s, q)
     with pytest.raises(InputError, match="no masses"):
-        tasks.error(kempe.load("four_bar"), tasks.CentreOfMass(target[:2]), kempe.load("four_bar").neutral)
+        tasks.error(
+            kempe.load("four_bar"), tasks.CentreOfMass(target[:2]), kempe.load("four_bar").neutral
+        )
     with pytest.raises(InputError, match="axes"):
         tasks.error(s, tasks.CentreOfMass(target, "up"), q)
 
 
 def test_masses_survive_files(tmp_path: Path):
-    """Written to TOML and read again, a robot keeps its centre of mass; Pinocchio says the same of URDF below."""
+    """Written to TOML and read again, a robot keeps its centre of mass; Pinocchio says the same of
+    URDF below.
+    """
     m = weighed().mechanism
     m.bodies["ground"] = type(m.ground)("ground")
     del m.couplings["j3"]
@@ -173,17 +223,23 @@ def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
     data = model.createData()
     q = s.random(5)
     theirs = pinocchio.neutral(model)
-    joints = [(model.joints[i], n) for i, n in enumerate(model.names) if i and n in s.coordinate_names]
+    joints = [
+        (model.joints[i], n) for i, n in enumerate(model.names) if i and n in s.coordinate_names
+    ]
     order = [s.coordinate_names.index(n) for _, n in joints]
     for joint, n in joints:
         assert joint.nq == joint.nv == 1
         theirs[joint.idx_q] = q[s.coordinate_names.index(n)]
     assert len(order) == s.nq == model.nq > 20
     task = tasks.CentreOfMass([0.0, 0.0, 0.0])
-    # Pinocchio leaves out what is fixed to the ground, so masses on the root link are compared with it put back
+    # Pinocchio leaves out what is fixed to the ground, so masses on the root link are compared with
+    # it put back
     ground = s.mechanism.bodies[s.body_names[0]]
     fixed = [n for n in s.body_names if s.structure.table.at[n][0] < 0]
-    rest = [(s.mechanism.bodies[n].mass or 0.0, s.fk(q, n), s.mechanism.bodies[n].center or (0, 0, 0)) for n in fixed]
+    rest = [
+        (s.mechanism.bodies[n].mass or 0.0, s.fk(q, n), s.mechanism.bodies[n].center or (0, 0, 0))
+        for n in fixed
+    ]
     moving = sum(i.mass for i in model.inertias[1:])
     com = pinocchio.centerOfMass(model, data, theirs)
     total = moving + sum(m for m, _, _ in rest)
@@ -191,7 +247,9 @@ def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
     assert ground.name == s.body_names[0]
     np.testing.assert_allclose(tasks.error(s, task, q), expected, atol=1e-12)
     J = pinocchio.jacobianCenterOfMass(model, data, theirs) * moving / total
-    np.testing.assert_allclose(tasks.jacobian(s, task, q)[:, order], J[:, [j.idx_v for j, _ in joints]], atol=1e-12)
+    np.testing.assert_allclose(
+        tasks.jacobian(s, task, q)[:, order], J[:, [j.idx_v for j, _ in joints]], atol=1e-12
+    )
 
 
 def test_what_is_refused():
@@ -200,13 +258,18 @@ def test_what_is_refused():
     X = np.eye(4)
     frame = s.body_names[-1]
     for bad, match in (
-        (tasks.Pose(frame, np.eye(3)), "shape"), (tasks.Pose(frame, X.T + np.eye(4, k=-3)), "last row"),
-        (tasks.Position(frame, [1, 2]), "shape"), (tasks.Position(frame, "here"), "real numbers"),
-        (tasks.Pointing(frame, [0, 0, 0]), "zero"), (tasks.OnSphere(frame, [0, 0, 0], -1.0), "negative"),
-        (tasks.InBox(frame, [1, 1, 1], [0, 0, 0]), "low <= high"), (tasks.Distance(frame, "panda_link1"), "needs"),
+        (tasks.Pose(frame, np.eye(3)), "shape"),
+        (tasks.Pose(frame, X.T + np.eye(4, k=-3)), "last row"),
+        (tasks.Position(frame, [1, 2]), "shape"),
+        (tasks.Position(frame, "here"), "real numbers"),
+        (tasks.Pointing(frame, [0, 0, 0]), "zero"),
+        (tasks.OnSphere(frame, [0, 0, 0], -1.0), "negative"),
+        (tasks.InBox(frame, [1, 1, 1], [0, 0, 0]), "low <= high"),
+        (tasks.Distance(frame, "panda_link1"), "needs"),
         (tasks.Distance(frame, "panda_link1", at_least=2, at_most=1), "leave nothing"),
-        (tasks.CentreOfPoints([], [0, 0, 0]), "needed"), (tasks.Function(lambda q: q, low=[1, 2]), "bound"),
-    ):  # fmt: skip
+        (tasks.CentreOfPoints([], [0, 0, 0]), "needed"),
+        (tasks.Function(lambda q: q, low=[1, 2]), "bound"),
+    ):
         with pytest.raises(InputError, match=match):
             tasks.error(s, bad, q)
     with pytest.raises(UnknownNameError, match="panda_link7"):
@@ -218,29 +281,65 @@ def test_what_is_refused():
 
 
 def ends(rng: np.random.Generator, p: np.ndarray, q: np.ndarray) -> dict[str, tuple[type, dict]]:
-    """Tasks between ends with their parameters, those that have an entry for each of the points (n, 3) as arrays."""
+    """Tasks between ends with their parameters, those that have an entry for each of the points (n,
+    3) as arrays.
+    """
     width = rng.uniform(0.02, 0.1, (len(p), 3))
     far = np.linalg.norm(p - q, axis=1)
     return {
         "box": (tasks.InBox, {"frame": "panda_link7", "low": p - width, "high": p + 0.5 * width}),
-        "one corner": (tasks.InBox, {"frame": "panda_link7", "low": p - width, "high": np.full(3, np.inf)}),
-        "margin": (tasks.HalfSpace, {"frame": "panda_link7", "origin": np.zeros(3), "normal": [0, 0, 1.0],
-                                     "margin": p[:, 2]}),
-        "at least": (tasks.Distance, {"frame": "panda_link7", "other": "panda_link4", "at_least": far}),
-        "at most": (tasks.Distance, {"frame": "panda_link7", "other": "panda_link4", "at_most": far}),
-        "both": (tasks.Distance, {"frame": "panda_link7", "other": "panda_link4", "at_least": 0.98 * far,
-                                  "at_most": 1.02 * far}),
-        "sphere": (tasks.OnSphere, {"frame": "panda_link7", "center": np.zeros(3),
-                                    "radius": np.linalg.norm(p, axis=1)}),
-        "within": (tasks.CentreOfPoints, {"frames": ["panda_link7"], "target": p, "within": width[:, :2],
-                                          "axes": "xy"}),
-        "within all": (tasks.CentreOfPoints, {"frames": ["panda_link7"], "target": p, "within": width[:, :1]}),
-    }  # fmt: skip
+        "one corner": (
+            tasks.InBox,
+            {"frame": "panda_link7", "low": p - width, "high": np.full(3, np.inf)},
+        ),
+        "margin": (
+            tasks.HalfSpace,
+            {
+                "frame": "panda_link7",
+                "origin": np.zeros(3),
+                "normal": [0, 0, 1.0],
+                "margin": p[:, 2],
+            },
+        ),
+        "at least": (
+            tasks.Distance,
+            {"frame": "panda_link7", "other": "panda_link4", "at_least": far},
+        ),
+        "at most": (
+            tasks.Distance,
+            {"frame": "panda_link7", "other": "panda_link4", "at_most": far},
+        ),
+        "both": (
+            tasks.Distance,
+            {
+                "frame": "panda_link7",
+                "other": "panda_link4",
+                "at_least": 0.98 * far,
+                "at_most": 1.02 * far,
+            },
+        ),
+        "sphere": (
+            tasks.OnSphere,
+            {"frame": "panda_link7", "center": np.zeros(3), "radius": np.linalg.norm(p, axis=1)},
+        ),
+        "within": (
+            tasks.CentreOfPoints,
+            {"frames": ["panda_link7"], "target": p, "within": width[:, :2], "axes": "xy"},
+        ),
+        "within all": (
+            tasks.CentreOfPoints,
+            {"frames": ["panda_link7"], "target": p, "within": width[:, :1]},
+        ),
+    }
 
 
-@pytest.mark.parametrize("name", list(ends(np.random.default_rng(0), np.ones((2, 3)), np.zeros((2, 3)))))
+@pytest.mark.parametrize(
+    "name", list(ends(np.random.default_rng(0), np.ones((2, 3)), np.zeros((2, 3))))
+)
 def test_ends_that_differ_from_target_to_target(name):
-    """Each target of a batch is measured and solved as alone, and as the ends are written down here."""
+    """Each target of a batch is measured and solved as alone, and as the ends are written down
+    here.
+    """
     panda = kempe.load("panda")
     rng = np.random.default_rng(3)
     n = 6
@@ -253,17 +352,26 @@ def test_ends_that_differ_from_target_to_target(name):
     answer = panda.ik(many, start=at)
     assert answer.success.all()
     for i in range(n):
-        one = kind(**{k: v[i] if isinstance(v, np.ndarray) and len(v) == n else v for k, v in requested.items()})
+        one = kind(
+            **{
+                k: v[i] if isinstance(v, np.ndarray) and len(v) == n else v
+                for k, v in requested.items()
+            }
+        )
         assert sum(tasks.miss(panda, one, at[i])) == pytest.approx(got[i], abs=1e-12)
         assert max(tasks.miss(panda, one, answer.q[i])) <= 1.001e-6
     x = panda.fk(at, "panda_link7")[:, :3, 3]
     if name == "box":
-        np.testing.assert_allclose(got, np.linalg.norm(x - np.clip(x, requested["low"], requested["high"]), axis=1))
+        np.testing.assert_allclose(
+            got, np.linalg.norm(x - np.clip(x, requested["low"], requested["high"]), axis=1)
+        )
     if name == "margin":
         np.testing.assert_allclose(got, np.maximum(requested["margin"] - x[:, 2], 0.0), atol=1e-12)
     if name == "both":
         d = np.linalg.norm(x - panda.fk(at, "panda_link4")[:, :3, 3], axis=1)
-        np.testing.assert_allclose(got, np.abs(d - np.clip(d, requested["at_least"], requested["at_most"])), atol=1e-12)
+        np.testing.assert_allclose(
+            got, np.abs(d - np.clip(d, requested["at_least"], requested["at_most"])), atol=1e-12
+        )
     if name == "within":
         off = np.maximum(np.abs(x - p)[:, :2] - requested["within"], 0.0)
         np.testing.assert_allclose(got, np.linalg.norm(off, axis=1), atol=1e-12)
@@ -282,7 +390,10 @@ def test_derivatives_of_ends_that_differ():
 
 def by_differences_of_rows(task: tasks.Task, s: System, q: np.ndarray) -> np.ndarray:
     out = [
-        [tasks.error(s, task, s.configuration_space.integrate(q, x * STEP * e)[None])[0] for x in (1, -1)]
+        [
+            tasks.error(s, task, s.configuration_space.integrate(q, x * STEP * e)[None])[0]
+            for x in (1, -1)
+        ]
         for e in np.eye(s.nv)
     ]
     return np.array([(a - b) / (2 * STEP) for a, b in out]).T

@@ -1,4 +1,6 @@
-"""Rows A(q) v = b against finite differences of poses, and tangents of what holds positions against its motions."""
+"""Rows A(q) v = b against finite differences of poses, and tangents of what holds positions against
+its motions.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,25 @@ from kempe.kinematics.velocity.velocity import rates, row_names
 from kempe.model.system import System
 from kempe.spatial import Array, inverse
 
-TURNING = ["revolute", "prismatic", "helical", "cylindrical", "universal", "planar", "spherical", "free"]
+TURNING = [
+    "revolute",
+    "prismatic",
+    "helical",
+    "cylindrical",
+    "universal",
+    "planar",
+    "spherical",
+    "free",
+]
 STEP = 1e-6
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 POSE = [*"xyz", *(i + j for i in "xyz" for j in "xyz")]
 
 
 def twist_of(system: System, declared, q: Array, k: int) -> Array:
-    """The twist (6,) of frame B against A, in axes of A at B's origin, under velocity k, by central differences."""
+    """The twist (6,) of frame B against A, in axes of A at B's origin, under velocity k, by central
+    differences.
+    """
     ends = declared.frames(system.mechanism.parameters, system.dim)
 
     def pose(step: float) -> Array:
@@ -34,7 +47,9 @@ def twist_of(system: System, declared, q: Array, k: int) -> Array:
     here = pose(0.0)
     after = pose(STEP)
     turn = (after[:3, :3] - before[:3, :3]) / (2 * STEP) @ here[:3, :3].T
-    return np.array([*(after[:3, 3] - before[:3, 3]) / (2 * STEP), turn[2, 1], turn[0, 2], turn[1, 0]])
+    return np.array(
+        [*(after[:3, 3] - before[:3, 3]) / (2 * STEP), turn[2, 1], turn[0, 2], turn[1, 0]]
+    )
 
 
 def rates_by_differences(system: System, q: Array) -> tuple[Array, Array]:
@@ -44,37 +59,59 @@ def rates_by_differences(system: System, q: Array) -> tuple[Array, Array]:
     for declared in system.mechanism.constraints.values():
         made = with_numbers(declared.of, system.mechanism.parameters)
         ends = declared.frames(system.mechanism.parameters, system.dim)
-        X, Y = (system.fk(q, n) @ E for n, E in zip((declared.parent, declared.child), ends, strict=True))
+        X, Y = (
+            system.fk(q, n) @ E
+            for n, E in zip((declared.parent, declared.child), ends, strict=True)
+        )
         X = inverse(X) @ Y
         given = dict(zip(POSE, [*X[:3, 3], *X[:3, :3].ravel()], strict=True))
-        given |= {n: float(getattr(made, n)) for n in ("speed", "radius") if isinstance(getattr(made, n, None), float)}
+        given |= {
+            n: float(getattr(made, n))
+            for n in ("speed", "radius")
+            if isinstance(getattr(made, n, None), float)
+        }
         still = dict.fromkeys(TWIST, 0.0)
         for row in made.rows(system.dim):
             if row.velocity:
                 tape, which = row.args
                 value = tape.evaluate(given | still)[which]
-                twists = [dict(zip(TWIST, twist_of(system, declared, q, k), strict=True)) for k in range(system.nv)]
+                twists = [
+                    dict(zip(TWIST, twist_of(system, declared, q, k), strict=True))
+                    for k in range(system.nv)
+                ]
                 A.append([tape.evaluate(given | twist)[which] - value for twist in twists])
                 b.append(-value)
     return np.array(A), np.array(b)
 
 
 def random_tree(rng: np.random.Generator, dim: int) -> Mechanism:
-    """A tree of any joints, with constraints of velocity between any two of its bodies, or one and the ground."""
+    """A tree of any joints, with constraints of velocity between any two of its bodies, or one and
+    the ground.
+    """
     m = Mechanism("tree", dim=dim)
     bodies = []
     kinds = TURNING if dim == 3 else ["revolute", "prismatic", "planar", "free"]
 
     def place() -> dict:
         at = rng.normal(size=dim)
-        return {"at": at, "rpy": rng.normal(size=3)} if dim == 3 else {"at": at, "angle": float(rng.normal())}
+        return (
+            {"at": at, "rpy": rng.normal(size=3)}
+            if dim == 3
+            else {"at": at, "angle": float(rng.normal())}
+        )
 
     for k in range(rng.integers(1, 6)):
         on = bodies[rng.integers(len(bodies))] if bodies and rng.random() < 0.8 else m.ground
         bodies.append(m.body(f"B{k}"))
         kind = str(rng.choice(kinds))
         sliding = {"at": rng.normal(size=2), "axis": (1.0, 0.5)}
-        m.joint(f"J{k}", kind, on, bodies[-1], **(sliding if dim == 2 and kind == "prismatic" else place()))
+        m.joint(
+            f"J{k}",
+            kind,
+            on,
+            bodies[-1],
+            **(sliding if dim == 2 and kind == "prismatic" else place()),
+        )
     for k, body in enumerate(bodies):
         m.frame(f"F{k}", body, **place())
     m.frame("table", m.ground, **place())
@@ -112,8 +149,12 @@ def car(trailers: int = 0) -> System:
     m.free("pose", m.ground, m.body("car"))
     m.no_sideslip("rear axle", "car")
     for k in range(trailers):
-        m.revolute(f"hitch {k}", m.bodies["car" if not k else f"trailer {k - 1}"], m.body(f"trailer {k}"),
-                   child_at=(1.0, 0.0))  # fmt: skip
+        m.revolute(
+            f"hitch {k}",
+            m.bodies["car" if not k else f"trailer {k - 1}"],
+            m.body(f"trailer {k}"),
+            child_at=(1.0, 0.0),
+        )
         m.no_sideslip(f"axle {k}", f"trailer {k}")
     return m.build()
 
@@ -122,7 +163,9 @@ def test_rates_of_a_car() -> None:
     """No velocity across: -sin x' + cos y' = 0."""
     q = np.array([[0.3, 0.2, 0.7], [0.0, 0.0, 0.0]])
     A, b = rates(car(), q)
-    np.testing.assert_allclose(A[:, 0], np.stack([-np.sin(q[:, 2]), np.cos(q[:, 2]), 0 * q[:, 2]], axis=-1), atol=1e-15)
+    np.testing.assert_allclose(
+        A[:, 0], np.stack([-np.sin(q[:, 2]), np.cos(q[:, 2]), 0 * q[:, 2]], axis=-1), atol=1e-15
+    )
     np.testing.assert_array_equal(b, np.zeros((2, 1)))
     assert row_names(car()) == (("rear axle", "sideslip"),)
 
@@ -136,7 +179,12 @@ def test_batches(shape: tuple[int, ...]) -> None:
     assert (A.shape, b.shape) == ((*shape, 3, system.nv), (*shape, 3))
     for i in np.ndindex(*shape):
         np.testing.assert_array_equal(A[i], rates(system, q[i])[0])
-    assert rates(system, q, np.zeros((2, *([1] * len(shape)))))[0].shape == (2, *shape, 3, system.nv)
+    assert rates(system, q, np.zeros((2, *([1] * len(shape)))))[0].shape == (
+        2,
+        *shape,
+        3,
+        system.nv,
+    )
 
 
 def test_a_system_without_velocity_constraints_has_no_rows() -> None:

@@ -1,4 +1,6 @@
-"""Constraints as tasks of one class: expressions, functions, rows of several kinds; numbers are data of each call."""
+"""Constraints as tasks of one class: expressions, functions, rows of several kinds; numbers are
+data of each call.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class Sum(Constraint):
     def rows(self, dim):
         x, y = self.of
         tape = from_text([f"{x} + 2*{y}"], self.of)
-        return (Row(Op.TAPE, (tape, 0), "sum", "rad", equal="value", low="at_least", high="at_most"),)
+        return (
+            Row(Op.TAPE, (tape, 0), "sum", "rad", equal="value", low="at_least", high="at_most"),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +51,14 @@ class Weighed(Constraint):
 
     def rows(self, dim):
         x, y = self.of
-        return (Row(Op.TAPE, (from_text([f"{x} + factor*{y} - value"], (*self.of, "factor", "value")), 0), "sum", "1"),)
+        return (
+            Row(
+                Op.TAPE,
+                (from_text([f"{x} + factor*{y} - value"], (*self.of, "factor", "value")), 0),
+                "sum",
+                "1",
+            ),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +85,9 @@ class Between(Constraint):
 
     def rows(self, dim):
         tape = from_text(list(self.of), self.of)
-        return tuple(Row(Op.TAPE, (tape, k), str(k), "1", low="low", high="high", part=k) for k in range(2))
+        return tuple(
+            Row(Op.TAPE, (tape, k), str(k), "1", low="low", high="high", part=k) for k in range(2)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +124,22 @@ def free():
     return m.build()
 
 
-@pytest.mark.parametrize(("made", "family"), [
-    (c.Pose("b", np.eye(4)), PlacedTask), (c.InBox("b", [0, 0, 0], [1, 1, 1]), PlacedTask), (c.Contact("b"), Written),
-    (c.CentreOfMass([0.0, 0.0, 0.0]), Centred), (c.Posture({"J.x": 0.3}), CoordinateTask),
-    (c.Distance("b", "a", 1), PlacedTask),
-    (c.Equation("x + y"), Written), (c.Function(lambda q: q[0]), Written), (Level("b", 0.3), Written),
-    (Apart("b", 1.0), Written),
-], ids=lambda x: getattr(x, "__name__", type(x).__name__))  # fmt: skip
+@pytest.mark.parametrize(
+    ("made", "family"),
+    [
+        (c.Pose("b", np.eye(4)), PlacedTask),
+        (c.InBox("b", [0, 0, 0], [1, 1, 1]), PlacedTask),
+        (c.Contact("b"), Written),
+        (c.CentreOfMass([0.0, 0.0, 0.0]), Centred),
+        (c.Posture({"J.x": 0.3}), CoordinateTask),
+        (c.Distance("b", "a", 1), PlacedTask),
+        (c.Equation("x + y"), Written),
+        (c.Function(lambda q: q[0]), Written),
+        (Level("b", 0.3), Written),
+        (Apart("b", 1.0), Written),
+    ],
+    ids=lambda x: getattr(x, "__name__", type(x).__name__),
+)
 def test_the_class_follows_from_the_rows(made, family):
     assert type(task_of(made, 3)) is family
 
@@ -132,17 +154,23 @@ def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
     np.testing.assert_allclose(q[:, 0] + factor * q[:, 1], value, atol=1e-6)
     q = s.ik([Sum(("A", "B"), value)], start=s.random(1)).q
     np.testing.assert_allclose(q[:, 0] + 2.0 * q[:, 1], value, atol=1e-6)
-    one, other = (packed_for(s, (task_of(Weighed(("A", "B"), 2.0, x), 3),), True) for x in (0.1, 0.2))
+    one, other = (
+        packed_for(s, (task_of(Weighed(("A", "B"), 2.0, x), 3),), True) for x in (0.1, 0.2)
+    )
     assert one is other
 
 
 def test_ends_of_expressions_differ_from_target_to_target(hunt):
-    """By the closest point: each q moves along (1, 2) until the sum is within its ends; infinite ends are none."""
+    """By the closest point: each q moves along (1, 2) until the sum is within its ends; infinite
+    ends are none.
+    """
     s = arm().build()
     rng = hunt.rng()
     low = np.where(rng.random(500) < 0.2, -np.inf, rng.uniform(-1.0, 0.0, 500))
     high = np.where(rng.random(500) < 0.2, np.inf, rng.uniform(0.0, 1.0, 500))
-    answer = s.ik([Sum(("A", "B"), at_least=low, at_most=high)], start=rng.uniform(-1.0, 1.0, (500, s.nq)))
+    answer = s.ik(
+        [Sum(("A", "B"), at_least=low, at_most=high)], start=rng.uniform(-1.0, 1.0, (500, s.nq))
+    )
     total = answer.q[:, 0] + 2.0 * answer.q[:, 1]
     assert answer.success.all() and (total > low - 2e-6).all() and (total < high + 2e-6).all()
     assert np.ptp(total) > 0.5
@@ -158,8 +186,9 @@ def test_each_of_several_numbers_has_ends(hunt):
     answer = s.ik([Between(("A", "B"), low, high)], start=rng.uniform(-1.0, 1.0, (200, s.nq)))
     assert answer.success.all()
     assert (answer.q[:, :2] > low - 2e-6).all() and (answer.q[:, :2] < high + 2e-6).all()
-    assert tasks.miss(s, Between(("A", "B"), [0.0, 0.1], [0.2, 0.3]), [0.5, 0.4, 0.0, 0.0])[1] == pytest.approx(
-        np.hypot(0.3, 0.1))  # fmt: skip
+    assert tasks.miss(s, Between(("A", "B"), [0.0, 0.1], [0.2, 0.3]), [0.5, 0.4, 0.0, 0.0])[
+        1
+    ] == pytest.approx(np.hypot(0.3, 0.1))
 
 
 def test_rows_of_several_kinds_are_tasks_together(hunt):
@@ -190,7 +219,9 @@ def test_distances_straight_above_have_derivatives():
 
 @pytest.mark.parametrize("other", [None, "base", "arm"])
 def test_goals_of_expressions_are_seen_from_frames_far_away(other):
-    """On an ellipse cylinder, and a frame above a plane, about the ground, a body that stands and one that moves."""
+    """On an ellipse cylinder, and a frame above a plane, about the ground, a body that stands and
+    one that moves.
+    """
     m = Mechanism("far")
     base = m.body("base")
     a = m.body("arm")
@@ -199,11 +230,18 @@ def test_goals_of_expressions_are_seen_from_frames_far_away(other):
     m.revolute("A", base, a, axis="z")
     m.free("J", base, b)
     s = m.build()
-    for made in (c.OnSurface("b", "(x/2)^2 + y^2 = 1", other=other), c.Contact("b", other, radius=0.3)):
+    for made in (
+        c.OnSurface("b", "(x/2)^2 + y^2 = 1", other=other),
+        c.Contact("b", other, radius=0.3),
+    ):
         q = s.ik([made], start=s.random(1)).q
         A = np.eye(4) if other is None else s.fk(q, other)
         p = (np.linalg.inv(A) @ s.fk(q, "b"))[:3, 3]
-        f = (p[0] / 2.0) ** 2 + p[1] ** 2 - 1.0 if made.kind == "on_surface" else min(p[2] - 0.3, 0.0)
+        f = (
+            (p[0] / 2.0) ** 2 + p[1] ** 2 - 1.0
+            if made.kind == "on_surface"
+            else min(p[2] - 0.3, 0.0)
+        )
         assert abs(f) < 1e-6
 
 

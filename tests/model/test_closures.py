@@ -41,7 +41,12 @@ def test_equations_of_one_coordinate_stand_before_the_first_that_moves_with_it()
         return SimpleNamespace(support=velocities)
 
     first = [tie("2 first", function=moved_by(2)), tie("0 first", function=moved_by(0))]
-    last = [tie("own 1", own=1), tie("own 0", own=0), tie("1 last", function=moved_by(1)), tie("own 3", own=3)]
+    last = [
+        tie("own 1", own=1),
+        tie("own 0", own=0),
+        tie("1 last", function=moved_by(1)),
+        tie("own 3", own=3),
+    ]
     table: Any = None
     found = _by_level([*last, *first], table, lambda t: int("first" not in t.name), {})
     assert [t.name for t in found] == ["2 first", "own 0", "0 first", "own 1", "1 last", "own 3"]

@@ -48,7 +48,9 @@ def test_the_layout_uses_every_entry_once(graph: Graph):
     for iq, iv in zip(lay.vector_q, lay.vector_v, strict=True):
         assert s.coordinate_names[iq] == s.structure.velocity_names[iv]
     for iq, iv in zip(lay.quaternion_q, lay.quaternion_v, strict=True):
-        assert s.coordinate_names[iq].removesuffix("qw") == s.structure.velocity_names[iv].removesuffix("wx")
+        assert s.coordinate_names[iq].removesuffix("qw") == s.structure.velocity_names[
+            iv
+        ].removesuffix("wx")
         np.testing.assert_array_equal(s.neutral[iq : iq + 4], [1, 0, 0, 0])
 
 
@@ -74,7 +76,9 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
     for e in graph.edges:
         if e.name in s.structure.closures or e.name in held:
             continue
-        expected += len(joint_type(e.kind, **e.options).layout(graph.dim, e.child in graph.particles)[1])
+        expected += len(
+            joint_type(e.kind, **e.options).layout(graph.dim, e.child in graph.particles)[1]
+        )
     assert len(table.kind) == expected and set(table.kind) <= {R, P, Q}
     assert np.all(table.parent < np.arange(expected)) and np.all(table.parent >= -1)
     for row in range(expected):
@@ -112,7 +116,12 @@ def test_constants_are_folded():
     """Fixed joints, offsets and locked coordinates cost nothing."""
     m = Mechanism()
     a, b, c, d = (m.body(x) for x in "abcd")
-    m.fixed("f", m.ground, a, at=(1, 0, 0)), m.revolute("r", a, b), m.prismatic("p", b, c), m.cylindrical("c", c, d)
+    (
+        m.fixed("f", m.ground, a, at=(1, 0, 0)),
+        m.revolute("r", a, b),
+        m.prismatic("p", b, c),
+        m.cylindrical("c", c, d),
+    )
     m.gear("p", "r", 0.5, offset=0.25)
     m.lock({"c.z": 0.1})
     table = m.build().structure.table
@@ -138,14 +147,28 @@ def test_large_offsets_do_not_cost_accuracy():
 
 def test_limits_by_coordinate():
     m = Mechanism()
-    m.planar("j", m.ground, m.body("b"), limits={"rz": (-1, 1), "x": (0, np.inf)}, velocity={"y": 2.0})
+    m.planar(
+        "j", m.ground, m.body("b"), limits={"rz": (-1, 1), "x": (0, np.inf)}, velocity={"y": 2.0}
+    )
     m.free("f", "b", m.body("c"), limits={"z": (0, 1)}, velocity={"wx": 3.0})
     s = m.build()
     inf = np.inf
-    assert s.structure.velocity_names == ("j.x", "j.y", "j.rz", "f.x", "f.y", "f.z", "f.wx", "f.wy", "f.wz")
+    assert s.structure.velocity_names == (
+        "j.x",
+        "j.y",
+        "j.rz",
+        "f.x",
+        "f.y",
+        "f.z",
+        "f.wx",
+        "f.wy",
+        "f.wz",
+    )
     np.testing.assert_array_equal(s.lower, [0, -inf, -1, -inf, -inf, 0, -inf, -inf, -inf])
     np.testing.assert_array_equal(s.upper, [inf, inf, 1, inf, inf, 1, inf, inf, inf])
-    np.testing.assert_array_equal(s.structure.velocity_limits, [inf, 2, inf, inf, inf, inf, 3, inf, inf])
+    np.testing.assert_array_equal(
+        s.structure.velocity_limits, [inf, 2, inf, inf, inf, inf, 3, inf, inf]
+    )
     np.testing.assert_array_equal(s.structure.limits, np.stack([s.lower, s.upper], axis=-1))
 
 
@@ -175,10 +198,15 @@ def test_followers_say_what_they_follow():
         m.revolute(name, m.ground, m.body(name.upper()))
     m.gear("b", "a", 2.0, offset=1.0)
     m.lock({"c": 0.5})
-    assert m.build().structure.couplings == {"c": Follower(None, 0.0, 0.5), "b": Follower("a", 2.0, 1.0)}
+    assert m.build().structure.couplings == {
+        "c": Follower(None, 0.0, 0.5),
+        "b": Follower("a", 2.0, 1.0),
+    }
 
 
-def geared(driver: tuple[float, float], driven: tuple[float, float], ratio: float, driven_first: bool):
+def geared(
+    driver: tuple[float, float], driven: tuple[float, float], ratio: float, driven_first: bool
+):
     system = Mechanism("gear")
     joints = {"x": driver, "y": driven}
     for name in sorted(joints, reverse=driven_first):
@@ -189,15 +217,20 @@ def geared(driver: tuple[float, float], driven: tuple[float, float], ratio: floa
 
 @pytest.mark.parametrize("driven_first", [False, True])
 def test_limits_that_do_not_overlap_name_both_joints_whatever_their_order(driven_first):
-    with pytest.raises(DescriptionError, match=r"joint 'y': .*'x' in \[5, 6\], those of joint 'x' for \[-1, 1\]"):
+    with pytest.raises(
+        DescriptionError, match=r"joint 'y': .*'x' in \[5, 6\], those of joint 'x' for \[-1, 1\]"
+    ):
         geared((-1.0, 1.0), (5.0, 6.0), 1.0, driven_first)
 
 
 @pytest.mark.parametrize("driven_first", [False, True])
 @pytest.mark.parametrize(
-    ("driver", "driven"), [((0.3, 0.3), (0.1, 0.1)), ((-1.0, 0.3), (0.1, 2.0)), ((0.3, 1.0), (0.0, 0.1))]
+    ("driver", "driven"),
+    [((0.3, 0.3), (0.1, 0.1)), ((-1.0, 0.3), (0.1, 2.0)), ((0.3, 1.0), (0.0, 0.1))],
 )
-@pytest.mark.parametrize("ratio", [1.0 / 3.0, np.nextafter(1.0 / 3.0, 0.0), np.nextafter(1.0 / 3.0, 1.0)])
+@pytest.mark.parametrize(
+    "ratio", [1.0 / 3.0, np.nextafter(1.0 / 3.0, 0.0), np.nextafter(1.0 / 3.0, 1.0)]
+)
 def test_limits_that_touch_through_a_gear_are_accepted(ratio, driver, driven, driven_first):
     limits = geared(driver, driven, ratio, driven_first).structure.limits
     np.testing.assert_allclose(limits, [[0.3, 0.3]], rtol=1e-15)
@@ -214,7 +247,9 @@ def test_limits_touch_up_to_rounding_of_their_size(apart, good):
             geared(*given)
 
 
-@pytest.mark.parametrize(("value", "good"), [(0.5, True), (1.0, True), (0.7, True), (0.49, False), (1.01, False)])
+@pytest.mark.parametrize(
+    ("value", "good"), [(0.5, True), (1.0, True), (0.7, True), (0.49, False), (1.01, False)]
+)
 def test_a_joint_is_locked_inside_its_limits_and_at_them(value, good):
     m = Mechanism("arm", dim=2)
     m.revolute("J", m.ground, m.body("B"), limits=(0.5, 1.0))

@@ -5,7 +5,17 @@ from hypothesis import strategies as st
 from primitive_tables import Row, Table, pose, random_pose, random_table, turn_x, turn_z
 
 from kempe.kernels.compiled import chain, table_sweep
-from kempe.kernels.forward.table_layout import BALL, FORM, GENERAL, HEADER, IS_CHAIN, RX, RX_FLAT, SLIDE, TURN
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    FORM,
+    GENERAL,
+    HEADER,
+    IS_CHAIN,
+    RX,
+    RX_FLAT,
+    SLIDE,
+    TURN,
+)
 from kempe.model.tree.gauge import regauge, split_turns
 
 
@@ -14,10 +24,14 @@ def forms(ints):
 
 
 def differences(table, n=40):
-    """Largest differences of poses and Jacobians, over the size of the robot, and of the two kernels."""
+    """Largest differences of poses and Jacobians, over the size of the robot, and of the two
+    kernels.
+    """
     rng = np.random.default_rng(0)
     q = table.random_q(rng, n)
-    size = 1.0 + sum(np.linalg.norm(X[:3, 3]) for X in [r.X for r in table.rows] + [table.outputs[0][2]])
+    size = 1.0 + sum(
+        np.linalg.norm(X[:3, 3]) for X in [r.X for r in table.rows] + [table.outputs[0][2]]
+    )
     size += np.abs(q).max() * sum(abs(r.multiplier) for r in table.rows if r.kind == SLIDE)
     before = table.pack()
     after = regauge(*before)
@@ -32,17 +46,23 @@ def differences(table, n=40):
     return after[0], [np.abs(a - b).max() / size for a, b in zip(*results, strict=True)]
 
 
-@pytest.mark.parametrize("kinds", [(TURN,), (SLIDE,), (TURN, SLIDE), (TURN, BALL), (TURN, SLIDE, BALL)])
+@pytest.mark.parametrize(
+    "kinds", [(TURN,), (SLIDE,), (TURN, SLIDE), (TURN, BALL), (TURN, SLIDE, BALL)]
+)
 @pytest.mark.parametrize("n_rows", [1, 2, 3, 7, 20])
 def test_random_chains_stay_the_same(n_rows, kinds):
-    table = random_table(np.random.default_rng(n_rows), n_rows, chain=True, kinds=kinds, particles=True)
+    table = random_table(
+        np.random.default_rng(n_rows), n_rows, chain=True, kinds=kinds, particles=True
+    )
     ints, errors = differences(table)
     assert max(errors) < 3e-15
     if kinds == (TURN,):
         assert (forms(ints)[1:] != GENERAL).all()
 
 
-@pytest.mark.parametrize("alpha", [0.0, np.pi / 2, -np.pi / 2, np.pi, 1e-17, 1e-12, 1e-6, 0.4, np.pi - 1e-9, 3.0])
+@pytest.mark.parametrize(
+    "alpha", [0.0, np.pi / 2, -np.pi / 2, np.pi, 1e-17, 1e-12, 1e-6, 0.4, np.pi - 1e-9, 3.0]
+)
 @pytest.mark.parametrize("kinds", [(TURN,), (TURN, SLIDE)], ids=str)
 def test_axes_at_special_angles(kinds, alpha):
     rng = np.random.default_rng(0)
@@ -75,7 +95,11 @@ def test_a_robot_of_denavit_and_hartenberg_is_found_again():
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-18, 1e-16, 1e-14, 1e-8, 1e-3, 1.0]))
 def test_split_turns_multiplies_back(seed, tilt):
     rng = np.random.default_rng(seed)
-    X = turn_z(rng.uniform(-4, 4)) @ turn_x(tilt * rng.normal() + np.pi * rng.integers(2)) @ turn_z(rng.uniform(-4, 4))
+    X = (
+        turn_z(rng.uniform(-4, 4))
+        @ turn_x(tilt * rng.normal() + np.pi * rng.integers(2))
+        @ turn_z(rng.uniform(-4, 4))
+    )
     X[:3, 3] = rng.normal(size=3)
     (ca, sa), middle, (cb, sb) = split_turns(X[:3])
     back = turn_z(np.arctan2(sa, ca)) @ np.r_[middle, [[0, 0, 0, 1]]] @ turn_z(np.arctan2(sb, cb))
@@ -102,10 +126,15 @@ def test_nothing_to_do_on_the_ground():
 
 def test_a_ball_ends_what_can_be_pushed():
     rng = np.random.default_rng(1)
-    rows = [Row(k, i - 1, 4 * i, 3 * i, random_pose(rng)) for i, k in enumerate((TURN, BALL, TURN, TURN))]
+    rows = [
+        Row(k, i - 1, 4 * i, 3 * i, random_pose(rng))
+        for i, k in enumerate((TURN, BALL, TURN, TURN))
+    ]
     table = Table(rows, [(3, False, np.eye(4))], 16, 12, True, [(4, 3)])
     ints, errors = differences(table)
-    assert max(errors) < 3e-15 and list(forms(ints))[:3] == [GENERAL] * 3 and forms(ints)[3] != GENERAL
+    assert (
+        max(errors) < 3e-15 and list(forms(ints))[:3] == [GENERAL] * 3 and forms(ints)[3] != GENERAL
+    )
 
 
 @pytest.mark.parametrize("n_rows", [2, 3, 5])

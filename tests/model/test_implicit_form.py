@@ -1,4 +1,6 @@
-"""The implicit form of each joint is the explicit one: the same closed configurations, freedoms and coordinates."""
+"""The implicit form of each joint is the explicit one: the same closed configurations, freedoms and
+coordinates.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +21,31 @@ TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind
 EVERY = [*TABLE, Helical(1.0), *(t() for t in OWN)]
 CASES = [(kind, dim) for kind in EVERY for dim in (2, 3) if dim == 3 or kind.planar]
 FORMS = {
-    "fixed": ("xyz", "xyz"), "revolute": ("xyz", "xy"), "prismatic": ("xy", "xyz"), "helical": None,
-    "cylindrical": ("xy", "xy"), "universal": ("xyz", "x.y"), "planar": ("z", "xy"), "translation": ("", "xyz"),
-    "spherical": ("xyz", ""), "free": ("", ""), "pin_slot": ("yz", "xy"), "slot_pin": None, "crooked": None,
-    "turned_table": None, "cross_slide": ("z", "xy"), "other_cardan": None, "drill": None, "coaxial": None,
-    "ball_in_tube": ("xy", ""), "ball_on_stick": None, "geared": None, "rail": ("yz", "xyz"), "telescope": None,
+    "fixed": ("xyz", "xyz"),
+    "revolute": ("xyz", "xy"),
+    "prismatic": ("xy", "xyz"),
+    "helical": None,
+    "cylindrical": ("xy", "xy"),
+    "universal": ("xyz", "x.y"),
+    "planar": ("z", "xy"),
+    "translation": ("", "xyz"),
+    "spherical": ("xyz", ""),
+    "free": ("", ""),
+    "pin_slot": ("yz", "xy"),
+    "slot_pin": None,
+    "crooked": None,
+    "turned_table": None,
+    "cross_slide": ("z", "xy"),
+    "other_cardan": None,
+    "drill": None,
+    "coaxial": None,
+    "ball_in_tube": ("xy", ""),
+    "ball_on_stick": None,
+    "geared": None,
+    "rail": ("yz", "xyz"),
+    "telescope": None,
     "diagonal": None,
-}  # fmt: skip
+}
 """What types hold in space: positions and rotations; None for those that are explicit."""
 
 
@@ -43,13 +63,20 @@ def test_screws_are_recognised_by_their_primitives():
     turn = Primitive(R, "z", 0)
     slide = Primitive(P, "z", 0, 0.3)
     assert screw(Helical(0.3)) == screw(declared("s", [slide, turn])) == 0.3
-    for steps in ([turn], [turn, slide._replace(coordinate=1)], [turn, slide._replace(axis="x")], [turn, turn],
-                  [turn._replace(multiplier=2.0), slide]):  # fmt: skip
+    for steps in (
+        [turn],
+        [turn, slide._replace(coordinate=1)],
+        [turn, slide._replace(axis="x")],
+        [turn, turn],
+        [turn._replace(multiplier=2.0), slide],
+    ):
         assert screw(declared("s", steps)) is None
 
 
 def loop(rng: np.random.Generator, kind: JointType, dim: int) -> tuple[System, np.ndarray]:
-    """A body that moves freely, and a joint of this kind that closes a loop; closed at the configuration given back."""
+    """A body that moves freely, and a joint of this kind that closes a loop; closed at the
+    configuration given back.
+    """
     shape = closed(rng, dim, 2, [Spherical() if dim == 3 else Revolute(), Free(), kind])
     s = shape.system(frozenset({"j2"}))
     assert s.structure.closures == ("j2",)
@@ -62,7 +89,7 @@ def evaluated(system: System, loops: PackedLoops, q: np.ndarray) -> tuple[np.nda
     columns = np.empty((len(q), len(loops.names), system.nv))
     closure_batch.equations(
         loops.ints, loops.floats, loops.plan, loops.weights, np.zeros((1, 0)), q, True, out, columns
-    )  # fmt: skip
+    )
     return out, columns
 
 
@@ -71,7 +98,9 @@ def nullity(J: np.ndarray) -> int:
 
 
 def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
-    """Both forms of the only loop: closed at q, as many freedoms, and each closes where the other does."""
+    """Both forms of the only loop: closed at q, as many freedoms, and each closes where the other
+    does.
+    """
     explicit = frozenset(system.structure.closures)
     small = loops_of(system, frozenset())
     large = loops_of(system, explicit)
@@ -79,7 +108,11 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
     (r, J) = evaluated(system, small, at)
     (R_, K) = evaluated(system, large, at)
     assert np.abs(r).max(initial=0.0) < 1e-12 and np.abs(R_).max(initial=0.0) < 1e-12
-    own = [system.structure.velocity_names.index(n) for n in system.structure.velocity_names if n.split(".")[0] == "j2"]
+    own = [
+        system.structure.velocity_names.index(n)
+        for n in system.structure.velocity_names
+        if n.split(".")[0] == "j2"
+    ]
     others = [v for v in range(system.nv) if v not in own]
     assert nullity(J[0][:, others]) == nullity(K[0])
     assert np.linalg.matrix_rank(J[0], tol=1e-8) == len(small.names), "no row too many"
@@ -89,11 +122,15 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
         solver.loops = form
         answer = solver({}, start=start)
         assert answer.success
-        assert np.abs(full.residual(system, answer.q)).max(initial=0.0) < 1e-9  # coordinates of the joint included
+        assert (
+            np.abs(full.residual(system, answer.q)).max(initial=0.0) < 1e-9
+        )  # coordinates of the joint included
         assert np.abs(evaluated(system, small, answer.q[None])[0]).max(initial=0.0) < 1e-9
 
 
-@pytest.mark.parametrize(("kind", "dim"), [c for c in CASES if implicit_form(*c) is not None], ids=str)
+@pytest.mark.parametrize(
+    ("kind", "dim"), [c for c in CASES if implicit_form(*c) is not None], ids=str
+)
 def test_the_implicit_form_is_the_explicit_one(kind, dim):
     rng = np.random.default_rng(11)
     for _ in range(4):
@@ -123,12 +160,16 @@ def test_random_types(hunt):
 
 
 def reordered(rng: np.random.Generator, dim: int) -> list[Primitive]:
-    """Slides along some axes in any order, then turns that are likely to have a implicit form, coordinates shuffled."""
+    """Slides along some axes in any order, then turns that are likely to have a implicit form,
+    coordinates shuffled.
+    """
     axes = list(rng.permutation(list("xyz"[:dim]))[: int(rng.integers(0, dim + 1))])
     turns = ["z", ""] if dim == 2 else ["z", "xy", "zyx", "", "yx", "Q"]
     about = str(rng.choice(turns))
     if about == "Q":
-        return [Primitive(Q, "z", 0), *(Primitive(P, str(a), 4 + i) for i, a in enumerate(axes))][:: -1 if axes else 1]
+        return [Primitive(Q, "z", 0), *(Primitive(P, str(a), 4 + i) for i, a in enumerate(axes))][
+            :: -1 if axes else 1
+        ]
     kinds = [(P, str(a)) for a in axes] + [(R, a) for a in about]
     order = rng.permutation(len(kinds))
     return [Primitive(kind, axis, int(k)) for (kind, axis), k in zip(kinds, order, strict=True)]
@@ -138,7 +179,11 @@ def test_planes_and_particles():
     rail = declared("rail", [Primitive(P, "z", 0)])
     assert slides_along_z(rail, 2, False) and not slides_along_z(rail, 3, False)
     form = implicit_form(rail, 2)
-    assert form is not None and (form.position, form.turns, form.readings) == ("y", "z", ((0, "x"),))
+    assert form is not None and (form.position, form.turns, form.readings) == (
+        "y",
+        "z",
+        ((0, "x"),),
+    )
     free = implicit_form(Free(), 3, particle=True)
     assert free is not None and (free.position, free.turns) == ("", "")
     both = declared("both", [Primitive(P, "z", 0), Primitive(R, "z", 1)])

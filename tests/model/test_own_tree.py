@@ -17,10 +17,22 @@ def four_bar(*cut: str, **more) -> System:
     m = Mechanism("four-bar", dim=2)
     m.parameter("crank", 0.1)
     crank, coupler, rocker = (m.body(name) for name in ("crank", "coupler", "rocker"))
-    places = {"A": (m.ground, crank, 0.0, 0.0), "B": (crank, coupler, "crank", 0.0),
-              "C": (coupler, rocker, 0.5, 0.4), "D": (m.ground, rocker, 0.4, 0.0)}  # fmt: skip
+    places = {
+        "A": (m.ground, crank, 0.0, 0.0),
+        "B": (crank, coupler, "crank", 0.0),
+        "C": (coupler, rocker, 0.5, 0.4),
+        "D": (m.ground, rocker, 0.4, 0.0),
+    }
     for name, (parent, child, at, child_at) in places.items():
-        m.revolute(name, parent, child, at=(at, 0), child_at=(child_at, 0), cut=name in cut, **more.get(name, {}))
+        m.revolute(
+            name,
+            parent,
+            child,
+            at=(at, 0),
+            child_at=(child_at, 0),
+            cut=name in cut,
+            **more.get(name, {}),
+        )
     return m.build()
 
 
@@ -32,7 +44,9 @@ def test_a_mark_changes_what_is_left_out_but_not_the_tree_of_solvers(cut):
     assert tree.structure.topology == plain.structure.topology and tree.structure.closures == ("C",)
     assert (tree is s) == (s.structure.closures == ("C",))
     assert own_tree(s) is tree and own_tree(tree) is tree
-    assert tree.coordinate_names == s.coordinate_names and np.array_equal(tree.structure.limits, s.structure.limits)
+    assert tree.coordinate_names == s.coordinate_names and np.array_equal(
+        tree.structure.limits, s.structure.limits
+    )
 
 
 def test_other_parameters_and_limits_come_along():
@@ -40,12 +54,17 @@ def test_other_parameters_and_limits_come_along():
     assert isinstance(s, System)
     tree = own_tree(s)
     assert s.structure.closures == ("B",) and tree.structure.closures == ("C",)
-    assert tree.structure.parameters["crank"] == 0.15 and tree.structure.limits[0].tolist() == [-1.0, 1.0]
+    assert tree.structure.parameters["crank"] == 0.15 and tree.structure.limits[0].tolist() == [
+        -1.0,
+        1.0,
+    ]
 
 
 @pytest.mark.parametrize("planar", [True, False])
 def test_bodies_that_hang_on_free_joints_stay_there(planar):
-    """Marks say there that bodies are given by their poses; without them the free joint is left out."""
+    """Marks say there that bodies are given by their poses; without them the free joint is left
+    out.
+    """
     m = Mechanism("free", dim=2 if planar else 3)
     m.free("body", m.ground, m.body("b"))
     m.revolute("J", m.ground, "b", cut=True)
@@ -60,7 +79,9 @@ def test_a_fixed_joint_that_is_cut_does_not_make_two_links_of_one():
     lengths = []
     for cut in "AWD":
         m = Mechanism("welded", dim=2)
-        crank, coupler, half, rocker = (m.body(name) for name in ("crank", "coupler", "half", "rocker"))
+        crank, coupler, half, rocker = (
+            m.body(name) for name in ("crank", "coupler", "half", "rocker")
+        )
         m.revolute("A", m.ground, crank, cut=cut == "A")
         m.revolute("B", crank, coupler, at=(0.1, 0))
         m.joint("W", "fixed", coupler, half, at=(0.4, 0), cut=cut == "W")

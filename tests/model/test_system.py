@@ -15,9 +15,13 @@ from kempe.errors import KempeError, UnknownNameError
 
 
 def scara() -> Mechanism:
-    """Two hinges and a slider with a screw, a gripper whose second finger follows, a loop by a tie rod."""
+    """Two hinges and a slider with a screw, a gripper whose second finger follows, a loop by a tie
+    rod.
+    """
     m = Mechanism("scara", ground="pedestal")
-    upper, fore, quill, left, right = (m.body(n) for n in ("upper", "fore", "quill", "left", "right"))
+    upper, fore, quill, left, right = (
+        m.body(n) for n in ("upper", "fore", "quill", "left", "right")
+    )
     m.revolute("shoulder", m.ground, upper, at=(0, 0, 0.4), limits=(-2, 2), actuated=True)
     m.revolute("elbow", upper, fore, at=(0.3, 0, 0), limits=(-2.5, 2.5), actuated=True)
     m.cylindrical("quill", fore, quill, at=(0.25, 0, 0), limits={"z": (-0.2, 0)})
@@ -40,18 +44,30 @@ def test_the_public_face():
     assert s.parent == (0, 1, 2, 3, 3, 0) and s.structure.closures == ("tie end",)
     assert s.structure.parent_joints == ("shoulder", "elbow", "quill", "left", "right", "tie")
     assert s.coordinate_names == (
-        "shoulder", "elbow", "quill.rz", "quill.z", "left", "tie.qw", "tie.qx", "tie.qy", "tie.qz",
-        "tie end.qw", "tie end.qx", "tie end.qy", "tie end.qz",
-    )  # fmt: skip
+        "shoulder",
+        "elbow",
+        "quill.rz",
+        "quill.z",
+        "left",
+        "tie.qw",
+        "tie.qx",
+        "tie.qy",
+        "tie.qz",
+        "tie end.qw",
+        "tie end.qx",
+        "tie end.qy",
+        "tie end.qz",
+    )
     assert (
         s.structure.couplings["right"].source == "left"
         and s.structure.relations == ()
         and s.structure.notes == ()
         and s.structure.parameters == {}
     )
-    assert s.structure.coordinates_of_joint("quill") == ["quill.rz", "quill.z"] and s.structure.coordinates_of_joint(
-        "right"
-    ) == ["right"]
+    assert s.structure.coordinates_of_joint("quill") == [
+        "quill.rz",
+        "quill.z",
+    ] and s.structure.coordinates_of_joint("right") == ["right"]
     assert repr(s) == "System('scara', bodies=6, joints=7, nq=13, loops=1)"
     assert s.configuration_space.ambient.shape == "SO(3)^2 x T^3 x R^2"
     home = s.q("home")
@@ -64,7 +80,10 @@ def test_planar_systems_say_so():
     m = Mechanism("flat", dim=2)
     m.revolute("j", m.ground, m.body("b"))
     assert repr(m.build()) == "System('flat', bodies=1, joints=1, nq=1, planar)"
-    assert m.build().fk([0.1], "b").shape == (4, 4) and m.build().jacobian([0.1], "b").shape == (6, 1)
+    assert m.build().fk([0.1], "b").shape == (4, 4) and m.build().jacobian([0.1], "b").shape == (
+        6,
+        1,
+    )
 
 
 @given(graph=graphs())
@@ -105,17 +124,27 @@ def test_subchains_move_as_in_the_whole(graph: Graph):
         try:
             chain = s.mechanism.subchain(a, b).build()
         except KempeError as error:
-            assert "outside the chain" in str(error) or "no joints lead" in str(error) and a in graph.particles, error
+            assert (
+                "outside the chain" in str(error)
+                or "no joints lead" in str(error)
+                and a in graph.particles
+            ), error
         else:
             local = chain.q({k: v for k, v in free.items() if k in chain.coordinate_names})
             X = np.linalg.inv(s.fk(q, a)) @ s.fk(q, b)
-            shown = slice(None) if a not in graph.particles and b not in graph.particles else np.s_[:0]
+            shown = (
+                slice(None) if a not in graph.particles and b not in graph.particles else np.s_[:0]
+            )
             np.testing.assert_allclose(chain.fk(local, b)[shown], X[shown], rtol=0, atol=1e-11)
 
 
 def test_every_method_is_documented_and_short():
     """The class is a map of the library: methods delegate."""
-    own = {n: getattr(m, "fget", None) or getattr(m, "func", m) for n, m in vars(System).items() if n[0] != "_"}
+    own = {
+        n: getattr(m, "fget", None) or getattr(m, "func", m)
+        for n, m in vars(System).items()
+        if n[0] != "_"
+    }
     public = {name: function for name, function in own.items() if callable(function)}
     assert len(public) > 25
     for name, function in public.items():
@@ -128,9 +157,13 @@ def test_every_method_is_documented_and_short():
 def test_content_is_what_makes_systems_equal():
     s = scara().build()
     changes = [
-        lambda m: m.frame("other", "fore"), lambda m: m.lock({"elbow": 0.0}), lambda m: m.posture("away", {}),
-        lambda m: m.parameter("l", 1.0), lambda m: m.gear("elbow", "shoulder", 1.0), lambda m: m.body("more"),
-    ]  # fmt: skip
+        lambda m: m.frame("other", "fore"),
+        lambda m: m.lock({"elbow": 0.0}),
+        lambda m: m.posture("away", {}),
+        lambda m: m.parameter("l", 1.0),
+        lambda m: m.gear("elbow", "shoulder", 1.0),
+        lambda m: m.body("more"),
+    ]
     for change in changes[:-1]:
         m = scara()
         change(m)
@@ -143,6 +176,8 @@ def test_structure_is_content_without_numbers():
     m = scara()
     joint = m.joints.pop("tie end")
     m.spherical("tie end", "rod", "fore", at=(0.9, 0, 0), child_at=(0.1, 0, 0))
-    assert m.build() != s and m.build().structure.hash == s.structure.hash and joint.name == "tie end"
+    assert (
+        m.build() != s and m.build().structure.hash == s.structure.hash and joint.name == "tie end"
+    )
     m.frame("extra", "fore")
     assert m.build().structure.hash != s.structure.hash

@@ -24,7 +24,8 @@ from kempe.model.tree.topology import Topology, spanning_tree
 def tree_by_name(system: System) -> dict:
     t = system.structure.topology
     return {
-        b: (t.bodies[p], j, r) for b, p, j, r in zip(t.bodies[1:], t.parent, t.parent_joints, t.reversed_, strict=True)
+        b: (t.bodies[p], j, r)
+        for b, p, j, r in zip(t.bodies[1:], t.parent, t.parent_joints, t.reversed_, strict=True)
     }
 
 
@@ -48,7 +49,10 @@ def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
     others = other.fk(p)
     for name in one.body_names:
         np.testing.assert_allclose(
-            poses[one.body_names.index(name)], others[other.body_names.index(name)], rtol=0, atol=1e-13
+            poses[one.body_names.index(name)],
+            others[other.body_names.index(name)],
+            rtol=0,
+            atol=1e-13,
         )
     for name in one.structure.closures:
         open_one = one.loops.closure_error(q)[one.structure.closures.index(name)]
@@ -64,9 +68,13 @@ def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
 def test_it_is_a_spanning_tree_that_keeps_directions(graph):
     t = spanning_tree(graph.mechanism())
     ends = {e.name: (e.parent, e.child) for e in graph.edges}
-    assert t.bodies[0] == "ground" and sorted(t.bodies[1:]) == sorted(graph.bodies + graph.particles)
+    assert t.bodies[0] == "ground" and sorted(t.bodies[1:]) == sorted(
+        graph.bodies + graph.particles
+    )
     assert sorted([*t.parent_joints, *t.closures]) == sorted(ends)
-    for i, (p, joint, backwards) in enumerate(zip(t.parent, t.parent_joints, t.reversed_, strict=True), start=1):
+    for i, (p, joint, backwards) in enumerate(
+        zip(t.parent, t.parent_joints, t.reversed_, strict=True), start=1
+    ):
         assert 0 <= p < i
         there = (t.bodies[i], t.bodies[p]) if backwards else (t.bodies[p], t.bodies[i])
         assert ends[joint] == there
@@ -89,7 +97,9 @@ def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
 
 def way_to_ground(t: Topology) -> Callable[[str], dict[str, None]]:
     """Joints of the tree between a body and the ground."""
-    up = {b: (t.bodies[p], j) for b, p, j in zip(t.bodies[1:], t.parent, t.parent_joints, strict=True)}
+    up = {
+        b: (t.bodies[p], j) for b, p, j in zip(t.bodies[1:], t.parent, t.parent_joints, strict=True)
+    }
 
     def way(body: str) -> dict[str, None]:
         joints: dict[str, None] = {}
@@ -107,11 +117,13 @@ def loops_of(system: System) -> dict[str, set[str]]:
     joints = system.structure.joints
     return {
         n: {*way(joints[n].parent)} ^ {*way(joints[n].child)} for n in system.structure.closures
-    }  # fmt: skip
+    }
 
 
 def shortest_basis(ends: list[tuple[int, int]]) -> int:
-    """Total length of a minimum cycle basis (Horton, 1987): short loops, taken while they are independent modulo 2."""
+    """Total length of a minimum cycle basis (Horton, 1987): short loops, taken while they are
+    independent modulo 2.
+    """
     bodies = sorted({b for pair in ends for b in pair})
     candidates: set[tuple[int, int]] = set()  # length, and the edges as bits
     for root in bodies:
@@ -166,7 +178,9 @@ def test_on_every_loop_a_joint_of_the_least_wanted_grade_is_cut(graph):
     t = system.structure.topology
     holds = dict(zip(t.bodies[1:], t.parent_joints, strict=True))
     for name, loop in loops_of(system).items():
-        if edges[name].child in graph.particles:  # the choice is only which of its joints holds the particle
+        if (
+            edges[name].child in graph.particles
+        ):  # the choice is only which of its joints holds the particle
             loop = {holds[edges[name].child]}
         assert all(grade(j) <= grade(name) for j in loop), (name, loop)
 
@@ -178,7 +192,9 @@ def test_loops_of_models_are_short(name):
 
 
 def random_pins(rng: np.random.Generator, bodies: int, loops: int, near: int) -> Mechanism:
-    """Bodies on pins, each on one of the `near` bodies before it, and pins that close loops among `near` bodies."""
+    """Bodies on pins, each on one of the `near` bodies before it, and pins that close loops among
+    `near` bodies.
+    """
     m = Mechanism("pins", dim=2)
     names = [m.ground.name, *(m.body(f"b{k}").name for k in rng.permutation(bodies))]
     pairs = [(int(rng.integers(max(0, k - near), k)), k) for k in range(1, len(names))]
@@ -232,7 +248,9 @@ def seven_bodies(loop: bool = False) -> Mechanism:
 def test_the_lectures_connectivity_vector():
     s = seven_bodies().build()
     assert s.parent == (0, 1, 2, 1, 4, 4, 2)
-    assert s.structure.parent_joints == tuple(f"J{i}" for i in range(1, 8))  # joint i is the parent joint of body i
+    assert s.structure.parent_joints == tuple(
+        f"J{i}" for i in range(1, 8)
+    )  # joint i is the parent joint of body i
     assert s.body_names == tuple(f"B{i}" for i in range(8)) and s.structure.closures == ()
     assert s.structure.topology.reversed_ == (False,) * 7
 
@@ -263,9 +281,15 @@ def square(**changes: dict) -> Mechanism:
     m = Mechanism("square")
     for body in ("crank", "coupler", "rocker"):
         m.body(body)
-    for name, parent, child in (("A", "ground", "crank"), ("B", "crank", "coupler"), ("C", "coupler", "rocker"),
-                                ("D", "ground", "rocker")):  # fmt: skip
-        m.joint(name, **{"kind": "revolute", "parent": parent, "child": child, **changes.get(name, {})})
+    for name, parent, child in (
+        ("A", "ground", "crank"),
+        ("B", "crank", "coupler"),
+        ("C", "coupler", "rocker"),
+        ("D", "ground", "rocker"),
+    ):
+        m.joint(
+            name, **{"kind": "revolute", "parent": parent, "child": child, **changes.get(name, {})}
+        )
     return m
 
 
@@ -281,7 +305,10 @@ def test_a_shallow_tree_is_preferred():
 @pytest.mark.parametrize("name", "ABCD")
 def test_many_freedoms_are_cut_first(name):
     assert cut(square(**{name: {"kind": "spherical"}})) == name
-    assert cut(square(**{name: {"kind": "universal"}, "A" if name != "A" else "B": {"kind": "fixed"}})) == name
+    assert (
+        cut(square(**{name: {"kind": "universal"}, "A" if name != "A" else "B": {"kind": "fixed"}}))
+        == name
+    )
 
 
 @pytest.mark.parametrize("name", "ABCD")
@@ -308,7 +335,11 @@ def test_coupled_joints_are_found_behind_dots():
     """A coordinate is named 'joint.rz', and joints may have dots in their own names."""
     m = Mechanism()
     m.body("a"), m.body("b")
-    m.cylindrical("arm.1", "ground", "a"), m.revolute("x", "a", "b"), m.cylindrical("arm.2", "ground", "b")
+    (
+        m.cylindrical("arm.1", "ground", "a"),
+        m.revolute("x", "a", "b"),
+        m.cylindrical("arm.2", "ground", "b"),
+    )
     m.revolute("y", "b", m.body("c"))
     m.gear("arm.2.rz", "y", 1.0)
     m.gear("arm.1.rz", "y", 2.0)
@@ -325,7 +356,9 @@ def test_two_joints_between_the_same_two_bodies_are_a_loop():
     m = Mechanism()
     m.revolute("j1", "ground", m.body("b"))
     m.revolute("j2", "b", "ground", at=(1, 0, 0))
-    assert m.build().structure.closures == ("j2",) and m.build().structure.topology.reversed_ == (False,)
+    assert m.build().structure.closures == ("j2",) and m.build().structure.topology.reversed_ == (
+        False,
+    )
 
 
 def test_ties_are_broken_by_natural_names():
@@ -333,7 +366,10 @@ def test_ties_are_broken_by_natural_names():
     m.body("b")
     for name in ("J10", "J9", "J2"):
         m.revolute(name, "ground", "b")
-    assert set(m.build().structure.closures) == {"J9", "J10"} and m.build().structure.parent_joints == ("J2",)
+    assert set(m.build().structure.closures) == {
+        "J9",
+        "J10",
+    } and m.build().structure.parent_joints == ("J2",)
 
 
 def test_natural_order():
@@ -353,7 +389,8 @@ def test_detached_bodies_are_named():
     m.body("lost"), m.body("alone")
     m.revolute("E", "lost", "alone")
     with pytest.raises(
-        DescriptionError, match="mechanism 'square': no joints lead from 'ground' to 'lost', 'alone'; a free body"
+        DescriptionError,
+        match="mechanism 'square': no joints lead from 'ground' to 'lost', 'alone'; a free body",
     ):
         m.build()
     for i in range(20):
@@ -367,7 +404,9 @@ def test_the_ground_alone_is_a_system():
     assert (s.nq, s.nv, s.parent, s.body_names) == (0, 0, (), ("ground",))
     np.testing.assert_array_equal(s.fk([]), np.eye(4)[None])
     np.testing.assert_array_equal(s.fk(np.zeros((3, 0)), "ground"), np.tile(np.eye(4), (3, 1, 1)))
-    assert s.loops.closure_error([]).shape == (0, 6) and str(s.configuration_space).startswith("a point")
+    assert s.loops.closure_error([]).shape == (0, 6) and str(s.configuration_space).startswith(
+        "a point"
+    )
 
 
 def chain(n: int, rungs: int = 0) -> Mechanism:
@@ -424,7 +463,9 @@ def test_names_in_their_natural_order():
 
 @pytest.mark.parametrize("away", [0.0, 3.0, 1e6])
 def test_loops_are_measured_from_where_they_are(away):
-    """A mechanism far from the ground's origin loses no digits, and one near by is measured from there."""
+    """A mechanism far from the ground's origin loses no digits, and one near by is measured from
+    there.
+    """
     m = Mechanism("four-bar", dim=2)
     m.revolute("A", m.ground, m.body("a"), at=(away, 0))
     m.revolute("B", "a", m.body("b"), at=(0.1, 0))

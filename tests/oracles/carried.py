@@ -1,4 +1,6 @@
-"""The closure of a joint that holds nothing along fixed axes: its frame M, led on by its own coordinates, is welded."""
+"""The closure of a joint that holds nothing along fixed axes: its frame M, led on by its own
+coordinates, is welded.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
 
 
 def coordinate_row(system: System, name: str) -> np.ndarray:
-    """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in q."""
+    """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in
+    q.
+    """
     row = np.zeros(system.nv)
     factor = 1.0
     follower = system.structure.couplings.get(name)
@@ -34,7 +38,9 @@ def coordinate_row(system: System, name: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Carried(Pair):
-    """A joint that closes a loop, by how far its coordinates put M from where M is: six rows, three in the plane."""
+    """A joint that closes a loop, by how far its coordinates put M from where M is: six rows, three
+    in the plane.
+    """
 
     own: Motion
 
@@ -58,7 +64,9 @@ class Carried(Pair):
         return rates[..., keep, :]
 
     def values(self, system: System, q: Array) -> Array:
-        """Values (..., n) of the joint's own coordinates, those that follow others or are held included."""
+        """Values (..., n) of the joint's own coordinates, those that follow others or are held
+        included.
+        """
         values = [coordinate_value(system, q, n) for n in self.own.names]
         return np.stack(values, axis=-1) if values else np.zeros((*q.shape[:-1], 0))
 
@@ -83,7 +91,9 @@ class Carried(Pair):
         return e.value[..., keep], (e.by_pose + e.by_own @ self._follows(e))[..., keep, :]
 
     def read(self, X: Array, near: Array) -> tuple[Array, Array]:
-        """The coordinates (..., n) at a pose, of several the ones nearest to `near`, and rates (..., velocities, 6)."""
+        """The coordinates (..., n) at a pose, of several the ones nearest to `near`, and rates
+        (..., velocities, 6).
+        """
         values = self.own.fit(X, near)
         return values, self._follows(self.own.error(X, values))
 

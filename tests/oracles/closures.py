@@ -21,10 +21,12 @@ from oracles.motion import motion_of
 
 @dataclass(frozen=True, eq=False)
 class Closure(Pair):
-    """A joint that closes a loop, by the rows that its type takes away: 5 of a revolute joint, 3 of a ball, ...
+    """A joint that closes a loop, by the rows that its type takes away: 5 of a revolute joint, 3 of
+    a ball, ...
 
-    `tied` are coordinates of the joint that have rows of their own, which ask that the value in q (or what it
-    follows) is what is read off the pose; each (names, how they are read), three angles or a quaternion together.
+    `tied` are coordinates of the joint that have rows of their own, which ask that the value in q
+    (or what it follows) is what is read off the pose; each (names, how they are read), three angles
+    or a quaternion together.
     """
 
     hold: pairs.Hold
@@ -34,7 +36,11 @@ class Closure(Pair):
     @property
     def names(self) -> tuple[str, ...]:
         """A name for each row: held directions, then tied coordinates."""
-        own = [x for names, _ in self.tied for x in (names if len(names) == 1 else (f"own r{a}" for a in "xyz"))]
+        own = [
+            x
+            for names, _ in self.tied
+            for x in (names if len(names) == 1 else (f"own r{a}" for a in "xyz"))
+        ]
         return (*self.hold.names, *own)
 
     def rows(self, X: Array) -> pairs.Rows:
@@ -60,12 +66,16 @@ class Closure(Pair):
                 number, rates = pairs.read(X, kind, self.pitch)
                 number = number - coordinate_value(system, q, names[0])
                 if kind.startswith("turn"):
-                    number = (number + np.pi) % (2.0 * np.pi) - np.pi  # a full turn more is the same pose
+                    number = (number + np.pi) % (
+                        2.0 * np.pi
+                    ) - np.pi  # a full turn more is the same pose
                 number = number[..., None]
                 J = rates[..., None, :] @ motion - coordinate_row(system, names[0])
             else:
                 own = np.stack([coordinate_value(system, q, n) for n in names], axis=-1)
-                number, rates, by_own = (pairs.angle_rows if len(names) == 3 else pairs.quaternion_rows)(X, own)
+                number, rates, by_own = (
+                    pairs.angle_rows if len(names) == 3 else pairs.quaternion_rows
+                )(X, own)
                 J = rates @ motion + by_own @ _own_rows(system, names)
             values.append(number)
             jacobians.append(J)
@@ -86,9 +96,10 @@ def _own_rows(system: System, names: tuple[str, ...]) -> Array:
 def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carried:
     """The closure of a joint, by the rows that its type takes away.
 
-    Coordinates of the joint that follow others, are held, or are part of a relation have a row each besides, for
-    they are not free; with `own=True` all of them do, so that the residual is zero only where q has their values, too.
-    So they do in any case where what the type takes away has no fixed axes: its closure is `Carried`.
+    Coordinates of the joint that follow others, are held, or are part of a relation have a row each
+    besides, for they are not free; with `own=True` all of them do, so that the residual is zero
+    only where q has their values, too. So they do in any case where what the type takes away has no
+    fixed axes: its closure is `Carried`.
     """
     mechanism = system.mechanism
     if joint not in mechanism.joints:
@@ -102,8 +113,12 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carri
     if hold is None:
         motion = motion_of(system, j, slides_along_z(j.type, system.dim, particle))
         return Carried(joint, j.parent, j.child, motion, X_A=X_PF, X_B=X_CM)
-    related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | system.structure.couplings.keys()
+    related = {
+        n for r in system.structure.relations for n in (r.of, *r.sources)
+    } | system.structure.couplings.keys()
     groups = pairs.reading_groups(j.type, system.dim, particle)
     tied = [(tuple(names[i] for i in group), kind) for group, kind in groups]
     tied = [t for t in tied if own or related & {*t[0]}]
-    return Closure(joint, j.parent, j.child, hold, hold.pitch or 0.0, tuple(tied), X_A=X_PF, X_B=X_CM)
+    return Closure(
+        joint, j.parent, j.child, hold, hold.pitch or 0.0, tuple(tied), X_A=X_PF, X_B=X_CM
+    )

@@ -53,7 +53,9 @@ class PointOnLine(Pair):
         if not self.planar:
             return value, rates
         across = flat_frame(self.X_A)[:3, 1] @ self.X_A[:3, :3]  # in axes of A
-        return X[..., :3, 3] @ across[:, None], np.broadcast_to(np.r_[across, 0.0, 0.0, 0.0], (*X.shape[:-2], 1, 6))
+        return X[..., :3, 3] @ across[:, None], np.broadcast_to(
+            np.r_[across, 0.0, 0.0, 0.0], (*X.shape[:-2], 1, 6)
+        )
 
 
 @dataclass(frozen=True, eq=False)

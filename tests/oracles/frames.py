@@ -1,4 +1,6 @@
-"""A constraint between two frames: rows of equations of the pose of one in the other, with their rates."""
+"""A constraint between two frames: rows of equations of the pose of one in the other, with their
+rates.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ class Pair(ABC):
 
     @abstractmethod
     def rows(self, X: Array) -> pairs.Rows:
-        """Residual (..., size) and rates (..., size, 6) of the pose X of B in A; see `kempe.kinematics.pairs`."""
+        """Residual (..., size) and rates (..., size, 6) of the pose X of B in A; see
+        `kempe.kinematics.pairs`.
+        """
 
     def residual(self, system: System, q: Any) -> Array:
         """How far it is violated (..., size), in metres and radians."""
@@ -58,6 +62,8 @@ class Pair(ABC):
         return spatial.inverse(fk(system, q, self.a) @ self.X_A) @ fk(system, q, self.b) @ self.X_B
 
     def motion(self, system: System, q: Array) -> Array:
-        """Matrix (..., 6, nv): velocity coordinates to the twist of B against A, at the origin of B, in axes of A."""
+        """Matrix (..., 6, nv): velocity coordinates to the twist of B against A, at the origin of
+        B, in axes of A.
+        """
         ends = ((self.a, self.X_A), (self.b, self.X_B))
         return pairs.motion(*((fk(system, q, f), X, frame_jacobian(system, q, f)) for f, X in ends))

@@ -1,4 +1,6 @@
-"""The equations of a system in maximal coordinates, compiled once; and its joint coordinates, read off poses."""
+"""The equations of a system in maximal coordinates, compiled once; and its joint coordinates, read
+off poses.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 TURNS = (0, 32, 6, 2, 1)
-"""Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them tells their turns."""
+"""Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them
+tells their turns."""
 FULL_TURN = 2.0 * np.pi
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -34,14 +37,20 @@ def maximal_velocity_names(system: System) -> tuple[str, ...]:
     """A name for each number that moves the bodies, such as 'crank.vx' or 'crank.wz'."""
     names = TWIST if system.dim == 3 else ("vx", "vy", "wz")
     bodies = system.mechanism.bodies
-    return tuple(f"{b}.{n}" for b in system.body_names[1:] for n in names if n[0] == "v" or not bodies[b].particle)
+    return tuple(
+        f"{b}.{n}"
+        for b in system.body_names[1:]
+        for n in names
+        if n[0] == "v" or not bodies[b].particle
+    )
 
 
 class LinearRow(NamedTuple):
     """sum of factor * coordinate = offset, the dependent coordinate first with factor 1.
 
-    `turns` says that the dependent one is an angle, `free` that it is part of q. `periods` are those of the other
-    terms that can turn fully, so that poses do not tell how far they have turned.
+    `turns` says that the dependent one is an angle, `free` that it is part of q. `periods` are
+    those of the other terms that can turn fully, so that poses do not tell how far they have
+    turned.
     """
 
     name: str
@@ -76,21 +85,35 @@ def form_of(system: System) -> Form:
     turning = {names[0] for j in joints for names, kind in j.tied if kind.startswith("turn")}
     turning |= {n for j in joints for names, kind in j.tied if kind == "angles" for n in names}
     turning |= {j.own.names[i] for j in every if isinstance(j, Carried) for i in j.own.turning()}
-    balls = [(j, spatial.unit([followers[n].offset for n in names])) for j in joints for names, kind in j.tied
-             if kind == "quaternion" and names[0] in followers]  # fmt: skip
+    balls = [
+        (j, spatial.unit([followers[n].offset for n in names]))
+        for j in joints
+        for names, kind in j.tied
+        if kind == "quaternion" and names[0] in followers
+    ]
     in_balls = {n for j in mechanism.joints.values() for n in _quaternion(system, j)}
-    rows = [(n, ((f.source, -f.multiplier),) if f.source else (), f.offset) for n, f in followers.items()]
-    rows += [(r.of, tuple((s, -m) for s, m in r.sources.items()), r.offset) for r in system.structure.relations]
+    rows = [
+        (n, ((f.source, -f.multiplier),) if f.source else (), f.offset)
+        for n, f in followers.items()
+    ]
+    rows += [
+        (r.of, tuple((s, -m) for s, m in r.sources.items()), r.offset)
+        for r in system.structure.relations
+    ]
     wide = {
         n: not high - low < FULL_TURN
-        for n, (low, high) in zip(system.structure.velocity_names, system.structure.limits, strict=True)
+        for n, (low, high) in zip(
+            system.structure.velocity_names, system.structure.limits, strict=True
+        )
     }
     relations = []
     for name, sources, offset in rows:
         if name not in in_balls:
             terms = ((name, 1.0), *sources)
             periods = tuple((n, m) for n, m in sources if n in turning and wide[n])
-            relations.append(LinearRow(name, terms, offset, name in turning, name not in followers, periods))
+            relations.append(
+                LinearRow(name, terms, offset, name in turning, name not in followers, periods)
+            )
     said = {n: f"joint {n!r} ({j.type.type_name})" for n, j in mechanism.joints.items()}
     said |= {n: f"constraint {n!r} ({c.kind})" for n, c in mechanism.constraints.items()}
     columns = maximal_velocity_names(system)
@@ -132,10 +155,12 @@ def _body(system: System, name: str, poses: Array) -> Array:
 # ---- coordinates
 
 
-def coordinates_of(system: System, poses: Array, near: Any) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Values of all coordinates by name, those nearest to a configuration, and for what is no quaternion its
-    derivatives (..., n) by the twists.
-    """  # fmt: skip
+def coordinates_of(
+    system: System, poses: Array, near: Any
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Values of all coordinates by name, those nearest to a configuration, and for what is no
+    quaternion its derivatives (..., n) by the twists.
+    """
     near = system.mid if near is None else as_start(system, near)
     values = {}
     rates = {}
@@ -161,7 +186,10 @@ def coordinates_of(system: System, poses: Array, near: Any) -> tuple[dict[str, A
                 found = (_unwrapped(value, at[..., 0]) if turning else value)[..., None]
                 slopes = [slope]
             values |= {n: found[..., i] for i, n in enumerate(names)}
-            rates |= {n: (s[..., None, :] @ motion)[..., 0, :] for n, s in zip(names, slopes, strict=False)}
+            rates |= {
+                n: (s[..., None, :] @ motion)[..., 0, :]
+                for n, s in zip(names, slopes, strict=False)
+            }
     return values, rates
 
 
@@ -170,7 +198,9 @@ def _unwrapped(angle: Array, near: Array) -> Array:
 
 
 def _three_angles(X: Array, near: Array) -> tuple[Array, list[Array]]:
-    """Turns (..., 3) about z, y', x'': of the two ways to say a rotation the one that is nearest; rates (..., 6)."""
+    """Turns (..., 3) about z, y', x'': of the two ways to say a rotation the one that is nearest;
+    rates (..., 6).
+    """
     (a, da), (b, db), (c, dc) = (pairs.turn(X, k) for k in ("yaw", "pitch", "roll"))
     locked = np.hypot(X[..., 0, 0], X[..., 1, 0]) < pairs.ANGLES_SINGULAR
     a = np.where(locked, near[..., 0], a)  # only a combination of a and c is determined

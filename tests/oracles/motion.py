@@ -1,4 +1,6 @@
-"""The motion of a joint of any type: its pose and twists at given coordinates, and coordinates that fit a pose."""
+"""The motion of a joint of any type: its pose and twists at given coordinates, and coordinates that
+fit a pose.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +24,24 @@ POLISH = 4
 """Starts of a fit, its damped steps, and Newton steps after them."""
 AT_LEAST = 12
 SETTLED = 1e-6
-"""Steps that every start of a fit has, and the length of the best start's step from which Newton steps go on."""
+"""Steps that every start of a fit has, and the length of the best start's step from which Newton
+steps go on."""
 FITS = 1e-13
 """Residual, in metres and radians, at which a fit is done."""
 AS_GOOD = 1e-9
-"""Residuals that differ by less are equally good: the coordinates nearest to the given ones count."""
+"""Residuals that differ by less are equally good: the coordinates nearest to the given ones
+count."""
 FLAT = 1e-10
-"""Singular values below this part of the largest count as zero: coordinates that the pose does not tell stay."""
+"""Singular values below this part of the largest count as zero: coordinates that the pose does not
+tell stay."""
 
 _TURNS = (spatial.rot_x, spatial.rot_y, spatial.rot_z)
 
 
 class Step(NamedTuple):
-    """A primitive: kind, axis (0, 1, 2), multiplier, its first value and velocity; or a quaternion that is held."""
+    """A primitive: kind, axis (0, 1, 2), multiplier, its first value and velocity; or a quaternion
+    that is held.
+    """
 
     kind: int
     axis: int
@@ -46,9 +53,11 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The primitives of a joint, by `values` (..., n) of the coordinates `names`; a held quaternion has none.
+    """The primitives of a joint, by `values` (..., n) of the coordinates `names`; a held quaternion
+    has none.
 
-    `keep` are the rows of a twist [v; w] that count: all in space, three in the plane, the position of a particle.
+    `keep` are the rows of a twist [v; w] that count: all in space, three in the plane, the position
+    of a particle.
     """
 
     steps: tuple[Step, ...]
@@ -70,7 +79,9 @@ class Motion:
         return [i for i, _ in self.plain if i not in slow]
 
     def at(self, values: Array) -> tuple[Array, Array]:
-        """Pose X_FM (..., 4, 4), and twists (..., 6, primitives) of M in its own axes; a quaternion has three."""
+        """Pose X_FM (..., 4, 4), and twists (..., 6, primitives) of M in its own axes; a quaternion
+        has three.
+        """
         X = np.array(np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4)))
         parts: list[tuple[Array, Array | None]] = []  # axis and, for turns, a point of it
         for s in self.steps:
@@ -116,8 +127,13 @@ class Motion:
         slides = spatial.skew(off) @ own[..., 3:, :] - own[..., :3, :]
         by_own = np.concatenate([slides, -rate @ own[..., 3:, :]], axis=-2)
         counts = np.isin(np.arange(6), self.keep).astype(float)
-        return Error(np.concatenate([off, phi], axis=-1) * counts, by_pose * counts[:, None],
-                     by_own * counts[:, None], own, twists)  # fmt: skip
+        return Error(
+            np.concatenate([off, phi], axis=-1) * counts,
+            by_pose * counts[:, None],
+            by_own * counts[:, None],
+            own,
+            twists,
+        )
 
     def moved(self, values: Array, by: Array) -> Array:
         """Values after a step (..., velocities)."""
@@ -128,25 +144,38 @@ class Motion:
             if s.kind == Q and s.held is None:
                 i = s.value
                 turn = spatial.quat_wxyz_exp(by[..., s.velocity : s.velocity + 3])
-                out[..., i : i + 4] = spatial.unit(spatial.quat_wxyz_multiply(spatial.unit(out[..., i : i + 4]), turn))
+                out[..., i : i + 4] = spatial.unit(
+                    spatial.quat_wxyz_multiply(spatial.unit(out[..., i : i + 4]), turn)
+                )
         return out
 
     def slope(self, e: Error) -> tuple[Array, Array]:
-        """Derivatives of own^T value, zero at the best fit: by the velocities, and by the twist of the pose."""
+        """Derivatives of own^T value, zero at the best fit: by the velocities, and by the twist of
+        the pose.
+        """
         a = e.twists[..., :, None]
         b = e.twists[..., None, :]
         v = _cross(a[..., 3:, :, :], b[..., :3, :, :]) - _cross(b[..., 3:, :, :], a[..., :3, :, :])
         bracket = np.concatenate([v, _cross(a[..., 3:, :, :], b[..., 3:, :, :])], axis=-3)
-        step = np.array([k for k, s in enumerate(self.steps) if s.held is None for _ in range(_count(s))], dtype=int)
+        step = np.array(
+            [k for k, s in enumerate(self.steps) if s.held is None for _ in range(_count(s))],
+            dtype=int,
+        )
         curved = np.sum(e.value[..., :, None, None] * bracket, axis=-3) * (step[:, None] < step)
         turned = np.swapaxes(e.own, -1, -2)
         owners = self.owners()
         return owners.T @ curved @ owners + turned @ e.by_own, turned @ e.by_pose
 
     def fit(self, X: Array, near: Array | None = None) -> Array:
-        """Values (..., n) that put M nearest to X (..., 4, 4); of several those nearest to `near` (default: zero)."""
+        """Values (..., n) that put M nearest to X (..., 4, 4); of several those nearest to `near`
+        (default: zero).
+        """
         lead = X.shape[:-2]
-        home = np.zeros((*lead, len(self.names))) if near is None else np.broadcast_to(near, (*lead, len(self.names)))
+        home = (
+            np.zeros((*lead, len(self.names)))
+            if near is None
+            else np.broadcast_to(near, (*lead, len(self.names)))
+        )
         if near is None and self.ball >= 0:
             home[..., self.ball] = 1.0
         X, starts = X[..., None, :, :], self._starts(X, home)
@@ -159,8 +188,12 @@ class Motion:
             if np.all(size.min(axis=-1) < FITS):
                 break
             T = np.swapaxes(e.by_own, -1, -2)
-            step = np.linalg.solve(T @ e.by_own + damping * np.eye(self.size), T @ -e.value[..., None])[..., 0]
-            if k >= AT_LEAST and np.all(np.take_along_axis(np.linalg.norm(step, axis=-1), best, axis=-1) < SETTLED):
+            step = np.linalg.solve(
+                T @ e.by_own + damping * np.eye(self.size), T @ -e.value[..., None]
+            )[..., 0]
+            if k >= AT_LEAST and np.all(
+                np.take_along_axis(np.linalg.norm(step, axis=-1), best, axis=-1) < SETTLED
+            ):
                 break
             tried = self.moved(values, np.asarray(step, dtype=float))
             new = self.error(X, tried)
@@ -177,7 +210,11 @@ class Motion:
         far = np.linalg.norm(X[..., :3, 3], axis=-1)[..., None]
         turning = self.turning()
         for value, _ in self.plain:
-            turns = [abs(s.multiplier) for s in self.steps if s.value == value and s.kind == R and s.multiplier]
+            turns = [
+                abs(s.multiplier)
+                for s in self.steps
+                if s.value == value and s.kind == R and s.multiplier
+            ]
             reach = np.pi / min(turns) if turns or value in turning else 2.0 * far
             out[..., 1:, value] += reach * rng.uniform(-1.0, 1.0, STARTS - 1)
         if self.ball >= 0:
@@ -185,10 +222,14 @@ class Motion:
         return out
 
     def _nearest(self, values: Array, size: Array, home: Array) -> Array:
-        """Of values (..., k, n) with residuals (..., k) the best, and of equally good ones the nearest to `home`."""
+        """Of values (..., k, n) with residuals (..., k) the best, and of equally good ones the
+        nearest to `home`.
+        """
         home = home[..., None, :]
         turning = self.turning()
-        values[..., turning] += 2.0 * np.pi * np.round((home - values)[..., turning] / (2.0 * np.pi))
+        values[..., turning] += (
+            2.0 * np.pi * np.round((home - values)[..., turning] / (2.0 * np.pi))
+        )
         if self.ball >= 0:
             ball = slice(self.ball, self.ball + 4)
             opposite = np.sum(values[..., ball] * home[..., ball], axis=-1) < 0.0
@@ -214,10 +255,12 @@ class Motion:
 
 
 class Error(NamedTuple):
-    """How far M is from where values put it: position and rotation vector (..., 6) in axes of the M that they predict.
+    """How far M is from where values put it: position and rotation vector (..., 6) in axes of the M
+    that they predict.
 
-    What does not count is zero. `by_pose` (..., 6, 6) and `by_own` (..., 6, velocities) are its derivatives by the
-    twist of M against F in axes of F and by the velocities, `own` and `twists` the twists of the predicted M.
+    What does not count is zero. `by_pose` (..., 6, 6) and `by_own` (..., 6, velocities) are its
+    derivatives by the twist of M against F in axes of F and by the velocities, `own` and `twists`
+    the twists of the predicted M.
     """
 
     value: Array
@@ -228,12 +271,18 @@ class Error(NamedTuple):
 
 
 def motion_of(system: System, joint: Joint, flat: bool) -> Motion:
-    """The motion of a joint of a system; `flat`: its slides along z of F are along x of the turned frame."""
+    """The motion of a joint of a system; `flat`: its slides along z of F are along x of the turned
+    frame.
+    """
     particle = system.mechanism.bodies[joint.child].particle
     names = system.structure.coordinates_of_joint(joint.name)
     primitives = joint.type.layout(system.dim, particle)[1]
-    held = {k for p in primitives if p.kind == Q and names[p.coordinate] in system.structure.couplings
-            for k in range(p.coordinate, p.coordinate + 4)}  # fmt: skip
+    held = {
+        k
+        for p in primitives
+        if p.kind == Q and names[p.coordinate] in system.structure.couplings
+        for k in range(p.coordinate, p.coordinate + 4)
+    }
     value = {k: i for i, k in enumerate(k for k in range(len(names)) if k not in held)}
     velocity: dict[int, int] = {}
     steps = []
@@ -241,7 +290,9 @@ def motion_of(system: System, joint: Joint, flat: bool) -> Motion:
     ball = -1
     for p in primitives:
         if p.coordinate in held:
-            quat = [system.structure.couplings[n].offset for n in names[p.coordinate : p.coordinate + 4]]
+            quat = [
+                system.structure.couplings[n].offset for n in names[p.coordinate : p.coordinate + 4]
+            ]
             steps.append(Step(Q, 2, 1.0, -1, -1, spatial.quat_wxyz_to_matrix(spatial.unit(quat))))
             continue
         if p.coordinate not in velocity:
@@ -271,7 +322,12 @@ def _size(e: Error) -> Array:
 
 def _pick(which: np.ndarray, a: Error, b: Error) -> Error:
     """The first of two where `which` says so."""
-    return Error(*(np.where(which[(..., *[None] * (x.ndim - which.ndim))], x, y) for x, y in zip(a, b, strict=True)))
+    return Error(
+        *(
+            np.where(which[(..., *[None] * (x.ndim - which.ndim))], x, y)
+            for x, y in zip(a, b, strict=True)
+        )
+    )
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -1,8 +1,10 @@
-"""Kinematic pairs: what a joint holds and what it leaves free, read off the pose X of its frame M in its frame F.
+"""Kinematic pairs: what a joint holds and what it leaves free, read off the pose X of its frame M
+in its frame F.
 
-Every function gives values with their rates: the matrix (..., m, 6) that takes the relative twist [v; w] to the
-time derivatives of the m values, where v is the velocity of the origin of M in F and w the angular velocity of M
-against F, both in axes of F: dp/dt = v and dR/dt = [w] R. So the rates are exact for any X, also where a loop is open.
+Every function gives values with their rates: the matrix (..., m, 6) that takes the relative twist
+[v; w] to the time derivatives of the m values, where v is the velocity of the origin of M in F and
+w the angular velocity of M against F, both in axes of F: dp/dt = v and dR/dt = [w] R. So the rates
+are exact for any X, also where a loop is open.
 """
 
 from __future__ import annotations
@@ -27,9 +29,10 @@ ANGLES_SINGULAR = 1e-9
 
 @dataclass(frozen=True)
 class Hold:
-    """What a pair holds: positions ("xy", ...), and rotations: "xyz" all, "xy" z stays parallel to z, "x.y" x of F
-    stays normal to y of M, "z" the angle in the plane, "" none. A `pitch` ties the slide along z to the turn about z.
-    """  # fmt: skip
+    """What a pair holds: positions ("xy", ...), and rotations: "xyz" all, "xy" z stays parallel to
+    z, "x.y" x of F stays normal to y of M, "z" the angle in the plane, "" none. A `pitch` ties the
+    slide along z to the turn about z.
+    """
 
     position: str
     turns: str
@@ -54,11 +57,15 @@ class Hold:
             parts.append(_stack([turn(X, "z")]))
         if self.pitch is not None:
             parts.append(_screw(X, self.pitch))
-        return np.concatenate([v for v, _ in parts], axis=-1), np.concatenate([r for _, r in parts], axis=-2)
+        return np.concatenate([v for v, _ in parts], axis=-1), np.concatenate(
+            [r for _, r in parts], axis=-2
+        )
 
 
 def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold | None:
-    """What a joint type holds, None where that has no fixed axes; in the plane a slide is along x (`flat_frame`)."""
+    """What a joint type holds, None where that has no fixed axes; in the plane a slide is along x
+    (`flat_frame`).
+    """
     form = implicit_form(kind, dim, particle)
     if form is not None:
         return Hold(form.position, form.turns)
@@ -66,7 +73,9 @@ def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold | Non
     return None if pitch is None else Hold("xy", "xy", pitch)
 
 
-def frames_of(kind: JointType, X_PF: Array, X_CM: Array, dim: int, particle: bool) -> tuple[Array, Array]:
+def frames_of(
+    kind: JointType, X_PF: Array, X_CM: Array, dim: int, particle: bool
+) -> tuple[Array, Array]:
     """Frames F on the parent and M on the child in which `hold_of` and `read` speak of the joint."""
     if slides_along_z(kind, dim, particle):
         return flat_frame(X_PF), flat_frame(X_CM)
@@ -117,13 +126,16 @@ def _angle(X: Array, s: tuple[int, int], c: tuple[int, int]) -> tuple[Array, Arr
     square = (a * a + b * b)[..., None]
     with np.errstate(invalid="ignore", divide="ignore"):
         w = (b[..., None] * D[..., s[0], s[1]] - a[..., None] * D[..., c[0], c[1]]) / square
-    return np.arctan2(a, b), np.concatenate([np.zeros_like(w), np.where(square > 0.0, w, 0.0)], axis=-1)
+    return np.arctan2(a, b), np.concatenate(
+        [np.zeros_like(w), np.where(square > 0.0, w, 0.0)], axis=-1
+    )
 
 
 def turn(X: Array, which: str) -> tuple[Array, Array]:
     """An angle (...) and its rates (..., 6).
 
-    "z" is that of one turn; "rx", "ry" those of a cross; "yaw", "pitch", "roll" those of turns about z, y', x''.
+    "z" is that of one turn; "rx", "ry" those of a cross; "yaw", "pitch", "roll" those of turns
+    about z, y', x''.
     """
     if which in ("z", "yaw"):
         return _angle(X, (1, 0), (0, 0))
@@ -137,30 +149,42 @@ def turn(X: Array, which: str) -> tuple[Array, Array]:
     up = -X[..., 2, 0]
     across = np.hypot(X[..., 0, 0], X[..., 1, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
-        d_across = (X[..., 0, 0, None] * D[..., 0, 0] + X[..., 1, 0, None] * D[..., 1, 0]) / across[..., None]
+        d_across = (X[..., 0, 0, None] * D[..., 0, 0] + X[..., 1, 0, None] * D[..., 1, 0]) / across[
+            ..., None
+        ]
     d_across = np.where(across[..., None] > 0.0, d_across, 0.0)
-    w = (-across[..., None] * D[..., 2, 0] - up[..., None] * d_across) / (up * up + across * across)[..., None]
+    w = (-across[..., None] * D[..., 2, 0] - up[..., None] * d_across) / (
+        up * up + across * across
+    )[..., None]
     return np.arctan2(up, across), np.concatenate([np.zeros_like(w), w], axis=-1)
 
 
 def rotation(X: Array) -> Rows:
-    """Rotation vector of M in F (3 rows). Rates: inverse left Jacobian of SO(3) (Chirikjian, 2012, section 10.3)."""
+    """Rotation vector of M in F (3 rows). Rates: inverse left Jacobian of SO(3) (Chirikjian, 2012,
+    section 10.3).
+    """
     phi = spatial.log_so3(X[..., :3, :3])
     return phi, _angular(log_rate(phi))
 
 
 def log_rate(phi: Array) -> Array:
-    """Matrix (..., 3, 3) that takes w to the time derivative of the rotation vector, where dR/dt = [w] R."""
+    """Matrix (..., 3, 3) that takes w to the time derivative of the rotation vector, where dR/dt =
+    [w] R.
+    """
     angle = np.linalg.norm(phi, axis=-1)[..., None, None]
     small = angle < 1e-3
     half = np.where(small, 0.5, 0.5 * angle)
-    factor = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - half / np.tan(half)) / (2.0 * half) ** 2)
+    factor = np.where(
+        small, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
+    )
     K = spatial.skew(phi)
     return np.eye(3) - 0.5 * K + factor * (K @ K)
 
 
 def alignment(X: Array) -> Rows:
-    """Rotation vector, about x and y of F, of the smallest turn that takes z of F to z of M (2 rows)."""
+    """Rotation vector, about x and y of F, of the smallest turn that takes z of F to z of M (2
+    rows).
+    """
     z = X[..., :3, 2]
     D = _turning(X)[..., :, 2]
     sine = np.hypot(z[..., 0], z[..., 1])
@@ -169,7 +193,9 @@ def alignment(X: Array) -> Rows:
     near = (sine < 1e-3) & (cosine > 0.0)
     safe = np.where(sine > 0.0, sine, 1.0)
     ratio = np.where(near, 1.0 + sine**2 / 6.0 + 3.0 * sine**4 / 40.0, angle / safe)[..., None]
-    slope = np.where(near, -1.0 / 3.0 - 2.0 / 15.0 * sine**2, (angle * cosine - sine) / safe**3)[..., None]
+    slope = np.where(near, -1.0 / 3.0 - 2.0 / 15.0 * sine**2, (angle * cosine - sine) / safe**3)[
+        ..., None
+    ]
     across = np.stack([-z[..., 1], z[..., 0]], axis=-1)
     d_across = np.stack([-D[..., 1], D[..., 0]], axis=-2)
     w = ratio[..., None] * d_across + across[..., :, None] * (slope * D[..., 2])[..., None, :]
@@ -185,7 +211,9 @@ def _screw(X: Array, pitch: float) -> Rows:
     """How far the slide along z is from the pitch times the turn, by the nearest number of turns."""
     angle, rate = turn(X, "z")
     value, rates = slides(X, "z")
-    return value - pitch * (angle + screw_turns(X, pitch, angle))[..., None], rates - pitch * rate[..., None, :]
+    return value - pitch * (angle + screw_turns(X, pitch, angle))[..., None], rates - pitch * rate[
+        ..., None, :
+    ]
 
 
 def screw_turns(X: Array, pitch: float, angle: Array) -> Array:
@@ -206,10 +234,14 @@ def _stack(parts: list[tuple[Array, Array]]) -> Rows:
 # ---- the coordinates of a joint
 
 
-def reading_groups(kind: JointType, dim: int = 3, particle: bool = False) -> list[tuple[tuple[int, ...], str]]:
-    """The coordinates of a joint by what is read together: one by one, but three angles or a quaternion at once.
+def reading_groups(
+    kind: JointType, dim: int = 3, particle: bool = False
+) -> list[tuple[tuple[int, ...], str]]:
+    """The coordinates of a joint by what is read together: one by one, but three angles or a
+    quaternion at once.
 
-    Each is "x", "y", "z" a slide, "turn ..." as in `turn`, "screw", "angles" (yaw, pitch, roll) or "quaternion".
+    Each is "x", "y", "z" a slide, "turn ..." as in `turn`, "screw", "angles" (yaw, pitch, roll) or
+    "quaternion".
     """
     form = implicit_form(kind, dim, particle)
     if form is None:
@@ -227,7 +259,9 @@ def reading_groups(kind: JointType, dim: int = 3, particle: bool = False) -> lis
 
 
 def read(X: Array, kind: str, pitch: float = 0.0) -> tuple[Array, Array]:
-    """One coordinate (...) and its rates (..., 6), as `reading_groups` says; angles within a half turn of zero."""
+    """One coordinate (...) and its rates (..., 6), as `reading_groups` says; angles within a half
+    turn of zero.
+    """
     if kind in AXES:
         value, rates = slides(X, kind)
         return value[..., 0], rates[..., 0, :]
@@ -236,20 +270,30 @@ def read(X: Array, kind: str, pitch: float = 0.0) -> tuple[Array, Array]:
 
 
 def angle_rows(X: Array, angles: Array) -> tuple[Array, Array, Array]:
-    """As `quaternion_rows`, for turns by `angles` (..., 3) about z, y' and x''; derivatives by these angles."""
+    """As `quaternion_rows`, for turns by `angles` (..., 3) about z, y' and x''; derivatives by
+    these angles.
+    """
     a = spatial.rot_z(angles[..., 0])
     b = spatial.rot_y(angles[..., 1])
     c = spatial.rot_x(angles[..., 2])
     bc = np.swapaxes(b @ c, -1, -2)
-    axes = np.stack([bc[..., :, 2], np.swapaxes(c, -1, -2)[..., :, 1], np.broadcast_to([1.0, 0, 0], a.shape[:-1])], -1)
+    axes = np.stack(
+        [
+            bc[..., :, 2],
+            np.swapaxes(c, -1, -2)[..., :, 1],
+            np.broadcast_to([1.0, 0, 0], a.shape[:-1]),
+        ],
+        -1,
+    )
     phi, rates, by_turn = _rotation_rows(X, a @ b @ c)
     return phi, rates, by_turn @ axes
 
 
 def quaternion_rows(X: Array, quat_wxyz: Array) -> tuple[Array, Array, Array]:
-    """Rotation vector (..., 3) from a quaternion to the rotation of X, its rates, and the matrix (..., 3, 3) that
-    takes the angular velocity of the quaternion, in its own axes, to the derivative.
-    """  # fmt: skip
+    """Rotation vector (..., 3) from a quaternion to the rotation of X, its rates, and the matrix
+    (..., 3, 3) that takes the angular velocity of the quaternion, in its own axes, to the
+    derivative.
+    """
     return _rotation_rows(X, spatial.quat_wxyz_to_matrix(quat_wxyz))
 
 

@@ -1,4 +1,5 @@
-"""Answers of public cases by plain numpy: products of Denavit-Hartenberg rows, errors of poses, differences of angles.
+"""Answers of public cases by plain numpy: products of Denavit-Hartenberg rows, errors of poses,
+differences of angles.
 
 Sources are named as owner's project and number of the report or question.
 """
@@ -63,17 +64,30 @@ def pose_error(A: np.ndarray, B: np.ndarray) -> float:
 
 def six_errors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Three differences of position and three of orientation, for solvers of equations."""
-    return np.concatenate([A[:3, 3] - B[:3, 3], Rotation.from_matrix(B[:3, :3].T @ A[:3, :3]).as_rotvec()])
+    return np.concatenate(
+        [A[:3, 3] - B[:3, 3], Rotation.from_matrix(B[:3, :3].T @ A[:3, :3]).as_rotvec()]
+    )
 
 
-def jacobian_by_differences(pose: Callable[[np.ndarray], np.ndarray], q: np.ndarray, h: float = 1e-6) -> np.ndarray:
-    """Velocity of the frame's origin and angular velocity, both in axes of the ground, per coordinate."""
+def jacobian_by_differences(
+    pose: Callable[[np.ndarray], np.ndarray], q: np.ndarray, h: float = 1e-6
+) -> np.ndarray:
+    """Velocity of the frame's origin and angular velocity, both in axes of the ground, per
+    coordinate.
+    """
     R = pose(q)[:3, :3]
     columns = []
     for e in np.eye(len(q)) * h:
         rate = (pose(q + e) - pose(q - e)) / (2 * h)
         W = rate[:3, :3] @ R.T
-        columns.append([*rate[:3, 3], (W[2, 1] - W[1, 2]) / 2, (W[0, 2] - W[2, 0]) / 2, (W[1, 0] - W[0, 1]) / 2])
+        columns.append(
+            [
+                *rate[:3, 3],
+                (W[2, 1] - W[1, 2]) / 2,
+                (W[0, 2] - W[2, 0]) / 2,
+                (W[1, 0] - W[0, 1]) / 2,
+            ]
+        )
     return np.array(columns).T
 
 

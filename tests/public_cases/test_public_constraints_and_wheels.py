@@ -32,7 +32,9 @@ def planetary(ring_held: bool) -> System:
 
 
 def test_ratios_of_a_planetary_gear():
-    """brepjs, issue 846: the carrier turns 0.3, the planet -0.75 of the sun; a wrong formula gave -1.2."""
+    """brepjs, issue 846: the carrier turns 0.3, the planet -0.75 of the sun; a wrong formula gave
+    -1.2.
+    """
     s = planetary(ring_held=True)
     assert s.mobility().dof == 1
     answer = s.assemble({"S": 1.0})
@@ -45,7 +47,9 @@ def test_ratios_of_a_planetary_gear():
 
 
 def test_redundant_constraints_of_a_lever_are_counted_and_named():
-    """solvespace, issues 671 and 1717; asm3, issue 753: a lever has two coincident planes; which one is redundant?"""
+    """solvespace, issues 671 and 1717; asm3, issue 753: a lever has two coincident planes; which
+    one is redundant?
+    """
     m = Mechanism("lever")
     lever = m.body("lever")
     m.free("F", m.ground, lever)
@@ -59,11 +63,15 @@ def test_redundant_constraints_of_a_lever_are_counted_and_named():
     mobility = s.mobility()
     assert mobility.dof == 1
     assert "normal" in str(mobility) or "second plane" in str(mobility)
-    assert s.assemble(start=s.configuration_space.integrate(s.neutral, [0.3, 0.1, -0.2, 0.4, 0.5, 0.6]))
+    assert s.assemble(
+        start=s.configuration_space.integrate(s.neutral, [0.3, 0.1, -0.2, 0.4, 0.5, 0.6])
+    )
 
 
 def test_three_angles_of_a_triangle_are_two_conditions():
-    """solvespace, issue 671: all three angles of a sketch are dimensioned; how many freedoms are left of nine?"""
+    """solvespace, issue 671: all three angles of a sketch are dimensioned; how many freedoms are
+    left of nine?
+    """
     m = Mechanism("triangle", dim=2)
     for i in range(3):
         m.planar(f"p{i}", m.ground, m.body(f"side{i}"))
@@ -76,25 +84,33 @@ def test_three_angles_of_a_triangle_are_two_conditions():
 
 
 def test_bounce_times_of_a_ball_are_those_of_a_geometric_series():
-    """Wolfram Demonstrations, "Bounce Time": from 1.5 m with restitution 0.7, 13 bounces by 3.10 s, rest at 3.135 s."""
+    """Wolfram Demonstrations, "Bounce Time": from 1.5 m with restitution 0.7, 13 bounces by 3.10 s,
+    rest at 3.135 s.
+    """
     m = Mechanism("ball")
     m.free("f", m.ground, m.body("ball"))
     m.contact("floor", "ball", radius=0.0)
     s = m.build()
-    events = s.simulate(4.0, s.q({"f.z": 1.5, "f.qw": 1.0}), velocity={"f.x": 1.0}, restitution=0.7).events
+    events = s.simulate(
+        4.0, s.q({"f.z": 1.5, "f.qw": 1.0}), velocity={"f.x": 1.0}, restitution=0.7
+    ).events
     first = math.sqrt(2 * 1.5 / 9.81)
     times = first * (1 + 2 * np.cumsum(0.7 ** np.arange(13)) - 2)
     np.testing.assert_allclose([e.time for e in events][:13], times, atol=1e-9)
     assert times[12] == pytest.approx(3.10, abs=0.01)
     end = first * (1 + 2 * 0.7 / 0.3)
-    assert end == pytest.approx(3.135, abs=0.002) and events[-1].time == pytest.approx(end, abs=1e-6)
+    assert end == pytest.approx(3.135, abs=0.002) and events[-1].time == pytest.approx(
+        end, abs=1e-6
+    )
 
 
 # ---- wheels
 
 
 def test_a_tractor_with_a_trailer_moves_as_its_differential_equation():
-    """MRPT, issue 408; rsmotion, issue 4: the hitch is behind the rear axle; what is controllable, where does it go?"""
+    """MRPT, issue 408; rsmotion, issue 4: the hitch is behind the rear axle; what is controllable,
+    where does it go?
+    """
     wheelbase = 2.5
     hitch = 0.6
     trailer = 3.0
@@ -116,7 +132,9 @@ def test_a_tractor_with_a_trailer_moves_as_its_differential_equation():
     def rates(_, x):
         heading = x[2]
         angle = x[3]
-        sideways = -math.sin(angle) * v + math.cos(angle) * -hitch * w  # of the hitch, in the frame of the trailer
+        sideways = (
+            -math.sin(angle) * v + math.cos(angle) * -hitch * w
+        )  # of the hitch, in the frame of the trailer
         return [v * math.cos(heading), v * math.sin(heading), w, sideways / trailer - w]
 
     expected = solve_ivp(rates, (0, 6), [0, 0, 0, 0.2], rtol=1e-11, atol=1e-12).y[:, -1]
@@ -137,7 +155,9 @@ def test_a_rolling_disc_reaches_every_place_heading_and_angle():
 
 
 def test_a_wheel_on_a_track_is_integrable():
-    """Pages about nonholonomic systems: x - R phi is constant on a straight track; is that recognised?"""
+    """Pages about nonholonomic systems: x - R phi is constant on a straight track; is that
+    recognised?
+    """
     m = Mechanism("track", dim=2)
     wheel = m.body("wheel")
     m.prismatic("x", m.ground, m.body("hub"), axis=(1, 0))
@@ -148,7 +168,9 @@ def test_a_wheel_on_a_track_is_integrable():
 
 
 def test_a_ball_that_may_not_spin_has_growth_two_three_five():
-    """Pages about nonholonomic systems: the ball on a plate without spin, the classical distribution (2, 3, 5)."""
+    """Pages about nonholonomic systems: the ball on a plate without spin, the classical
+    distribution (2, 3, 5).
+    """
     m = Mechanism("ball")
     m.free("J", m.ground, m.body("ball"))
     m.rolls("plate", "ball", radius=0.1, spin=False)
@@ -156,7 +178,9 @@ def test_a_ball_that_may_not_spin_has_growth_two_three_five():
 
 
 def test_wheel_angles_of_a_differential_drive_reach_four_dimensions():
-    """burro, issue 36, and pages about rolling: R (right - left) = 2 b heading is a hidden position constraint."""
+    """burro, issue 36, and pages about rolling: R (right - left) = 2 b heading is a hidden position
+    constraint.
+    """
     R = 0.1
     b = 0.25
     m = Mechanism("differential drive", dim=2)
@@ -182,7 +206,9 @@ LENGTHS = json.loads((Path(__file__).parent / "reeds_shepp.json").read_text())["
 
 @pytest.mark.parametrize("part", range(3))
 def test_ways_of_a_car_are_no_longer_than_those_of_rsplan(part):
-    """rsmotion and OMPL users: the shortest way of a car with turning radius 1.3 m, against the package rsplan."""
+    """rsmotion and OMPL users: the shortest way of a car with turning radius 1.3 m, against the
+    package rsplan.
+    """
     s = kempe.load("car")
     for *goal, length in LENGTHS[part::3]:
         way = s.manoeuvre([0, 0, 0], goal, radius=1.3)

@@ -7,7 +7,18 @@ import math
 
 import numpy as np
 import pytest
-from public_oracles import PI, apart, at, inside, jacobian_by_differences, nearest, point, pose_error, product, turn
+from public_oracles import (
+    PI,
+    apart,
+    at,
+    inside,
+    jacobian_by_differences,
+    nearest,
+    point,
+    pose_error,
+    product,
+    turn,
+)
 
 import kempe
 from kempe import System, tasks
@@ -20,11 +31,21 @@ def written(values: tuple[float, ...]) -> str:
 
 
 def joint(
-    name: str, kind: str, parent: str, child: str, xyz: tuple[float, ...] = (0, 0, 0),
-    axis: tuple[float, ...] = (0, 0, 1), limits: Limits = (-3, 3), more: str = "",
-) -> str:  # fmt: skip
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    xyz: tuple[float, ...] = (0, 0, 0),
+    axis: tuple[float, ...] = (0, 0, 1),
+    limits: Limits = (-3, 3),
+    more: str = "",
+) -> str:
     """Element of one joint; `more` is written into it."""
-    ends = "" if limits is None else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/>'
+    ends = (
+        ""
+        if limits is None
+        else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/>'
+    )
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{written(xyz)}"/><axis xyz="{written(axis)}"/>{ends}{more}</joint>'
@@ -52,7 +73,9 @@ WITHOUT_ONE_LIMIT = robot(
 
 
 def test_a_revolute_joint_without_limits_is_named():
-    """ikpy, issue 39: one joint has no <limit>; is that said, or does the arm reach in silence what it cannot?"""
+    """ikpy, issue 39: one joint has no <limit>; is that said, or does the arm reach in silence what
+    it cannot?
+    """
     try:
         s = kempe.load(WITHOUT_ONE_LIMIT)
     except kempe.KempeError as error:
@@ -81,11 +104,15 @@ CONTINUOUS = robot(
 
 
 def test_continuous_joints_have_no_limits_and_finite_samples():
-    """cram, issue 188; prpl-mono, issue 490: are limits of a continuous joint ignored, and samples finite?"""
+    """cram, issue 188; prpl-mono, issue 490: are limits of a continuous joint ignored, and samples
+    finite?
+    """
     s = kempe.load(CONTINUOUS)
     assert np.isinf(s.lower).all() and np.isinf(s.upper).all()
     drawn = s.random(0, 1000)
-    assert np.isfinite(drawn).all() and np.abs(drawn).max() <= 2 * PI + 1e-9 and drawn[:, 0].std() > 1
+    assert (
+        np.isfinite(drawn).all() and np.abs(drawn).max() <= 2 * PI + 1e-9 and drawn[:, 0].std() > 1
+    )
 
 
 def test_continuous_joints_go_the_short_way_round():
@@ -100,11 +127,14 @@ def test_continuous_joints_go_the_short_way_round():
 
 
 @pytest.mark.parametrize(
-    "start, target, away", [(3.1, (-1.0, 0.001), 0.1), (3.12, (-math.cos(0.02), -math.sin(0.02)), 0.3)]
+    "start, target, away",
+    [(3.1, (-1.0, 0.001), 0.1), (3.12, (-math.cos(0.02), -math.sin(0.02)), 0.3)],
 )
 def test_inverse_kinematics_crosses_half_a_turn_of_a_continuous_joint(start, target, away):
     """aikido, issue 430: does the solution near 3.12 rad stay there, or come back at -3.12?"""
-    answer = kempe.load(CONTINUOUS).ik([*target, 0], "t", start=np.array([start, 0]), task="position")
+    answer = kempe.load(CONTINUOUS).ik(
+        [*target, 0], "t", start=np.array([start, 0]), task="position"
+    )
     assert answer and abs(answer.q[0] - start) < away
 
 
@@ -113,7 +143,9 @@ def test_inverse_kinematics_crosses_half_a_turn_of_a_continuous_joint(start, tar
 
 @pytest.mark.parametrize("order", ["abc", "cba", "bca"])
 def test_offsets_of_mimics_and_mimics_of_mimics_count(order):
-    """gz_ros2_control, issue 952; cram, issue 114; ros/robot_model, issue 177: c follows b, which follows a."""
+    """gz_ros2_control, issue 952; cram, issue 114; ros/robot_model, issue 177: c follows b, which
+    follows a.
+    """
     joints = {
         "a": joint("a", "revolute", "l0", "l1"),
         "b": joint("b", "revolute", "l1", "l2", (1, 0, 0), more=follows("a", -2, 0.3)),
@@ -125,13 +157,17 @@ def test_offsets_of_mimics_and_mimics_of_mimics_count(order):
         b = 0.3 - 2 * a
         expected = turn("z", a) @ at(1, 0, 0) @ turn("z", b) @ at(1, 0, 0) @ turn("z", b / 2 - 0.1)
         np.testing.assert_allclose(s.fk({"a": a}, "l3"), expected, atol=1e-12)
-    np.testing.assert_allclose([s.lower[0], s.upper[0]], [-1.35, 1.65])  # b = 0.3 - 2a is between -3 and 3
+    np.testing.assert_allclose(
+        [s.lower[0], s.upper[0]], [-1.35, 1.65]
+    )  # b = 0.3 - 2a is between -3 and 3
     answer = s.ik(s.fk([0.8], "l3"), "l3")
     assert answer and abs(answer.q[0] - 0.8) < 1e-6
 
 
 def test_fingers_mimic_each_other_and_answer_for_a_width():
-    """yourdfpy, issue 1; pinocchio, issue 2676: where are both fingers, and which joint value gives a width?"""
+    """yourdfpy, issue 1; pinocchio, issue 2676: where are both fingers, and which joint value gives
+    a width?
+    """
     ends = (0, 0.04)
     s = kempe.load(
         robot(
@@ -155,7 +191,9 @@ def parallel_arm() -> System:
             "b l1 l2 fake l3 l4",
             joint("j1", "revolute", "b", "l1", (0, 0, 0.138), limits=ends),
             joint("j2", "revolute", "l1", "l2", (0, 0, 0), (0, 1, 0), ends),
-            joint("m2", "revolute", "l2", "fake", (0, 0, 0.135), (0, 1, 0), ends, follows("j2", -1)),
+            joint(
+                "m2", "revolute", "l2", "fake", (0, 0, 0.135), (0, 1, 0), ends, follows("j2", -1)
+            ),
             joint("j3", "revolute", "fake", "l3", (0, 0, 0), (0, 1, 0), ends),
             joint("m3", "revolute", "l3", "l4", (0.147, 0, 0), (0, 1, 0), ends, follows("j3", -1)),
         )
@@ -163,7 +201,9 @@ def parallel_arm() -> System:
 
 
 def test_inverse_kinematics_of_an_arm_whose_parallelograms_are_mimics():
-    """openrave, issue 924: is every pose of a Dobot Magician, written with mimic joints, found again?"""
+    """openrave, issue 924: is every pose of a Dobot Magician, written with mimic joints, found
+    again?
+    """
     s = parallel_arm()
     assert s.nq == 3
     for seed in range(100):
@@ -203,7 +243,9 @@ ARM_AND_GRIPPER = np.array([0.3, 0.5, -0.9, 0.4, 0.7, -0.2, 0.02])
 
 
 def test_a_gripper_behind_the_wrist_does_not_hinder_the_arm():
-    """nao_robot, issue 39; ManiSkill, issue 1165: is the arm solved as before, and does the gripper stay?"""
+    """nao_robot, issue 39; ManiSkill, issue 1165: is the arm solved as before, and does the gripper
+    stay?
+    """
     s = arm_with_gripper()
     assert s.nq == 7
     X = s.fk(ARM_AND_GRIPPER, "l6")
@@ -216,7 +258,9 @@ def test_a_gripper_behind_the_wrist_does_not_hinder_the_arm():
 
 @pytest.mark.parametrize("finger", ["fl", "fr"])
 def test_fingertips_are_solved_while_the_gripper_is_held(finger):
-    """nao_robot, issue 39; ManiSkill, issue 1165: which arm configurations bring a finger, also a mimic, to a pose?"""
+    """nao_robot, issue 39; ManiSkill, issue 1165: which arm configurations bring a finger, also a
+    mimic, to a pose?
+    """
     s = arm_with_gripper()
     X = s.fk(ARM_AND_GRIPPER, finger)
     answer = s.ik(X, finger)
@@ -230,7 +274,9 @@ def test_fingertips_are_solved_while_the_gripper_is_held(finger):
 
 @pytest.mark.parametrize("order", ["".join(p) for p in itertools.permutations("abc")])
 def test_order_of_joints_in_a_file_does_not_matter(order):
-    """adam, issue 17; differentiable-robot-model, issue 37: joints are written in any order; what are the poses?"""
+    """adam, issue 17; differentiable-robot-model, issue 37: joints are written in any order; what
+    are the poses?
+    """
     joints = {
         "a": joint("a", "revolute", "l0", "l1", (0, 0, 1), (0, 0, 1)),
         "b": joint("b", "revolute", "l1", "l2", (0, 0.5, 0), (1, 0, 0)),
@@ -238,7 +284,9 @@ def test_order_of_joints_in_a_file_does_not_matter(order):
     }
     s = kempe.load(robot("l3 l1 l0 l2", *(joints[name] for name in order)))
     values = {"a": 0.3, "b": -0.4, "c": 0.9}
-    expected = product([at(0, 0, 1), turn("z", 0.3), at(0, 0.5, 0), turn("x", -0.4), at(1, 0, 0), turn("y", 0.9)])
+    expected = product(
+        [at(0, 0, 1), turn("z", 0.3), at(0, 0.5, 0), turn("x", -0.4), at(1, 0, 0), turn("y", 0.9)]
+    )
     np.testing.assert_allclose(s.fk(values, "l3"), expected, atol=1e-12)
     q = s.q(values)
     expected = jacobian_by_differences(lambda v: s.fk(v, "l3"), q)
@@ -246,11 +294,14 @@ def test_order_of_joints_in_a_file_does_not_matter(order):
 
 
 def test_floating_and_planar_joints_of_a_file_are_read():
-    """scikit-robot, issue 868: a floating joint has the name of a link, and a planar one follows it."""
+    """scikit-robot, issue 868: a floating joint has the name of a link, and a planar one follows
+    it.
+    """
     text = (
-        '<robot name="r"><link name="base"/><link name="m"/><link name="p"/>'
-        '<joint name="base" type="floating"><parent link="base"/><child link="m"/><origin xyz="0 0 1"/></joint>'
-        '<joint name="pl" type="planar"><parent link="m"/><child link="p"/><axis xyz="0 1 0"/></joint></robot>'
+        '<robot name="r"><link name="base"/><link name="m"/><link name="p"/><joint name="base" '
+        'type="floating"><parent link="base"/><child link="m"/><origin xyz="0 0 1"/></joint><joint '
+        'name="pl" type="planar"><parent link="m"/><child link="p"/><axis xyz="0 1 '
+        '0"/></joint></robot>'
     )
     s = kempe.load(text)
     assert s.nv == 9
@@ -258,18 +309,22 @@ def test_floating_and_planar_joints_of_a_file_are_read():
 
 
 WHEEL = (
-    '<robot name="smb"><link name="c"/><link name="w"/><joint name="h" type="continuous"><parent link="c"/>'
-    '<child link="w"/><origin rpy="0 0 0" xyz="0.2159 0.265 0.14"/><axis rpy="0 0 0" xyz="0 1 0"/>'
-    '<dynamics damping="1.0" friction="0.0"/><limit effort="1" velocity="1"/>'
-    '<joint_properties damping="0.2" friction="0.2"/></joint></robot>'
+    '<robot name="smb"><link name="c"/><link name="w"/><joint name="h" type="continuous"><parent '
+    'link="c"/><child link="w"/><origin rpy="0 0 0" xyz="0.2159 0.265 0.14"/><axis rpy="0 0 0" '
+    'xyz="0 1 0"/><dynamics damping="1.0" friction="0.0"/><limit effort="1" '
+    'velocity="1"/><joint_properties damping="0.2" friction="0.2"/></joint></robot>'
 )
 
 
 def test_additional_attributes_of_a_wheel_do_not_change_it():
-    """compas, issue 171: an axis with rpy, a limit without ends and an unknown element are in the file."""
+    """compas, issue 171: an axis with rpy, a limit without ends and an unknown element are in the
+    file.
+    """
     s = kempe.load(WHEEL)
     assert np.isinf(s.lower).all()
-    np.testing.assert_allclose(s.fk([0.3], "w"), at(0.2159, 0.265, 0.14) @ turn("y", 0.3), atol=1e-12)
+    np.testing.assert_allclose(
+        s.fk([0.3], "w"), at(0.2159, 0.265, 0.14) @ turn("y", 0.3), atol=1e-12
+    )
 
 
 def test_a_decimal_comma_is_refused():
@@ -282,7 +337,9 @@ def test_a_decimal_comma_is_refused():
 
 
 def test_a_heavy_robot_with_a_parallelogram_and_a_cylinder_moves_as_its_triangle_says():
-    """onshape-to-robot, issue 94: one link has two parents; is the URDF file read, counted and moved?"""
+    """onshape-to-robot, issue 94: one link has two parents; is the URDF file read, counted and
+    moved?
+    """
     ends = (-3, 3)
     y = (0, 1, 0)
     s = kempe.load(
@@ -314,18 +371,25 @@ def test_a_heavy_robot_with_a_parallelogram_and_a_cylinder_moves_as_its_triangle
     assert values["c2"] == pytest.approx(length - 0.4, abs=1e-9)
 
 
-@pytest.mark.xfail(strict=True, raises=kempe.KempeError, reason="files of MuJoCo and SDF are not read yet")
+@pytest.mark.xfail(
+    strict=True, raises=kempe.KempeError, reason="files of MuJoCo and SDF are not read yet"
+)
 @pytest.mark.parametrize(
     "ending, text",
     [
-        ("xml", '<mujoco model="m"><worldbody><body name="a"><joint name="j" type="hinge" axis="0 0 1"/>'
-                '<geom size="0.1"/></body></worldbody></mujoco>'),
+        (
+            "xml",
+            '<mujoco model="m"><worldbody><body name="a"><joint name="j" type="hinge" axis="0 0 '
+            '1"/><geom size="0.1"/></body></worldbody></mujoco>',
+        ),
         ("sdf", '<sdf version="1.7"><model name="m"><link name="a"/></model></sdf>'),
     ],
     ids=["mujoco", "sdf"],
-)  # fmt: skip
+)
 def test_closed_chains_of_other_formats_are_read(tmp_path, ending, text):
-    """drake, issues 18803 and 18829; mujoco, issue 172; mujoco-py, issue 613: linkages come as SDF or MJCF files."""
+    """drake, issues 18803 and 18829; mujoco, issue 172; mujoco-py, issue 613: linkages come as SDF
+    or MJCF files.
+    """
     path = tmp_path / f"m.{ending}"
     path.write_text(text)
     assert kempe.load(path)

@@ -1,4 +1,6 @@
-"""Public reports about closed chains: how many freedoms, which branch, how far, and where the end of the range is."""
+"""Public reports about closed chains: how many freedoms, which branch, how far, and where the end
+of the range is.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,11 @@ from kempe import Mechanism, System
 
 
 def four_bar(
-    crank: float, coupler: float, rocker: float, ground: float, limits: dict[str, tuple[float, float]] | None = None
+    crank: float,
+    coupler: float,
+    rocker: float,
+    ground: float,
+    limits: dict[str, tuple[float, float]] | None = None,
 ) -> System:
     """Planar four-bar linkage with hinges A and D on the ground, B and C on the coupler."""
     m = Mechanism("four-bar", dim=2)
@@ -31,7 +37,9 @@ def four_bar(
 
 
 def third_corner(A: np.ndarray, B: np.ndarray, a: float, b: float, side: int) -> np.ndarray | None:
-    """Where two links of lengths a and b from A and B meet, on the left of AB for side 1; None if they do not."""
+    """Where two links of lengths a and b from A and B meet, on the left of AB for side 1; None if
+    they do not.
+    """
     across = B - A
     L = float(np.linalg.norm(across))
     x = (a * a - b * b + L * L) / (2 * L)
@@ -50,7 +58,9 @@ def on_circle(radius: float, angle: float) -> np.ndarray:
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_crank_rocker_keeps_its_branch_over_a_turn(side):
-    """Articraft, issue 127: ground 1, crank 0.5, coupler 1.2, rocker 0.8; sweeping the crank changed the branch."""
+    """Articraft, issue 127: ground 1, crank 0.5, coupler 1.2, rocker 0.8; sweeping the crank
+    changed the branch.
+    """
     s = four_bar(0.5, 1.2, 0.8, 1.0)
 
     def expected(angle):
@@ -67,14 +77,22 @@ def test_a_crank_rocker_keeps_its_branch_over_a_turn(side):
     followed = s.assemble({"A": angles}, start=q, prefer="continuous")
     assert driven
     for answer in (driven, followed):
-        assert max(np.linalg.norm(hinge(v) - expected(t)) for v, t in zip(answer.q, angles, strict=True)) < 1e-8
+        assert (
+            max(
+                np.linalg.norm(hinge(v) - expected(t))
+                for v, t in zip(answer.q, angles, strict=True)
+            )
+            < 1e-8
+        )
     for samples in (5, 9, 13):
         coarse = s.drive({"A": np.linspace(0.2, 0.2 + 2 * PI, samples)}, start=q)
         assert np.linalg.norm(hinge(coarse.q[-1]) - C) < 1e-8, samples
 
 
 def test_a_parallelogram_carries_its_coupler_point_on_a_circle():
-    """pylinkage, issue 2: crank 1, coupler 3, rocker 1, ground 3, with a rigid triangle on the coupler."""
+    """pylinkage, issue 2: crank 1, coupler 3, rocker 1, ground 3, with a rigid triangle on the
+    coupler.
+    """
     m = Mechanism("triangle", dim=2)
     a, b, c = (m.body(name) for name in "abc")
     m.revolute("A", m.ground, a)
@@ -92,7 +110,9 @@ def test_a_parallelogram_carries_its_coupler_point_on_a_circle():
 
 
 def test_a_four_bar_stops_at_its_toggle_and_does_not_jump():
-    """solidworks_urdf_exporter2, issue 96: a hood is driven past its toggle, and back; one jump of 36 degrees."""
+    """solidworks_urdf_exporter2, issue 96: a hood is driven past its toggle, and back; one jump of
+    36 degrees.
+    """
     s = four_bar(0.35, 0.30, 0.25, 0.5)
     toggle = math.acos(0.2)
 
@@ -116,7 +136,9 @@ def test_a_four_bar_stops_at_its_toggle_and_does_not_jump():
 
 
 def test_limits_of_a_follower_are_named_where_they_exclude_the_linkage():
-    """articraft, issue 146: the limits of a follower exclude what the linkage needs; which limit is it?"""
+    """articraft, issue 146: the limits of a follower exclude what the linkage needs; which limit is
+    it?
+    """
     s = four_bar(0.1, 0.5, 0.4, 0.4, {"D": (1.2, 1.5)})
     answers = [s.assemble({"A": angle}) for angle in np.linspace(0, 2 * PI, 40)]
     refused = [answer.status for answer in answers if not answer]
@@ -124,7 +146,9 @@ def test_limits_of_a_follower_are_named_where_they_exclude_the_linkage():
 
 
 def test_angles_of_a_linkage_are_inside_limits_from_zero_to_a_turn():
-    """universal_robot, issues 127 and 316, for linkages: all hinges go from 0 to 2 pi; are both modes offered?"""
+    """universal_robot, issues 127 and 316, for linkages: all hinges go from 0 to 2 pi; are both
+    modes offered?
+    """
     s = four_bar(2, 7, 9, 6, dict.fromkeys("ABCD", (0, 2 * PI)))
     assert len(s.assembly_modes({"A": 0.5})) == 2
     for angle in np.linspace(0, 2 * PI, 60):
@@ -133,14 +157,18 @@ def test_angles_of_a_linkage_are_inside_limits_from_zero_to_a_turn():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_a_spatial_four_bar_need_not_be_aligned_with_the_world(seed):
-    """gz-physics, issue 719: a closed chain works only if its axes are aligned with those of the world."""
+    """gz-physics, issue 719: a closed chain works only if its axes are aligned with those of the
+    world.
+    """
     s = turned_four_bar(seed, None)
     assert s.mobility().dof == 1 and s.assemble({"A": 0.5})
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_four_bar_with_rounded_axes_moves_within_a_tolerance(seed):
-    """gz-physics, issue 719: the same with axes and places rounded to five digits, as files have them."""
+    """gz-physics, issue 719: the same with axes and places rounded to five digits, as files have
+    them.
+    """
     s = turned_four_bar(seed, 5)
     assert s.mobility(tolerance=1e-4).dof == 1
     assert s.assemble({"A": 0.5}, tolerance=1e-4)
@@ -182,8 +210,12 @@ def length(A: np.ndarray, B: np.ndarray) -> float:
 
 
 def test_a_four_bar_given_by_places_has_the_range_of_the_triangle_inequality():
-    """PMKSWeb, issue 91: hinges and coupler point are given by coordinates; the program drew a wrong path."""
-    A, B, C, D, E = map(np.array, [(4.1, 3.75), (1.244, 0.196), (-2.32, -2.293), (0.165, 1.322), (-2.591, 1.657)])
+    """PMKSWeb, issue 91: hinges and coupler point are given by coordinates; the program drew a
+    wrong path.
+    """
+    A, B, C, D, E = map(
+        np.array, [(4.1, 3.75), (1.244, 0.196), (-2.32, -2.293), (0.165, 1.322), (-2.591, 1.657)]
+    )
     AB = length(A, B)
     BC = length(B, C)
     DC = length(D, C)
@@ -217,8 +249,18 @@ def test_a_four_bar_given_by_places_has_the_range_of_the_triangle_inequality():
 
 
 def test_links_of_a_six_bar_keep_their_lengths():
-    """PMKSWeb, issue 92: a six-bar linkage given by coordinates; there links became longer and shorter."""
-    places = [(-3.74, -2.41), (-2.72, 0.91), (1.58, 0.43), (-0.24, 4.01), (5.08, 5.31), (8.14, 3.35), (7.32, -3.51)]
+    """PMKSWeb, issue 92: a six-bar linkage given by coordinates; there links became longer and
+    shorter.
+    """
+    places = [
+        (-3.74, -2.41),
+        (-2.72, 0.91),
+        (1.58, 0.43),
+        (-0.24, 4.01),
+        (5.08, 5.31),
+        (8.14, 3.35),
+        (7.32, -3.51),
+    ]
     A, B, C, D, E, F, G = map(np.array, places)
     m = Mechanism("six-bar", dim=2)
     ab, cbd, cfg, de, fe = (m.body(name) for name in ("AB", "CBD", "CFG", "DE", "FE"))
@@ -235,18 +277,28 @@ def test_links_of_a_six_bar_keep_their_lengths():
     start |= {"D": direction(D, E) - ternary, "F": direction(F, E) - direction(G, F)}
     answer = s.assemble({"A": start["A"]}, start=start)
     assert answer and s.mobility(answer.q).dof == 1
-    held = {"A": A, "B": ("AB", (length(A, B), 0)), "C": ("CBD", local(B, C, C)), "D": ("CBD", local(B, C, D))}
+    held = {
+        "A": A,
+        "B": ("AB", (length(A, B), 0)),
+        "C": ("CBD", local(B, C, C)),
+        "D": ("CBD", local(B, C, D)),
+    }
     held |= {"E": ("DE", (length(D, E), 0)), "F": ("CFG", local(G, F, F)), "G": G}
 
     def now(q):
-        return {k: v if isinstance(v, np.ndarray) else point(s, q, v[0], *v[1])[:2] for k, v in held.items()}
+        return {
+            k: v if isinstance(v, np.ndarray) else point(s, q, v[0], *v[1])[:2]
+            for k, v in held.items()
+        }
 
     drawn = dict(zip("ABCDEFG", (A, B, C, D, E, F, G), strict=True))
     assert all(length(now(answer.q)[k], drawn[k]) < 1e-6 for k in drawn)
     for q in s.trace("A", start=answer.q).q[::5]:
         moved = now(q)
         for a, b in ("AB", "BC", "DE", "EF", "CG", "FG", "CF", "BD", "CD"):
-            assert length(moved[a], moved[b]) == pytest.approx(length(drawn[a], drawn[b]), abs=1e-9), a + b
+            assert length(moved[a], moved[b]) == pytest.approx(
+                length(drawn[a], drawn[b]), abs=1e-9
+            ), a + b
     assert len(s.assembly_modes({"A": start["A"]})) >= 1
 
 
@@ -254,7 +306,9 @@ def test_links_of_a_six_bar_keep_their_lengths():
 
 
 def test_a_slider_crank_moves_as_its_formula_and_turns_at_its_dead_centres():
-    """pylinkage, issues 56 and 60; Pyslvs, issue 49: crank 1, rod 2.2; driven by the slider from a dead centre."""
+    """pylinkage, issues 56 and 60; Pyslvs, issue 49: crank 1, rod 2.2; driven by the slider from a
+    dead centre.
+    """
     m = Mechanism("slider-crank", dim=2)
     a, b, c = (m.body(name) for name in "abc")
     m.revolute("A", m.ground, a)
@@ -273,7 +327,9 @@ def test_a_slider_crank_moves_as_its_formula_and_turns_at_its_dead_centres():
 
 
 def test_an_engine_with_a_cylindrical_pin_closes_from_far_away():
-    """FreeCAD, issue 30536: crankshaft, rod and piston in space; the solver fails unless parts are dragged first."""
+    """FreeCAD, issue 30536: crankshaft, rod and piston in space; the solver fails unless parts are
+    dragged first.
+    """
     m = Mechanism("engine")
     crank, rod, piston = (m.body(name) for name in ("crank", "rod", "piston"))
     m.revolute("main", m.ground, crank, axis=(0, 1, 0))
@@ -289,12 +345,16 @@ def test_an_engine_with_a_cylindrical_pin_closes_from_far_away():
         answer = s.assemble({"main": angle}, start=start)
         assert answer, case
         above = s.fk(answer.q, "piston")[2, 3] + 40 * math.sin(angle)
-        assert abs(above) == pytest.approx(math.sqrt(140**2 - (40 * math.cos(angle)) ** 2), abs=1e-6), case
+        assert abs(above) == pytest.approx(
+            math.sqrt(140**2 - (40 * math.cos(angle)) ** 2), abs=1e-6
+        ), case
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_scott_russell_linkage_draws_a_straight_line(dim):
-    """EXUDYN, issue 39: redundant hinges of a Scott Russell linkage in space make the Jacobian singular."""
+    """EXUDYN, issue 39: redundant hinges of a Scott Russell linkage in space make the Jacobian
+    singular.
+    """
     m = Mechanism("Scott Russell", dim=dim)
     big, small, slider, platform = (m.body(name) for name in ("big", "small", "slider", "platform"))
 
@@ -314,11 +374,15 @@ def test_a_scott_russell_linkage_draws_a_straight_line(dim):
     answer = s.assemble({"S": 1.2})
     assert answer
     x, y = s.fk(answer.q, "tip")[:2, 3]
-    assert x == pytest.approx(0, abs=1e-9) and abs(y) == pytest.approx(math.sqrt(4 - 1.44), abs=1e-9)
+    assert x == pytest.approx(0, abs=1e-9) and abs(y) == pytest.approx(
+        math.sqrt(4 - 1.44), abs=1e-9
+    )
 
 
 def test_a_quick_return_has_the_time_ratio_of_its_formula():
-    """PMKSWeb, issue 231: crank 100 mm, centres 240 mm apart; the return takes 2 acos(100/240) of a turn."""
+    """PMKSWeb, issue 231: crank 100 mm, centres 240 mm apart; the return takes 2 acos(100/240) of a
+    turn.
+    """
     m = Mechanism("quick return", dim=2)
     crank, block, lever = (m.body(name) for name in ("crank", "block", "lever"))
     m.revolute("A", m.ground, crank, at=(0, 240))
@@ -346,11 +410,15 @@ def test_a_scotch_yoke_moves_as_a_cosine():
     s = m.build()
     angles = np.linspace(0, 6, 61)
     driven = s.drive({"A": angles}, start=s.assemble({"A": 0.0}).q)
-    np.testing.assert_allclose([s.q_dict(q)["Y"] for q in driven.q], 0.3 * np.cos(angles), atol=1e-9)
+    np.testing.assert_allclose(
+        [s.q_dict(q)["Y"] for q in driven.q], 0.3 * np.cos(angles), atol=1e-9
+    )
 
 
 def test_a_roller_adds_a_freedom_that_is_of_no_use():
-    """METU course on mechanisms, Kutzbach with a roller: an eccentric cam; the count says 2, one is the roller's."""
+    """METU course on mechanisms, Kutzbach with a roller: an eccentric cam; the count says 2, one is
+    the roller's.
+    """
     m = Mechanism("cam", dim=2)
     cam, follower, roller = (m.body(name) for name in ("cam", "follower", "roller"))
     m.revolute("A", m.ground, cam)
@@ -369,7 +437,9 @@ def test_a_roller_adds_a_freedom_that_is_of_no_use():
 
 
 def test_a_steering_trapezoid_moves_as_its_triangles():
-    """onshape-to-robot, issue 94; solidworks_urdf_exporter2, issue 92: a rack steers two wheels, not in proportion."""
+    """onshape-to-robot, issue 94; solidworks_urdf_exporter2, issue 92: a rack steers two wheels,
+    not in proportion.
+    """
     track = 0.30
     arm = 0.06
     tie = 0.11
@@ -415,7 +485,9 @@ def test_a_steering_trapezoid_moves_as_its_triangles():
     assert factor == pytest.approx(1, abs=1e-9)
 
 
-def scissor(cells: int, dim: int, limits: tuple[float, float] | None) -> tuple[System, dict[str, float]]:
+def scissor(
+    cells: int, dim: int, limits: tuple[float, float] | None
+) -> tuple[System, dict[str, float]]:
     """Scissor lift with bars of length 1 whose foot slides, and its symmetric configuration."""
     m = Mechanism("scissor", dim=dim)
 
@@ -435,7 +507,10 @@ def scissor(cells: int, dim: int, limits: tuple[float, float] | None) -> tuple[S
         m.revolute(f"p{i}", left, a, at=end, **hinge)
         m.revolute(f"r{i}", right, b, at=end, **hinge)
         m.revolute(f"c{i}", a, b, at=place(0.5), child_at=place(0.5), **hinge)
-        start |= {f"p{i}": 2 * slope - PI if i else slope, f"r{i}": PI - 2 * slope if i else PI - slope}
+        start |= {
+            f"p{i}": 2 * slope - PI if i else slope,
+            f"r{i}": PI - 2 * slope if i else PI - slope,
+        }
         start[f"c{i}"] = PI - 2 * slope
         left = b
         right = a
@@ -448,10 +523,13 @@ LONG_LIFTS = [(4, 3, None), (10, 2, ENDS), (10, 2, None)]
 
 
 @pytest.mark.parametrize(
-    "cells, dim, limits", [*LIFTS, *(pytest.param(*case, marks=pytest.mark.slow) for case in LONG_LIFTS)]
+    "cells, dim, limits",
+    [*LIFTS, *(pytest.param(*case, marks=pytest.mark.slow) for case in LONG_LIFTS)],
 )
 def test_scissor_lifts_with_many_cells_move(cells, dim, limits):
-    """gz-physics, issue 25; articraft, issue 120: count, assemble, drive and trace a lift with many cells."""
+    """gz-physics, issue 25; articraft, issue 120: count, assemble, drive and trace a lift with many
+    cells.
+    """
     s, start = scissor(cells, dim, limits)
     answer = s.assemble({"S": math.cos(0.6)}, start=start)
     assert answer
@@ -466,7 +544,9 @@ def test_scissor_lifts_with_many_cells_move(cells, dim, limits):
 
 
 def test_a_leg_of_parallel_hinges_in_space_is_counted_and_moved():
-    """pinocchio, issue 2729: a leg like Digit's; "6D" closures leave no freedom, "3D" closures are unstable."""
+    """pinocchio, issue 2729: a leg like Digit's; "6D" closures leave no freedom, "3D" closures are
+    unstable.
+    """
     m = Mechanism("leg")
     thigh, shank, rod, crank = (m.body(name) for name in ("thigh", "shank", "rod", "crank"))
     y = (0, 1, 0)
@@ -485,7 +565,9 @@ def test_a_leg_of_parallel_hinges_in_space_is_counted_and_moved():
     J = s.loops.jacobian(answer.q, inputs=["hip", "motor"], outputs=["knee"]).matrix
     motor = s.q_dict(answer.q)["motor"]
     h = 1e-6
-    after, before = (s.assemble({"hip": 0.3, "motor": motor + d}, start=answer.q).q for d in (h, -h))
+    after, before = (
+        s.assemble({"hip": 0.3, "motor": motor + d}, start=answer.q).q for d in (h, -h)
+    )
     rate = (s.q_dict(after)["knee"] - s.q_dict(before)["knee"]) / (2 * h)
     assert J[0, 1] == pytest.approx(rate, abs=1e-5)
 
@@ -527,7 +609,9 @@ ANKLE_LIMITS = {"rx": (-0.5, 0.5), "ry": (-0.8, 0.8)}
 
 
 def test_a_parallel_ankle_is_solved_both_ways():
-    """Robotics_Notebooks, issue 907; RBDyn, issue 127: motors for a foot, and the foot for these motors."""
+    """Robotics_Notebooks, issue 907; RBDyn, issue 127: motors for a foot, and the foot for these
+    motors.
+    """
     s = ankle(ANKLE_LIMITS)
     assert s.mobility().dof == 2
     rng = np.random.default_rng(0)
@@ -545,7 +629,9 @@ def test_a_parallel_ankle_is_solved_both_ways():
 
 
 def test_limits_of_a_model_do_not_hide_modes_that_are_asked_for_without_them():
-    """RBDyn, issue 127; Linkage, issue 12: all modes of an ankle with and without limits, counted from many starts."""
+    """RBDyn, issue 127; Linkage, issue 12: all modes of an ankle with and without limits, counted
+    from many starts.
+    """
     free = ankle(None)
     limited = ankle(ANKLE_LIMITS)
     values = free.q_dict(free.assemble({"U.rx": 0.0539, "U.ry": 0.4783}).q)
@@ -568,7 +654,9 @@ def test_limits_of_a_model_do_not_hide_modes_that_are_asked_for_without_them():
 
 @pytest.mark.parametrize("rods, dof, useful", [(6, 8, 2), (3, 6, 3)])
 def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
-    """r/robotics, question 1jivt2u: a plate on six rods with balls at both ends; answers were 0, 2, 3, 6, 8 and 9."""
+    """r/robotics, question 1jivt2u: a plate on six rods with balls at both ends; answers were 0, 2,
+    3, 6, 8 and 9.
+    """
     s = plate(rods)
     q = s.assemble(start={"F.z": 1.0, "F.qw": 1.0}).q
     np.testing.assert_allclose(s.fk(q, "plate"), at(0, 0, 1), atol=1e-9)
@@ -577,7 +665,9 @@ def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
 
 
 def test_a_plate_on_six_rods_keeps_two_freedoms_away_from_home():
-    """r/robotics, question 1jivt2u: the same after the plate was moved sideways by 0.3, still parallel."""
+    """r/robotics, question 1jivt2u: the same after the plate was moved sideways by 0.3, still
+    parallel.
+    """
     s = plate(6)
     start = {"F.x": 0.3, "F.z": math.sqrt(1 - 0.3**2), "F.qw": 1.0}
     q = s.assemble({"F.x": 0.3}, start=start).q
@@ -615,7 +705,9 @@ def stewart() -> tuple[System, np.ndarray, list[float]]:
 
 
 def test_a_platform_in_millimetres_is_assembled_from_its_leg_lengths():
-    """Stewart platforms of jotux and NicHub: leg lengths of a pose are given; is that pose found from above?"""
+    """Stewart platforms of jotux and NicHub: leg lengths of a pose are given; is that pose found
+    from above?
+    """
     s, X, _ = stewart()
     answer = s.assemble(start={"F.z": 170.0, "F.qw": 1.0})
     assert answer and pose_error(s.fk(answer.q, "platform"), X) < 1e-6
@@ -624,7 +716,9 @@ def test_a_platform_in_millimetres_is_assembled_from_its_leg_lengths():
 
 @pytest.mark.slow
 def test_all_assemblies_of_a_platform_in_millimetres():
-    """Stewart platforms of jotux and NicHub: are the assemblies a mirrored set, the given pose among them?"""
+    """Stewart platforms of jotux and NicHub: are the assemblies a mirrored set, the given pose
+    among them?
+    """
     s, X, lengths = stewart()
     poses = s.fk(s.assembly_modes().q, "platform")
     assert min(pose_error(Y, X) for Y in poses) < 1e-6 and len(poses) % 2 == 0

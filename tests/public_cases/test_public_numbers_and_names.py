@@ -13,20 +13,28 @@ from kempe import Mechanism, System
 
 
 def test_the_jacobian_is_the_velocity_of_the_point_in_axes_of_the_ground():
-    """pinocchio, issues 1525, 1140 and 1974: which one of three Jacobians is the default, and what are the others?"""
+    """pinocchio, issues 1525, 1140 and 1974: which one of three Jacobians is the default, and what
+    are the others?
+    """
     s = kempe.load("gen3")
     rng = np.random.default_rng(1)
     none = np.zeros((3, 3))
     for _ in range(20):
         q = rng.uniform(-2, 2, 7)
         J = s.jacobian(q, "tool")
-        np.testing.assert_allclose(J, jacobian_by_differences(lambda v: s.fk(v, "tool"), q), atol=1e-7)
+        np.testing.assert_allclose(
+            J, jacobian_by_differences(lambda v: s.fk(v, "tool"), q), atol=1e-7
+        )
         R = s.fk(q, "tool")[:3, :3]
-        np.testing.assert_allclose(np.block([[R, none], [none, R]]) @ s.jacobian(q, "tool", "body"), J, atol=1e-10)
+        np.testing.assert_allclose(
+            np.block([[R, none], [none, R]]) @ s.jacobian(q, "tool", "body"), J, atol=1e-10
+        )
 
 
 def test_the_jacobian_of_the_world_is_that_of_the_point_at_the_origin():
-    """pinocchio, issue 1140: the "WORLD" Jacobian surprised; it is the velocity of the body's point at the origin."""
+    """pinocchio, issue 1140: the "WORLD" Jacobian surprised; it is the velocity of the body's point
+    at the origin.
+    """
     s = kempe.load("gen3")
     q = np.random.default_rng(2).uniform(-2, 2, 7)
     J = s.jacobian(q, "tool")
@@ -48,13 +56,18 @@ def arm(unit: float) -> System:
         (0, 0, -PI / 2),
         (0.215, 0, 0),
     ]
-    table = [{"d": d * unit, "a": a * unit, "alpha": alpha, "limits": (-2.9, 2.9)} for d, a, alpha in rows]
+    table = [
+        {"d": d * unit, "a": a * unit, "alpha": alpha, "limits": (-2.9, 2.9)}
+        for d, a, alpha in rows
+    ]
     return kempe.from_dh(table).build()
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3, 1e-6])
 def test_angles_do_not_depend_on_the_unit_of_length(unit):
-    """KDL, issue 33; compas_fab, issue 192; mujoco, issue 1086: the same arm in metres, millimetres, kilometres."""
+    """KDL, issue 33; compas_fab, issue 192; mujoco, issue 1086: the same arm in metres,
+    millimetres, kilometres.
+    """
     metres = arm(1.0)
     s = arm(unit)
     for seed in range(60):
@@ -77,12 +90,22 @@ def pose_of(rotation: list[list[float]]) -> np.ndarray:
     return X
 
 
-SIX_DIGITS = [[0.00923097, 0.969766, -0.243866], [0.999943, -0.0102479, -0.00290165],
-              [-0.00531284, -0.243825, -0.969805]]  # fmt: skip
-FIVE_DIGITS = [[0.33638, -0.01749, 0.94156], [-0.02078, -0.99972, -0.01114], [0.94150, -0.01582, -0.33665]]
+SIX_DIGITS = [
+    [0.00923097, 0.969766, -0.243866],
+    [0.999943, -0.0102479, -0.00290165],
+    [-0.00531284, -0.243825, -0.969805],
+]
+FIVE_DIGITS = [
+    [0.33638, -0.01749, 0.94156],
+    [-0.02078, -0.99972, -0.01114],
+    [0.94150, -0.01582, -0.33665],
+]
 THREE_DIGITS = [[-0.003, -0.362, 0.932], [-0.009, -0.932, -0.362], [1.0, -0.009, 0]]
-REFLECTION = [[0.02269121, 0.99974055, -0.00198294], [-0.99970877, 0.0227067, 0.00817137],
-              [-0.00821428, -0.00179695, -0.99996465]]  # fmt: skip
+REFLECTION = [
+    [0.02269121, 0.99974055, -0.00198294],
+    [-0.99970877, 0.0227067, 0.00817137],
+    [-0.00821428, -0.00179695, -0.99996465],
+]
 
 
 @pytest.mark.filterwarnings("ignore:the rotation of target")
@@ -92,7 +115,9 @@ def test_a_pasted_rotation_with_six_digits_is_accepted():
 
 
 @pytest.mark.filterwarnings("ignore:the rotation of target")
-@pytest.mark.parametrize("rotation", [FIVE_DIGITS, THREE_DIGITS], ids=["five digits", "three digits"])
+@pytest.mark.parametrize(
+    "rotation", [FIVE_DIGITS, THREE_DIGITS], ids=["five digits", "three digits"]
+)
 def test_a_coarser_rotation_is_accepted_or_refused_with_a_way_out(rotation):
     """pypose, issue 83; ur5_simulation, issue 6: the matrix was printed with five or three digits."""
     try:
@@ -102,7 +127,9 @@ def test_a_coarser_rotation_is_accepted_or_refused_with_a_way_out(rotation):
 
 
 def test_a_reflection_is_refused():
-    """opencv, issue 16778: a decomposition gave a matrix with determinant -1; is it taken for a rotation?"""
+    """opencv, issue 16778: a decomposition gave a matrix with determinant -1; is it taken for a
+    rotation?
+    """
     assert np.linalg.det(np.array(REFLECTION)) < 0
     with pytest.raises(kempe.KempeError, match="mirror|reflect|det|rotation"):
         kempe.load("ur5").ik(pose_of(REFLECTION), "tool")

@@ -1,4 +1,6 @@
-"""Public reports about arms with more joints than the task needs, postures, directions, and steps in a control loop."""
+"""Public reports about arms with more joints than the task needs, postures, directions, and steps
+in a control loop.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from public_oracles import PI, inside, pose_error, pose_errors, rpy, six_errors, turn, without_limits
+from public_oracles import (
+    PI,
+    inside,
+    pose_error,
+    pose_errors,
+    rpy,
+    six_errors,
+    turn,
+    without_limits,
+)
 from robots import urdf_files
 from scipy.optimize import minimize
 
@@ -18,7 +29,9 @@ from kempe import Mechanism, System, tasks
 
 
 def test_streaming_comes_back_from_outside_the_limits():
-    """pink, issue 206: an angle starts beyond its limit; does the step fail, jump, or lead back inside?"""
+    """pink, issue 206: an angle starts beyond its limit; does the step fail, jump, or lead back
+    inside?
+    """
     s = kempe.load("panda")
     q = s.mid.copy()
     q[3] = s.upper[3] + 0.2
@@ -55,7 +68,9 @@ def test_angles_without_limits_do_not_wind_up():
 
 @pytest.mark.parametrize("cycles", [300, pytest.param(2000, marks=pytest.mark.slow)])
 def test_streaming_to_a_pose_out_of_reach_does_not_wind_up(cycles):
-    """mink, issues 103 and 104: the same while a pose three metres away is streamed for 2000 cycles."""
+    """mink, issues 103 and 104: the same while a pose three metres away is streamed for 2000
+    cycles.
+    """
     s = without_limits(kempe.load("ur5"))
     q = np.array([0, -1, 1, 0, 0.5, 0.0])
     X = s.fk(q, "tool").copy()
@@ -66,7 +81,9 @@ def test_streaming_to_a_pose_out_of_reach_does_not_wind_up(cycles):
 
 
 def test_a_slider_dragged_past_the_end_of_its_slot_does_not_turn_the_lid():
-    """FreeCAD, issue 29820: a latch on a hinged lid is dragged out of its slot; does the lid jump to 180 degrees?"""
+    """FreeCAD, issue 29820: a latch on a hinged lid is dragged out of its slot; does the lid jump
+    to 180 degrees?
+    """
     m = Mechanism("lid")
     lid = m.body("lid")
     latch = m.body("latch")
@@ -92,7 +109,9 @@ def scara() -> System:
 
 @pytest.mark.parametrize("form", ["task", "pose"])
 def test_a_straight_arm_streams_inwards(form):
-    """LinuxCNC, issue 620: a SCARA robot at full stretch is asked towards a point further in; does it leave?"""
+    """LinuxCNC, issue 620: a SCARA robot at full stretch is asked towards a point further in; does
+    it leave?
+    """
     s = scara()
     q = np.array([0.2, 0.0])
     X = s.fk(q, "t").copy()
@@ -107,9 +126,13 @@ def test_a_straight_arm_streams_inwards(form):
     assert np.linalg.norm(s.fk(q, "t")[:2, 3] - X[:2, 3]) < 1e-6
 
 
-@pytest.mark.parametrize("strict, bound", [(True, 0.01), (False, 0.05)], ids=["posture second", "posture soft"])
+@pytest.mark.parametrize(
+    "strict, bound", [(True, 0.01), (False, 0.05)], ids=["posture second", "posture soft"]
+)
 def test_a_preferred_posture_bends_a_straight_arm(strict, bound):
-    """newton, issue 3264, with LinuxCNC, issue 620: a bent posture is preferred while the point lies further in."""
+    """newton, issue 3264, with LinuxCNC, issue 620: a bent posture is preferred while the point
+    lies further in.
+    """
     s = scara()
     place = s.fk([0.2, 0.0], "t")[:3, 3] * [0.8, 0.8, 1]
     bent = np.array([0, 1.0])
@@ -124,7 +147,9 @@ def test_a_preferred_posture_bends_a_straight_arm(strict, bound):
 
 
 def test_an_arm_with_a_straight_wrist_turns_out_of_it():
-    """moveit, issue 1616: an arm that is nearly singular is asked to turn; does it turn, within its speeds?"""
+    """moveit, issue 1616: an arm that is nearly singular is asked to turn; does it turn, within its
+    speeds?
+    """
     s = kempe.load("ur5")
     q = np.array([0, -1.2, 1.0, 0.3, 1e-4, 0.0])
     R = s.fk(q, "tool")[:3, :3]
@@ -145,7 +170,9 @@ def moving_pose(X0: np.ndarray, k: int) -> np.ndarray:
 
 
 def test_five_joints_follow_poses_that_they_cannot_hold_without_jumps():
-    """lerobot, issue 1966: full poses are streamed to an SO-101 arm whose motors lag; does the arm jump?"""
+    """lerobot, issue 1966: full poses are streamed to an SO-101 arm whose motors lag; does the arm
+    jump?
+    """
     s = kempe.load("so101")
     motor = s.mid.copy()
     X0 = s.fk(motor, "tool")
@@ -158,13 +185,18 @@ def test_five_joints_follow_poses_that_they_cannot_hold_without_jumps():
 
 @pytest.mark.parametrize("cycles", [120, pytest.param(600, marks=pytest.mark.slow)])
 def test_five_joints_keep_the_place_and_turn_as_well_as_they_can(cycles):
-    """lerobot, issue 3613: the position comes first and the orientation second; how far off is the position?"""
+    """lerobot, issue 3613: the position comes first and the orientation second; how far off is the
+    position?
+    """
     s = kempe.load("so101")
     q = s.mid.copy()
     X0 = s.fk(q, "tool")
     for k in range(cycles):
         X = moving_pose(X0, k)
-        wanted = [tasks.Position("tool", X[:3, 3]), tasks.Orientation("tool", X[:3, :3], priority=1)]
+        wanted = [
+            tasks.Position("tool", X[:3, 3]),
+            tasks.Orientation("tool", X[:3, :3], priority=1),
+        ]
         step = s.ik_step(q, wanted, dt=0.02, velocity_limits=2.0)
         assert np.abs(step.q - q).max() <= 0.04 + 1e-9
         q = step.q
@@ -188,10 +220,19 @@ def quadruped() -> System:
 
 
 def test_a_quadruped_moves_its_trunk_while_the_feet_stay():
-    """robot_keyframe_kit, issue 3; quadruped_9g, issue 1: the trunk moves and turns; which angles keep the feet?"""
+    """robot_keyframe_kit, issue 3; quadruped_9g, issue 1: the trunk moves and turns; which angles
+    keep the feet?
+    """
     s = quadruped()
     legs = ("FL", "FR", "RL", "RR")
-    start = s.q({"base.z": 0.3, "base.qw": 1.0, **{f"{n}_h": 0.8 for n in legs}, **{f"{n}_k": -1.6 for n in legs}})
+    start = s.q(
+        {
+            "base.z": 0.3,
+            "base.qw": 1.0,
+            **{f"{n}_h": 0.8 for n in legs},
+            **{f"{n}_k": -1.6 for n in legs},
+        }
+    )
     feet = [f"{n}_foot" for n in legs]
     places = s.fk(start, feet)[:, :3, 3]
     X = s.fk(start, "trunk")
@@ -218,7 +259,15 @@ def two_arms() -> System:
     m.revolute("waist", m.ground, torso, axis="z", limits=(-1.5, 1.5))
     for side, y in (("L", 0.2), ("R", -0.2)):
         before = torso
-        origins = [(0, y, 0.5), (0, 0, 0), (0, 0, 0), (0.3, 0, 0), (0, 0, 0), (0.25, 0, 0), (0, 0, 0)]
+        origins = [
+            (0, y, 0.5),
+            (0, 0, 0),
+            (0, 0, 0),
+            (0.3, 0, 0),
+            (0, 0, 0),
+            (0.25, 0, 0),
+            (0, 0, 0),
+        ]
         for k, (axis, origin) in enumerate(zip("zyxyxyx", origins, strict=True)):
             body = m.body(f"{side}{k}")
             m.revolute(f"{side}q{k}", before, body, at=origin, axis=axis, limits=(-2.6, 2.6))
@@ -229,7 +278,9 @@ def two_arms() -> System:
 
 @pytest.mark.parametrize("only_relative", [False, True], ids=["both hands", "relative pose"])
 def test_two_arms_on_a_torso_reach_together(only_relative):
-    """bullet3, issue 2492; industrial_moveit, issue 56; moveit2, issue 3344: both hands, or one hand in the other."""
+    """bullet3, issue 2492; industrial_moveit, issue 56; moveit2, issue 3344: both hands, or one
+    hand in the other.
+    """
     s = two_arms()
     hands = ["Ltool", "Rtool"]
     for seed in range(60):
@@ -238,14 +289,20 @@ def test_two_arms_on_a_torso_reach_together(only_relative):
         both = [tasks.Pose("Ltool", A), tasks.Pose("Rtool", B)]
         answer = s.ik([tasks.Pose("Rtool", relative, other="Ltool")] if only_relative else both)
         L, R = s.fk(answer.q, hands)
-        error = pose_error(np.linalg.inv(L) @ R, relative) if only_relative else max(pose_error(L, A), pose_error(R, B))
+        error = (
+            pose_error(np.linalg.inv(L) @ R, relative)
+            if only_relative
+            else max(pose_error(L, A), pose_error(R, B))
+        )
         assert answer and error < 1e-5, seed
 
 
 # ---- redundancy and postures
 
 
-def least_near(s: System, q: np.ndarray, X: np.ndarray, cost: Callable[[np.ndarray], float]) -> float:
+def least_near(
+    s: System, q: np.ndarray, X: np.ndarray, cost: Callable[[np.ndarray], float]
+) -> float:
     """Least cost near `q` with the tool at X, by a general minimiser."""
     constraint = {"type": "eq", "fun": lambda v: six_errors(s.fk(v, "tool"), X)}
     options = {"maxiter": 400, "ftol": 1e-12}
@@ -254,7 +311,9 @@ def least_near(s: System, q: np.ndarray, X: np.ndarray, cost: Callable[[np.ndarr
 
 
 def test_a_posture_of_second_priority_is_the_nearest_one():
-    """newton, issue 3264; iiwa_ros, issue 32: is the posture as near as the tool allows, by another minimiser?"""
+    """newton, issue 3264; iiwa_ros, issue 32: is the posture as near as the tool allows, by another
+    minimiser?
+    """
     s = kempe.load("iiwa14")
     q = np.array([0.3, 0.7, -0.4, -1.3, 0.2, 0.9, 0.1])
     rest = np.array([0, 0.4, 0, -1.6, 0, 1.0, 0])
@@ -291,12 +350,18 @@ def humanoid() -> System:
 
 
 def test_only_one_arm_of_a_humanoid_moves(humanoid):
-    """bullet3, issue 4642: all joints but those of the right arm are held; is the hand still brought to its pose?"""
+    """bullet3, issue 4642: all joints but those of the right arm are held; is the hand still
+    brought to its pose?
+    """
     s = humanoid
     hand = "arm_right_7_link"
     start = s.mid.copy()
     arm = np.array([name.startswith("arm_right") for name in s.coordinate_names])
-    held = {n: (v - 1e-12, v + 1e-12) for n, v, a in zip(s.coordinate_names, start, arm, strict=True) if not a}
+    held = {
+        n: (v - 1e-12, v + 1e-12)
+        for n, v, a in zip(s.coordinate_names, start, arm, strict=True)
+        if not a
+    }
     right = s.with_limits(held)
     for seed in range(60):
         X = s.fk(np.where(arm, s.random(seed), start), hand)
@@ -306,7 +371,9 @@ def test_only_one_arm_of_a_humanoid_moves(humanoid):
 
 
 def test_joints_that_do_not_lead_to_the_hand_stay(humanoid):
-    """lerobot, issue 3613: nothing is held; do legs or the other arm move although the hand does not need them?"""
+    """lerobot, issue 3613: nothing is held; do legs or the other arm move although the hand does
+    not need them?
+    """
     s = humanoid
     hand = "arm_right_7_link"
     start = s.mid.copy()
@@ -348,7 +415,9 @@ def test_a_pose_beyond_the_length_of_a_snake_is_proven_unreachable():
 
 
 def test_a_camera_beside_its_axes_looks_at_points():
-    """NUbots, issue 1021; ros_controllers, issue 112: the camera is offset from both axes of its head."""
+    """NUbots, issue 1021; ros_controllers, issue 112: the camera is offset from both axes of its
+    head.
+    """
     m = Mechanism("head")
     m.revolute("pan", m.ground, m.body("neck"), at=(0, 0, 0.3), axis="z", limits=(-2.5, 2.5))
     m.revolute("tilt", "neck", m.body("skull"), at=(0.02, 0, 0.05), axis="y", limits=(-0.8, 1.2))
@@ -357,7 +426,11 @@ def test_a_camera_beside_its_axes_looks_at_points():
     rng = np.random.default_rng(0)
     for _ in range(200):
         a = rng.uniform(-1.5, 1.5)
-        place = np.array([math.cos(a), math.sin(a), 0]) * rng.uniform(0.5, 3) + [0, 0, rng.uniform(-0.2, 0.9)]
+        place = np.array([math.cos(a), math.sin(a), 0]) * rng.uniform(0.5, 3) + [
+            0,
+            0,
+            rng.uniform(-0.2, 0.9),
+        ]
         answer = s.ik([tasks.LookAt("camera", place, axis="x")])
         X = s.fk(answer.q, "camera")
         view = place - X[:3, 3]
@@ -366,7 +439,9 @@ def test_a_camera_beside_its_axes_looks_at_points():
 
 
 def test_a_tool_turns_freely_within_a_quarter_turn():
-    """jsk_apc, issue 1386; pytracik, issue 11: the tool may turn about its x axis, but only by 0 to 90 degrees."""
+    """jsk_apc, issue 1386; pytracik, issue 11: the tool may turn about its x axis, but only by 0 to
+    90 degrees.
+    """
     s = kempe.load("panda")
     for seed in range(40):
         X = s.fk(s.random(seed), "tool")

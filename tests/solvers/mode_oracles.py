@@ -1,4 +1,6 @@
-"""Counts of assembly modes that share nothing with Kempe: Newton on squared lengths, and closed forms."""
+"""Counts of assembly modes that share nothing with Kempe: Newton on squared lengths, and closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from kempe import Mechanism, System
 
 @dataclass
 class Framework:
-    """Particles in the plane: `points` as built, `pinned` ones on the ground, `edges` of fixed length."""
+    """Particles in the plane: `points` as built, `pinned` ones on the ground, `edges` of fixed
+    length.
+    """
 
     points: np.ndarray
     edges: list[tuple[int, int]]
@@ -40,7 +44,9 @@ class Framework:
         return np.stack([system.fk(q, f"p{i}")[:, :2, 3] for i in self.free], axis=1)
 
     def modes(self, rng: np.random.Generator, starts: int) -> np.ndarray:
-        """All places (n, free, 2) at which Newton's method on the squared lengths ends, from so many starts."""
+        """All places (n, free, 2) at which Newton's method on the squared lengths ends, from so
+        many starts.
+        """
         free = self.free
         at = {p: n for n, p in enumerate(free)}
         x = np.tile(self.points, (starts, 1, 1))
@@ -60,7 +66,9 @@ class Framework:
             JT = np.swapaxes(J, 1, 2)
             damping = 1e-3 * np.sum(error**2, axis=1)[:, None, None] + 1e-300
             damping = np.minimum(damping, 0.5**step) + 1e-11
-            move = (JT @ np.linalg.solve(J @ JT + damping * np.eye(len(i)), error[..., None]))[..., 0]
+            move = (JT @ np.linalg.solve(J @ JT + damping * np.eye(len(i)), error[..., None]))[
+                ..., 0
+            ]
             move /= np.maximum(1.0, np.linalg.norm(move, axis=1, keepdims=True))
             x[:, free] -= move.reshape(starts, len(free), 2)
         good = np.abs(error).max(axis=1) < 1e-9
@@ -90,7 +98,9 @@ def prism(rng: np.random.Generator) -> Framework:
 
 
 def six_sps(rng: np.random.Generator, flat: bool) -> tuple[System, dict[str, float]]:
-    """A platform on six telescopic legs between balls, with the legs' lengths; base and platform may be flat."""
+    """A platform on six telescopic legs between balls, with the legs' lengths; base and platform
+    may be flat.
+    """
     m = Mechanism("6-SPS")
     body = m.body("platform")
     base = rng.uniform(-1, 1, (6, 3))
@@ -111,7 +121,9 @@ def six_sps(rng: np.random.Generator, flat: bool) -> tuple[System, dict[str, flo
 
 @dataclass
 class Rssr:
-    """A crank about z at the origin, a rod, and a rocker about its own axis; lengths and places are random."""
+    """A crank about z at the origin, a rod, and a rocker about its own axis; lengths and places are
+    random.
+    """
 
     crank: float
     rocker: float
@@ -123,7 +135,13 @@ class Rssr:
     @classmethod
     def random(cls, rng: np.random.Generator) -> Rssr:
         axis = rng.normal(size=3)
-        r = cls(*rng.uniform(0.1, 1.0, 2), rng.uniform(-1, 1, 3), axis / np.linalg.norm(axis), rng.uniform(-3, 3), 0.0)
+        r = cls(
+            *rng.uniform(0.1, 1.0, 2),
+            rng.uniform(-1, 1, 3),
+            axis / np.linalg.norm(axis),
+            rng.uniform(-3, 3),
+            0.0,
+        )
         r.rod = float(np.linalg.norm(r.end(rng.uniform(-3, 3)) - r.start(r.angle)))
         return r
 
@@ -140,7 +158,9 @@ class Rssr:
         return self.place + self.rocker * (np.cos(angle) * x + np.sin(angle) * y)
 
     def angles(self) -> np.ndarray:
-        """Both angles of the rocker: |place + rocker (cos x + sin y) - start| = rod is a cos + b sin = c."""
+        """Both angles of the rocker: |place + rocker (cos x + sin y) - start| = rod is a cos + b
+        sin = c.
+        """
         x, y, _ = self.frame().T
         d = self.place - self.start(self.angle)
         a = 2 * self.rocker * (d @ x)

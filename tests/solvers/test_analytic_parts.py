@@ -1,4 +1,6 @@
-"""Parts of `ik_all`, each against a formula of its own: rotation vectors, descents, planes, samples, joints held."""
+"""Parts of `ik_all`, each against a formula of its own: rotation vectors, descents, planes,
+samples, joints held.
+"""
 
 from __future__ import annotations
 
@@ -31,15 +33,21 @@ ANGLES = (0.0, 1e-12, 1e-4, 0.05, 0.2, 1.0, math.pi / 2 - 1e-8, 1.7, 2.9, 3.1)
 
 def test_rotation_vectors():
     """Each alone: a batch has one formula for all."""
-    v = np.array([angle * np.array(axis) / np.linalg.norm(axis) for angle in ANGLES for axis in AXES])
-    found = np.concatenate([nearest._rotation_vector(R[None]) for R in Rotation.from_rotvec(v).as_matrix()])
+    v = np.array(
+        [angle * np.array(axis) / np.linalg.norm(axis) for angle in ANGLES for axis in AXES]
+    )
+    found = np.concatenate(
+        [nearest._rotation_vector(R[None]) for R in Rotation.from_rotvec(v).as_matrix()]
+    )
     np.testing.assert_allclose(found, v, rtol=1e-11, atol=1e-15)
 
 
 def linear(A: np.ndarray, b: np.ndarray) -> Any:
     """An aim whose errors are b - A x."""
     n = A.shape[1]
-    return SimpleNamespace(moves=np.arange(n), at=lambda x: (b - x @ A.T, np.broadcast_to(A, (len(x), *A.shape))))
+    return SimpleNamespace(
+        moves=np.arange(n), at=lambda x: (b - x @ A.T, np.broadcast_to(A, (len(x), *A.shape)))
+    )
 
 
 @pytest.mark.parametrize("weak", [1.0, 1e-3, 1e-4])
@@ -73,7 +81,9 @@ def test_a_configuration_is_polished_onto_its_target():
     answer = arm.ik_all(arm.fk(q, "tool"), "tool")
     assert np.abs(answer.plan.lines.origin).max() > 0.1
     none: Any = None
-    target = further._Targets(answer.question, answer.plan, none, none, none, none, none, none, None)
+    target = further._Targets(
+        answer.question, answer.plan, none, none, none, none, none, none, None
+    )
     found, error = target._polished(0, q + 1e-3, True)
     assert error < 1e-9 and np.abs(found - q).max() < 1e-8
 
@@ -87,13 +97,24 @@ def test_random_samples_of_a_chain_turn_to_any_angle_and_slide_as_far_as_it_is_l
     assert (3.0 < most[~slides]).all() and (most[~slides] <= math.pi).all()
 
 
-@pytest.mark.parametrize(("limits", "expected"), [
-    ((-1.0, 1.0), 0.4), ((0.0, 1.0), 0.4), ((-1.0, 0.0), -0.4), ((0.1, 0.2), 0.2), ((-0.3, -0.2), -0.3),
-])  # fmt: skip
-def test_where_axes_line_up_joints_are_held_aside_of_zero_inside_the_limits(limits, expected, monkeypatch):
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [
+        ((-1.0, 1.0), 0.4),
+        ((0.0, 1.0), 0.4),
+        ((-1.0, 0.0), -0.4),
+        ((0.1, 0.2), 0.2),
+        ((-0.3, -0.2), -0.3),
+    ],
+)
+def test_where_axes_line_up_joints_are_held_aside_of_zero_inside_the_limits(
+    limits, expected, monkeypatch
+):
     arm = kempe.load("puma560")
     lines = arm.ik_all(arm.fk(arm.mid, "tool"), "tool").plan.lines
-    lines = replace(lines, limits=np.tile(np.array(limits)[:, None], 6), multiplier=np.full(6, -1.0))
+    lines = replace(
+        lines, limits=np.tile(np.array(limits)[:, None], 6), multiplier=np.full(6, -1.0)
+    )
     counts = iter([3, 0])  # at zero, elsewhere
     monkeypatch.setattr(choice, "_aligned", lambda plan, theta: next(counts))
     plan: Any = SimpleNamespace(lines=lines, method="elimination", locked=(2,))
@@ -104,12 +125,23 @@ X, Y, Z = np.eye(3)
 OBLIQUE = np.array([0.95, math.sqrt(1.0 - 0.95**2), 0.0])
 
 
-@pytest.mark.parametrize(("z", "v", "expected"), [
-    (Z, X, Z), (Z, OBLIQUE, Z), (Z, Z, X), (Z, -Z, X), (X, X, Y), (Y, Y, X),
-    (OBLIQUE, OBLIQUE, np.array([-OBLIQUE[1], OBLIQUE[0], 0.0])), (X, 0.6 * X + 0.8 * Z, 0.8 * X - 0.6 * Z),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("z", "v", "expected"),
+    [
+        (Z, X, Z),
+        (Z, OBLIQUE, Z),
+        (Z, Z, X),
+        (Z, -Z, X),
+        (X, X, Y),
+        (Y, Y, X),
+        (OBLIQUE, OBLIQUE, np.array([-OBLIQUE[1], OBLIQUE[0], 0.0])),
+        (X, 0.6 * X + 0.8 * Z, 0.8 * X - 0.6 * Z),
+    ],
+)
 def test_the_plane_from_which_arm_angles_count(z, v, expected):
-    np.testing.assert_allclose(reference_plane(z, np.stack([v, v])), [expected, expected], atol=1e-15)
+    np.testing.assert_allclose(
+        reference_plane(z, np.stack([v, v])), [expected, expected], atol=1e-15
+    )
 
 
 def test_rounded_rotations_of_a_batch_are_mended():
@@ -148,7 +180,9 @@ def test_curves_cross_where_the_second_singular_value_vanishes():
     x = np.linspace(0.0, 1.0, 9)
     theta = np.stack([x, 0.0 * x], axis=1)
     way = np.tile([1.0, 0.0], (9, 1))
-    chain: Any = SimpleNamespace(led=lambda p, t: (p, None, p), spectrum=lambda p: (0.0, abs(p[0] - 0.47)))
+    chain: Any = SimpleNamespace(
+        led=lambda p, t: (p, None, p), spectrum=lambda p: (0.0, abs(p[0] - 0.47))
+    )
     curve = Samples(1, theta, way, way[:1], False, 0.0, 0.1 * np.abs(x - 0.47))
     (found,) = TolerantMotion.crossings_of(chain, curve)
     np.testing.assert_allclose(found, [0.47, 0.0], atol=1e-6)

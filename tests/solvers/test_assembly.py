@@ -26,9 +26,18 @@ from kempe.solvers.dyads.dyads import Plan
 from kempe.status import Status
 
 MECHANISMS = [
-    "four_bar", "slider_crank", "double_parallelogram", "bennett", "sarrus", "stewart", "peaucellier", "jansen",
-    "three_rrr", "delta_ss", "bricard_trihedral",
-]  # fmt: skip
+    "four_bar",
+    "slider_crank",
+    "double_parallelogram",
+    "bennett",
+    "sarrus",
+    "stewart",
+    "peaucellier",
+    "jansen",
+    "three_rrr",
+    "delta_ss",
+    "bricard_trihedral",
+]
 
 
 def rocker_angles(a, b, c, d, theta):
@@ -53,11 +62,15 @@ def test_four_bar_is_the_intersection_of_two_circles(theta, cut):
 @pytest.mark.parametrize("name", some(MECHANISMS, 3))
 @pytest.mark.parametrize("sigma", [0.1, 0.3, 1.0])
 def test_perturbed_mechanisms_close(name, sigma):
-    """From Gaussian noise at least 95 % close at the first start, and all with the usual starts inside the limits."""
+    """From Gaussian noise at least 95 % close at the first start, and all with the usual starts
+    inside the limits.
+    """
     s = kempe.load(name)
     home = s.q("closed")
     rng = np.random.default_rng(5)
-    q = np.stack([s.configuration_space.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)])
+    q = np.stack(
+        [s.configuration_space.integrate(home, sigma * rng.normal(size=s.nv)) for _ in range(400)]
+    )
     once = s.assemble(start=q, limits=False, budget=kempe.Budget(starts=1))
     assert once.success.mean() >= 0.95
     answer = s.assemble(start=q)
@@ -81,7 +94,9 @@ def test_convergence_is_quadratic(name):
     sizes = []
     arrays = b.loops.ints, b.loops.floats, b.loops.plan, b.loops.weights
     for limit in range(4):
-        kernel.assemble(*arrays, start, b.no_pins, 0, 1, limit, 1e100, 0, 0, 0, False, 0, q, r, info)
+        kernel.assemble(
+            *arrays, start, b.no_pins, 0, 1, limit, 1e100, 0, 0, 0, False, 0, q, r, info
+        )
         sizes.append(r[0])
     bound = 30.0
     for before, after in zip(sizes, sizes[1:], strict=False):
@@ -90,11 +105,15 @@ def test_convergence_is_quadratic(name):
 
 @pytest.mark.parametrize("name", ["four_bar", "three_rrr", "rssr", "sarrus", "peaucellier"])
 def test_closed_in_pinocchio_too(name):
-    """Poses of both ends of each cut joint, computed by Pinocchio from a tree written by hand, coincide."""
+    """Poses of both ends of each cut joint, computed by Pinocchio from a tree written by hand,
+    coincide.
+    """
     pin = pytest.importorskip("pinocchio")
     s = kempe.load(name)
     answer = s.assemble(
-        start=s.configuration_space.integrate(s.q("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv))
+        start=s.configuration_space.integrate(
+            s.q("closed"), 0.2 * np.random.default_rng(0).normal(size=s.nv)
+        )
     )
     assert answer
     model, place = pinocchio_tree(pin, s)
@@ -108,19 +127,27 @@ def test_closed_in_pinocchio_too(name):
     X = s.fk(answer.q)
     for i, body in enumerate(s.body_names):
         if i:
-            np.testing.assert_allclose(data.oMf[model.getFrameId(body)].homogeneous, X[i], atol=1e-10)
+            np.testing.assert_allclose(
+                data.oMf[model.getFrameId(body)].homogeneous, X[i], atol=1e-10
+            )
 
 
 def pinocchio_tree(pin, s):
-    """The spanning tree as a Pinocchio model of revolute and prismatic joints, and where its coordinates are."""
+    """The spanning tree as a Pinocchio model of revolute and prismatic joints, and where its
+    coordinates are.
+    """
     model = pin.Model()
     place = {}
     ids = {0: 0}
     at = {0: pin.SE3.Identity()}
     m = s.mechanism
-    for i, (parent, name) in enumerate(zip(s.parent, s.structure.parent_joints, strict=True), start=1):
+    for i, (parent, name) in enumerate(
+        zip(s.parent, s.structure.parent_joints, strict=True), start=1
+    ):
         joint = m.joints[name]
-        assert not s.structure.topology.reversed_[i - 1], "joints from child to parent are not written by hand"
+        assert not s.structure.topology.reversed_[i - 1], (
+            "joints from child to parent are not written by hand"
+        )
         before = at[parent] * pin.SE3(joint.X_PF.evaluate(m.parameters))
         here = ids[parent]
         primitives = joint.type.layout(s.dim)[1]
@@ -158,12 +185,25 @@ def test_equations_have_exact_derivatives(graph, seed):
     J = closure_rows.jacobian(s, q)
     h = 1e-6
     integrate = s.configuration_space.integrate
-    numeric = np.stack(
-        [(closure_rows.residual(s, integrate(q, h * e)) - closure_rows.residual(s, integrate(q, -h * e))) / (2 * h)
-         for e in np.eye(s.nv)], -1,
-    ) if s.nv else J  # fmt: skip
+    numeric = (
+        np.stack(
+            [
+                (
+                    closure_rows.residual(s, integrate(q, h * e))
+                    - closure_rows.residual(s, integrate(q, -h * e))
+                )
+                / (2 * h)
+                for e in np.eye(s.nv)
+            ],
+            -1,
+        )
+        if s.nv
+        else J
+    )
     angles = np.array([k.startswith("r") for _, k in closure_rows.row_names(s)], dtype=bool)
-    near_pi = np.abs(closure_rows.residual(s, q))[angles].max(initial=0.0) > 2.9  # where the rotation vector jumps
+    near_pi = (
+        np.abs(closure_rows.residual(s, q))[angles].max(initial=0.0) > 2.9
+    )  # where the rotation vector jumps
     if not near_pi:
         np.testing.assert_allclose(J, numeric, atol=2e-6 * (1 + np.abs(J).max(initial=0.0)))
 
@@ -178,20 +218,28 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
     names = closure_rows.row_names(s)
     for k, name in enumerate(s.structure.closures):
         mine = np.array([r for r, (n, _) in zip(rows, names, strict=True) if n == name])
-        assert np.linalg.norm(mine) == pytest.approx(0.0, abs=1e-9) or np.linalg.norm(error[k]) > 1e-10
-        if len(mine) == 6:  # the rotation vector is the same, the position is taken without the screw's pitch
+        assert (
+            np.linalg.norm(mine) == pytest.approx(0.0, abs=1e-9) or np.linalg.norm(error[k]) > 1e-10
+        )
+        if (
+            len(mine) == 6
+        ):  # the rotation vector is the same, the position is taken without the screw's pitch
             np.testing.assert_allclose(mine[3:], error[k][3:], atol=1e-9)
 
 
 @settings(max_examples=examples(40), deadline=None)
 @given(graphs.graphs(), st.integers(0, 10**6))
 def test_what_is_assembled_is_closed(graph, seed):
-    """Whatever the joints: an answer called a success closes every loop, by the independent closure error."""
+    """Whatever the joints: an answer called a success closes every loop, by the independent closure
+    error.
+    """
     s = graph.mechanism().build()
     answer = s.assemble(start=s.random(seed), budget=kempe.Budget(starts=3))
     if answer:
         assert np.abs(s.loops.closure_error(answer.q)).max(initial=0.0) < 1e-7
-        assert np.all(answer.q[s.structure.layout.vector_q] >= s.lower[s.structure.layout.vector_v] - 1e-12)
+        assert np.all(
+            answer.q[s.structure.layout.vector_q] >= s.lower[s.structure.layout.vector_v] - 1e-12
+        )
 
 
 # ---- what is known
@@ -305,7 +353,10 @@ def test_a_batch_is_its_rows():
     assert s.assemble({driver: np.zeros((2, 3))}).success.shape == (2, 3)
     bad = s.assemble({driver: [0.1, math.nan]})
     assert bad.success.tolist() == [True, False] and np.isnan(bad.q[1]).all()
-    assert list(bad.status)[1] == "known values, places or start have numbers that are not finite or too large"
+    assert (
+        list(bad.status)[1]
+        == "known values, places or start have numbers that are not finite or too large"
+    )
 
 
 def test_threads_do_not_matter():
@@ -317,7 +368,9 @@ def test_threads_do_not_matter():
 
 @pytest.mark.parametrize("n", [36, 101, 360])
 def test_continuous_rows_follow_each_other(n):
-    """A parallelogram led through its change points stays a parallelogram; row by row from one start it need not."""
+    """A parallelogram led through its change points stays a parallelogram; row by row from one
+    start it need not.
+    """
     s = kempe.load("parallelogram")
     driver = s.coordinate_names[0]
     angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
@@ -337,7 +390,9 @@ def test_what_is_left_open_is_nearest(seed):
     from kempe.solvers.assembly.charts import tangent_space
 
     s = kempe.load("stewart")
-    near = s.configuration_space.integrate(s.q("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv))
+    near = s.configuration_space.integrate(
+        s.q("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv)
+    )
     answer = s.assemble(start=near, prefer="nearest")
     assert answer
     b = s.loops.assembler(())
@@ -364,7 +419,9 @@ def test_large_systems_are_sparse():
     sizes = [int(Assembler(row(n), ()).loops.plan[5]) for n in (100, 200)]
     assert sizes[1] < 2.1 * sizes[0]
     s = row(200)
-    near = s.configuration_space.integrate(s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv))
+    near = s.configuration_space.integrate(
+        s.neutral, 0.1 * np.random.default_rng(0).normal(size=s.nv)
+    )
     answer = s.assemble({"A0": 0.2}, start=near)
     assert answer.code == Status.SOLVED and answer.starts == 1
     assert np.abs(closure_rows.residual(s, answer.q)).max() < 1e-12
@@ -374,7 +431,8 @@ def test_large_systems_are_sparse():
 
 
 def truss(bays: int, brace: float = math.sqrt(2.0)) -> tuple[kempe.System, np.ndarray]:
-    """Particles on rods in square bays that stand on the ground, each with a brace; and the configuration as drawn.
+    """Particles on rods in square bays that stand on the ground, each with a brace; and the
+    configuration as drawn.
 
     `brace` is the length of the brace in the middle.
     """
@@ -383,11 +441,17 @@ def truss(bays: int, brace: float = math.sqrt(2.0)) -> tuple[kempe.System, np.nd
     for k in range(1, bays + 1):
         for name in "nm":
             m.joint(f"{name}{k}", "translation", m.ground, m.particle(f"{name}{k}"))
-        rods = ((f"n{k - 1}", f"n{k}", 1.0), (f"m{k - 1}", f"m{k}", 1.0), (f"n{k}", f"m{k}", 1.0),
-                (f"n{k - 1}", f"m{k}", brace if 2 * k == bays else math.sqrt(2.0)))  # fmt: skip
+        rods = (
+            (f"n{k - 1}", f"n{k}", 1.0),
+            (f"m{k - 1}", f"m{k}", 1.0),
+            (f"n{k}", f"m{k}", 1.0),
+            (f"n{k - 1}", f"m{k}", brace if 2 * k == bays else math.sqrt(2.0)),
+        )
         for a, b, length in rods:
             m.constrain(constraints.Distance(a, b, length))
-    return m.build(), np.array([(k, y) for k in range(1, bays + 1) for y in (0.0, 1.0)], dtype=float).ravel()
+    return m.build(), np.array(
+        [(k, y) for k in range(1, bays + 1) for y in (0.0, 1.0)], dtype=float
+    ).ravel()
 
 
 def rods_open(q: np.ndarray) -> float:
@@ -395,8 +459,15 @@ def rods_open(q: np.ndarray) -> float:
     places = np.concatenate([[[[0.0, 0.0], [0.0, 1.0]]], q.reshape(-1, 2, 2)])
     n = places[:, 0]
     m = places[:, 1]
-    pairs = [(n[1:], n[:-1], 1.0), (m[1:], m[:-1], 1.0), (n[1:], m[1:], 1.0), (m[1:], n[:-1], math.sqrt(2.0))]
-    return max(float(np.abs(np.linalg.norm(a - b, axis=1) - length).max()) for a, b, length in pairs)
+    pairs = [
+        (n[1:], n[:-1], 1.0),
+        (m[1:], m[:-1], 1.0),
+        (n[1:], m[1:], 1.0),
+        (m[1:], n[:-1], math.sqrt(2.0)),
+    ]
+    return max(
+        float(np.abs(np.linalg.norm(a - b, axis=1) - length).max()) for a, b, length in pairs
+    )
 
 
 def from_within(bays: int, size: float, rng: np.random.Generator, count: int) -> None:
@@ -417,11 +488,17 @@ def test_many_loops_close_from_far_away_at_length(bays, size, hunt):
 
 
 def test_many_loops_of_which_one_cannot_close():
-    """All starts are spent, what is left open is not less than the nearest, and the rows beside it are the same."""
+    """All starts are spent, what is left open is not less than the nearest, and the rows beside it
+    are the same.
+    """
     system, drawn = truss(12, brace=2.5)
     start = drawn + np.random.default_rng(3).uniform(-0.5, 0.5, (2, system.nq))
     answer = system.assemble(start=start)
-    assert not answer.success.any() and np.all(answer.starts == 20) and np.all(np.asarray(answer.residual) > 1e-3)
+    assert (
+        not answer.success.any()
+        and np.all(answer.starts == 20)
+        and np.all(np.asarray(answer.residual) > 1e-3)
+    )
     alone = system.assemble(start=start[0])
     assert not alone and np.array_equal(alone.q, answer.q[0]) and alone.starts == 20
 
@@ -430,13 +507,17 @@ def test_a_branch_by_its_signs():
     s = kempe.load("four_bar")
     d = [s.q_dict(s.assemble({"A": 0.9}, branch=b).q)["D"] for b in "+-"]
     expected = rocker_angles(0.1, 0.5, 0.4, 0.4, 0.9)
-    np.testing.assert_allclose(np.exp(1j * np.array(d)), np.exp(1j * np.array(expected[::-1])), atol=1e-12)
+    np.testing.assert_allclose(
+        np.exp(1j * np.array(d)), np.exp(1j * np.array(expected[::-1])), atol=1e-12
+    )
     angles = np.linspace(0, 6, 50)
     assert s.assemble({"A": angles}, branch="-").success.all()
     posture = s.assemble({"A": 1.5}, branch="closed")
     assert posture and s.q_dict(posture.q)["D"] > 0
     open_ = four_bar(a=0.3, b=0.2, c=0.2, d=0.4).assemble({"A": 2.0}, branch="+")
-    assert not open_ and open_.status and open_.starts == 1  # the closed form is where it starts, once
+    assert (
+        not open_ and open_.status and open_.starts == 1
+    )  # the closed form is where it starts, once
 
 
 def test_further_constraints():
@@ -449,7 +530,9 @@ def test_further_constraints():
     never = constraints.Function(lambda q: q[0] * 0.0 + 1.0, name="never")
     answer = s.assemble(also=[never], budget=kempe.Budget(starts=2))
     assert not answer and "'never' is off by 1" in answer.status
-    held = s.assemble({"A": 0.4}, also=constraints.Equation("C = 0.5*D"), budget=kempe.Budget(starts=2))
+    held = s.assemble(
+        {"A": 0.4}, also=constraints.Equation("C = 0.5*D"), budget=kempe.Budget(starts=2)
+    )
     assert not held and held.q[0] == 0.4
     with pytest.raises(TypeError, match="no option 'constraints'; they are given as 'also'"):
         s.assemble(constraints=[never])
@@ -471,7 +554,9 @@ def test_constraints_of_one_call():
 
 
 def test_the_nearest_does_not_depend_on_the_cut():
-    """The distance counts all coordinates, so that the answer by name is the same wherever the loop is cut."""
+    """The distance counts all coordinates, so that the answer by name is the same wherever the loop
+    is cut.
+    """
     near = {"A": 1.4, "B": -0.7, "C": 1.0, "D": 1.3}
     answers = []
     for cut in "ABCD":
@@ -490,24 +575,33 @@ def test_the_nearest_is_nearest():
     crank = answer.q[0] + np.linspace(-0.2, 0.2, 2001)
     around = s.assemble({"A": crank}, start=answer.q)
     assert around
-    assert s.configuration_space.distance(near, answer.q) <= s.configuration_space.distance(near, around.q).min() + 1e-9
+    assert (
+        s.configuration_space.distance(near, answer.q)
+        <= s.configuration_space.distance(near, around.q).min() + 1e-9
+    )
 
 
 @pytest.mark.slow
 def test_a_mechanism_far_from_the_origin():
-    """1000 m away loops close, and are traced, as at the origin: no digits and no tolerance are lost."""
+    """1000 m away loops close, and are traced, as at the origin: no digits and no tolerance are
+    lost.
+    """
     m = Mechanism("far", ground="world")
     m.attach(kempe.load("sarrus"), m.ground, at=(1000.0, 2000.0, 0.0), rpy=(0.3, 0.2, 1.0))
     far = m.build()
     home = kempe.load("sarrus")
     driver = home.structure.velocity_names[0]
     start = far.q({k: v for k, v in home.q_dict(home.q("closed")).items()})
-    assert far.trace(driver, start).length == pytest.approx(home.trace(driver, "closed").length, rel=1e-6)
+    assert far.trace(driver, start).length == pytest.approx(
+        home.trace(driver, "closed").length, rel=1e-6
+    )
     s = four_bar(at=(1e6, 0.0))
     answer = s.assemble({"A": 1.0})
     assert answer and np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
     tip = s.fk(answer.q, "rocker")[:3, 3] + s.fk(answer.q, "rocker")[:3, :3] @ [0.4, 0, 0]
-    assert np.linalg.norm(tip[:2] - [1e6 + 0.1 * np.cos(1.0), 0.1 * np.sin(1.0)]) == pytest.approx(0.5, abs=1e-9)
+    assert np.linalg.norm(tip[:2] - [1e6 + 0.1 * np.cos(1.0), 0.1 * np.sin(1.0)]) == pytest.approx(
+        0.5, abs=1e-9
+    )
 
 
 def test_a_known_place_far_from_the_origin():
@@ -606,7 +700,9 @@ def test_values_of_a_bound_assembler_are_rows_of_its_coordinates():
     rows = np.array([[1.9, 1.2], [2.1, 1.0]])
     found = assembler(rows)
     assert found.success.all()
-    np.testing.assert_allclose([[s.q_dict(q)[name] for name in "AD"] for q in found.q], rows, atol=1e-12)
+    np.testing.assert_allclose(
+        [[s.q_dict(q)[name] for name in "AD"] for q in found.q], rows, atol=1e-12
+    )
     np.testing.assert_allclose(assembler(rows[1]).q, found.q[1], atol=1e-9)
 
 
@@ -616,7 +712,9 @@ def test_known_values_are_inside_the_limits_up_to_rounding():
 
 
 def test_held_balls_keep_their_known_quaternions():
-    """A ball behind a hinge, and one behind both, whose places in q and among velocities are no longer the same."""
+    """A ball behind a hinge, and one behind both, whose places in q and among velocities are no
+    longer the same.
+    """
     m = Mechanism("arm")
     m.revolute("A", m.ground, m.body("a"))
     m.spherical("B", "a", m.body("b"))
@@ -648,7 +746,9 @@ def searched(monkeypatch):
 
 
 def test_a_named_branch_is_evaluated_once_and_not_searched(searched, monkeypatch):
-    """A closed form that fulfils the equations is the answer: one evaluation a row, no search, no sign found again."""
+    """A closed form that fulfils the equations is the answer: one evaluation a row, no search, no
+    sign found again.
+    """
     s = kempe.load("four_bar")
     n = 10_000
     evaluated = []
@@ -664,7 +764,9 @@ def test_a_named_branch_is_evaluated_once_and_not_searched(searched, monkeypatch
     monkeypatch.setattr(Plan, "branch_of", lambda self, q: pytest.fail("no row was searched"))
     answer = s.assemble({"A": np.linspace(0.0, 20.0, n)}, branch="+")
     assert answer.success.all() and not searched
-    assert sum(rows for rows, _ in evaluated) == n and not any(jacobian for _, jacobian in evaluated)
+    assert sum(rows for rows, _ in evaluated) == n and not any(
+        jacobian for _, jacobian in evaluated
+    )
     assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-14
 
 
@@ -679,7 +781,9 @@ def test_a_sequence_on_one_branch_searches_its_first_row_only(searched):
 
 
 def test_the_usual_call_of_a_bound_assembler_is_one_call_of_the_kernel(searched, monkeypatch):
-    """One array and plain numbers by name go to the kernel; the same answer comes from the general way."""
+    """One array and plain numbers by name go to the kernel; the same answer comes from the general
+    way.
+    """
     s = kempe.load("four_bar")
     q = s.assemble({"A": 0.3}).q
     bound = s.loops.assembler(["A"])
@@ -692,11 +796,16 @@ def test_the_usual_call_of_a_bound_assembler_is_one_call_of_the_kernel(searched,
     np.testing.assert_array_equal(usual.q, general.q)
     np.testing.assert_array_equal(public.q, general.q)
     assert usual.iterations == general.iterations and usual.status == general.status
-    assert (type(usual.residual), type(usual.success)) == (type(general.residual), type(general.success))
+    assert (type(usual.residual), type(usual.success)) == (
+        type(general.residual),
+        type(general.success),
+    )
 
 
 def test_a_new_design_copies_its_description_few_times(monkeypatch):
-    """To build and assemble a mechanism copies its description a few times, not once for each joint."""
+    """To build and assemble a mechanism copies its description a few times, not once for each
+    joint.
+    """
     copies = []
     copy = Mechanism.copy
     monkeypatch.setattr(Mechanism, "copy", lambda self: copies.append(self) or copy(self))
@@ -729,20 +838,28 @@ def test_a_sequence_by_the_closed_form_is_as_row_by_row(hunt, monkeypatch):
         system = chain.system()
         start = chain.system().q(chain.values)
         way = (
-            np.linspace(0.0, 1.0, LONG + 100)[:, None] * rng.normal(size=len(chain.known)) * 10.0 ** rng.uniform(-2, 1)
+            np.linspace(0.0, 1.0, LONG + 100)[:, None]
+            * rng.normal(size=len(chain.known))
+            * 10.0 ** rng.uniform(-2, 1)
         )
         known = {name: chain.values[name] + way[:, k] for k, name in enumerate(chain.known)}
-        quick, rows = (follow(system, known, start, monkeypatch, by_rows) for by_rows in (False, True))
+        quick, rows = (
+            follow(system, known, start, monkeypatch, by_rows) for by_rows in (False, True)
+        )
         taken += quick.solver.name == "dyads"
         np.testing.assert_array_equal(quick.code, rows.code)
         np.testing.assert_allclose(quick.q, rows.q, rtol=1e-9, atol=1e-8)
     assert taken > 0
 
 
-@pytest.mark.parametrize("name, driver", [("parallelogram", 0), ("kite", 0), ("slider_crank_equal", 0)])
+@pytest.mark.parametrize(
+    "name, driver", [("parallelogram", 0), ("kite", 0), ("slider_crank_equal", 0)]
+)
 @pytest.mark.parametrize("n", [700, 5000])
 def test_a_sequence_through_a_meeting_of_branches_is_as_row_by_row(name, driver, n, monkeypatch):
-    """At a change point the sign of the branch changes along a smooth motion: no closed form is taken there."""
+    """At a change point the sign of the branch changes along a smooth motion: no closed form is
+    taken there.
+    """
     system = kempe.load(name)
     start = system.assemble({system.coordinate_names[driver]: 0.4}, start=system.q("closed")).q
     known = {system.coordinate_names[driver]: 0.4 + np.linspace(0.0, 2.0 * np.pi, n)}

@@ -62,14 +62,18 @@ def test_elbows_in_the_plane_are_the_lectures(hunt, count):
 @pytest.mark.parametrize("slide", range(4))
 @pytest.mark.parametrize("axis", ["z", "-z", (0.3, -0.4, 0.8)])
 def test_elbows_of_a_scara_are_those_of_the_plane(slide, axis):
-    """Its slide at any place: the elbow is to the left or right, seen from where the axes point to, of the way on."""
+    """Its slide at any place: the elbow is to the left or right, seen from where the axes point to,
+    of the way on.
+    """
     m = kempe.Mechanism("scara")
     rng = np.random.default_rng(slide)
     body = m.ground
     turns = []
     for k in range(4):
         at = (0.0, 0.0, 0.4) if k == 0 else rng.uniform(0.1, 0.5, 3)
-        (m.prismatic if k == slide else m.revolute)(f"q{k}", body, m.body(f"b{k}"), at=at, axis=axis)
+        (m.prismatic if k == slide else m.revolute)(
+            f"q{k}", body, m.body(f"b{k}"), at=at, axis=axis
+        )
         turns += [] if k == slide else [f"b{k}"]
         body = f"b{k}"
     m.frame("tip", body, at=(0.1, 0.2, -0.3))
@@ -80,7 +84,9 @@ def test_elbows_of_a_scara_are_those_of_the_plane(slide, axis):
         assert sorted(a.names) == ["elbow-down", "elbow-up"]
         for row, name in zip(a.q, a.names, strict=True):
             p = system.fk(row, turns)[:, :3, 3]
-            left = up @ np.cross(p[2] - p[0], p[1] - p[0]) > 0  # of the way from the first axis to the third
+            left = (
+                up @ np.cross(p[2] - p[0], p[1] - p[0]) > 0
+            )  # of the way from the first axis to the third
             assert name == ("elbow-up" if left else "elbow-down")
 
 
@@ -102,7 +108,9 @@ def test_the_arm_of_the_lecture():
 
 
 def test_the_puma_as_its_books_name_it():
-    """Corke, Robotics, Vision and Control: `ikine6s` of the nominal pose gives 'lun' without, and qn with 'ru'."""
+    """Corke, Robotics, Vision and Control: `ikine6s` of the nominal pose gives 'lun' without, and
+    qn with 'ru'.
+    """
     puma = kempe.load("puma560")
     qn = np.array([0, np.pi / 4, -np.pi, 0, np.pi / 4, 0])  # the sign of q3 differs by a turn
     a = puma.ik_all(puma.fk(qn, "tool"), "tool", start=qn)
@@ -114,7 +122,9 @@ def test_the_puma_as_its_books_name_it():
     assert set(a.names) == ALL
 
 
-@pytest.mark.parametrize(("robot", "frame"), [("ur5", "tool"), ("ur10e", "tool"), ("irb6640", "tool0")])
+@pytest.mark.parametrize(
+    ("robot", "frame"), [("ur5", "tool"), ("ur10e", "tool"), ("irb6640", "tool0")]
+)
 def test_shipped_robots_have_eight_names(robot, frame, hunt):
     system = kempe.load(robot)
     Q = system.random(hunt.rng(), 50)
@@ -130,9 +140,15 @@ def test_the_stanford_arm_has_eight_names(hunt):
     Q = stanford.configuration_space.sample(50, hunt.rng()).q
     a = stanford.ik_all(stanford.fk(Q, "tool"), "tool")
     for names, inside in zip(a.names, a.inside, strict=True):
-        assert set(names) - {""} == ALL_SLIDING and all("slide ahead" in name for name in names[inside])
+        assert set(names) - {""} == ALL_SLIDING and all(
+            "slide ahead" in name for name in names[inside]
+        )
     assert a.named("slide back").sum() == 4 * len(Q)
-    assert stanford.ik_all(stanford.fk([0.3, 0.7, 0.0, 0.2, 0.9, -0.4], "tool"), "tool").named("slide singular").all()
+    assert (
+        stanford.ik_all(stanford.fk([0.3, 0.7, 0.0, 0.2, 0.9, -0.4], "tool"), "tool")
+        .named("slide singular")
+        .all()
+    )
 
 
 def test_three_slides_and_a_wrist_have_flips():
@@ -151,7 +167,9 @@ def test_three_slides_and_a_wrist_have_flips():
 
 
 def test_arms_of_seven_joints_are_named_by_the_signs_of_three(hunt):
-    """Of iiwa 14, which is stretched at zero: of sin q2, q4 and q6; at one arm angle all eight differ."""
+    """Of iiwa 14, which is stretched at zero: of sin q2, q4 and q6; at one arm angle all eight
+    differ.
+    """
     iiwa = kempe.load("iiwa14")
     rng = hunt.rng()
     for q in iiwa.random(rng, hunt.cases(5)):
@@ -159,19 +177,25 @@ def test_arms_of_seven_joints_are_named_by_the_signs_of_three(hunt):
         a = iiwa.ik_all(X, "tool")
         assert len(a) and set(a.names) <= ALL_SEVEN
         for row, name in zip(a.q, a.names, strict=True):
-            assert [word[-1] for word in name.split(", ")] == ["+-"[int(s < 0)] for s in np.sin(row[[1, 3, 5]])]
+            assert [word[-1] for word in name.split(", ")] == [
+                "+-"[int(s < 0)] for s in np.sin(row[[1, 3, 5]])
+            ]
         sweep = iiwa.inverse.sweep(X, "tool")
         one = sweep.at(float(rng.uniform(-3, 3)))
         names = names_of(iiwa, "tool", one.q)
         assert len(set(names)) == len(one.q) == 8
         for name, branch in zip(names, one.branch, strict=True):  # the same signs
-            assert [w[-1] for w in name.split(", ")] == [w[-1] for w in sweep.labels[branch].split()]
+            assert [w[-1] for w in name.split(", ")] == [
+                w[-1] for w in sweep.labels[branch].split()
+            ]
     assert names_of(iiwa, "tool", np.array([[0.3, 0.6, -0.4, 0.0, 0.5, 0.8, 0.1]])) == [
         "shoulder +, elbow singular, wrist +"
     ]
 
 
-@pytest.mark.parametrize(("robot", "frame"), [("xarm6", "tool"), ("so101", "tool"), ("hc10", "tool0")])
+@pytest.mark.parametrize(
+    ("robot", "frame"), [("xarm6", "tool"), ("so101", "tool"), ("hc10", "tool0")]
+)
 def test_chains_without_names(robot, frame):
     system = kempe.load(robot)
     a = system.ik_all(system.fk(system.random(1), frame), frame)
@@ -181,7 +205,9 @@ def test_chains_without_names(robot, frame):
 
 
 def test_hyphens_and_spaces_are_alike():
-    """A word is understood in both spellings, of planar arms and of spatial ones; "elbow -" is not "elbow"."""
+    """A word is understood in both spellings, of planar arms and of spatial ones; "elbow -" is not
+    "elbow".
+    """
     arm = kempe.load("two_link")
     puma = kempe.load("puma560")
     a = arm.ik_all([0.6, 0.3], "e")
@@ -189,7 +215,10 @@ def test_hyphens_and_spaces_are_alike():
         assert a.named(other).tolist() == a.named("elbow-up").tolist() and a.named(other).sum() == 1
     b = puma.ik_all(puma.fk(puma.random(1), "tool"), "tool")
     for word in WORDS:
-        assert b.named(word.replace(" ", "-")).tolist() == b.named(word).tolist() and b.named(word).sum() == len(b) / 2
+        assert (
+            b.named(word.replace(" ", "-")).tolist() == b.named(word).tolist()
+            and b.named(word).sum() == len(b) / 2
+        )
     with pytest.raises(UnknownNameError):
         b.named("elbow")
 
@@ -208,8 +237,15 @@ def test_words_that_do_not_exist():
 
 
 def arm_rows(rng: np.random.Generator, kind: str) -> list[dict[str, float]]:
-    """A random Denavit-Hartenberg table: a spherical wrist, three parallel axes, or a slide and a wrist."""
-    right = lambda: float(rng.choice([-1, 1])) * (np.pi / 2 if rng.random() < 0.6 else rng.uniform(0.5, 2.6))  # noqa: E731
+    """A random Denavit-Hartenberg table: a spherical wrist, three parallel axes, or a slide and a
+    wrist.
+    """
+
+    def right():
+        return float(rng.choice([-1, 1])) * (
+            np.pi / 2 if rng.random() < 0.6 else rng.uniform(0.5, 2.6)
+        )
+
     some = lambda: float(rng.choice([0.0, rng.uniform(-0.4, 0.4)]))  # noqa: E731
     along = lambda: float(rng.choice([0.0, np.pi]))  # noqa: E731
     row1 = {"a": some(), "alpha": right(), "d": some()}
@@ -226,7 +262,14 @@ def arm_rows(rng: np.random.Generator, kind: str) -> list[dict[str, float]]:
         return [row1, row2, row3, {"alpha": right(), "d": some()}, {"alpha": right()}, last]
     if kind == "wrist":
         row3 = {"a": float(rng.uniform(-0.3, 0.3)), "alpha": right(), "d": some()}
-        return [row1, row2, row3, {"alpha": right(), "d": float(rng.uniform(0.3, 1.0))}, {"alpha": right()}, last]
+        return [
+            row1,
+            row2,
+            row3,
+            {"alpha": right(), "d": float(rng.uniform(0.3, 1.0))},
+            {"alpha": right()},
+            last,
+        ]
     row3 = {"a": float(rng.uniform(0.3, 1.0)), "alpha": along(), "d": some()}
     row4 = {"a": some() if rng.random() < 0.3 else 0.0, "alpha": right(), "d": some()}
     return [row1, row2, row3, row4, {"alpha": right(), "d": some()}, last]
@@ -242,12 +285,17 @@ def turns(x: np.ndarray) -> np.ndarray:
 
 
 def seen(system: kempe.System, q: np.ndarray, kind: str) -> str:
-    """The name by plain geometry, from the poses of the bodies alone: what a viewer along axis 1 sees.
+    """The name by plain geometry, from the poses of the bodies alone: what a viewer along axis 1
+    sees.
 
-    Body k of a standard table has the axis of joint k + 1 as its z; body 5 begins where axes 5 and 6 meet.
+    Body k of a standard table has the axis of joint k + 1 as its z; body 5 begins where axes 5 and
+    6 meet.
     """
     first = system.structure.joints["q1"]
-    X = [system.fk(q, first.parent) @ first.X_PF.evaluate(system.structure.parameters), *system.fk(q, LINKS)]
+    X = [
+        system.fk(q, first.parent) @ first.X_PF.evaluate(system.structure.parameters),
+        *system.fk(q, LINKS),
+    ]
     z = [Y[:3, 2] for Y in X]
     p = [Y[:3, 3] for Y in X]
     wrist = X[5][:3, 3]
@@ -261,20 +309,27 @@ def seen(system: kempe.System, q: np.ndarray, kind: str) -> str:
     flip = np.cross(z[3], z[5]) @ z[4] < 0
     if kind == "slide":
         middle = "slide ahead" if (wrist - p[1]) @ z[2] > 0 else "slide back"
-        return f"shoulder {'left' if shoulder else 'right'}, {middle}, {'flip' if flip else 'no flip'}"
-    # in the plane across axis 2, seen with the wrist to the right: is the elbow above the way from shoulder to wrist
+        return (
+            f"shoulder {'left' if shoulder else 'right'}, {middle}, {'flip' if flip else 'no flip'}"
+        )
+    # in the plane across axis 2, seen with the wrist to the right: is the elbow above the way from
+    # shoulder to wrist
     elbow = p[2] - p[1]
     end = (p[3] if kind == "parallel" else wrist) - p[1]
     above = float(np.cross(end, elbow) @ z[1]) * np.sign(ahead)
-    return ", ".join([
-        "shoulder left" if shoulder else "shoulder right",
-        "elbow up" if above > 0 else "elbow down",
-        "flip" if flip else "no flip",
-    ])  # fmt: skip
+    return ", ".join(
+        [
+            "shoulder left" if shoulder else "shoulder right",
+            "elbow up" if above > 0 else "elbow down",
+            "flip" if flip else "no flip",
+        ]
+    )
 
 
 def check_arm(rng: np.random.Generator, kind: str) -> int:
-    """One random arm and pose: names differ, agree with the eye, and do not depend on zeros, base or tool."""
+    """One random arm and pose: names differ, agree with the eye, and do not depend on zeros, base
+    or tool.
+    """
     rows = arm_rows(rng, kind)
     plain = kempe.from_dh(rows).build()
     q = rng.uniform(-np.pi, np.pi, 6)
@@ -288,7 +343,10 @@ def check_arm(rng: np.random.Generator, kind: str) -> int:
     base = random_pose(rng)
     tool = random_pose(rng)
     moved = kempe.from_dh(
-        [{**r, ("d" if "type" in r else "theta"): float(x)} for r, x in zip(rows, zeros, strict=True)],
+        [
+            {**r, ("d" if "type" in r else "theta"): float(x)}
+            for r, x in zip(rows, zeros, strict=True)
+        ],
         base=base,
         tool=tool,
     )
@@ -339,7 +397,9 @@ def test_names_change_at_singular_configurations_only(kind, hunt):
             changes = changes + 1
             while np.abs(high - low).max() > 1e-13:
                 middle = 0.5 * (low + high)
-                if (names_of(system, "tool", middle[None]) == [names[k]]) and not np.array_equal(middle, low):
+                if (names_of(system, "tool", middle[None]) == [names[k]]) and not np.array_equal(
+                    middle, low
+                ):
                     low = middle
                 elif np.array_equal(middle, low) or np.array_equal(middle, high):
                     break
@@ -368,11 +428,15 @@ def test_singular_configurations_are_called_so(kind, hunt):
 
 
 def test_where_the_shoulder_is_singular_the_elbow_has_a_sign(hunt):
-    """Straight above the shoulder up and down cannot be distinguished; two solutions still have two names."""
+    """Straight above the shoulder up and down cannot be distinguished; two solutions still have two
+    names.
+    """
     right = np.pi / 2
     rng = hunt.rng()
     wrist = [{"d": 0.5, "alpha": right}, {"alpha": -right}, {}]
-    system = kempe.from_dh([{"alpha": right}, {"a": 0.6}, {"a": 0.1, "alpha": -right, "d": 0.15}, *wrist]).build()
+    system = kempe.from_dh(
+        [{"alpha": right}, {"a": 0.6}, {"a": 0.1, "alpha": -right, "d": 0.15}, *wrist]
+    ).build()
     for _ in range(hunt.cases(20)):
         q = rng.uniform(-2, 2, 6)
         # the wrist in the plane of axes 1 and 2: turn joint 2 until it is there

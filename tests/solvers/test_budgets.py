@@ -1,4 +1,6 @@
-"""What a search may take, steps and time, and how exact its answers are: counted, with Pinocchio as a judge."""
+"""What a search may take, steps and time, and how exact its answers are: counted, with Pinocchio as
+a judge.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +37,20 @@ HAND = "panda_link7"
 
 @pytest.mark.skipif(not urdf_files(), reason="the package example-robot-data is not installed")
 def test_a_whole_body_is_exact_to_rounding_for_pinocchio():
-    """Feet and hands of a Unitree G1 at targets that Pinocchio makes, whatever the tolerance, judged by Pinocchio."""
+    """Feet and hands of a Unitree G1 at targets that Pinocchio makes, whatever the tolerance,
+    judged by Pinocchio.
+    """
     pinocchio = pytest.importorskip("pinocchio")
     path = next(p for n, p in urdf_files().items() if n.endswith("g1_29dof_rev_1_0.urdf"))
     s = kempe.load(path, base="free")
     model = pinocchio.buildModelFromUrdf(str(path), pinocchio.JointModelFreeFlyer())
     data = model.createData()
-    frames = ["left_ankle_roll_link", "right_ankle_roll_link", "left_rubber_hand", "right_rubber_hand"]
+    frames = [
+        "left_ankle_roll_link",
+        "right_ankle_roll_link",
+        "left_rubber_hand",
+        "right_rubber_hand",
+    ]
     order = [model.joints[model.getJointId(n)].idx_q for n in s.coordinate_names[7:]]
 
     def poses(q: np.ndarray) -> list[np.ndarray]:
@@ -56,7 +65,9 @@ def test_a_whole_body_is_exact_to_rounding_for_pinocchio():
     worst = []
     for q in s.random(1, 20):
         targets = poses(q)
-        answer = s.ik([tasks.Pose(f, X) for f, X in zip(frames, targets, strict=True)], tolerance=(1e-4, 1e-3))
+        answer = s.ik(
+            [tasks.Pose(f, X) for f, X in zip(frames, targets, strict=True)], tolerance=(1e-4, 1e-3)
+        )
         assert answer.success and inside(s, answer.q)
         worst.append(np.abs(np.array(poses(answer.q)) - targets).max())
     assert np.median(worst) < 1e-14 and np.mean(np.array(worst) < ROUNDING) >= 0.9
@@ -66,7 +77,10 @@ def test_rounding_costs_two_steps_at_most():
     """Against the same starts with a tolerance so small that the search itself must get there."""
     s = two_arms()
     for q in s.random(7, 20):
-        wanted = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("right", s.fk(q, "right")[:3, 3])]
+        wanted = [
+            tasks.Pose("left", s.fk(q, "left")),
+            tasks.Position("right", s.fk(q, "right")[:3, 3]),
+        ]
         loose = s.ik(wanted, tolerance=1e-6)
         tight = s.ik(wanted, tolerance=1e-11)
         assert loose.success and tight.success and loose.starts <= tight.starts
@@ -88,7 +102,9 @@ def test_rounding_keeps_limits_one_sided_rows_and_levels():
         answer = s.ik([pose, wall, tasks.Posture(s.random(rng), priority=2)])
         assert answer.success and inside(s, answer.q)
         assert (answer.errors[pose.label] < ROUNDING).all() and answer.errors["wall"][0] < ROUNDING
-    contradictory = s.ik([tasks.Position("left", L[:3, 3]), tasks.Position("left", R[:3, 3], priority=1, name="too")])
+    contradictory = s.ik(
+        [tasks.Position("left", L[:3, 3]), tasks.Position("left", R[:3, 3], priority=1, name="too")]
+    )
     assert not contradictory.success and contradictory.errors["Position of 'left'"][0] < ROUNDING
 
 
@@ -114,12 +130,16 @@ def test_iterations_are_the_steps_of_a_start():
 @pytest.mark.parametrize("name", ["panda", "so101", "cobra600", "ball"])
 @pytest.mark.parametrize("tolerance", [1e-6, (1e-3, 1e-2)], ids=str)
 def test_iterations_bound_the_work_of_one_frame(tolerance, name, starts, iterations, hunt):
-    """The steps of each start, and five times as many those of up to 16 descents to the nearest, where all fail."""
+    """The steps of each start, and five times as many those of up to 16 descents to the nearest,
+    where all fail.
+    """
     s = kempe.load(name)
     frame = s.frame_names[-1]
     X = np.array(s.fk(s.random(hunt.rng(), hunt.cases(40)), frame))
     X[::4, :3, 3] *= 1.6
-    answer = s.ik(X, frame, tolerance=tolerance, budget=kempe.Budget(starts=starts, iterations=iterations))
+    answer = s.ik(
+        X, frame, tolerance=tolerance, budget=kempe.Budget(starts=starts, iterations=iterations)
+    )
     assert (answer.iterations <= iterations * (answer.starts + 5 * min(starts, 16))).all()
     found = answer.success & (answer.starts < starts)
     assert (answer.iterations <= iterations * answer.starts)[found].all()
@@ -134,24 +154,32 @@ def test_iterations_bound_the_work_of_tasks(starts, iterations, hunt):
     for _ in range(hunt.cases(12)):
         X = s.fk(s.random(rng), HAND)
         wanted = [
-            tasks.Position(HAND, X[:3, 3] * rng.choice([1.0, 1.5])), tasks.Pointing(HAND, X[:3, 0], priority=1,
-            weight=1.0), tasks.Posture(s.random(rng), priority=2, weight=1.0),
-        ]  # fmt: skip
+            tasks.Position(HAND, X[:3, 3] * rng.choice([1.0, 1.5])),
+            tasks.Pointing(HAND, X[:3, 0], priority=1, weight=1.0),
+            tasks.Posture(s.random(rng), priority=2, weight=1.0),
+        ]
         answer = s.ik(wanted, budget=kempe.Budget(iterations=iterations, starts=starts))
         assert answer.iterations <= iterations * (answer.starts + 3 * 4)
 
 
-@pytest.mark.parametrize("more", [
-    {"iterations": 0},
-    {"iterations": 2.5},
-    {"time_limit": 0.0},
-    {"time_limit": "1"},
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"iterations": 0},
+        {"iterations": 2.5},
+        {"time_limit": 0.0},
+        {"time_limit": "1"},
+    ],
+    ids=str,
+)
 def test_bad_budgets_are_refused(more):
     s = kempe.load("panda")
     X = s.fk(s.random(0), HAND)
     budget = kempe.Budget(**more)
-    for call in (lambda b=budget: s.ik(X, HAND, budget=b), lambda b=budget: s.ik(tasks.Pose(HAND, X), budget=b)):
+    for call in (
+        lambda b=budget: s.ik(X, HAND, budget=b),
+        lambda b=budget: s.ik(tasks.Pose(HAND, X), budget=b),
+    ):
         with pytest.raises(InputError, match=next(iter(more))):
             call()
 
@@ -169,7 +197,9 @@ def test_a_limit_that_does_not_bite_changes_nothing():
     same = free.starts <= multi_start.ROUND
     assert limited.success.all() and same.mean() > 0.9
     np.testing.assert_array_equal(limited.q[same], free.q[same])
-    np.testing.assert_array_equal(s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6, threads=3)).q, limited.q)
+    np.testing.assert_array_equal(
+        s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6, threads=3)).q, limited.q
+    )
     L = arms.fk(arms.random(1, 5), "left")
     wanted = [tasks.Pose("left", L), tasks.Posture(arms.neutral)]
     free = arms.ik(wanted)
@@ -185,8 +215,15 @@ def test_tasks_stop_when_the_time_is_up(looks):
     for n in (0, 1, 5):
         looks(n)
         answer = s.ik(far, budget=kempe.Budget(time_limit=2.0))
-        assert (answer.code, answer.starts, answer.late, answer.success) == (Status.OUT_OF_TIME, n, True, False)
-        assert f"not reached within the time limit of 2 s, after {n} of 1470 starts" in answer.status
+        assert (answer.code, answer.starts, answer.late, answer.success) == (
+            Status.OUT_OF_TIME,
+            n,
+            True,
+            False,
+        )
+        assert (
+            f"not reached within the time limit of 2 s, after {n} of 1470 starts" in answer.status
+        )
         missed = np.linalg.norm(s.fk(answer.q, HAND)[:3, 3] - [3.0, 0.0, 0.0])
         assert inside(s, answer.q) and answer.position_error == pytest.approx(missed, abs=1e-12)
     looks(10**9)
@@ -202,7 +239,11 @@ def test_a_batch_shares_the_time(looks):
     p[0] = s.fk(s.mid, HAND)[:3, 3]
     looks(11)
     answer = s.ik(tasks.Position(HAND, p), budget=kempe.Budget(starts=5, time_limit=1.0, threads=1))
-    assert answer.starts.tolist()[0] == 1 and answer.starts.tolist()[3] == 0 and np.isfinite(answer.q).all()
+    assert (
+        answer.starts.tolist()[0] == 1
+        and answer.starts.tolist()[3] == 0
+        and np.isfinite(answer.q).all()
+    )
     assert answer.code[0] == 0 and answer.code[3] == Status.OUT_OF_TIME
 
 
@@ -213,8 +254,15 @@ def test_what_is_lowered_is_said_to_be_cut_short(looks):
     whole = s.ik([tasks.Pose(HAND, X), posture])
     looks(whole.starts + 2)
     cut = s.ik([tasks.Pose(HAND, X), posture], budget=kempe.Budget(time_limit=1.0))
-    assert cut.success and cut.late and "time limit of 1 s ended it before all was lowered" in cut.status
-    missed = [np.sum(s.configuration_space.difference(posture.q, answer.q) ** 2) for answer in (cut, whole)]
+    assert (
+        cut.success
+        and cut.late
+        and "time limit of 1 s ended it before all was lowered" in cut.status
+    )
+    missed = [
+        np.sum(s.configuration_space.difference(posture.q, answer.q) ** 2)
+        for answer in (cut, whole)
+    ]
     assert missed[0] >= missed[1] and cut.iterations < whole.iterations
     assert cut.position_error < ROUNDING and not whole.late
 
@@ -224,8 +272,14 @@ def stiff_arm() -> kempe.System:
     m = Mechanism("stiff")
     before: object = m.ground
     for k in range(6):
-        m.revolute(f"j{k}", before, m.body(f"b{k}"), at=(0.0, 0.05, 0.3), rpy=(np.pi / 2 * (-1) ** k, 0.0, 0.0),
-                   limits=(-0.3, 0.3))  # fmt: skip
+        m.revolute(
+            f"j{k}",
+            before,
+            m.body(f"b{k}"),
+            at=(0.0, 0.05, 0.3),
+            rpy=(np.pi / 2 * (-1) ** k, 0.0, 0.0),
+            limits=(-0.3, 0.3),
+        )
         before = f"b{k}"
     m.frame("tip", "b5", at=(0.0, 0.0, 0.2))
     return m.build()
@@ -243,30 +297,48 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
         looks(n)
         answer = s.ik(X, "tip", task=(task, axis), budget=kempe.Budget(time_limit=3.0))
         assert (answer.code, answer.starts, answer.success) == (Status.OUT_OF_TIME, 32 * n, False)
-        assert f"not reached within the time limit of 3 s, after {32 * n} of 1000 starts" in answer.status
+        assert (
+            f"not reached within the time limit of 3 s, after {32 * n} of 1000 starts"
+            in answer.status
+        )
         there = s.fk(answer.q, "tip")
         far = np.linalg.norm(there[:3, 3] - X[:3, 3])
         turn = spatial.log_so3(X[:3, :3].T @ there[:3, :3])
         angle = np.linalg.norm(turn)
         if pointed:
             angle = np.arccos((there[:3, :3] @ axis) @ (X[:3, :3] @ axis))
-        assert answer.position_error == pytest.approx(0.0 if task in ("direction", "orientation") else far, abs=1e-12)
-        assert answer.orientation_error == pytest.approx(0.0 if task == "position" else angle, abs=1e-9)
+        assert answer.position_error == pytest.approx(
+            0.0 if task in ("direction", "orientation") else far, abs=1e-12
+        )
+        assert answer.orientation_error == pytest.approx(
+            0.0 if task == "position" else angle, abs=1e-9
+        )
         assert inside(s, answer.q)
     looks(10**9)
-    assert s.ik(X, "tip", task=(task, axis), budget=kempe.Budget(time_limit=3.0)).code == Status.NOT_FOUND
+    assert (
+        s.ik(X, "tip", task=(task, axis), budget=kempe.Budget(time_limit=3.0)).code
+        == Status.NOT_FOUND
+    )
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_hard_targets_do_not_take_the_time_of_easy_ones(threads, looks):
-    """All targets get their first starts before the clock ends the search for those that cannot be reached."""
+    """All targets get their first starts before the clock ends the search for those that cannot be
+    reached.
+    """
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(3, 700), "tool")
     far = np.tile(np.diag([1.0, 1.0, 1.0, 1.0]), (700, 1, 1))
-    far[:, :3, 3] = 0.0, 0.0, -0.6718  # inside the reach of the lengths, but not with this orientation
+    far[:, :3, 3] = (
+        0.0,
+        0.0,
+        -0.6718,
+    )  # inside the reach of the lengths, but not with this orientation
     mixed = np.stack([far, X], axis=1).reshape(-1, 4, 4)
     looks(300)
-    answer = robot.ik(mixed, "tool", budget=kempe.Budget(time_limit=0.5, starts=100_000, threads=threads))
+    answer = robot.ik(
+        mixed, "tool", budget=kempe.Budget(time_limit=0.5, starts=100_000, threads=threads)
+    )
     assert not answer.success[::2].any() and (answer.code[::2] == Status.OUT_OF_TIME).any()
     assert answer.success[1::2].mean() > 0.99
 
@@ -296,7 +368,9 @@ def count_looks(monkeypatch, most: int) -> list[int]:
 
 
 def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
-    """The first targets have all their solutions; the others have none, are not complete, and say why."""
+    """The first targets have all their solutions; the others have none, are not complete, and say
+    why.
+    """
     s = kempe.load("gen3_lite")
     X = s.fk(s.random(3, 200), "tool")
     whole = s.ik_all(X, "tool")
@@ -320,7 +394,9 @@ def test_the_time_limit_of_one_target():
 
 @pytest.mark.parametrize("most", range(6))
 def test_a_redundant_arm_whose_time_is_up_says_so_at_every_look(most, monkeypatch):
-    """At whichever look at the clock the time is up: what is said to be a solution is one, and nothing is complete."""
+    """At whichever look at the clock the time is up: what is said to be a solution is one, and
+    nothing is complete.
+    """
     s = kempe.load("panda")
     q = s.lower + 0.02 * (s.upper - s.lower)
     X = s.fk(q, "panda_hand_tcp")
@@ -336,11 +412,17 @@ def test_a_redundant_arm_whose_time_is_up_says_so_at_every_look(most, monkeypatc
         assert answer.late and not len(answer) and answer.code is Status.OUT_OF_TIME
 
 
-def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_value_of_a_spare_joint(monkeypatch):
-    """Two turns and a slide along one direction but for 1e-7: a search at each of 64 values took seconds."""
+def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_value_of_a_spare_joint(
+    monkeypatch,
+):
+    """Two turns and a slide along one direction but for 1e-7: a search at each of 64 values took
+    seconds.
+    """
     searches = []
     before = start_search._solutions
-    monkeypatch.setattr(start_search, "_solutions", lambda *args: searches.append(1) or before(*args))
+    monkeypatch.setattr(
+        start_search, "_solutions", lambda *args: searches.append(1) or before(*args)
+    )
     h = np.pi / 2
     rows = [(0.35, -h, 0.1, h, "prismatic"), (0.5, h, 0.0, 0.0, "prismatic"), (0.5, -h, -0.2, h, "revolute"),
             (-0.2, 0.0, 0.5, -h, "revolute"), (0.0, 0.0, 0.5, 0.0, "prismatic"),
@@ -348,8 +430,16 @@ def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_va
     for seed in (0, 4):
         rng = np.random.default_rng(seed)
         most = 0
-        table = [{"a": a + 1e-7 * rng.normal(), "alpha": t + 1e-7 * rng.normal(), "d": d + 1e-7 * rng.normal(),
-                  "theta": x, "type": kind} for a, t, d, x, kind in rows]  # fmt: skip
+        table = [
+            {
+                "a": a + 1e-7 * rng.normal(),
+                "alpha": t + 1e-7 * rng.normal(),
+                "d": d + 1e-7 * rng.normal(),
+                "theta": x,
+                "type": kind,
+            }
+            for a, t, d, x, kind in rows
+        ]
         s = kempe.from_dh(table).build()
         for q in rng.uniform(-3.0, 3.0, (5, 6)):
             X = s.fk(q, "tool")
@@ -371,7 +461,9 @@ def test_the_time_limit_of_a_frame_that_moves_with_loops(monkeypatch):
         given.append(budget.time_limit)
         return before(*args, limits=False, budget=budget)
 
-    monkeypatch.setattr(through_loops, "assembly_modes", lambda *a, limits, budget: modes(*a, budget=budget))
+    monkeypatch.setattr(
+        through_loops, "assembly_modes", lambda *a, limits, budget: modes(*a, budget=budget)
+    )
     s = kempe.load("four_bar")
     q = s.assemble({"A": 0.9}).q
     X = s.fk(q, "coupler")
@@ -396,13 +488,18 @@ def counted_calls(calls: list[int], function):
 
 
 def test_a_function_that_cannot_hold_ends_the_search(monkeypatch):
-    """The calls of the first search are spent, and neither without limits nor alone is there an answer."""
+    """The calls of the first search are spent, and neither without limits nor alone is there an
+    answer.
+    """
     s = two_arms()
     L = s.fk(s.mid, "left")
     monkeypatch.setattr(effort, "GLIMPSE", 20)
     for low, never in ((0.5, True), (0.0, False)):
         calls = [0]
-        wanted = [tasks.Pose("left", L), tasks.Function(counted_calls(calls, lambda q, a=low: q[8] ** 2 + a))]
+        wanted = [
+            tasks.Pose("left", L),
+            tasks.Function(counted_calls(calls, lambda q, a=low: q[8] ** 2 + a)),
+        ]
         answer = s.ik(wanted)
         assert bool(answer) is not never
         if never:
@@ -412,12 +509,16 @@ def test_a_function_that_cannot_hold_ends_the_search(monkeypatch):
         lambda q: q[8] - 50.0
     )  # there is an answer without limits, not for the function inside them
     answer = s.ik([tasks.Pose("left", L), beyond])
-    assert answer.code is Status.NOT_FOUND and "20 calls of functions found nothing" in answer.status
+    assert (
+        answer.code is Status.NOT_FOUND and "20 calls of functions found nothing" in answer.status
+    )
 
 
 @pytest.mark.parametrize("low", [0.5, 0.0])
 def test_an_answer_with_functions_does_not_depend_on_how_fast_the_machine_is(low, monkeypatch):
-    """On a clock that goes a hundredth of a second, or none at all, between two looks it is the same."""
+    """On a clock that goes a hundredth of a second, or none at all, between two looks it is the
+    same.
+    """
     answers = []
     monkeypatch.setattr(effort, "GLIMPSE", 200)
     monkeypatch.setattr(effort, "SHARE", 100)
@@ -449,11 +550,17 @@ def test_turns_that_a_function_tells_apart_are_limits_not_a_matter_of_starts():
     hand = "panda_hand_tcp"
     wanted = [tasks.Position(hand, s.fk(s.mid, hand)[:3, 3]), tasks.Function(lambda q: q[0] - 5.0)]
     answer = s.ik(wanted, budget=kempe.Budget(starts=20))
-    assert not answer and "more starts" not in answer.status and "the limits of 'panda_joint1'" in answer.status
+    assert (
+        not answer
+        and "more starts" not in answer.status
+        and "the limits of 'panda_joint1'" in answer.status
+    )
 
 
 def test_sentences_about_large_systems_take_no_dense_decompositions(monkeypatch):
-    """Freedoms that are left are counted up to a number of coordinates, for a sentence would take minutes beyond."""
+    """Freedoms that are left are counted up to a number of coordinates, for a sentence would take
+    minutes beyond.
+    """
     s = kempe.load("panda")
     good = s.fk(s.mid, HAND)[:3, 3]
     bad = np.array([3.0, 0.0, 0.0])
@@ -497,7 +604,9 @@ def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
 
 @pytest.fixture
 def kernel_calls(monkeypatch):
-    """What kernels were called with, so far: (targets, starts) of searches, and targets of descents."""
+    """What kernels were called with, so far: (targets, starts) of searches, and targets of
+    descents.
+    """
     calls: list[tuple[str, int, int]] = []
     search = multi_start.schedule
     nearest = fallback.approach
@@ -516,7 +625,9 @@ def kernel_calls(monkeypatch):
 
 
 def far_away(s: kempe.System, frame: str, count: int) -> np.ndarray:
-    """Poses of which a third are reached, some are out of reach by their lengths, and some for other reasons."""
+    """Poses of which a third are reached, some are out of reach by their lengths, and some for
+    other reasons.
+    """
     X = s.fk(s.random(5, count), frame)
     X[1::3, :3, 3] *= 1.15
     X[2::3, :3, 3] *= 4.0
@@ -525,16 +636,25 @@ def far_away(s: kempe.System, frame: str, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("budget", [None, kempe.Budget(time_limit=1000.0), kempe.Budget(threads=1)])
 def test_no_call_of_a_kernel_takes_long(budget, kernel_calls):
-    """Between two calls Python sees an interrupt and the clock: each has at most 4096 starts, or 128 descents."""
+    """Between two calls Python sees an interrupt and the clock: each has at most 4096 starts, or
+    128 descents.
+    """
     s = kempe.load("puma560")
     answer = s.ik(far_away(s, "tool", 1500), "tool", budget=budget)
-    assert np.isfinite(answer.q).all() and {kind for kind, *_ in kernel_calls} == {"search", "descents"}
+    assert np.isfinite(answer.q).all() and {kind for kind, *_ in kernel_calls} == {
+        "search",
+        "descents",
+    }
     for kind, targets, starts in kernel_calls:
-        assert targets <= 128 if kind == "descents" else targets * starts <= max(4096, 8 * starts), (kind, targets)
+        assert (
+            targets <= 128 if kind == "descents" else targets * starts <= max(4096, 8 * starts)
+        ), (kind, targets)
 
 
 def test_a_time_limit_that_does_not_come_changes_nothing():
-    """What is nearest to targets that lengths put out of reach is found on demand, with a limit, too."""
+    """What is nearest to targets that lengths put out of reach is found on demand, with a limit,
+    too.
+    """
     s = kempe.load("puma560")
     X = far_away(s, "tool", 90)
     plain = s.ik(X, "tool")
@@ -547,8 +667,12 @@ def test_a_time_limit_that_does_not_come_changes_nothing():
 
 
 @pytest.mark.parametrize("most", [0, 1, 3, 9, 30])
-def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(most, monkeypatch, kernel_calls):
-    """Whichever look it is: no kernel is called again, and each target says whether it was reached, or why not."""
+def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(
+    most, monkeypatch, kernel_calls
+):
+    """Whichever look it is: no kernel is called again, and each target says whether it was reached,
+    or why not.
+    """
     s = kempe.load("puma560")
     X = far_away(s, "tool", 1500)
     looks = [0]
@@ -564,7 +688,12 @@ def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(most, m
     answer = s.ik(X, "tool", budget=kempe.Budget(time_limit=5.0, threads=1))
     assert len(kernel_calls) <= most
     code = np.asarray(answer.code)
-    assert set(np.unique(code)) <= {Status.SOLVED, Status.OUT_OF_REACH, Status.OUT_OF_TIME, Status.NOT_FOUND}
+    assert set(np.unique(code)) <= {
+        Status.SOLVED,
+        Status.OUT_OF_REACH,
+        Status.OUT_OF_TIME,
+        Status.NOT_FOUND,
+    }
     assert (np.asarray(plain.code)[code == Status.SOLVED] == Status.SOLVED).all()
     assert (np.asarray(plain.code)[code == Status.OUT_OF_REACH] == Status.OUT_OF_REACH).all()
     assert most > 0 or not (code == Status.SOLVED).any()

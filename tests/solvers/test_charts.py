@@ -15,19 +15,33 @@ from kempe.joints import TYPES
 from kempe.kinematics import closure_rows
 from kempe.solvers.assembly.charts import WORST, Chart, tangent_space
 
-SYSTEMS = {"four_bar": 1, "five_bar": 2, "bennett": 1, "jansen": 1, "stewart": 6, "three_rrr": 3, "sarrus": 1}
+SYSTEMS = {
+    "four_bar": 1,
+    "five_bar": 2,
+    "bennett": 1,
+    "jansen": 1,
+    "stewart": 6,
+    "three_rrr": 3,
+    "sarrus": 1,
+}
 
 
 @pytest.mark.parametrize(("name", "p"), SYSTEMS.items())
 def test_as_many_as_there_are_freedoms(name, p):
     s = kempe.load(name)
     chart = s.independent(s.q("closed"))
-    assert chart.dim == p and set(chart.independent) | set(chart.dependent) == set(s.structure.velocity_names)
-    assert chart.valid(chart.origin) and chart.quality == pytest.approx(chart.condition(chart.origin))
+    assert chart.dim == p and set(chart.independent) | set(chart.dependent) == set(
+        s.structure.velocity_names
+    )
+    assert chart.valid(chart.origin) and chart.quality == pytest.approx(
+        chart.condition(chart.origin)
+    )
 
 
 def there_and_back(s: kempe.System, chart: Chart) -> None:
-    """q -> u -> q at another configuration than the origin, and tangents against central differences."""
+    """q -> u -> q at another configuration than the origin, and tangents against central
+    differences.
+    """
     rng = np.random.default_rng(3)
     u = chart.u(chart.origin) + 0.02 * rng.normal(size=chart.dim)
     q = chart.q(u)
@@ -35,8 +49,13 @@ def there_and_back(s: kempe.System, chart: Chart) -> None:
     np.testing.assert_allclose(chart.u(q.q), u, atol=1e-12)
     h = 1e-6
     difference = s.configuration_space.difference
-    numeric = np.stack([difference(chart.q(u - h * e, q.q).q, chart.q(u + h * e, q.q).q) / (2 * h)
-                        for e in np.eye(chart.dim)], -1)  # fmt: skip
+    numeric = np.stack(
+        [
+            difference(chart.q(u - h * e, q.q).q, chart.q(u + h * e, q.q).q) / (2 * h)
+            for e in np.eye(chart.dim)
+        ],
+        -1,
+    )
     np.testing.assert_allclose(chart.tangent(q.q), numeric, atol=1e-7 * (1 + np.abs(numeric).max()))
     many = chart.q(u + 0.003 * rng.normal(size=(4, chart.dim)), q.q)
     assert many.q.shape == (4, s.nq) and many.success.all()
@@ -48,16 +67,29 @@ def test_there_and_back(name):
     there_and_back(s, s.independent(s.q("closed")))
 
 
-TABLE = [(name, dim) for name, t in TYPES.items() for dim in ((2, 3) if t.planar else (3,)) if t().dof(dim)]
+TABLE = [
+    (name, dim)
+    for name, t in TYPES.items()
+    for dim in ((2, 3) if t.planar else (3,))
+    if t().dof(dim)
+]
 
 
 @pytest.mark.parametrize("looped", [False, True])
 @pytest.mark.parametrize(("name", "dim"), TABLE)
 def test_each_joint_of_the_table_has_charts(name, dim, looped):
-    """A body on a joint, and the same one that a free joint holds, too: that leaves what the first joint leaves."""
+    """A body on a joint, and the same one that a free joint holds, too: that leaves what the first
+    joint leaves.
+    """
     m = kempe.Mechanism("one joint", dim=dim)
     at = (0.3, -0.2, 0.1)[:dim]
-    turned = {"rpy": (0.2, 0.4, -0.3)} if dim == 3 else {"axis": (1.0, 0.5)} if name == "prismatic" else {"angle": 0.3}
+    turned = (
+        {"rpy": (0.2, 0.4, -0.3)}
+        if dim == 3
+        else {"axis": (1.0, 0.5)}
+        if name == "prismatic"
+        else {"angle": 0.3}
+    )
     m.joint("J", name, m.ground, m.body("body"), at=at, **turned)
     if looped:
         m.joint("F", "free", m.ground, "body", child_at=at)
@@ -91,7 +123,9 @@ def test_preferred_coordinates_come_first_or_are_refused():
         if set(pair) <= set(s.structure.velocity_names):
             assert set(s.independent(q, prefer=pair).independent) == set(pair)
     assert "A" in s.independent(q, prefer=["A"]).independent
-    with pytest.raises(InputError, match="3 coordinates are preferred; 2 freedoms can be chosen here, each once"):
+    with pytest.raises(
+        InputError, match="3 coordinates are preferred; 2 freedoms can be chosen here, each once"
+    ):
         s.independent(q, prefer=s.structure.velocity_names[:3])
     with pytest.raises(UnknownNameError):
         s.independent(q, prefer=["nobody"])
@@ -116,8 +150,11 @@ def test_a_chart_fails_at_a_dead_point_and_another_takes_over():
     extreme = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
     chart = None
     for gap in (0.3, 1e-5):
-        answer = s.assemble({"A": extreme - gap}, start=s.q({"A": extreme - gap, "B": -1.5, "D": 2.0}),
-                            budget=kempe.Budget(starts=50))  # fmt: skip
+        answer = s.assemble(
+            {"A": extreme - gap},
+            start=s.q({"A": extreme - gap, "B": -1.5, "D": 2.0}),
+            budget=kempe.Budget(starts=50),
+        )
         assert answer
         chart = s.independent(answer.q, prefer=["A"]) if gap == 0.3 else chart
         assert isinstance(chart, Chart)
@@ -141,7 +178,14 @@ def test_open_chains_have_their_own_coordinates():
 
 # ---- balls and idle spins
 
-BALLS = {"ball": 6, "joint_free": 6, "joint_spherical": 3, "rssr": 2, "delta_ss": 9, "stewart_sps": 12}
+BALLS = {
+    "ball": 6,
+    "joint_free": 6,
+    "joint_spherical": 3,
+    "rssr": 2,
+    "delta_ss": 9,
+    "stewart_sps": 12,
+}
 
 
 @pytest.mark.parametrize("name", some(library.names(), 3))
@@ -184,14 +228,22 @@ def test_a_rotation_vector_is_that_of_the_closed_form():
 
 @pytest.mark.parametrize(
     ("name", "useful"),
-    [("rssr", ("A",)), ("delta_ss", ("A1", "A2", "A3")), ("stewart_sps", tuple(f"leg{i}" for i in range(1, 7)))],
+    [
+        ("rssr", ("A",)),
+        ("delta_ss", ("A1", "A2", "A3")),
+        ("stewart_sps", tuple(f"leg{i}" for i in range(1, 7))),
+    ],
 )
 def test_useful_coordinates_come_first(name, useful):
     """What is useful can be given alone; what is idle moves no body that does not spin."""
     s = kempe.load(name)
     chart = s.independent()
     report = s.mobility()
-    assert chart.useful == useful and chart.independent == (*useful, *chart.idle) and len(chart.idle) == report.idle
+    assert (
+        chart.useful == useful
+        and chart.independent == (*useful, *chart.idle)
+        and len(chart.idle) == report.idle
+    )
     u = chart.u(chart.origin)
     u[: len(useful)] += 0.02
     few = chart.q(u[: len(useful)])

@@ -34,11 +34,20 @@ def balls() -> System:
     return m.build()
 
 
-SYSTEMS = {"geared": geared, "balls": balls, "rssr": lambda: kempe.load("rssr"), "jansen": lambda: kempe.load("jansen")}
+SYSTEMS = {
+    "geared": geared,
+    "balls": balls,
+    "rssr": lambda: kempe.load("rssr"),
+    "jansen": lambda: kempe.load("jansen"),
+}
 
 
-def images(system: System, rng: np.random.Generator, q: np.ndarray, period: np.ndarray) -> np.ndarray:
-    """The same places of all bodies in other coordinates: after full turns, with quaternions of the other sign."""
+def images(
+    system: System, rng: np.random.Generator, q: np.ndarray, period: np.ndarray
+) -> np.ndarray:
+    """The same places of all bodies in other coordinates: after full turns, with quaternions of the
+    other sign.
+    """
     q = q + 0.0
     v = system.structure.layout.vector_v
     q[system.structure.layout.vector_q] += rng.integers(-2, 3, size=len(v)) * period[v]
@@ -48,7 +57,9 @@ def images(system: System, rng: np.random.Generator, q: np.ndarray, period: np.n
 
 
 def one_by_one(clusters: Clusters, q: np.ndarray, tolerance: np.ndarray) -> list[int]:
-    """The first of each cluster is compared with all that come later; cluster numbers in the order of their firsts."""
+    """The first of each cluster is compared with all that come later; cluster numbers in the order
+    of their firsts.
+    """
     firsts = []
     out = []
     for i in range(len(q)):
@@ -70,7 +81,9 @@ def check(hunt: Hunt, name: str, cases: int) -> None:
         noise = 10.0 ** rng.uniform(-9, -7.3)
         chosen = places[rng.integers(len(places), size=40)]
         q = np.array([images(system, rng, x, clusters.metric.period) for x in chosen])
-        q = system.configuration_space.integrate(q, rng.uniform(-1, 1, (40, system.nv)) * noise * clusters.metric.scale)
+        q = system.configuration_space.integrate(
+            q, rng.uniform(-1, 1, (40, system.nv)) * noise * clusters.metric.scale
+        )
         tolerance = 10.0 ** rng.uniform(-6, -4, 40)
         batches = np.split(np.arange(40), np.sort(rng.integers(41, size=2)))
         found = np.concatenate([clusters.add(q[b], tolerance[b]) for b in batches if len(b)])
@@ -98,7 +111,9 @@ def test_keys_differ_by_no_more_than_configurations(size, name, hunt):
     system = SYSTEMS[name]()
     metric = Clusters(system).metric
     q = system.random(rng, 2000)
-    to = system.configuration_space.integrate(q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale)
+    to = system.configuration_space.integrate(
+        q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale
+    )
     to = np.array([images(system, rng, x, metric.period) for x in to])
     apart = np.abs(metric.keys(to) - metric.keys(q))
     assert (apart <= metric.steepest * metric.distances(to, q) + 1e-12).all()

@@ -1,4 +1,6 @@
-"""Declared one-sided constraints in the solvers: contacts, ropes, boxes and half-spaces, judged by poses in numpy."""
+"""Declared one-sided constraints in the solvers: contacts, ropes, boxes and half-spaces, judged by
+poses in numpy.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ EYE = np.eye(4)
 
 
 def arm():
-    """Two links in the plane whose tip is above the ground, on a rope of 1.5 from (0, 1.5), and left of x = 1.9."""
+    """Two links in the plane whose tip is above the ground, on a rope of 1.5 from (0, 1.5), and
+    left of x = 1.9.
+    """
     m = Mechanism("arm", dim=2)
     upper = m.body("upper")
     lower = m.body("lower")
@@ -64,7 +68,9 @@ def test_what_is_assembled_is_inside_and_nearest(hunt):
     """Oracle: all configurations of a fine grid."""
     system = arm()
     rng = hunt.rng()
-    grid = np.stack(np.meshgrid(np.linspace(-2, 2, 401), np.linspace(-np.pi, np.pi, 629), indexing="ij"), -1)
+    grid = np.stack(
+        np.meshgrid(np.linspace(-2, 2, 401), np.linspace(-np.pi, np.pi, 629), indexing="ij"), -1
+    )
     grid = grid.reshape(-1, 2)[arm_beyond(grid.reshape(-1, 2)) <= 0.0]
     far = 0
     for start in rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(60), 2)):
@@ -72,7 +78,10 @@ def test_what_is_assembled_is_inside_and_nearest(hunt):
         assert answer.success
         assert arm_beyond(answer.q) < 1e-9
         best = np.linalg.norm(grid - start, axis=1).min()
-        far += np.linalg.norm(answer.q - start) > best + 1e-9 and np.linalg.norm(answer.q - start) > 1.05 * best + 0.02
+        far += (
+            np.linalg.norm(answer.q - start) > best + 1e-9
+            and np.linalg.norm(answer.q - start) > 1.05 * best + 0.02
+        )
         if arm_beyond(start) == 0.0:
             assert np.abs(answer.q - start).max() < 1e-12
     assert far <= 0.1 * hunt.cases(60)  # a nearer one may be behind a farther one
@@ -103,7 +112,9 @@ def test_known_values_are_kept(hunt):
 
 def test_a_batch_that_follows_itself():
     system = arm()
-    answer = system.assemble({"A": np.linspace(0.2, 1.8, 30)}, start=[0.2, 1.0], prefer="continuous")
+    answer = system.assemble(
+        {"A": np.linspace(0.2, 1.8, 30)}, start=[0.2, 1.0], prefer="continuous"
+    )
     assert answer.success.all()
     assert np.abs(np.diff(answer.q[:, 1])).max() < 0.2
     assert (arm_beyond(answer.q) < 1e-9).all()
@@ -246,12 +257,20 @@ def test_steps_stay_inside(keep_direction, hunt):
     rng = hunt.rng()
     q = system.assemble(start=rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(150), 2))).q
     for x in q[arm_beyond(q) < 1e-12]:
-        step = system.ik_step(x, np.append(rng.normal(size=2), np.zeros(4)), "tip", 0.05, keep_direction=keep_direction)
+        step = system.ik_step(
+            x,
+            np.append(rng.normal(size=2), np.zeros(4)),
+            "tip",
+            0.05,
+            keep_direction=keep_direction,
+        )
         assert arm_beyond(step.q) < 1e-11
 
 
 def test_a_step_ends_where_a_rope_does():
-    """The tip, 1.34 from the hook, pulled away from it: by 0.01, which is had, and by more than the rope has."""
+    """The tip, 1.34 from the hook, pulled away from it: by 0.01, which is had, and by more than the
+    rope has.
+    """
     system = arm()
     a = np.arctan2(0.9, 1.2) + np.arccos(0.75)
     q = np.array([a, np.arctan2(0.9 - np.sin(a), 1.2 - np.cos(a)) - a])

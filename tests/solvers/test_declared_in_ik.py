@@ -1,4 +1,6 @@
-"""Targets of one frame hold what is declared on its way: rods, slots, surfaces and equations of coordinates."""
+"""Targets of one frame hold what is declared on its way: rods, slots, surfaces and equations of
+coordinates.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def test_a_target_is_reached_with_what_is_declared(make):
 
 @pytest.mark.parametrize("make", [rod, law])
 def test_all_configurations_hold_what_is_declared(make):
-    """The tip of each has two freedoms, which its place takes: those found are isolated, and the known one is there."""
+    """The tip of each has two freedoms, which its place takes: those found are isolated, and the
+    known one is there.
+    """
     s = make().build()
     q = s.assemble(start=s.random(1)).q
     found = s.ik_all(s.fk(q, "tip")[:2, 3], "tip")
@@ -65,7 +69,9 @@ def test_all_configurations_hold_what_is_declared(make):
 
 
 def test_what_is_declared_can_put_a_place_out_of_reach():
-    """A point of a plane on which the tip is held is reached, one beside it is missed by its distance."""
+    """A point of a plane on which the tip is held is reached, one beside it is missed by its
+    distance.
+    """
     m = kempe.Mechanism("pencil on a table")
     m.revolute("a", m.ground, m.body("A"), axis="z")
     m.revolute("b", "A", m.body("B"), axis="y", at=(0, 0, 0.3))

@@ -1,4 +1,6 @@
-"""What is recognised in chains, and how many configurations are promised, against what is known of these arms."""
+"""What is recognised in chains, and how many configurations are promised, against what is known of
+these arms.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +22,36 @@ H = math.pi / 2
 
 CLASSES = {
     # Lee and Ziegler (1984): eight postures of a Puma
-    "puma560": ("closed form", 8), "irb6640": ("closed form", 8), "spherical_shoulder": ("closed form", 8),
+    "puma560": ("closed form", 8),
+    "irb6640": ("closed form", 8),
+    "spherical_shoulder": ("closed form", 8),
     # Hawkins (2013), and many others: eight of a UR
-    "ur5": ("closed form", 8), "ur10e": ("closed form", 8), "m1013": ("closed form", 8),
+    "ur5": ("closed form", 8),
+    "ur10e": ("closed form", 8),
+    "m1013": ("closed form", 8),
     # Stanford arm: Pieper (1968)
-    "stanford": ("closed form", 8), "gantry6": ("closed form", 2), "cylindrical6": ("closed form", 4),
-    "cobra600": ("closed form", 2), "scara_prrr": ("closed form", 2), "cartesian": ("closed form", 1),
-    "planar2": ("closed form", 2), "planar3": ("closed form", 2), "youbot": ("closed form", 4),
+    "stanford": ("closed form", 8),
+    "gantry6": ("closed form", 2),
+    "cylindrical6": ("closed form", 4),
+    "cobra600": ("closed form", 2),
+    "scara_prrr": ("closed form", 2),
+    "cartesian": ("closed form", 1),
+    "planar2": ("closed form", 2),
+    "planar3": ("closed form", 2),
+    "youbot": ("closed form", 4),
     # three turns that place a point: four, Pieper (1968)
-    "anthropomorphic3": ("closed form", 4), "orthogonal3_cuspidal": ("closed form", 4), "wrist3": ("closed form", 2),
-    # six turns of any geometry: sixteen, Lee and Liang (1988); fewer with slides, Raghavan and Roth (1993)
-    "manseur_doty": ("elimination", 16), "jaco2": ("elimination", 16), "ur10e_1e-5": ("elimination", 16),
-    "randomRPRRRR_1": ("elimination", 16), "randomRPRRPR_1": ("elimination", 8), "randomPRRPRP_2": ("elimination", 2),
-}  # fmt: skip
+    "anthropomorphic3": ("closed form", 4),
+    "orthogonal3_cuspidal": ("closed form", 4),
+    "wrist3": ("closed form", 2),
+    # six turns of any geometry: sixteen, Lee and Liang (1988); fewer with slides, Raghavan and Roth
+    # (1993)
+    "manseur_doty": ("elimination", 16),
+    "jaco2": ("elimination", 16),
+    "ur10e_1e-5": ("elimination", 16),
+    "randomRPRRRR_1": ("elimination", 16),
+    "randomRPRRPR_1": ("elimination", 8),
+    "randomPRRPRP_2": ("elimination", 2),
+}
 
 
 def recognised(name: str):
@@ -64,8 +83,8 @@ def test_puma():
         "the axes of q4, q5 and q6 meet in one point, neighbours at right angles",
     )
     assert answer.path == (
-        "q4, q5 and q6 do not move the point where their axes meet; q1, q2 and q3 bring that point to its place: q1 "
-        "from a quadratic equation, q3 from a quadratic equation, q2 follows",
+        "q4, q5 and q6 do not move the point where their axes meet; q1, q2 and q3 bring that point "
+        "to its place: q1 from a quadratic equation, q3 from a quadratic equation, q2 follows",
         "then q4, q5 and q6 give the orientation, two ways",
     )
 
@@ -99,23 +118,38 @@ OVER = {"rpy": (H, 0.0, 0.0)}
         ({"at": (0, 0, 0.5)}, "the axes of j1 and j2 are one line"),
         ({"at": (0, 0, 0.5), "rpy": (H, 0, 0)}, "the axes of j1 and j2 meet at right angles"),
         ({"at": (0, 0, 0.5), "rpy": (H / 3, 0, 0)}, "the axes of j1 and j2 meet at 30 degrees"),
-        ({"at": (0.2, 0, 0), "rpy": (H / 2, 0, 0)}, "the axes of j1 and j2 pass each other at 45 degrees, 0.2 m apart"),
-        ({"at": (0.2, 0, 0), "rpy": (2.1e-4, 0, 0)},
-         "the axes of j1 and j2 are 0.00021 rad from parallel: solved as what they are"),
-        ({"at": (0.001, 0, 0), "rpy": (H, 0, 0)},
-         "the axes of j1 and j2 miss each other by 0.001 m, at right angles: solved as what they are"),
+        (
+            {"at": (0.2, 0, 0), "rpy": (H / 2, 0, 0)},
+            "the axes of j1 and j2 pass each other at 45 degrees, 0.2 m apart",
+        ),
+        (
+            {"at": (0.2, 0, 0), "rpy": (2.1e-4, 0, 0)},
+            "the axes of j1 and j2 are 0.00021 rad from parallel: solved as what they are",
+        ),
+        (
+            {"at": (0.001, 0, 0), "rpy": (H, 0, 0)},
+            "the axes of j1 and j2 miss each other by 0.001 m, at right angles: solved as what "
+            "they are",
+        ),
     ],
-)  # fmt: skip
+)
 def test_two_turns(second, said):
-    system = chain(("revolute", TURN), ("revolute", second), ("revolute", {"at": (0.4, 0.5, 0), "rpy": (0, 0.9, 0)}))
+    system = chain(
+        ("revolute", TURN),
+        ("revolute", second),
+        ("revolute", {"at": (0.4, 0.5, 0), "rpy": (0, 0.9, 0)}),
+    )
     assert ik_plan(system, "tool", "position").relations[0] == said
 
 
 def test_slides():
     system = chain(
-        ("prismatic", {}), ("revolute", {}), ("revolute", {"at": (0.4, 0, 0)}), ("prismatic", {}),
+        ("prismatic", {}),
+        ("revolute", {}),
+        ("revolute", {"at": (0.4, 0, 0)}),
+        ("prismatic", {}),
         ("prismatic", {"rpy": (H, 0, 0)}),
-    )  # fmt: skip
+    )
     assert ik_plan(system, "tool").relations == (
         "the axes of j2 and j3 are parallel, 0.4 m apart, and j1 and j4 slide along them",
         "j4 and j5 slide at right angles to each other",
@@ -124,28 +158,49 @@ def test_slides():
 
 def test_a_wrist_that_misses():
     """Axes that meet in pairs, in points 0.3 mm apart, are no spherical wrist."""
-    wrist = [("revolute", {"at": (0.3, 0, 0), "rpy": (0, H, 0)}), ("revolute", OVER),
-             ("revolute", {"at": (0, 0, 3e-4), "rpy": (-H, 0, 0)})]  # fmt: skip
-    arm = [("revolute", {}), ("revolute", {"at": (0, 0, 0.4), **OVER}), ("revolute", {"at": (0.4, 0.1, 0)})]
+    wrist = [
+        ("revolute", {"at": (0.3, 0, 0), "rpy": (0, H, 0)}),
+        ("revolute", OVER),
+        ("revolute", {"at": (0, 0, 3e-4), "rpy": (-H, 0, 0)}),
+    ]
+    arm = [
+        ("revolute", {}),
+        ("revolute", {"at": (0, 0, 0.4), **OVER}),
+        ("revolute", {"at": (0.4, 0.1, 0)}),
+    ]
     answer = ik_plan(chain(*arm, *wrist), "tool")
-    assert any(r.startswith("the axes of j4, j5 and j6 miss a common point by 0.0003 m") for r in answer.relations)
+    assert any(
+        r.startswith("the axes of j4, j5 and j6 miss a common point by 0.0003 m")
+        for r in answer.relations
+    )
     assert answer.method == "elimination" and answer.most == 16
     wrist[2] = ("revolute", {"rpy": (-H, 0, 0)})
     answer = ik_plan(chain(*arm, *wrist), "tool")
-    assert "the axes of j4, j5 and j6 meet in one point, neighbours at right angles" in answer.relations
+    assert (
+        "the axes of j4, j5 and j6 meet in one point, neighbours at right angles"
+        in answer.relations
+    )
     assert answer.method == "closed form" and answer.most == 8
 
 
 def test_the_facts_do_not_depend_on_frames():
     """Origins along the axes, flipped axes and another base leave the axes where they are."""
-    plain = [("revolute", {}), ("revolute", {"at": (0, 0, 0.4), **OVER}), ("revolute", {"at": (0.4, 0.1, 0)})]
+    plain = [
+        ("revolute", {}),
+        ("revolute", {"at": (0, 0, 0.4), **OVER}),
+        ("revolute", {"at": (0.4, 0.1, 0)}),
+    ]
     base = ("fixed", {"at": (1, -2, 3), "rpy": (0.4, 0.5, 0.6)})
-    shifted = [base, ("revolute", {"at": (0, 0, 0.7), "axis": (0, 0, -1)}), ("revolute", {"at": (0, 0, -0.3), **OVER}),
-               ("revolute", {"at": (0.4, 0.1, 5.0)})]  # fmt: skip
+    shifted = [
+        base,
+        ("revolute", {"at": (0, 0, 0.7), "axis": (0, 0, -1)}),
+        ("revolute", {"at": (0, 0, -0.3), **OVER}),
+        ("revolute", {"at": (0.4, 0.1, 5.0)}),
+    ]
     one, other = (ik_plan(chain(*joints), "tool", "position") for joints in (plain, shifted))
-    assert [r.replace("j3", "j4").replace("j2", "j3").replace("j1", "j2") for r in one.relations] == list(
-        other.relations
-    )
+    assert [
+        r.replace("j3", "j4").replace("j2", "j3").replace("j1", "j2") for r in one.relations
+    ] == list(other.relations)
 
 
 def test_redundant_and_short_chains():
@@ -154,14 +209,16 @@ def test_redundant_and_short_chains():
     assert ik_plan(iiwa, "tool", fixed=["q3"]).path[0] == "q3 is held at the given value"
     assert ik_plan(iiwa, "tool", fixed={"q3": 0.1}).held == ("q3",)
     scara = ik_plan(kempe.load("cobra600"), "tool")
-    assert scara.path[0].startswith("two equations of the task cannot be met at will, with four joints to move")
+    assert scara.path[0].startswith(
+        "two equations of the task cannot be met at will, with four joints to move"
+    )
     assert scara.path[0].endswith("the frame never tilts")
     assert "the task leaves the orientation free" in ik_plan(iiwa, "tool", "position").path
     planar = kempe.load("two_link")
     assert ik_plan(planar, "e", "position").path == (
         "the task leaves the angle free",
         "q1 and q2 give the motion within the plane, as a two-link arm does, two ways",
-    )  # fmt: skip
+    )
 
 
 def test_one_joint_and_two_joints():
@@ -179,14 +236,20 @@ def test_one_joint_and_two_joints():
 def test_text_html_data():
     answer = ik_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
     text = str(answer)
-    assert text.startswith("inverse model of tool of puma560, task position_axis\n  joints     q1, q2")
+    assert text.startswith(
+        "inverse model of tool of puma560, task position_axis\n  joints     q1, q2"
+    )
     assert max(map(len, text.splitlines())) <= 110
     flat = " ".join(text.split())
     assert all(" ".join(p.split()) in flat for p in (*answer.path, *answer.relations))
     html = answer._repr_html_()
     assert html.count("<tr>") == html.count("</tr>") == 5 and "meet in one point" in html
     data = answer.data()
-    assert data["most"] == 8 and data["joints"] == [f"q{k}" for k in range(1, 7)] and data["method"] == "closed form"
+    assert (
+        data["most"] == 8
+        and data["joints"] == [f"q{k}" for k in range(1, 7)]
+        and data["method"] == "closed form"
+    )
     assert answer == ik_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
 
 

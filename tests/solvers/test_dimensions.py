@@ -18,7 +18,9 @@ STEP = 1e-5
 
 
 def slot(dim: int) -> kempe.System:
-    """A particle on a slide and on a bar, with a point kept on a line: constraints and particles have places, too."""
+    """A particle on a slide and on a bar, with a point kept on a line: constraints and particles
+    have places, too.
+    """
     m = kempe.Mechanism("slot", dim=dim)
     bar = m.body("bar")
     bead = m.particle("bead")
@@ -32,7 +34,9 @@ def slot(dim: int) -> kempe.System:
 
 @pytest.mark.parametrize("system", some([*LOOPS, slot(2), slot(3)], 8), ids=str)
 def test_derivatives_by_dimensions_are_those_by_differences(system, hunt):
-    """Open loops included, at dimensions that are changed already, all lengths in the unit of the given mechanism."""
+    """Open loops included, at dimensions that are changed already, all lengths in the unit of the
+    given mechanism.
+    """
     rng = hunt.rng()
     system = kempe.load(system) if isinstance(system, str) else system
     shape = Dimensions(system)
@@ -63,7 +67,9 @@ def test_changes_of_a_planar_mechanism_stay_in_the_plane(name, hunt):
     assert rows == len(evaluate(system, system.neutral, False, True)[0])
 
 
-@pytest.mark.parametrize("name", some(["four_bar", "sarrus", "bennett", "slider_crank", "bricard_line_symmetric"], 3))
+@pytest.mark.parametrize(
+    "name", some(["four_bar", "sarrus", "bennett", "slider_crank", "bricard_line_symmetric"], 3)
+)
 def test_derivatives_of_relations_are_those_by_differences(name, hunt):
     shape = Dimensions(kempe.load(name))
     relations = Relations(shape, 1e-3)
@@ -71,5 +77,7 @@ def test_derivatives_of_relations_are_those_by_differences(name, hunt):
     values = relations.values(p)
     found = relations.derivative(p)
     assert len(values) == len(found) > 0
-    wanted = [relations.values(p + STEP * e) - relations.values(p - STEP * e) for e in np.eye(shape.size)]
+    wanted = [
+        relations.values(p + STEP * e) - relations.values(p - STEP * e) for e in np.eye(shape.size)
+    ]
     assert np.abs(found - np.stack(wanted, axis=-1) / (2.0 * STEP)).max() < 1e-6

@@ -1,4 +1,6 @@
-"""Dyads in closed form: exact solutions, circles by hand, random mechanisms closed by construction, edge cases."""
+"""Dyads in closed form: exact solutions, circles by hand, random mechanisms closed by construction,
+edge cases.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,9 @@ def test_four_bar_as_sympy_solves_it():
 def test_slider_crank_as_sympy_solves_it():
     system = slider_crank(1.0, 3.0, 0.5)
     s = sp.symbols("s", real=True)
-    roots = sorted(sp.solve((s - sp.Rational(3, 5)) ** 2 + (sp.Rational(1, 2) - sp.Rational(4, 5)) ** 2 - 9, s))
+    roots = sorted(
+        sp.solve((s - sp.Rational(3, 5)) ** 2 + (sp.Rational(1, 2) - sp.Rational(4, 5)) ** 2 - 9, s)
+    )
     plan = plan_of(system, "A")
     slides = [plan.solve([math.atan2(4, 3)], sign)[0][3] for sign in ("-", "+")]
     assert np.abs(np.array(slides) - [float(r.evalf(30)) for r in roots]).max() < 1e-15
@@ -115,8 +119,13 @@ def test_five_bar_with_both_cranks_known():
         p = cmath.exp(1j * values[0])
         o = 1.5 + cmath.exp(1j * values[1])
         half = (o - p) / 2
-        by_hand = [p + half + 1j * side * half / abs(half) * math.sqrt(4 - abs(half) ** 2) for side in (1, -1)]
-        assert {complex(*np.round(t[:2], 12)) for t in pair} == {complex(np.round(z, 12)) for z in by_hand}
+        by_hand = [
+            p + half + 1j * side * half / abs(half) * math.sqrt(4 - abs(half) ** 2)
+            for side in (1, -1)
+        ]
+        assert {complex(*np.round(t[:2], 12)) for t in pair} == {
+            complex(np.round(z, 12)) for z in by_hand
+        }
     assert isinstance(closed_form(system, ["A"]), Incomplete)
 
 
@@ -128,7 +137,9 @@ def test_what_has_no_closed_form_says_so_when_it_is_used(name):
     assert isinstance(none, Incomplete) and "is not planar" in none.describe()
     for use in ("formulas", "solve", "close", "all", "heights", "branch_of"):
         assert hasattr(Plan, use)
-        with pytest.raises(UnsupportedError, match="is not planar; `assemble` and `assembly_modes` find"):
+        with pytest.raises(
+            UnsupportedError, match="is not planar; `assemble` and `assembly_modes` find"
+        ):
             getattr(none, use)()
 
 
@@ -143,7 +154,9 @@ def meet(p: complex, r: float, c: complex, s: float, side: int) -> complex:
 
 
 def jansen() -> kempe.System:
-    """Leg with a b c d e f g h i j k l m = 38 41.5 39.3 40.1 55.8 39.4 36.7 65.7 49 50 61.9 7.8 15 (Jansen, 2007)."""
+    """Leg with a b c d e f g h i j k l m = 38 41.5 39.3 40.1 55.8 39.4 36.7 65.7 49 50 61.9 7.8 15
+    (Jansen, 2007).
+    """
     m = Mechanism("jansen", dim=2)
     crank, j, k, bde, c, f, ghi = (m.body(n) for n in ("crank", "j", "k", "bde", "c", "f", "ghi"))
     e = corner(41.5, 40.1, 55.8)
@@ -163,7 +176,9 @@ def jansen() -> kempe.System:
 
 
 def corner(base: float, start: float, end: float) -> complex:
-    """The third corner of a triangle on a base along x, at these distances from the base's start and end."""
+    """The third corner of a triangle on a base along x, at these distances from the base's start
+    and end.
+    """
     return meet(0j, start, complex(base, 0), end, 1)
 
 
@@ -187,7 +202,9 @@ def all_by_hand(angle: float) -> list:
 
 
 def test_jansen_by_chained_circles():
-    """All eight branches at many crank angles, by hand: 2^3 dyads, the joints where the circles meet."""
+    """All eight branches at many crank angles, by hand: 2^3 dyads, the joints where the circles
+    meet.
+    """
     system = jansen()
     plan = plan_of(system, "O")
     assert plan.signs == 3 and [d.kind for d in plan.dyads] == ["RRR"] * 3
@@ -197,7 +214,9 @@ def test_jansen_by_chained_circles():
     X = system.fk(q)
     number = {b: i for i, b in enumerate(system.body_names)}
     point = lambda body, x, y: (X[..., number[body], :, :] @ [x, y, 0, 1])[..., :2] @ [1, 1j]  # noqa: E731
-    places = np.stack([point("j", 50, 0), point("k", 61.9, 0), point("f", 0, 0), point("f", 39.4, 0)], -1)
+    places = np.stack(
+        [point("j", 50, 0), point("k", 61.9, 0), point("f", 0, 0), point("f", 39.4, 0)], -1
+    )
     compared = 0
     for n, angle in enumerate(angles):
         hands = all_by_hand(angle)
@@ -210,7 +229,9 @@ def test_jansen_by_chained_circles():
 
 
 def peaucellier(star: bool) -> kempe.System:
-    """Inversor; `star`: the three links of a vertex are joined to one of them, else one after the other."""
+    """Inversor; `star`: the three links of a vertex are joined to one of them, else one after the
+    other.
+    """
     m = Mechanism("peaucellier", dim=2)
     a, b, crank, ca, cb, da, db = (m.body(n) for n in ("a", "b", "crank", "ca", "cb", "da", "db"))
     m.revolute("Q", m.ground, crank, at=(1, 0))
@@ -238,7 +259,10 @@ def test_peaucellier_draws_a_straight_line(star):
         q, ok, gap = plan.solve(angles, signs)
         assert ok.all() and gap.max() < 1e-13
         assert_closed(system, q)
-        C, D = ((system.fk(q, b) @ [1.0 if b == "crank" else 1.6, 0, 0, 1])[:, :2] for b in ("crank", "da"))
+        C, D = (
+            (system.fk(q, b) @ [1.0 if b == "crank" else 1.6, 0, 0, 1])[:, :2]
+            for b in ("crank", "da")
+        )
         A, B = ((system.fk(q, b) @ [3.0, 0, 0, 1])[:, :2] for b in "ab")
         if np.abs(A - B).max() > 1e-9 and np.abs(C - D).max() > 1e-9:
             assert np.abs(D[:, 0] - 3.22).max() < 1e-12
@@ -308,7 +332,9 @@ def test_mirrored_and_scaled(scale, side, seed):
     slides = {name for name, kind, *_ in chain.joints if kind == "prismatic"}
     for name, kind, a, b, where in chain.joints:
         new = {k: side * x for k, x in where.items() if k.endswith("angle")}
-        new |= {k: (scale * x[0], scale * side * x[1]) for k, x in where.items() if k.endswith("at")}
+        new |= {
+            k: (scale * x[0], scale * side * x[1]) for k, x in where.items() if k.endswith("at")
+        }
         if kind == "prismatic":
             new["axis"] = (where["axis"][0], side * where["axis"][1])
         image.joints.append((name, kind, a, b, new))
@@ -319,7 +345,9 @@ def test_mirrored_and_scaled(scale, side, seed):
     there = other.system.q(image.values)
     signs = plan.branch_of(here)
     assert np.array_equal(other.branch_of(there), side * signs)
-    assert np.allclose(other.heights(there), side * scale * plan.heights(here), rtol=1e-9, atol=1e-12 * scale)
+    assert np.allclose(
+        other.heights(there), side * scale * plan.heights(here), rtol=1e-9, atol=1e-12 * scale
+    )
     assert other.solve([image.values[k] for k in chain.known], side * signs)[1]
 
 
@@ -440,7 +468,9 @@ def test_parallel_slides_are_undetermined():
 
 
 def test_a_distance_is_a_rod():
-    """The four-bar without its coupler, whose ends keep their distance: crank and rocker stand as in the four-bar."""
+    """The four-bar without its coupler, whose ends keep their distance: crank and rocker stand as
+    in the four-bar.
+    """
     m = Mechanism("rod", dim=2)
     crank = m.body("crank")
     rocker = m.body("rocker")
@@ -465,7 +495,9 @@ def test_a_distance_is_a_rod():
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("sign", "+-")
 def test_a_point_on_a_line_is_a_block(sign, turned):
-    """The slider-crank without its piston, whose rod ends on the line; or the line is on the rod (a swinging block)."""
+    """The slider-crank without its piston, whose rod ends on the line; or the line is on the rod (a
+    swinging block).
+    """
     m = Mechanism("line", dim=2)
     crank = m.body("crank")
     rod = m.body("rod")
@@ -509,7 +541,9 @@ def test_angles_are_inside_the_limits_where_one_is(sign, low):
 
 
 def test_gears_drive_and_are_driven():
-    """A geared five-bar needs one crank; a coordinate that follows a solved joint moves a further body."""
+    """A geared five-bar needs one crank; a coordinate that follows a solved joint moves a further
+    body.
+    """
     m = Mechanism("geared", dim=2)
     a, b, c, d, wheel = (m.body(n) for n in ("a", "b", "c", "d", "wheel"))
     m.revolute("A", m.ground, a)

@@ -1,4 +1,6 @@
-"""What is said of a configuration that closes: how many freedoms are left, and a warning where it has folded."""
+"""What is said of a configuration that closes: how many freedoms are left, and a warning where it
+has folded.
+"""
 
 from __future__ import annotations
 
@@ -31,15 +33,22 @@ def stretched(system: System, n: int, angle: float) -> np.ndarray:
     """All cells open by the same angle."""
     turn = np.pi - 2 * angle
     q = {"A": angle, "S": np.cos(angle), "B": np.pi - angle} | {f"M{i}": turn for i in range(n)}
-    return system.q(q | {f"P{i}": turn for i in range(n - 1)} | {f"Q{i}": -turn for i in range(n - 1)})
+    return system.q(
+        q | {f"P{i}": turn for i in range(n - 1)} | {f"Q{i}": -turn for i in range(n - 1)}
+    )
 
 
 @pytest.mark.parametrize("n", [2, 10, 100, 150])
 def test_a_scissor_that_closes_folded_says_so(n):
     system = scissor(n)
-    answer = system.assemble(start=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
+    answer = system.assemble(
+        start=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3
+    )
     assert answer.success
-    assert f"{n} freedoms left open, 1 by the count: the mechanism is folded or singular here" in answer.status
+    assert (
+        f"{n} freedoms left open, 1 by the count: the mechanism is folded or singular here"
+        in answer.status
+    )
     assert "P0 and Q0" in answer.status and answer.status.endswith("coincide")
     rng = np.random.default_rng(1)
     for _ in range(3):
@@ -55,7 +64,9 @@ def test_pins_that_coincide_are_named_in_space(posture):
         m = system.mechanism
         m.posture("closed", system.q_dict(stretched(system, 4, 0.9)))
         system = m.build()
-    answer = system.assemble(start=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3)
+    answer = system.assemble(
+        start=system.neutral + np.random.default_rng(0).normal(size=system.nq) * 0.3
+    )
     why = "the mechanism is folded or singular here, where" if posture else "it may be folded, for"
     assert f"; 4 freedoms left open, 1 in general: {why} P0 and Q0" in answer.status
     answer = system.assemble(start=stretched(system, 4, 0.9))
@@ -89,24 +100,34 @@ def test_three_hinges_in_gimbal_lock_keep_their_freedom():
 
 
 def test_hunt_folded_cells(hunt):
-    """A warning where pins of a cell coincide and more than one freedom is open, and none elsewhere."""
+    """A warning where pins of a cell coincide and more than one freedom is open, and none
+    elsewhere.
+    """
     rng = hunt.rng()
     seen = set()
     for _ in range(hunt.cases(50)):
         n = int(rng.integers(2, 9))
         system = scissor(n)
         start = stretched(system, n, rng.uniform(0.2, 1.3)) * rng.choice([0.0, 1.0])
-        q = (answer := system.assemble(start=start + rng.normal(size=system.nq) * rng.choice([0.1, 0.4, 1.0]))).q
+        q = (
+            answer := system.assemble(
+                start=start + rng.normal(size=system.nq) * rng.choice([0.1, 0.4, 1.0])
+            )
+        ).q
         if not answer.success:
             continue
         ends = [system.fk(q, f"{x}{i}") @ [1, 0, 0, 1] for i in range(n - 1) for x in "ab"]
         starts = [system.fk(q, f"{x}{i + 1}")[:, 3] for i in range(n - 1) for x in "ab"]
         assert max(np.abs(a - b).max() for a, b in zip(ends[::2], starts[1::2], strict=True)) < 1e-9
         closed = any(np.linalg.norm(ends[2 * i] - ends[2 * i + 1]) < 1e-7 for i in range(n - 1))
-        first = np.linalg.norm(system.fk(q, "slider")[:3, 3]) < 1e-7  # the pins on the ground, where they coincide
+        first = (
+            np.linalg.norm(system.fk(q, "slider")[:3, 3]) < 1e-7
+        )  # the pins on the ground, where they coincide
         warned = "folded or singular" in answer.status
         left = int(answer.status.rpartition("; ")[2].split()[0]) if not warned else 2
-        assert warned == ((closed or first) and "1 freedom left" not in answer.status), answer.status
+        assert warned == ((closed or first) and "1 freedom left" not in answer.status), (
+            answer.status
+        )
         assert warned or left == 1
         seen.add(warned)
     assert seen == {True, False}
@@ -119,7 +140,8 @@ def test_a_change_point_is_compared_with_home():
 
 
 @pytest.mark.parametrize(
-    "name", ["bennett", "sarrus", "four_bar", "peaucellier", "rssr", "delta_ss", "delta_uu", "jansen"]
+    "name",
+    ["bennett", "sarrus", "four_bar", "peaucellier", "rssr", "delta_ss", "delta_uu", "jansen"],
 )
 def test_no_warning_where_nothing_is_wrong(name):
     """Neither redundant constraints nor idle spins nor compound pins are anything to warn of."""
@@ -159,7 +181,9 @@ def test_a_violated_rod_and_a_violated_relation_are_named():
 
 def test_too_many_known_values_are_said_to_be_too_many():
     s = four_bar()
-    assert "2 coordinates are given, but it has 1 freedom" in s.assemble({"A": 1.0, "D": 1.0}).status
+    assert (
+        "2 coordinates are given, but it has 1 freedom" in s.assemble({"A": 1.0, "D": 1.0}).status
+    )
 
 
 def test_by_how_much_a_place_is_missed():
@@ -168,4 +192,7 @@ def test_by_how_much_a_place_is_missed():
     m.revolute("B", "a", m.body("b"), at=(1, 0))
     s = m.build()
     assert "the place of 'b' is missed by 0.118034 m" in s.assemble({"b": [1.0, 0.5]}).status
-    assert "the place of 'ground' is missed by 1 m" in kempe.load("four_bar").assemble({"ground": [1, 0]}).status
+    assert (
+        "the place of 'ground' is missed by 1 m"
+        in kempe.load("four_bar").assemble({"ground": [1, 0]}).status
+    )

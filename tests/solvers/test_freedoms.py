@@ -1,4 +1,6 @@
-"""Freedoms that tasks leave, at regular and at singular configurations, and the curves that are walked along."""
+"""Freedoms that tasks leave, at regular and at singular configurations, and the curves that are
+walked along.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def spatial_arm(rng: np.random.Generator, n: int) -> kempe.System:
     last = m.ground
     for i in range(n):
         body = m.body(f"b{i}")
-        m.revolute(f"q{i + 1}", last, body, at=rng.uniform(-0.6, 0.6, 3), rpy=rng.uniform(-3.0, 3.0, 3))
+        m.revolute(
+            f"q{i + 1}", last, body, at=rng.uniform(-0.6, 0.6, 3), rpy=rng.uniform(-3.0, 3.0, 3)
+        )
         last = body
     m.frame("tip", last, at=rng.uniform(-0.4, 0.4, 3))
     return m.build()
@@ -34,20 +38,30 @@ def spatial_arm(rng: np.random.Generator, n: int) -> kempe.System:
 def tips(lengths, q):
     """Tip of a planar arm by its own formula."""
     angles = np.cumsum(q, axis=-1)
-    return np.stack([(lengths * np.cos(angles)).sum(-1), (lengths * np.sin(angles)).sum(-1)], axis=-1)
+    return np.stack(
+        [(lengths * np.cos(angles)).sum(-1), (lengths * np.sin(angles)).sum(-1)], axis=-1
+    )
 
 
 # ---- how many
 
 
-@pytest.mark.parametrize("seed", [(0.1, 0.1), (0.0, 0.0), (1.0, 1.0), (-2.0, 0.5), (0.3, -1.0), (3.0, 3.0)])
+@pytest.mark.parametrize(
+    "seed", [(0.1, 0.1), (0.0, 0.0), (1.0, 1.0), (-2.0, 0.5), (0.3, -1.0), (3.0, 3.0)]
+)
 def test_at_the_edge_of_the_workspace_a_freedom_is_there_to_first_order_only(seed):
     """The rank does not depend on the seed, and nothing that is 3e-6 rad long is a motion."""
     s = kempe.load("two_link")
     reach = s.fk(np.zeros(2), "e")[0, 3]
     task = tasks.Position("e", reach * np.array([math.cos(0.4), math.sin(0.4)]))
     answer = s.ik(task, start=np.array(seed))
-    assert (answer.success, answer.m, answer.n, answer.rank, answer.redundancy) == (True, 2, 2, 1, 1)
+    assert (answer.success, answer.m, answer.n, answer.rank, answer.redundancy) == (
+        True,
+        2,
+        2,
+        1,
+        1,
+    )
     assert f"1 freedom {RANK_LOST}" in answer.status
     m = s.inverse.self_motion(answer.q, task)
     assert len(m) == 1 and m.freedoms == 0 and not m.closed and RANK_LOST in str(m)
@@ -70,14 +84,21 @@ def test_a_short_link_is_no_singular_one():
     assert answer.success and answer.redundancy == 0
     plain = planar_arm(1.0, 1e-6)
     q = np.array([0.3, 0.8])
-    assert plain.ik(tasks.Position("tip", plain.fk(q, "tip")[:2, 3]), start=q, tolerance=1e-12).redundancy == 0
+    assert (
+        plain.ik(
+            tasks.Position("tip", plain.fk(q, "tip")[:2, 3]), start=q, tolerance=1e-12
+        ).redundancy
+        == 0
+    )
 
 
 def collinear(lengths, signs):
-    """A planar arm along x, links folded by signs, and what second order says: freedoms to first order, and in truth.
+    """A planar arm along x, links folded by signs, and what second order says: freedoms to first
+    order, and in truth.
 
-    The tip's way along x is -z.H.z / 2 on the null space z of its way along y; where H is definite there the
-    configuration is isolated, where it is not a cone of one freedom less passes through it.
+    The tip's way along x is -z.H.z / 2 on the null space z of its way along y; where H is definite
+    there the configuration is isolated, where it is not a cone of one freedom less passes through
+    it.
     """
     signs = np.concatenate([[1.0], signs])
     folds = np.diff(np.concatenate([[1.0], signs]))
@@ -92,7 +113,9 @@ def collinear(lengths, signs):
 
 
 def lines(hunt, count: int) -> tuple[int, int]:
-    """Straight and folded arms, against the definiteness of the second derivative; the tip at the edge or within."""
+    """Straight and folded arms, against the definiteness of the second derivative; the tip at the
+    edge or within.
+    """
     rng = hunt.rng()
     isolated = 0
     crossed = 0
@@ -116,7 +139,8 @@ def lines(hunt, count: int) -> tuple[int, int]:
             crossed += 1
             left = n - 2
             said = (
-                f"{left} freedom{'' if left == 1 else 's'} left, {n - 1} to first order (the Jacobian loses rank here)"
+                f"{left} freedom{'' if left == 1 else 's'} left, {n - 1} to first order (the "
+                "Jacobian loses rank here)"
             )
             assert said in answer.status, (lengths, q)
             along = np.cumsum((lengths * np.cos(np.cumsum(q) - q[0]))[::-1])[::-1]
@@ -140,14 +164,20 @@ def test_freedoms_of_many_arms_in_a_line(hunt):
 
 
 def arm(axes, lengths, pin=None) -> kempe.System:
-    """Revolute joints about unit axes, each link along x; the last link is pinned to a point of the ground, or free."""
+    """Revolute joints about unit axes, each link along x; the last link is pinned to a point of the
+    ground, or free.
+    """
     m = Mechanism("arm")
     last = m.ground
     at = (0.0, 0.0, 0.0)
     for i, (axis, length) in enumerate(zip(axes, lengths, strict=True)):
         body = m.body(f"b{i}")
-        turn = {"x": (0.0, math.pi / 2, 0.0), "y": (-math.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}[axis]
-        back = {"x": (0.0, -math.pi / 2, 0.0), "y": (math.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}[axis]
+        turn = {"x": (0.0, math.pi / 2, 0.0), "y": (-math.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}[
+            axis
+        ]
+        back = {"x": (0.0, -math.pi / 2, 0.0), "y": (math.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}[
+            axis
+        ]
         turned = m.body(f"t{i}")
         m.revolute(f"q{i + 1}", last, turned, at=at, rpy=turn)
         m.fixed(f"w{i + 1}", turned, body, rpy=back)
@@ -164,14 +194,26 @@ def arm(axes, lengths, pin=None) -> kempe.System:
 
 @pytest.mark.parametrize(
     ("axes", "q", "finite"),
-    some([
-        ("zy", (0.3, 0.0), 0), ("zyy", (0.3, 0.4, 0.0), 0), ("zyy", (0.3, 0.4, 1.0), 0), ("zyx", (0.3, 0.4, 0.5), 1),
-        ("zyzy", (0.3, 0.4, 0.0, 0.0), 0), ("zyxy", (0.3, 0.4, 0.5, 0.0), 1), ("zyzyx", (0.3, 0.4, 0.5, 0.9, 0.1), 2),
-        ("zyxyx", (0.3, 0.4, 0.5, 0.0, 0.2), 2), ("zzz", (0.3, math.pi, 0.0), 1), ("zyzy", (0.3, 0.0, math.pi, 0.0), 1),
-    ], 3),
-)  # fmt: skip
+    some(
+        [
+            ("zy", (0.3, 0.0), 0),
+            ("zyy", (0.3, 0.4, 0.0), 0),
+            ("zyy", (0.3, 0.4, 1.0), 0),
+            ("zyx", (0.3, 0.4, 0.5), 1),
+            ("zyzy", (0.3, 0.4, 0.0, 0.0), 0),
+            ("zyxy", (0.3, 0.4, 0.5, 0.0), 1),
+            ("zyzyx", (0.3, 0.4, 0.5, 0.9, 0.1), 2),
+            ("zyxyx", (0.3, 0.4, 0.5, 0.0, 0.2), 2),
+            ("zzz", (0.3, math.pi, 0.0), 1),
+            ("zyzy", (0.3, 0.0, math.pi, 0.0), 1),
+        ],
+        3,
+    ),
+)
 def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite):
-    """The tasks of an arm and the loop of the mechanism: rank and local dimension, found by Taylor series there."""
+    """The tasks of an arm and the loop of the mechanism: rank and local dimension, found by Taylor
+    series there.
+    """
     lengths = (0.5, 0.4, 0.7, 0.3, 0.35)[: len(axes)]
     s = arm(axes, lengths)
     q = np.array(q)
@@ -183,21 +225,27 @@ def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite
     assert (answer.redundancy, finite) == (local.rank_dim, local.dim)
     said = answer.status.partition("; ")[2]
     assert ("Jacobian loses rank" in said) == (local.dim != local.rank_dim)
-    assert said.startswith(f"{finite} freedom" if finite else ("no freedom", f"{answer.redundancy} freedom"))
+    assert said.startswith(
+        f"{finite} freedom" if finite else ("no freedom", f"{answer.redundancy} freedom")
+    )
 
 
 # ---- walked along
 
 
 def loop_length(jacobian, q, longest: float) -> tuple[float, object]:
-    """Length of the closed curve through q tangent to the null space of a Jacobian (n - 1, n), and it as a function.
+    """Length of the closed curve through q tangent to the null space of a Jacobian (n - 1, n), and
+    it as a function.
 
-    The tangent is the vector of minors, which turns round nowhere; it is integrated without any leading back.
+    The tangent is the vector of minors, which turns round nowhere; it is integrated without any
+    leading back.
     """
 
     def tangent(_, x):
         J = jacobian(x)
-        t = np.array([(-1) ** i * np.linalg.det(np.delete(J, i, axis=1)) for i in range(J.shape[1])])
+        t = np.array(
+            [(-1) ** i * np.linalg.det(np.delete(J, i, axis=1)) for i in range(J.shape[1])]
+        )
         return t / np.linalg.norm(t)
 
     t0 = tangent(0.0, q)
@@ -211,8 +259,17 @@ def loop_length(jacobian, q, longest: float) -> tuple[float, object]:
         return t0 @ (d - 2 * np.pi * np.round(d / (2 * np.pi)))
 
     turn.direction = 1.0
-    out = solve_ivp(tangent, (0.0, longest), q, "DOP853", rtol=1e-9, atol=1e-11, max_step=0.05, events=turn,
-                    dense_output=True)  # fmt: skip
+    out = solve_ivp(
+        tangent,
+        (0.0, longest),
+        q,
+        "DOP853",
+        rtol=1e-9,
+        atol=1e-11,
+        max_step=0.05,
+        events=turn,
+        dense_output=True,
+    )
     for s, x in zip(out.t_events[0], out.y_events[0], strict=True):
         if s > 1e-3 and home(s, x) < 0.0:
             return float(s), out.sol
@@ -220,7 +277,9 @@ def loop_length(jacobian, q, longest: float) -> tuple[float, object]:
 
 
 def check_walk(s: kempe.System, q, task, jacobian, steps: int, hidden) -> bool | None:
-    """Whether a walk is closed where the integrated curve is, has points on it, evenly, and ends in words otherwise."""
+    """Whether a walk is closed where the integrated curve is, has points on it, evenly, and ends in
+    words otherwise.
+    """
     m = s.inverse.self_motion(q, task, budget=kempe.Budget(points=steps))
     assert m.freedoms == 1 and hidden(m.q) < 1e-8
     longest = 0.05 * (2.2 * steps + 4)
@@ -272,15 +331,23 @@ def walks(hunt, count: int) -> tuple[int, int]:
         if np.linalg.svd(s.jacobian(q, "tip")[:rows], compute_uv=False)[-1] < 0.05:
             continue
         steps = int(rng.choice([60, 100, 200]))
-        found = check_walk(s, q, tasks.Position("tip", p[: 2 if rows == 2 else 3]), minors(s, rows), steps,
-                           lambda x, s=s, p=p: np.abs(s.fk(x, "tip")[:, :3, 3] - p).max())  # fmt: skip
+        found = check_walk(
+            s,
+            q,
+            tasks.Position("tip", p[: 2 if rows == 2 else 3]),
+            minors(s, rows),
+            steps,
+            lambda x, s=s, p=p: np.abs(s.fk(x, "tip")[:, :3, 3] - p).max(),
+        )
         closed = closed + bool(found)
         run = run + 1
     return closed, run
 
 
 def test_walks_of_redundant_arms(hunt):
-    """Planar arms of three links, spatial ones of four joints, the point held: against the integrated null space."""
+    """Planar arms of three links, spatial ones of four joints, the point held: against the
+    integrated null space.
+    """
     closed, run = walks(hunt, 8)
     assert closed or run < 8
 
@@ -294,19 +361,27 @@ def test_many_walks_of_redundant_arms(hunt):
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_direction_says_which_way_is_forth(sense):
     s = kempe.load("panda")
-    m = s.inverse.self_motion(s.mid, "tool", direction=sense * np.eye(7)[0], budget=kempe.Budget(points=3))
+    m = s.inverse.self_motion(
+        s.mid, "tool", direction=sense * np.eye(7)[0], budget=kempe.Budget(points=3)
+    )
     assert sense * (m.q[m.start + 1, 0] - m.q[m.start, 0]) > 0.0
 
 
 def test_where_self_motions_branch_the_direction_chooses():
-    """Three equal links, folded: the tip stays with the elbow folded, or as the links open to a parallelogram."""
+    """Three equal links, folded: the tip stays with the elbow folded, or as the links open to a
+    parallelogram.
+    """
     s = planar_arm(1.0, 1.0, 1.0)
     q = np.array([0.0, math.pi, 0.0])
     with pytest.raises(InputError, match="branch here: say by `direction`"):
         s.inverse.self_motion(q, "tip", task="position")
     for direction, way in (("q1", (1.0, 0.0, -1.0)), ("q2", (-1.0, 1.0, -1.0))):
-        m = s.inverse.self_motion(q, "tip", task="position", direction=direction, budget=kempe.Budget(points=5))
-        np.testing.assert_allclose((m.q[-1] - q) / np.linalg.norm(m.q[-1] - q), way / np.linalg.norm(way), atol=1e-6)
+        m = s.inverse.self_motion(
+            q, "tip", task="position", direction=direction, budget=kempe.Budget(points=5)
+        )
+        np.testing.assert_allclose(
+            (m.q[-1] - q) / np.linalg.norm(m.q[-1] - q), way / np.linalg.norm(way), atol=1e-6
+        )
 
 
 @pytest.mark.parametrize("task", ["position", "orientation", "direction", "position_axis"])
@@ -314,7 +389,9 @@ def test_a_frame_is_held_at_what_the_task_names(task):
     s = kempe.load("panda")
     q = s.mid
     X = s.fk(q, "tool")
-    m = s.inverse.self_motion(q, "tool", task=task, direction=np.ones(7), budget=kempe.Budget(points=10))
+    m = s.inverse.self_motion(
+        q, "tool", task=task, direction=np.ones(7), budget=kempe.Budget(points=10)
+    )
     Y = s.fk(m.q, "tool")
     place = np.abs(Y[:, :3, 3] - X[:3, 3]).max()
     turned = np.abs(Y[:, :3, :3] - X[:3, :3]).max()
@@ -329,7 +406,9 @@ def test_a_frame_is_held_at_what_the_task_names(task):
 
 
 def with_others(n: int, joints: int, loop: bool) -> kempe.System:
-    """A planar arm of n turns with fingers at its end and an arm beside it, or a four-bar whose coupler carries it."""
+    """A planar arm of n turns with fingers at its end and an arm beside it, or a four-bar whose
+    coupler carries it.
+    """
     m = kempe.Mechanism("arm and others", dim=2)
     body = m.ground
     if loop:
@@ -357,7 +436,9 @@ def with_others(n: int, joints: int, loop: bool) -> kempe.System:
 @pytest.mark.parametrize("others", [1, 4])
 @pytest.mark.parametrize("loop", [False, True])
 def test_freedoms_of_joints_that_do_not_move_the_frame_are_no_redundancy(loop, others):
-    """An arm counts as it does without fingers and without the arm beside it: m, n, rank, and its curve."""
+    """An arm counts as it does without fingers and without the arm beside it: m, n, rank, and its
+    curve.
+    """
     alone = with_others(3, 0, loop)
     system = with_others(3, others, loop)
     q0 = alone.assemble({"A": 0.9}).q if loop else np.zeros(3)
@@ -379,8 +460,10 @@ def test_freedoms_of_joints_that_do_not_move_the_frame_are_no_redundancy(loop, o
         assert (by_tasks.n, by_tasks.redundancy) == (3 + loop, loop)
     if not loop:
         budget = kempe.Budget(points=30)
-        one, same = (s.inverse.self_motion(x, "tip", task="position", budget=budget)
-                     for s, x in ((alone, q0), (system, q)))  # fmt: skip
+        one, same = (
+            s.inverse.self_motion(x, "tip", task="position", budget=budget)
+            for s, x in ((alone, q0), (system, q))
+        )
         assert one.freedoms == same.freedoms == 1
         own = [system.coordinate_names.index(name) for name in alone.coordinate_names]
         np.testing.assert_allclose(same.q[:, own], one.q, atol=1e-9)
@@ -395,11 +478,15 @@ def test_a_self_motion_of_the_whole_velocity_moves_what_moves_the_frame():
     q = system.q({"q0": 0.3, "q1": 0.5, "q2": -0.4, "q3": 0.2})
     with pytest.raises(InputError, match="2 freedoms"):
         system.inverse.self_motion(q, "tip", task="position")
-    motion = system.inverse.self_motion(q, "tip", task="position", direction=np.ones(6), budget=kempe.Budget(points=9))
+    motion = system.inverse.self_motion(
+        q, "tip", task="position", direction=np.ones(6), budget=kempe.Budget(points=9)
+    )
     names = system.coordinate_names
     assert motion.freedoms == 2 and len(motion.q) > 9
     assert np.ptp(motion.q[:, [names.index("o0"), names.index("o1")]], axis=0).max() == 0.0
-    np.testing.assert_allclose(system.fk(motion.q, "tip")[:, :2, 3] - system.fk(q, "tip")[:2, 3], 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        system.fk(motion.q, "tip")[:, :2, 3] - system.fk(q, "tip")[:2, 3], 0.0, atol=1e-9
+    )
 
 
 def test_a_configuration_outside_the_limits_has_no_self_motion():

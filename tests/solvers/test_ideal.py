@@ -1,7 +1,8 @@
-"""One tolerance: rounded overconstrained mechanisms move like the exact ones, by all verbs; locked ones do not.
+"""One tolerance: rounded overconstrained mechanisms move like the exact ones, by all verbs; locked
+ones do not.
 
-The judge is the mechanism with the exact numbers of its construction: its closed configurations, and its velocities by
-differences of them.
+The judge is the mechanism with the exact numbers of its construction: its closed configurations,
+and its velocities by differences of them.
 """
 
 from __future__ import annotations
@@ -50,8 +51,18 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     driver = system.coordinate_names[0]
     other = system.coordinate_names[1]
     m: Any = given.mobility(**more)
-    assert m.dof == 1 and m.closed and not m.certain and "within" in m.sentence and m.within.tolerance < 3.0 * off
-    start = system.q("closed")[0] if "closed" in system.structure.posture_names else system.assemble().q[0]
+    assert (
+        m.dof == 1
+        and m.closed
+        and not m.certain
+        and "within" in m.sentence
+        and m.within.tolerance < 3.0 * off
+    )
+    start = (
+        system.q("closed")[0]
+        if "closed" in system.structure.posture_names
+        else system.assemble().q[0]
+    )
     answer: Any = given.assemble({driver: start + 0.1}, **more)
     assert answer and answer.residual < 1e-12 and "within" in answer.status
     ideal = answer.within.system
@@ -60,10 +71,16 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     assert np.abs(ideal.loops.closure_error(path.q)).max() < 1e-11
     assert np.abs(given.loops.closure_error(path.q)).max() < 30.0 * off
     truth = system.assemble(start=path.q, limits=False, prefer="nearest")
-    assert np.all(truth.success) and np.abs(truth.q - path.q).max() < 100.0 * math.sqrt(off) and np.median(
-        np.abs(truth.q - path.q).max(axis=1)) < 100.0 * off  # fmt: skip
+    assert (
+        np.all(truth.success)
+        and np.abs(truth.q - path.q).max() < 100.0 * math.sqrt(off)
+        and np.median(np.abs(truth.q - path.q).max(axis=1)) < 100.0 * off
+    )
     assert given.drive({driver: start + np.linspace(0.0, 0.2, 5)}, **more).success
-    assert given.independent(answer.q, **more).dim == 1 and given.classify(answer.q, **more).position_dof == 1
+    assert (
+        given.independent(answer.q, **more).dim == 1
+        and given.classify(answer.q, **more).position_dof == 1
+    )
     found = given.loops.jacobian(answer.q, [driver], [other], **more)
     near = system.assemble({driver: start + 0.1}, start=answer.q).q
     h = 1e-5
@@ -71,7 +88,10 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     assert found and abs(found.matrix[0, 0] - (b - a) / (2.0 * h)) < 1e3 * off + 1e-8
     gain = given.loops.mechanical_advantage(answer.q, driver, other, **more)
     assert gain == pytest.approx(1.0 / found.matrix[0, 0], rel=1e-9)
-    assert len(given.assembly_modes({driver: start + 0.1}, **more, budget=kempe.Budget(starts=64))) >= 1
+    assert (
+        len(given.assembly_modes({driver: start + 0.1}, **more, budget=kempe.Budget(starts=64)))
+        >= 1
+    )
 
 
 @pytest.mark.slow
@@ -96,7 +116,9 @@ def test_exact_mechanisms_are_left_alone(name):
     assert system.assemble().within is None and system.mobility().within is None
 
 
-@pytest.mark.parametrize("name", some(["bennett", "schatz", "bricard_trihedral", "sarrus", "four_bar_spatial"], 3))
+@pytest.mark.parametrize(
+    "name", some(["bennett", "schatz", "bricard_trihedral", "sarrus", "four_bar_spatial"], 3)
+)
 def test_mechanisms_that_are_off_by_more_than_rounding_are_locked(name, hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(4)):
@@ -127,7 +149,9 @@ def test_random_loops_are_no_mechanisms_within_any_tolerance(tolerance, hunt):
 
 
 def spatial_four_bar(angle: float) -> System:
-    """A four-bar of a plane in space, one pin of which is turned by an angle that should be a right one."""
+    """A four-bar of a plane in space, one pin of which is turned by an angle that should be a right
+    one.
+    """
     m = Mechanism("four-bar")
     a, b, c = (m.body(x) for x in "abc")
     m.revolute("A", m.ground, a, rpy=(math.pi / 2, 0, 0))
@@ -141,7 +165,11 @@ def test_an_angle_near_a_right_one_is_made_one():
     given = spatial_four_bar(1.5708)
     right = spatial_four_bar(math.pi / 2)
     found: Any = given.idealised()
-    assert "1.5708" in found.changes[0].old and found.changes[0].new == "roll pi/2" and len(found.changes) == 1
+    assert (
+        "1.5708" in found.changes[0].old
+        and found.changes[0].new == "roll pi/2"
+        and len(found.changes) == 1
+    )
     assert found.tolerance == pytest.approx(1.5708 - math.pi / 2) and found.freedoms == 1
     assert set(found.absorbed) <= set(given.structure.closures)
     np.testing.assert_allclose(given.trace("A").length, right.trace("A").length, rtol=1e-9)
@@ -153,10 +181,18 @@ def test_an_angle_near_a_right_one_is_made_one():
 def test_answers_say_the_same_after_pickling():
     s = spatial_four_bar(1.5708)
     q = s.assemble({"A": 0.4}).q
-    for answer in (s.assemble({"A": 0.4}), s.trace("A", q), s.mobility(q), s.independent(q), s.idealised()):
+    for answer in (
+        s.assemble({"A": 0.4}),
+        s.trace("A", q),
+        s.mobility(q),
+        s.independent(q),
+        s.idealised(),
+    ):
         again = pickle.loads(pickle.dumps(answer))
         assert str(again) == str(answer) and "within" in str(again)
-        assert getattr(again, "within", again).tolerance == getattr(answer, "within", answer).tolerance
+        assert (
+            getattr(again, "within", again).tolerance == getattr(answer, "within", answer).tolerance
+        )
     assert pickle.loads(pickle.dumps(s))._ideal is None
 
 
@@ -166,7 +202,9 @@ def test_all_verbs_agree_where_lengths_are_off_by_rounding(off):
     m = kempe.load("bennett").mechanism
     m.parameters["a"] *= 1.0 + off
     joint = m.joints["q4"]
-    m.joints["q4"] = type(joint)(**{**vars(joint), "X_CM": exact("bennett").mechanism.joints["q4"].X_CM})
+    m.joints["q4"] = type(joint)(
+        **{**vars(joint), "X_CM": exact("bennett").mechanism.joints["q4"].X_CM}
+    )
     m = perturbed(m.build(), off, np.random.default_rng(0))
     assert m.mobility().dof == 1 and m.assemble() and m.trace("q1").closed
     assert m.drive({"q1": [1.0, 1.2]}).success and m.independent(m.assemble().q).dim == 1
@@ -185,7 +223,9 @@ def all_agree(given: System, dof: int = 1) -> None:
     assert path.success and path.closed and len(path) > ENOUGH, path.status
     assert given.drive({driver: at + np.linspace(0.0, 0.1, 4)}, start=q).success
     assert given.assemble({driver: at + 0.05}, start=q) and given.independent(q).dim == dof
-    assert len(given.assembly_modes({driver: at + 0.05}, start=q, budget=kempe.Budget(starts=16))) >= 1
+    assert (
+        len(given.assembly_modes({driver: at + 0.05}, start=q, budget=kempe.Budget(starts=16))) >= 1
+    )
     poses = given.fk(np.array([q, given.assemble({driver: at + 0.02}, start=q).q]), frame)
     answer = given.ik(poses[0], frame, start=q)
     assert answer and answer.judged and np.abs(answer.q - q).max() < 1e-9, answer.status
@@ -200,7 +240,9 @@ def tolerates(system: System, tolerance: float | str) -> System:
     return m.build()
 
 
-@pytest.mark.parametrize("name", some(["spherical_triples", "bennett", "three_cranks", "sarrus"], 3))
+@pytest.mark.parametrize(
+    "name", some(["spherical_triples", "bennett", "three_cranks", "sarrus"], 3)
+)
 def test_all_verbs_agree_about_rounded_mechanisms(name, hunt):
     rng = hunt.rng()
     digits = int(rng.integers(3, 15))
@@ -241,13 +283,18 @@ def test_hunt_families_of_the_literature_move_when_rounded(family, hunt):
         if 10.0**-digits > 0.4 * ideal.WIDEST * characteristic_length(system):
             continue  # the largest tolerance may be smaller than what rounding has changed
         found: Any = given.idealised()
-        assert found is not None and found.freedoms == freedoms and found.tolerance < 10.0 * 10.0**-digits
+        assert (
+            found is not None
+            and found.freedoms == freedoms
+            and found.tolerance < 10.0 * 10.0**-digits
+        )
     assert count > 0.3 * hunt.cases(50)
 
 
 @pytest.mark.slow
 def test_a_platform_whose_rounded_legs_nearly_close_at_single_places_moves():
-    """Changes of 1e-7 make a structure of it there; those of 4e-4, as large as rounding, the mechanism that was meant.
+    """Changes of 1e-7 make a structure of it there; those of 4e-4, as large as rounding, the
+    mechanism that was meant.
 
     The conditions on its dimensions have a nearly double root.
     """
@@ -272,7 +319,9 @@ def test_a_mechanism_that_closes_exactly_only_where_it_is_flat_moves(seed, digit
 
 @pytest.mark.parametrize(("seed", "digits"), [(1, 5), (5, 5), (15, 3)])
 def test_a_mechanism_drawn_flat_moves_when_rounded(seed, digits):
-    """Motions cross at home, where the given numbers close, or nearly, so that it seems to be rigid."""
+    """Motions cross at home, where the given numbers close, or nearly, so that it seems to be
+    rigid.
+    """
     m = exact("double_parallelogram").mechanism
     rng = np.random.default_rng([1, seed, 7])
     m.postures = {}
@@ -294,7 +343,9 @@ def test_hunt_mechanisms_drawn_flat_move_when_rounded(hunt):
 
 @pytest.mark.parametrize("off", [1e-13, 1e-12])
 def test_what_assemble_calls_closed_is_traced_and_driven_where_no_ideal_is_searched(off, hunt):
-    """Of more coordinates than the search takes, off by more than rounding and less than `assemble` tolerates."""
+    """Of more coordinates than the search takes, off by more than rounding and less than `assemble`
+    tolerates.
+    """
     rng = hunt.rng()
     joints = []
     for i, p in enumerate(rng.uniform(-1.0, 1.0, (31, 2))):
@@ -339,7 +390,9 @@ def test_tasks_of_a_rounded_mechanism_hold_where_they_were_read(hunt):
     frames = given.body_names[1:]
     wanted = [kempe.tasks.Position(f, given.fk(q, f)[:3, 3]) for f in frames]
     answer = given.ik(wanted, start=q)
-    assert answer and answer.judged and "within" in answer.status and np.abs(answer.q - q).max() < 1e-6
+    assert (
+        answer and answer.judged and "within" in answer.status and np.abs(answer.q - q).max() < 1e-6
+    )
     step = given.ik_step(q, given.fk(q, frames[-1]), frames[-1], 0.01)
     assert step.success and np.abs(step.q - q).max() < 1e-6
 
@@ -364,12 +417,19 @@ def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
     """So a robot of many loops costs as much as its loops, and may have any number of coordinates."""
     sizes: list[int] = []
     before = ideal.Dimensions.__init__
-    monkeypatch.setattr(ideal.Dimensions, "__init__", lambda self, s: (sizes.append(s.nv), before(self, s))[1])
+    monkeypatch.setattr(
+        ideal.Dimensions, "__init__", lambda self, s: (sizes.append(s.nv), before(self, s))[1]
+    )
     monkeypatch.setattr(ideal, "MOST", 20)
     given = hanging(5, 6, hunt.rng())
     assert given.nv == 26 > ideal.MOST
     answer = given.assemble()
-    assert answer and answer.within is not None and answer.within.freedoms == 6 + 5 and answer.residual < 1e-12
+    assert (
+        answer
+        and answer.within is not None
+        and answer.within.freedoms == 6 + 5
+        and answer.residual < 1e-12
+    )
     assert set(sizes) == {4} and set(answer.within.absorbed) == set(given.structure.closures)
 
 
@@ -382,7 +442,11 @@ def test_names_that_searches_give_to_parts_of_their_own_may_be_taken(name):
         m.revolute("F", m.ground, m.body("base"))
         for body in ("crank", "rod", called):
             m.body(body)
-        joints = [("A", "base", "crank", 0.0, 0.0), ("B", "crank", "rod", 0.0, 1.0), ("C", "rod", called, 1.0, 1.0)]
+        joints = [
+            ("A", "base", "crank", 0.0, 0.0),
+            ("B", "crank", "rod", 0.0, 1.0),
+            ("C", "rod", called, 1.0, 1.0),
+        ]
         for joint, parent, child, x, y in (*joints, (called, "base", called, 1.00001, 0.0)):
             m.revolute(joint, parent, child, at=(x, y), child_at=(x, y))
         system = m.build()
@@ -393,17 +457,34 @@ def test_names_that_searches_give_to_parts_of_their_own_may_be_taken(name):
 
 
 def test_a_time_limit_ends_the_search_and_the_answer_says_so(hunt, monkeypatch):
-    """What is closed is not known then, and nothing is a success; the next call without a limit searches again."""
+    """What is closed is not known then, and nothing is a success; the next call without a limit
+    searches again.
+    """
     given = rounded(exact("bennett"), 6, hunt.rng())
     with monkeypatch.context() as m:
         m.setattr(clock, "time", SimpleNamespace(monotonic=itertools.count(1e9).__next__))
         answer = given.assemble(budget=kempe.Budget(time_limit=1.0))
-        many = given.assemble({given.coordinate_names[0]: [0.1, 0.2]}, budget=kempe.Budget(time_limit=1.0))
-    assert answer.late and answer.within is None and "time limit of 1 s ended the search" in answer.status
-    assert not answer.success and answer.code is kempe.Status.OUT_OF_TIME and np.isfinite(answer.q).all()
+        many = given.assemble(
+            {given.coordinate_names[0]: [0.1, 0.2]}, budget=kempe.Budget(time_limit=1.0)
+        )
+    assert (
+        answer.late
+        and answer.within is None
+        and "time limit of 1 s ended the search" in answer.status
+    )
+    assert (
+        not answer.success
+        and answer.code is kempe.Status.OUT_OF_TIME
+        and np.isfinite(answer.q).all()
+    )
     assert many.late and not many.success.any() and (many.code == kempe.Status.OUT_OF_TIME).all()
     again = given.assemble(budget=kempe.Budget(time_limit=100.0))
-    assert again and not again.late and again.within is not None and again.status == given.assemble().status
+    assert (
+        again
+        and not again.late
+        and again.within is not None
+        and again.status == given.assemble().status
+    )
 
 
 UNDECIDED = {
@@ -414,14 +495,18 @@ UNDECIDED = {
     "trace": lambda s, name, b: s.trace(name, budget=b),
     "drive": lambda s, name, b: s.drive({name: [0.3, 0.4]}, budget=b),
     "ik": lambda s, name, b: s.ik(s.fk(s.mid, s.body_names[-1]), s.body_names[-1], budget=b),
-    "ik_path": lambda s, name, b: s.ik_path(s.fk(s.mid, s.body_names[-1])[None], s.body_names[-1], budget=b),
+    "ik_path": lambda s, name, b: s.ik_path(
+        s.fk(s.mid, s.body_names[-1])[None], s.body_names[-1], budget=b
+    ),
     "components": lambda s, name, b: s.configuration_space.components(budget=b),
 }
 
 
 @pytest.mark.parametrize("verb", UNDECIDED)
 def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hunt, monkeypatch):
-    """One search for each system decides for all verbs: none of them answers for the given numbers in its place."""
+    """One search for each system decides for all verbs: none of them answers for the given numbers
+    in its place.
+    """
     given = rounded(exact("bennett"), 6, hunt.rng())
     searched = []
 
@@ -431,7 +516,9 @@ def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hu
         raise AssertionError("the time was up")
 
     monkeypatch.setattr(ideal, "_searched", search)
-    monkeypatch.setattr(clock, "time", SimpleNamespace(monotonic=lambda: math.inf if searched else -math.inf))
+    monkeypatch.setattr(
+        clock, "time", SimpleNamespace(monotonic=lambda: math.inf if searched else -math.inf)
+    )
     try:
         answer = UNDECIDED[verb](given, given.coordinate_names[0], kempe.Budget(time_limit=100.0))
     except TimeLimitError as error:
@@ -467,7 +554,9 @@ def test_offsets_of_axes_that_should_meet_do_not_decide_the_size():
 
 
 @pytest.mark.parametrize("tolerance", [1e-16, 0.1, -1.0, float("nan"), "small", True, [1e-5]])
-@pytest.mark.parametrize("verb", ["mobility", "assemble", "trace", "independent", "assembly_modes", "classify"])
+@pytest.mark.parametrize(
+    "verb", ["mobility", "assemble", "trace", "independent", "assembly_modes", "classify"]
+)
 def test_a_tolerance_out_of_its_bounds_is_refused_with_both(verb, tolerance):
     with pytest.raises(InputError, match=r"from 3\.9e-14 \(rounding\) to 0\.0039 \(a hundredth"):
         getattr(kempe.load("bennett"), verb)(tolerance=tolerance)
@@ -475,10 +564,15 @@ def test_a_tolerance_out_of_its_bounds_is_refused_with_both(verb, tolerance):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "verb", some(["assemble", "mobility", "trace", "drive", "assembly_modes", "classify", "independent"], 3)
+    "verb",
+    some(
+        ["assemble", "mobility", "trace", "drive", "assembly_modes", "classify", "independent"], 3
+    ),
 )
 def test_what_is_open_by_more_says_where_and_at_which_tolerance_it_closes(verb, hunt):
-    """By each verb: the joint whose loop is open, by how much, and a tolerance within which it then does close."""
+    """By each verb: the joint whose loop is open, by how much, and a tolerance within which it then
+    does close.
+    """
     _, given, _ = of("bennett", 3, hunt)
     driver = given.coordinate_names[0]
     options: dict[str, Any] = {
@@ -507,7 +601,11 @@ def test_a_tolerance_of_the_mechanism_holds_for_all_verbs_and_in_files(hunt, tmp
     m = given.mechanism
     m.tolerance = 2e-3
     system = kempe.load(m.save(tmp_path / "rounded.toml"))
-    assert system.structure.tolerance == 2e-3 and system.mobility().dof == 1 and system.trace("q1").closed
+    assert (
+        system.structure.tolerance == 2e-3
+        and system.mobility().dof == 1
+        and system.trace("q1").closed
+    )
     assert system == m.build() and system != given
     path = tmp_path / "wrong.toml"
     path.write_text('format = 1\ntolerance = "no"\n')

@@ -1,4 +1,6 @@
-"""What answers of `ik_all` give on demand, and what stands in for closed forms: rows of trajectories, starts, turns."""
+"""What answers of `ik_all` give on demand, and what stands in for closed forms: rows of
+trajectories, starts, turns.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ ARMS = arms.arms()
 
 
 def shuffled(answer, rng):
-    """The answer (B, T, K) with the rows of each target in random order, and angles in random turns."""
+    """The answer (B, T, K) with the rows of each target in random order, and angles in random
+    turns.
+    """
     rows = answer._rows.copy()
     lines = answer.plan.lines
     turns = np.where(lines.kinds == TURN, 2.0 * math.pi / np.abs(lines.multiplier), 0.0)
@@ -34,11 +38,15 @@ def shuffled(answer, rng):
 
 
 def modulo_turns(answer):
-    """Variables (B, T, K, 2 n) of an answer, angles as cosine and sine; 9 where a row is not in use."""
+    """Variables (B, T, K, 2 n) of an answer, angles as cosine and sine; 9 where a row is not in
+    use.
+    """
     lines = answer.plan.lines
     theta = lines.theta(answer.q[..., lines.q_index])
     turning = lines.kinds == TURN
-    both = np.concatenate([np.where(turning, np.cos(theta), theta), np.where(turning, np.sin(theta), 0.0)], axis=-1)
+    both = np.concatenate(
+        [np.where(turning, np.cos(theta), theta), np.where(turning, np.sin(theta), 0.0)], axis=-1
+    )
     return np.nan_to_num(both, nan=9.0)
 
 
@@ -81,7 +89,10 @@ def test_rows_of_one_trajectory_do_not_depend_on_another():
     """A batch (2, T) is two trajectories: the second begins anew."""
     system = kempe.load("ur5")
     t = np.linspace(0.0, 1.0, 6)[:, None]
-    q = np.array([[0.2, -1.0, 1.2, 0.3, 0.8, 0.1], [-0.9, -0.6, -1.0, 0.9, -1.1, 0.4]])[:, None] + 0.1 * t
+    q = (
+        np.array([[0.2, -1.0, 1.2, 0.3, 0.8, 0.1], [-0.9, -0.6, -1.0, 0.9, -1.1, 0.4]])[:, None]
+        + 0.1 * t
+    )
     both = shuffled(system.ik_all(system.fk(q, "tool"), "tool"), np.random.default_rng(0))
     for i in (0, 1):
         alone = system.ik_all(system.fk(q[i], "tool"), "tool")
@@ -95,7 +106,9 @@ def test_rows_of_one_trajectory_do_not_depend_on_another():
 @pytest.mark.parametrize("task", ["direction", "position_axis"])
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.6, 0.0, 0.8), (0.0, 0.0, 1.0)])
 def test_derivatives_for_an_axis_of_the_tool(task, axis):
-    """Against answers for targets moved and turned a little; a turn about the direction itself changes nothing."""
+    """Against answers for targets moved and turned a little; a turn about the direction itself
+    changes nothing.
+    """
     arm = ARMS["wrist3" if task == "direction" else "random5_axis"]
     system = arm.system.mechanism.lock({"j3": 0.3}).build() if task == "direction" else arm.system
     q = 0.4 + 0.1 * np.arange(system.nq)
@@ -116,7 +129,9 @@ def test_derivatives_for_an_axis_of_the_tool(task, axis):
             Y = spatial.pose(spatial.exp_so3(twist[3:]) @ X[:3, :3], X[:3, 3] + twist[:3])
             found = solved(Y).q
             near.append(found[np.abs(found - q).max(axis=1).argmin()])
-        np.testing.assert_allclose(answer.derivative[k][:, c], (near[0] - near[1]) / (2 * step), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(
+            answer.derivative[k][:, c], (near[0] - near[1]) / (2 * step), rtol=1e-4, atol=1e-5
+        )
     J = answer.jacobian[k]
     assert not J[5].any() and (task == "position_axis" or not J[:3].any())
     assert (np.abs(answer.derivative[k] @ np.append(np.zeros(3), X[:3, :3] @ axis)) < 1e-9).all()
@@ -126,7 +141,9 @@ def test_derivatives_for_an_axis_of_the_tool(task, axis):
 
 
 def test_nearest_of_a_batch():
-    """Two links of 0.5 and 0.4 m: what is missed is the distance beyond their sum, of each target its own."""
+    """Two links of 0.5 and 0.4 m: what is missed is the distance beyond their sum, of each target
+    its own.
+    """
     arm = kempe.load("two_link")
     targets = np.array([[0.3, 0.3], [1.2, 0.0], [0.0, -1.5]])
     answer = arm.ik_all(targets, "e")
@@ -158,7 +175,9 @@ def test_turns_that_multiply_beyond_bounds_are_refused():
     m.revolute("B", "a", m.body("b"), at=(0.5, 0.0), limits=(-400 * math.pi, 400 * math.pi))
     m.frame("tip", "b", at=(0.4, 0.0))
     arm = m.build()
-    with pytest.raises(InputError, match="more than 20000 solutions: joint 'B' alone has 40[01] turns"):
+    with pytest.raises(
+        InputError, match="more than 20000 solutions: joint 'B' alone has 40[01] turns"
+    ):
         arm.ik_all([0.6, 0.3], "tip", limits="turns")
     assert len(arm.ik_all([0.6, 0.3], "tip", limits=True)) == 2
 
@@ -166,9 +185,13 @@ def test_turns_that_multiply_beyond_bounds_are_refused():
 # ---- many starts in place of closed forms
 
 
-@pytest.mark.parametrize("name", ["puma560", "randomRPR_6", "youbot_axis", "wrist3", "geared_piper", "iiwa14"])
+@pytest.mark.parametrize(
+    "name", ["puma560", "randomRPR_6", "youbot_axis", "wrist3", "geared_piper", "iiwa14"]
+)
 def test_many_starts_find_what_closed_forms_find(name):
-    """The search that stands in where there is no plan: the same solutions, turns, flags; a bad target is a bad row."""
+    """The search that stands in where there is no plan: the same solutions, turns, flags; a bad
+    target is a bad row.
+    """
     arm = ARMS[name]
     q = arm.inside(4, 3)
     X = arm.model.fk(q)
@@ -189,7 +212,9 @@ def test_many_starts_find_what_closed_forms_find(name):
         wanted = expected.q[i][expected.mask[i]]
         found[:, plan.lines.q_index] = rows[i, used, :n]
         theta = arm.model.theta(wanted)
-        assert counts[i, 0] == len(found) == len(wanted) and same_sets(arm, theta, arm.model.theta(found))
+        assert counts[i, 0] == len(found) == len(wanted) and same_sets(
+            arm, theta, arm.model.theta(found)
+        )
         order = [arm.model.apart(theta, x).argmin() for x in arm.model.theta(found)]
         inside = expected.inside[i][expected.mask[i]][order]
         np.testing.assert_array_equal(rows[i, used, n + 1] % 2 == 1, inside)

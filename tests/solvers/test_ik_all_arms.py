@@ -1,4 +1,6 @@
-"""All inverse solutions of all arms: found, verified, counted, the same in every gauge, batch and number of threads."""
+"""All inverse solutions of all arms: found, verified, counted, the same in every gauge, batch and
+number of threads.
+"""
 
 from __future__ import annotations
 
@@ -40,9 +42,23 @@ ARMS = arms.arms()
 every_arm = pytest.mark.parametrize("name", ARMS)
 
 TYPICAL = [
-    "puma560", "ur10e", "jaco2", "crx10ia", "randomRRRRRR_3", "puma_1e-5", "stanford", "randomRRPRRR_2", "cobra600",
-    "youbot", "so101_axis", "orthogonal3_cuspidal", "wrist3", "planar3", "universals", "geared_piper",
-]  # fmt: skip
+    "puma560",
+    "ur10e",
+    "jaco2",
+    "crx10ia",
+    "randomRRRRRR_3",
+    "puma_1e-5",
+    "stanford",
+    "randomRRPRRR_2",
+    "cobra600",
+    "youbot",
+    "so101_axis",
+    "orthogonal3_cuspidal",
+    "wrist3",
+    "planar3",
+    "universals",
+    "geared_piper",
+]
 """One or two arms of each class, for what need not be repeated on all."""
 typical_arms = pytest.mark.parametrize("name", some(TYPICAL, 3))
 
@@ -93,16 +109,25 @@ def test_sixteen_real_solutions_of_manseur_and_doty():
     assert len(answer) == 16 and answer.complete
 
 
-@pytest.mark.parametrize("p, expected", [
-    ((0.6, 0.3), oracle.two_link(0.6, 0.3, 0.5, 0.4)), ((0.0, -0.7), oracle.two_link(0.0, -0.7, 0.5, 0.4)),
-    ((0.9, 0.0), [(0.0, 0.0)]), ((0.0, -0.1), [(-math.pi / 2, math.pi)]), ((0.95, 0.0), []), ((0.05, 0.0), []),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "p, expected",
+    [
+        ((0.6, 0.3), oracle.two_link(0.6, 0.3, 0.5, 0.4)),
+        ((0.0, -0.7), oracle.two_link(0.0, -0.7, 0.5, 0.4)),
+        ((0.9, 0.0), [(0.0, 0.0)]),
+        ((0.0, -0.1), [(-math.pi / 2, math.pi)]),
+        ((0.95, 0.0), []),
+        ((0.05, 0.0), []),
+    ],
+)
 def test_the_two_links_of_the_lecture(p, expected):
     """Two ways, one where it is stretched or folded, none beyond."""
     arm = ARMS["planar2"]
     answer = arm.system.ik_all(p, "tool")
     assert same_sets(arm, answer.q, np.array(expected).reshape(-1, 2))
-    assert (answer.multiplicity == (2 if len(expected) == 1 else 1)).all() and bool(answer) == (len(expected) > 0)
+    assert (answer.multiplicity == (2 if len(expected) == 1 else 1)).all() and bool(answer) == (
+        len(expected) > 0
+    )
 
 
 def test_three_links_in_the_plane():
@@ -111,7 +136,13 @@ def test_three_links_in_the_plane():
         X = arm.model.fk(q)
         phi = math.atan2(X[1, 0], X[0, 0])
         expected = np.array(oracle.three_link(X[0, 3], X[1, 3], phi - 0.3, 0.5, 0.4, 0.2))
-        flat = np.array([[math.cos(phi), -math.sin(phi), X[0, 3]], [math.sin(phi), math.cos(phi), X[1, 3]], [0, 0, 1]])
+        flat = np.array(
+            [
+                [math.cos(phi), -math.sin(phi), X[0, 3]],
+                [math.sin(phi), math.cos(phi), X[1, 3]],
+                [0, 0, 1],
+            ]
+        )
         for target in (X, flat):
             assert same_sets(arm, arm.system.ik_all(target, "tool").q, expected)
 
@@ -120,7 +151,8 @@ def test_three_links_in_the_plane():
 
 
 @pytest.mark.parametrize(
-    "name", some([n for n, a in ARMS.items() if a.task == "pose" and not a.held and a.system.dim == 3], 4)
+    "name",
+    some([n for n, a in ARMS.items() if a.task == "pose" and not a.held and a.system.dim == 3], 4),
 )
 def test_no_gauge_changes_the_answer(name):
     """Base, tool, origins along and about axes, senses, names and their order."""
@@ -136,7 +168,9 @@ def test_no_gauge_changes_the_answer(name):
         assert same_sets(new, new.model.theta(answer.q), signs * theta)
 
 
-@pytest.mark.parametrize("name", [n for n in TYPICAL if ARMS[n].task != "orientation" and ARMS[n].system.dim == 3])
+@pytest.mark.parametrize(
+    "name", [n for n in TYPICAL if ARMS[n].task != "orientation" and ARMS[n].system.dim == 3]
+)
 def test_the_size_of_the_arm_does_not_matter(name):
     """Micrometres and kilometres: only the accuracy of positions follows the lengths."""
     arm = ARMS[name]
@@ -150,9 +184,13 @@ def test_the_size_of_the_arm_does_not_matter(name):
         big = arms.placed("scaled", frames, m.kinds, tip, "", arm.bound)
         theta = m.theta(q) * np.where(m.kinds == oracle.SLIDE, size, 1.0)
         X = big.model.fk(theta)
-        answer = big.system.ik_all(X, "tool", task=(arm.task, arm.axis), tolerance=1e-9 * max(1.0, size))
+        answer = big.system.ik_all(
+            X, "tool", task=(arm.task, arm.axis), tolerance=1e-9 * max(1.0, size)
+        )
         for found, wanted in zip(rows(answer), theta, strict=True):
-            d = np.where(m.kinds == oracle.SLIDE, 1.0 / size, 1.0) * big.model.wrapped(found - wanted)
+            d = np.where(m.kinds == oracle.SLIDE, 1.0 / size, 1.0) * big.model.wrapped(
+                found - wanted
+            )
             assert np.abs(d).max(axis=-1).min(initial=np.inf) < SAME
 
 
@@ -180,10 +218,19 @@ def test_batches_of_any_shape(name, shape):
     answer = ask(arm, X)
     K = answer.q.shape[-2]
     assert answer.q.shape == (*shape, K, arm.system.nq) and answer.complete.shape == shape
-    for field in (answer.mask, answer.residual, answer.inside, answer.multiplicity, answer.condition, answer.branch):
+    for field in (
+        answer.mask,
+        answer.residual,
+        answer.inside,
+        answer.multiplicity,
+        answer.condition,
+        answer.branch,
+    ):
         assert field.shape == (*shape, K)
     flat = ask(arm, X.reshape(-1, 4, 4)) if number else answer
-    np.testing.assert_array_equal(answer.q.reshape(-1, K, arm.system.nq), flat.q.reshape(-1, K, arm.system.nq))
+    np.testing.assert_array_equal(
+        answer.q.reshape(-1, K, arm.system.nq), flat.q.reshape(-1, K, arm.system.nq)
+    )
     assert np.isnan(answer.q[~answer.mask]).all() and np.isnan(answer.residual[~answer.mask]).all()
     assert not answer.inside[~answer.mask].any() and not answer.multiplicity[~answer.mask].any()
 
@@ -230,7 +277,10 @@ def test_limits_sort_and_do_not_hide(name):
         X = arm.model.fk(x)
         answer = ask(arm, X, x)
         assert [can_be_inside(arm, q) for q in answer.q] == answer.inside.tolist()
-        assert answer.inside.tolist() == sorted(answer.inside.tolist(), reverse=True) and answer.inside[0]
+        assert (
+            answer.inside.tolist() == sorted(answer.inside.tolist(), reverse=True)
+            and answer.inside[0]
+        )
         assert bool(answer)
         only = ask(arm, X, x, limits=True)
         assert only.inside.all()
@@ -245,7 +295,11 @@ def test_every_turn_inside_the_limits(name):
     X = arm.model.fk(x)
     answer = ask(arm, X)
     every = ask(arm, X, limits="turns")
-    expected = [p for q in answer.q for p in itertools.product(*(turns(arm, q, i) for i in range(arm.system.nq)))]
+    expected = [
+        p
+        for q in answer.q
+        for p in itertools.product(*(turns(arm, q, i) for i in range(arm.system.nq)))
+    ]
     assert len(every) == len(expected) > answer.inside.sum()
     expected = np.array(expected)
     for q in every.q:
@@ -278,7 +332,9 @@ def test_near_chooses_the_turn():
 # ---------------------------------------------------------------- tasks
 
 
-@pytest.mark.parametrize("name", ["anthropomorphic3", "orthogonal3_cuspidal", "randomRRR_5", "planar2"])
+@pytest.mark.parametrize(
+    "name", ["anthropomorphic3", "orthogonal3_cuspidal", "randomRRR_5", "planar2"]
+)
 def test_positions_as_points_and_as_poses(name):
     arm, _, X = posed(name, 13, 4)
     dim = arm.system.dim
@@ -336,7 +392,10 @@ def assert_families(arm, answer, X):
         assert family.dimension == 1 and len(family.q) >= 3
         position, angle = oracle.error(arm.model.fk(family.q), X, arm.task, arm.axis)
         assert max(position.max(), angle.max()) <= 1e-9
-        assert arm.model.apart(arm.model.theta(family.q[1:]), arm.model.theta(family.q[:-1])).max() < 0.5
+        assert (
+            arm.model.apart(arm.model.theta(family.q[1:]), arm.model.theta(family.q[:-1])).max()
+            < 0.5
+        )
 
 
 @pytest.mark.slow
@@ -355,7 +414,11 @@ def test_a_straight_wrist_has_a_family(name):
         assert_families(arm, answer, X)
         if name != "ur10e":  # there the elbow moves, too
             # the turns about z and x of the ball are opposite once the one about y is a right angle
-            straight = arm.model.axes[hand - 1] @ arm.model.axes[hand + 1] if name != "ball_wrist" else -1.0
+            straight = (
+                arm.model.axes[hand - 1] @ arm.model.axes[hand + 1]
+                if name != "ball_wrist"
+                else -1.0
+            )
             sense = -math.copysign(1.0, straight)
             for t in (-1.0, 0.3, 2.0):
                 y = x.copy()
@@ -366,7 +429,8 @@ def test_a_straight_wrist_has_a_family(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", some(["anthropomorphic3", "orthogonal3_cuspidal", "irb6640", "ur10e", "puma560", "jaco2"], 3)
+    "name",
+    some(["anthropomorphic3", "orthogonal3_cuspidal", "irb6640", "ur10e", "puma560", "jaco2"], 3),
 )
 def test_random_singular_targets(name):
     """Two solutions that meet are one with two roots; a curve of solutions is a family."""
@@ -391,7 +455,9 @@ def test_random_singular_targets(name):
 
 @pytest.mark.parametrize("name", ["puma560", "ur10e", "jaco2", "orthogonal3_cuspidal", "stanford"])
 def test_near_singular_targets(name):
-    """From 1e-3 to 1e-12 off a singular configuration: what gave the target, or a family through it, is found."""
+    """From 1e-3 to 1e-12 off a singular configuration: what gave the target, or a family through
+    it, is found.
+    """
     arm = ARMS[name]
     theta, curve = near_singular(arm, 22, 4, 10.0 ** -np.arange(3, 13))
     far = allowed(arm, theta, curve[:, None]).ravel()
@@ -425,9 +491,17 @@ def test_derivatives_of_branches(name):
             else:
                 Y[:3, :3] = reference.turn("xyz"[c - 3], side)[:3, :3].astype(float) @ X[:3, :3]
             found = ask(arm, Y, x).q
-            moved.append(np.array([found[arm.model.apart(arm.model.theta(found), t).argmin()]
-                                   for t in arm.model.theta(answer.q)]))  # fmt: skip
-        slope = arm.model.wrapped(arm.model.theta(moved[0]) - arm.model.theta(moved[1])) / (2 * step)
+            moved.append(
+                np.array(
+                    [
+                        found[arm.model.apart(arm.model.theta(found), t).argmin()]
+                        for t in arm.model.theta(answer.q)
+                    ]
+                )
+            )
+        slope = arm.model.wrapped(arm.model.theta(moved[0]) - arm.model.theta(moved[1])) / (
+            2 * step
+        )
         expected = arm.model.multiplier * answer.derivative[:, arm.model.index, c]
         np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
@@ -435,7 +509,9 @@ def test_derivatives_of_branches(name):
 # ---------------------------------------------------------------- beyond reach
 
 
-BOUNDED = [n for n in TYPICAL if ARMS[n].task != "orientation" and "prismatic" not in ARMS[n].classes]
+BOUNDED = [
+    n for n in TYPICAL if ARMS[n].task != "orientation" and "prismatic" not in ARMS[n].classes
+]
 
 
 @pytest.mark.parametrize("name", BOUNDED)
@@ -462,7 +538,9 @@ def test_a_pose_that_too_few_joints_cannot_have(name):
     arm, q, X = posed(name, 19, 10)
     c = math.cos(0.4)
     s = math.sin(0.4)
-    tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ np.array(
+        [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    )
     X[:, :3, :3] = X[:, :3, :3] @ tilt
     expected = [oracle.isolated(arm.model, x, batch=100, rounds=2) for x in X[:2]]
     answer = ask(arm, X)

@@ -1,7 +1,8 @@
-"""`complete` of `ik_all` on special poses of special arms, judged by solutions that another method knows.
+"""`complete` of `ik_all` on special poses of special arms, judged by solutions that another method
+knows.
 
-Solutions of targets a little aside are followed to the special target by Newton's method in numpy (`continuation`), and
-thousands of starts find those of a sample.
+Solutions of targets a little aside are followed to the special target by Newton's method in numpy
+(`continuation`), and thousands of starts find those of a sample.
 """
 
 from __future__ import annotations
@@ -16,12 +17,33 @@ from hunts import some
 PI = np.pi
 H = np.pi / 2
 
-HC20 = [(0, -H, 0.38, 0), (0.82, PI, 0, -H), (0, -H, 0, 0), (0, H, -0.88, 0), (0, -H, -0.2, 0), (0, PI, -0.15, 0)]
+HC20 = [
+    (0, -H, 0.38, 0),
+    (0.82, PI, 0, -H),
+    (0, -H, 0, 0),
+    (0, H, -0.88, 0),
+    (0, -H, -0.2, 0),
+    (0, PI, -0.15, 0),
+]
 
 NAMED = [
-    "jaco2", "gen3_lite", "xarm6", "crx10ia", "hc10", "piper", "m1013", "rail_xarm5", "ur5", "puma_lateral_tool",
-    "puma_1e-5", "puma_1e-3", "ur10e_1e-5", "jaco2_1e-5", "randomRPRRPR_1", "stanford",
-]  # fmt: skip
+    "jaco2",
+    "gen3_lite",
+    "xarm6",
+    "crx10ia",
+    "hc10",
+    "piper",
+    "m1013",
+    "rail_xarm5",
+    "ur5",
+    "puma_lateral_tool",
+    "puma_1e-5",
+    "puma_1e-3",
+    "ur10e_1e-5",
+    "jaco2_1e-5",
+    "randomRPRRPR_1",
+    "stanford",
+]
 
 
 def arm_of(name: str) -> arms.Arm:
@@ -40,7 +62,9 @@ def on_a_line(name: str, q, seed: int, count: int):
 def gaps(arm: arms.Arm, answer, q) -> np.ndarray:
     """How far (N,) the nearest row is from the configurations q (N, nq)."""
     theta = arm.model.theta(np.where(answer.mask[..., None], answer.q, 0.0))
-    return np.where(answer.mask, arm.model.apart(theta, arm.model.theta(q)[:, None]), np.inf).min(axis=1)
+    return np.where(answer.mask, arm.model.apart(theta, arm.model.theta(q)[:, None]), np.inf).min(
+        axis=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -52,7 +76,9 @@ def gaps(arm: arms.Arm, answer, q) -> np.ndarray:
     ],
 )
 def test_four_solutions_at_one_value_of_the_hidden_joint_are_distinguished(name, q, count):
-    """Up to four share it, two of them 0.03 to 0.1 rad apart; then 18 % of the poses had two fewer, said complete."""
+    """Up to four share it, two of them 0.03 to 0.1 rad apart; then 18 % of the poses had two fewer,
+    said complete.
+    """
     arm, Q = on_a_line(name, q, 0, 1000)
     answer = arm.system.ik_all(arm.model.fk(Q), arm.frame)
     assert gaps(arm, answer, Q).max() < 1e-6
@@ -62,7 +88,9 @@ def test_four_solutions_at_one_value_of_the_hidden_joint_are_distinguished(name,
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["crx10ia", "hc10"])
 def test_points_of_a_curve_leave_room_for_the_isolated_solutions(name):
-    """A self-motion gives any number of rows; the isolated solutions come first, or the answer is not complete."""
+    """A self-motion gives any number of rows; the isolated solutions come first, or the answer is
+    not complete.
+    """
     at = {"crx10ia": [0.89, 0.0, H, 1.77, H, -0.3], "hc10": [2.7, 0.0, PI, 0.85, H, 1.8]}[name]
     arm, Q = on_a_line(name, at, 1, 40)
     Q[:, 3] = np.random.default_rng(2).uniform(-3, 3, len(Q))
@@ -85,16 +113,21 @@ SHARING = {  # rows (a, alpha [degrees], d, type) and a configuration
 
 @pytest.mark.parametrize("method", SHARING)
 def test_two_solutions_that_differ_in_a_slide_and_its_neighbours_only(method):
-    """Three joints have the same values in both: what the first are computed from does not say all of the others."""
+    """Three joints have the same values in both: what the first are computed from does not say all
+    of the others.
+    """
     rows, q = SHARING[method]
-    arm = arms.table(method, [(a, np.radians(t), d, 0.0, *kind) for a, t, d, *kind in rows], "structured", 16)
+    arm = arms.table(
+        method, [(a, np.radians(t), d, 0.0, *kind) for a, t, d, *kind in rows], "structured", 16
+    )
     answer = arm.system.ik_all(arm.model.fk(np.array([q])), arm.frame)
     assert answer.plan.method == method
     assert answer.mask.sum() == 8 and answer.complete.all()
 
 
 def moved(arm: arms.Arm, rng: np.random.Generator, q: np.ndarray) -> tuple[int, int]:
-    """(poses judged, poses whose answer is not complete): answers have the configuration that gave the target.
+    """(poses judged, poses whose answer is not complete): answers have the configuration that gave
+    the target.
 
     And where the first and the last joint are moved, the same solutions moved with them.
     """
@@ -108,17 +141,25 @@ def moved(arm: arms.Arm, rng: np.random.Generator, q: np.ndarray) -> tuple[int, 
     shift = model.theta(q + d) - model.theta(q)
     angles = []
     for i, answer in enumerate(answers):
-        angles.append(model.theta(np.where(answer.mask[..., None], answer.q, 0.0)) - i * shift[:, None])
-        lost = (gaps(arm, answer, q + i * d) > 1e-6) & (regularity(model, model.theta(q + i * d), scale) > 1e-4)
-        assert not (lost & answer.complete).any(), f"{arm.name}: complete without the given one, steps {arm.steps}"
+        angles.append(
+            model.theta(np.where(answer.mask[..., None], answer.q, 0.0)) - i * shift[:, None]
+        )
+        lost = (gaps(arm, answer, q + i * d) > 1e-6) & (
+            regularity(model, model.theta(q + i * d), scale) > 1e-4
+        )
+        assert not (lost & answer.complete).any(), (
+            f"{arm.name}: complete without the given one, steps {arm.steps}"
+        )
     for here, there in ((0, 1), (1, 0)):
-        off = np.abs(model.wrapped(angles[here][:, :, None] - angles[there][:, None]) / scale).max(axis=-1)
+        off = np.abs(model.wrapped(angles[here][:, :, None] - angles[there][:, None]) / scale).max(
+            axis=-1
+        )
         off = np.where(answers[there].mask[:, None], off, np.inf).min(axis=-1)
         at = np.nonzero(answers[here].mask & (off > 1e-5) & answers[there].complete[:, None])
         false = regularity(model, model.theta(answers[here].q[at]), scale) > 1e-4
         assert not false.any(), (
-            f"{arm.name}: {answers[here].q[at][false][0].tolist()} is missed when joints 1 and 6 are moved, "
-            f"for q = {q[at[0][false][0]].tolist()}, steps {arm.steps}"
+            f"{arm.name}: {answers[here].q[at][false][0].tolist()} is missed when joints 1 and 6 "
+            f"are moved, for q = {q[at[0][false][0]].tolist()}, steps {arm.steps}"
         )
     return 2 * len(q), sum(int((~answer.complete).sum()) for answer in answers)
 
@@ -134,7 +175,9 @@ def regularity(model: oracle.Model, theta: np.ndarray, scale: np.ndarray) -> np.
 
 
 def poses(arm: arms.Arm, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Structured configurations (count, nq); half of them on lines, right angles but for one joint and the ends."""
+    """Structured configurations (count, nq); half of them on lines, right angles but for one joint
+    and the ends.
+    """
     q = continuation.structured_poses(arm, rng, count)
     half = count // 2
     n = q.shape[1]
@@ -148,7 +191,9 @@ def poses(arm: arms.Arm, rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def judged(arm: arms.Arm, rng: np.random.Generator, count: int) -> tuple[int, int]:
-    """(poses judged, poses whose answer is not complete): structured poses whose answers miss nothing if complete."""
+    """(poses judged, poses whose answer is not complete): structured poses whose answers miss
+    nothing if complete.
+    """
     q = continuation.structured_poses(arm, rng, count)
     X = arm.model.fk(q)
     answer = arm.system.ik_all(X, arm.frame)
@@ -158,8 +203,9 @@ def judged(arm: arms.Arm, rng: np.random.Generator, count: int) -> tuple[int, in
     missed = continuation.missed(arm, answer, where, theta, weak)
     false = np.flatnonzero(missed & answer.complete[where])
     assert not len(false), (
-        f"{arm.name}: complete without {theta[false[0]].tolist()}, for q = {q[where[false[0]]].tolist()}; "
-        f"{len(np.unique(where[false]))} such poses of {count}, steps {arm.steps}"
+        f"{arm.name}: complete without {theta[false[0]].tolist()}, for q = "
+        f"{q[where[false[0]]].tolist()}; {len(np.unique(where[false]))} such poses of {count}, "
+        f"steps {arm.steps}"
     )
     return count, int((~answer.complete).sum())
 
@@ -181,7 +227,9 @@ def test_no_solution_is_missed_with_structured_arms(hunt):
     assert poses > 0
 
 
-@pytest.mark.parametrize("name", ["jaco2", "gen3_lite", "xarm6", "crx10ia", "hc10", "piper", "puma_1e-3", "ur10e_1e-5"])
+@pytest.mark.parametrize(
+    "name", ["jaco2", "gen3_lite", "xarm6", "crx10ia", "hc10", "piper", "puma_1e-3", "ur10e_1e-5"]
+)
 def test_answers_for_ordinary_poses_are_complete(name):
     """For all but one in a thousand random poses."""
     arm = arm_of(name)

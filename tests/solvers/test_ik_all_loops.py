@@ -13,12 +13,21 @@ from kempe.errors import InputError, NoSolutionError, UnknownNameError, Unsuppor
 
 @pytest.mark.parametrize("name, count", [("delta_ss", 8), ("stewart_sps", 1)])
 def test_each_leg_stands_in_its_own_ways(name, count):
-    """An arm of the delta robot has two angles for a place of the platform (circle and sphere): 2^3 in all."""
+    """An arm of the delta robot has two angles for a place of the platform (circle and sphere): 2^3
+    in all.
+    """
     system = kempe.load(name)
     X = system.fk(system.q("closed"), "platform")
     found = system.ik_all(X, "platform")
-    assert len(found) == count and found.inside.all() and not found.complete and "idle spins left out" in found.status
-    np.testing.assert_allclose(system.fk(found.q, "platform"), np.broadcast_to(X, (count, 4, 4)), atol=1e-9)
+    assert (
+        len(found) == count
+        and found.inside.all()
+        and not found.complete
+        and "idle spins left out" in found.status
+    )
+    np.testing.assert_allclose(
+        system.fk(found.q, "platform"), np.broadcast_to(X, (count, 4, 4)), atol=1e-9
+    )
     assert np.abs(system.loops.closure_error(found.q)).max() < 1e-9
 
 
@@ -31,7 +40,9 @@ def test_working_modes_of_planar_robots():
     q = robot.q("closed")
     found = robot.ik_all(robot.fk(q, "tool"), "tool", start=q)
     assert len(found) == 8
-    np.testing.assert_allclose(robot.fk(found.q, "tool"), np.broadcast_to(robot.fk(q, "tool"), (8, 4, 4)), atol=1e-9)
+    np.testing.assert_allclose(
+        robot.fk(found.q, "tool"), np.broadcast_to(robot.fk(q, "tool"), (8, 4, 4)), atol=1e-9
+    )
     np.testing.assert_allclose(robot.configuration_space.difference(found.q[0], q), 0.0, atol=1e-7)
 
 
@@ -57,7 +68,12 @@ def test_what_cannot_be_reached_is_empty():
 @pytest.mark.parametrize(
     ("change", "options", "error", "says"),
     [
-        (1.0, {"task": "orientation"}, UnsupportedError, "takes one pose or position there, not task 'orientation'"),
+        (
+            1.0,
+            {"task": "orientation"},
+            UnsupportedError,
+            "takes one pose or position there, not task 'orientation'",
+        ),
         (np.ones((2, 1, 1)), {}, UnsupportedError, "not more than one target"),
         (np.nan, {}, InputError, "must be finite"),
         (1.0, {"limits": "turns"}, InputError, "for chains"),
@@ -84,16 +100,22 @@ def test_held_joints_choose():
     parts = [robot.ik_all(X, "tool", fixed={first: v}) for v in values]
     assert [len(p) for p in parts] == [4, 4]
     pairs = itertools.product(found.q, np.concatenate([p.q for p in parts]))
-    assert sum(np.abs(robot.configuration_space.difference(a, b)).max() < 1e-6 for a, b in pairs) == 8
+    assert (
+        sum(np.abs(robot.configuration_space.difference(a, b)).max() < 1e-6 for a, b in pairs) == 8
+    )
 
 
 # ---- joints that follow others
 
 
 def palletizer(base: float = 0.14, upper: float = 0.135, lower: float = 0.147) -> kempe.System:
-    """An arm of which parallel linkages, written as couplings, keep the hand level: the motors turn both links."""
+    """An arm of which parallel linkages, written as couplings, keep the hand level: the motors turn
+    both links.
+    """
     m = kempe.Mechanism("palletizer")
-    turn, first, fake, second, hand = (m.body(name) for name in ("turn", "first", "fake", "second", "hand"))
+    turn, first, fake, second, hand = (
+        m.body(name) for name in ("turn", "first", "fake", "second", "hand")
+    )
     m.revolute("j1", m.ground, turn, at=(0, 0, base))
     m.revolute("j2", turn, first, axis=(0, 1, 0))
     m.revolute("m2", first, fake, axis=(0, 1, 0), at=(0, 0, upper))
@@ -105,7 +127,9 @@ def palletizer(base: float = 0.14, upper: float = 0.135, lower: float = 0.147) -
 
 
 def by_triangles(p, base=0.14, upper=0.135, lower=0.147) -> np.ndarray:
-    """Angles (k, 3) of the palletizer at a place p (3,): two triangles, each in front of the base and behind it."""
+    """Angles (k, 3) of the palletizer at a place p (3,): two triangles, each in front of the base
+    and behind it.
+    """
     out = []
     for side in (1.0, -1.0):
         r = side * np.hypot(p[0], p[1])
@@ -146,7 +170,9 @@ def test_solutions_of_an_arm_whose_joints_follow_others(hunt):
 
 
 def test_solutions_of_a_screw_and_of_a_joint_that_takes_another_along():
-    """A nut that climbs as it turns; an elbow that a motor at the shoulder turns against the ground."""
+    """A nut that climbs as it turns; an elbow that a motor at the shoulder turns against the
+    ground.
+    """
     m = kempe.Mechanism("screw and elbow")
     nut, upper, lower, hand = (m.body(name) for name in ("nut", "upper", "lower", "hand"))
     m.helical("screw", m.ground, nut, pitch=0.5, limits=(-3.0, 3.0))

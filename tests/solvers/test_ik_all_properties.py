@@ -1,4 +1,6 @@
-"""Properties of all inverse solutions on arms that nobody has seen: random geometry, random structure."""
+"""Properties of all inverse solutions on arms that nobody has seen: random geometry, random
+structure.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,19 @@ import kempe
 
 RIGHT = st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi])
 ANGLE = st.one_of(RIGHT, RIGHT, st.floats(-3.1, 3.1).map(lambda x: round(x, 3)))
-LENGTH = st.one_of(st.just(0.0), st.sampled_from([0.1, 0.3, -0.25]), st.floats(-0.5, 0.5).map(lambda x: round(x, 3)))
+LENGTH = st.one_of(
+    st.just(0.0),
+    st.sampled_from([0.1, 0.3, -0.25]),
+    st.floats(-0.5, 0.5).map(lambda x: round(x, 3)),
+)
 SEEDS = st.integers(0, 2**16)
 
 
 @st.composite
 def tables(draw, n: int = 6, slides: int = 0):
-    """Denavit-Hartenberg tables of n rows as engineers make them: right angles and zeros besides other numbers."""
+    """Denavit-Hartenberg tables of n rows as engineers make them: right angles and zeros besides
+    other numbers.
+    """
     kinds = draw(st.permutations(["revolute"] * (n - slides) + ["prismatic"] * slides))
     return [(draw(LENGTH), draw(ANGLE), draw(LENGTH), draw(ANGLE), kind) for kind in kinds]
 
@@ -127,7 +135,9 @@ def test_the_chain_walked_backwards(rows_, seed):
     assert same_sets(back, back.model.theta(answer.q), theta[:, ::-1])
 
 
-@given(seed=SEEDS, name=st.sampled_from(["puma560", "ur10e", "jaco2", "crx10ia", "puma_wide_limits"]))
+@given(
+    seed=SEEDS, name=st.sampled_from(["puma560", "ur10e", "jaco2", "crx10ia", "puma_wide_limits"])
+)
 @settings(max_examples=examples(25))
 def test_near_and_limits_only_sort(seed, name):
     arm = arms.arms()[name]
@@ -140,7 +150,9 @@ def test_near_and_limits_only_sort(seed, name):
     assert near.inside.tolist() == sorted(near.inside.tolist(), reverse=True)
 
 
-@given(seed=SEEDS, name=st.sampled_from(["puma560", "ur10e", "jaco2", "stanford", "randomRRRRRR_2"]))
+@given(
+    seed=SEEDS, name=st.sampled_from(["puma560", "ur10e", "jaco2", "stanford", "randomRRRRRR_2"])
+)
 @settings(max_examples=examples(25))
 def test_targets_written_with_seven_digits(seed, name):
     """Rotations that are off by rounding to float32: the solutions are those of a pose nearby."""
@@ -154,7 +166,9 @@ def test_targets_written_with_seven_digits(seed, name):
 def test_turns_at_both_ends_of_a_range_of_one_turn_are_solutions():
     arm = kempe.load("two_link").with_limits({"q1": (0.3, 0.3 + 2 * np.pi), "q2": (0.0, 3.0)})
     found = arm.ik_all(arm.fk([0.3, 0.4], "e")[:2, 3], "e", limits="turns")
-    assert np.allclose(sorted(found.q[:, 0]), [0.3, 0.3 + 2 * np.pi]) and np.allclose(found.q[:, 1], 0.4)
+    assert np.allclose(sorted(found.q[:, 0]), [0.3, 0.3 + 2 * np.pi]) and np.allclose(
+        found.q[:, 1], 0.4
+    )
 
 
 @pytest.mark.parametrize("name", ["puma560", "ur5", "crx10ia", "gen3_lite", "jaco2"])

@@ -1,4 +1,6 @@
-"""Chains with joints to spare: a pose that can be reached has a solution, whatever is held; said, and as data."""
+"""Chains with joints to spare: a pose that can be reached has a solution, whatever is held; said,
+and as data.
+"""
 
 from __future__ import annotations
 
@@ -66,15 +68,19 @@ def pinocchio_poses(name: str, system: kempe.System, q: np.ndarray) -> np.ndarra
             if joint_name in own and joint.nq == 1:
                 full[joint.idx_q] = x[own[joint_name]]
             elif joint_name in own:
-                full[joint.idx_q : joint.idx_q + 2] = math.cos(x[own[joint_name]]), math.sin(x[own[joint_name]])
+                full[joint.idx_q : joint.idx_q + 2] = (
+                    math.cos(x[own[joint_name]]),
+                    math.sin(x[own[joint_name]]),
+                )
         pin.framesForwardKinematics(model, data, full)
         out[k] = data.oMf[number].homogeneous
     return out
 
 
 def configurations(system: kempe.System, rng: np.random.Generator, number: int) -> np.ndarray:
-    """Configurations (number, nq) inside the limits: anywhere, half of the joints at a limit, all of them, and many at
-    zero, where arms are stretched."""
+    """Configurations (number, nq) inside the limits: anywhere, half of the joints at a limit, all
+    of them, and many at zero, where arms are stretched.
+    """
     q = system.random(rng, number)
     low, high = system.structure.limits.T
     ends = np.where(rng.random(q.shape) < 0.5, low, high)
@@ -85,13 +91,17 @@ def configurations(system: kempe.System, rng: np.random.Generator, number: int) 
 
 
 def assert_reached(system, frame, answer, poses, targets, tolerance=1e-8):
-    """Every target has a solution inside the limits, and every solution is on its target by `poses` (N, K, 4, 4)."""
+    """Every target has a solution inside the limits, and every solution is on its target by `poses`
+    (N, K, 4, 4).
+    """
     assert answer.mask.any(axis=1).all() and answer.inside.any(axis=1).all()
     off = np.abs(poses - targets[:, None]).max(axis=(-1, -2))
     assert off[answer.mask].max() < tolerance
     chain = answer.plan.lines.v_index
     q = answer.q[answer.inside][:, answer.plan.lines.q_index]
-    assert (q >= system.structure.limits[chain, 0]).all() and (q <= system.structure.limits[chain, 1]).all()
+    assert (q >= system.structure.limits[chain, 0]).all() and (
+        q <= system.structure.limits[chain, 1]
+    ).all()
     for name, value in answer.held.items():
         own = answer.q[..., system.coordinate_names.index(name)]
         turns = (own - value[:, None])[answer.mask] / (2 * PI)
@@ -127,7 +137,17 @@ def test_hunt_what_can_be_reached_is_reached(name, hunt):
 
 # ---------------------------------------------------------------- random chains
 
-KINDS = ("7R", "8R", "structured 7R", "rail 6R", "mixed", "planar 3R", "planar 4R", "planar 5R", "SCARA and a turn")
+KINDS = (
+    "7R",
+    "8R",
+    "structured 7R",
+    "rail 6R",
+    "mixed",
+    "planar 3R",
+    "planar 4R",
+    "planar 5R",
+    "SCARA and a turn",
+)
 
 
 def random_chain(rng: np.random.Generator, kind: str) -> tuple[kempe.System, list]:
@@ -154,8 +174,15 @@ def random_chain(rng: np.random.Generator, kind: str) -> tuple[kempe.System, lis
             at = tuple(rng.choice([0.0, 0.0, 0.3, -0.2], 3))
             rpy = tuple(rng.choice([0.0, H, -H, PI / 4], 3))
         turned = {} if planar else {"rpy": rpy}
-        m.joint(f"j{i}", "revolute" if letter == "R" else "prismatic", last, body, at=at[: m.dim],
-                limits=None if letter == "R" and rng.random() < 0.15 else limits, **turned)  # fmt: skip
+        m.joint(
+            f"j{i}",
+            "revolute" if letter == "R" else "prismatic",
+            last,
+            body,
+            at=at[: m.dim],
+            limits=None if letter == "R" and rng.random() < 0.15 else limits,
+            **turned,
+        )
         steps.append((reference.placement(at, rpy).astype(float), letter))
         last = body
     tip = (0.2, 0.1, 0.0) if planar else (0.1, 0.05, 0.2)
@@ -210,12 +237,21 @@ def test_hunt_random_chains(kind, hunt):
 # ---------------------------------------------------------------- what is held, and where
 
 
-@pytest.mark.parametrize(("name", "held"), [
-    ("panda", {"panda_joint7"}), ("iiwa14", {"q3", "q5"}), ("rail", {"rail"}), ("pr2", {"torso_lift_joint"}),
-    ("tiago", {"torso_lift_joint"}), ("centauro", {"torso_yaw"}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "held"),
+    [
+        ("panda", {"panda_joint7"}),
+        ("iiwa14", {"q3", "q5"}),
+        ("rail", {"rail"}),
+        ("pr2", {"torso_lift_joint"}),
+        ("tiago", {"torso_lift_joint"}),
+        ("centauro", {"torso_yaw"}),
+    ],
+)
 def test_what_is_held(name, held):
-    """What leaves a closed form; a rail or a torso that carries an arm; of these what serves most poses."""
+    """What leaves a closed form; a rail or a torso that carries an arm; of these what serves most
+    poses.
+    """
     system, frame = robot(name)
     target = system.fk(system.mid, frame)
     answer = system.ik_all(target, frame)
@@ -229,7 +265,11 @@ def test_values_are_said_and_are_data():
     batch = system.ik_all(targets, frame)
     values = batch.held["panda_joint7"]
     assert values.shape == batch.tried.shape == (40,)
-    assert (values == 0.0).any() and (values != 0.0).any() and ((batch.tried > 1) == (values != 0.0)).all()
+    assert (
+        (values == 0.0).any()
+        and (values != 0.0).any()
+        and ((batch.tried > 1) == (values != 0.0)).all()
+    )
     assert "one joint to spare" in str(batch) and "'panda_joint7' at 0 for" in str(batch)
     for i in (int(np.argmax(values == 0.0)), int(np.argmax(values != 0.0))):
         one = system.ik_all(targets[i], frame)
@@ -246,7 +286,11 @@ def test_a_named_value_stays():
     system, frame = robot("panda")
     targets = system.fk(system.random(3, 40), frame)
     answer = system.ik_all(targets, frame, fixed={"panda_joint7": 0.0})
-    assert answer.spare == () and (answer.held["panda_joint7"] == 0.0).all() and (answer.tried == 1).all()
+    assert (
+        answer.spare == ()
+        and (answer.held["panda_joint7"] == 0.0).all()
+        and (answer.tried == 1).all()
+    )
     assert 0 < answer.inside.any(axis=1).sum() < 40
     assert "to spare" not in str(answer)
     lost = int(np.argmin(answer.mask.any(axis=1)))
@@ -277,11 +321,16 @@ def test_no_is_evidence_or_a_proof(hunt):
                 break
         assert not len(answer)
         proof = answer.status.startswith("no solution: outside the workspace by at least")
-        evidence = "no solution with 'panda_joint7' at any of 64 values tried, and none from 1000 starts of a search"
+        evidence = (
+            "no solution with 'panda_joint7' at any of 64 values tried, and none from 1000 starts "
+            "of a search"
+        )
         assert proof or answer.tried == 64 and answer.status.startswith(evidence)
         proven += proof
         far[2, 3] = 9.0
-        assert system.ik_all(far, frame).status.startswith("no solution: outside the workspace by at least")
+        assert system.ik_all(far, frame).status.startswith(
+            "no solution: outside the workspace by at least"
+        )
     assert proven < hunt.cases(6)
 
 
@@ -328,7 +377,9 @@ def test_a_sweep_holds_the_others_where_there_is_a_solution():
 
 @pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3", "ur5"])
 def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
-    """Held by name at arrays, held near configurations, and held elsewhere by choice: as each target alone."""
+    """Held by name at arrays, held near configurations, and held elsewhere by choice: as each
+    target alone.
+    """
     rng = hunt.rng()
     robot = kempe.load(name)
     frame = list(robot.structure.frames)[-1]
@@ -342,7 +393,9 @@ def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
         assert np.array_equal(few.q, together.q[:3, : few.q.shape[1]], equal_nan=True)
         for i in range(len(X)):
             alone = ik_all(robot, X[i], frame, **way(i))
-            assert sorted(map(tuple, alone.q)) == sorted(map(tuple, together.q[i][together.mask[i]]))
+            assert sorted(map(tuple, alone.q)) == sorted(
+                map(tuple, together.q[i][together.mask[i]])
+            )
 
 
 @pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3"])

@@ -1,4 +1,6 @@
-"""Singular targets of `ik_all`: self-motions, merged roots, and what is said and found where nothing reaches."""
+"""Singular targets of `ik_all`: self-motions, merged roots, and what is said and found where
+nothing reaches.
+"""
 
 from __future__ import annotations
 
@@ -48,15 +50,21 @@ def reaches(s: kempe.System, q, X, task: str = "pose", frame: str = "tool") -> f
 # ---- families
 
 
-def stretched(signs: list[float], links: list[float], turns: int = 1, rpy=(0.0, 0.0, 0.0)) -> kempe.System:
-    """An arm on its first axis, about which `turns` joints turn; the links lie along it, forwards or backwards."""
+def stretched(
+    signs: list[float], links: list[float], turns: int = 1, rpy=(0.0, 0.0, 0.0)
+) -> kempe.System:
+    """An arm on its first axis, about which `turns` joints turn; the links lie along it, forwards
+    or backwards.
+    """
     m = kempe.Mechanism("stretched")
     body = m.body("base")
     m.fixed("mount", m.ground, body, at=(0.3, -0.2, 0.1), rpy=rpy)
     at = 0.3
     for i in range(turns + len(links)):
         new = m.body(f"b{i}")
-        m.revolute(f"j{i}", body, new, at=(0.0, 0.0, at), axis=(0, 1, 0) if i >= turns else (0, 0, 1))
+        m.revolute(
+            f"j{i}", body, new, at=(0.0, 0.0, at), axis=(0, 1, 0) if i >= turns else (0, 0, 1)
+        )
         body = new
         at = signs[i - turns] * links[i - turns] if i >= turns else 0.0
     m.frame("e", body, at=(0.0, 0.0, at))
@@ -64,15 +72,22 @@ def stretched(signs: list[float], links: list[float], turns: int = 1, rpy=(0.0, 
 
 
 def test_merged_roots_add_no_freedom():
-    """Target on axis 1, arm stretched: axis 1 turns, the elbow is a double root. At first order two joints are free."""
+    """Target on axis 1, arm stretched: axis 1 turns, the elbow is a double root. At first order two
+    joints are free.
+    """
     r = stretched([1.0, 1.0], [0.3, 0.1])
     a = r.ik_all(r.fk([0.3, 0.0, 0.0], "e")[:3, 3], "e")
-    assert a.status == "no isolated solution, and a family with one freedom: j0 is free while j1 = 0 and j2 = 0"
+    assert (
+        a.status
+        == "no isolated solution, and a family with one freedom: j0 is free while j1 = 0 and j2 = 0"
+    )
 
 
 @pytest.mark.slow
 def test_freedoms_of_stretched_arms(hunt):
-    """Random arms with the target on axis 1, stretched or with the elbow folded back: only turns about it are free."""
+    """Random arms with the target on axis 1, stretched or with the elbow folded back: only turns
+    about it are free.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(8)):
         turns = int(rng.integers(1, 3))
@@ -111,22 +126,33 @@ def test_a_batch_says_that_matrices_are_no_rotations():
         with pytest.raises(InputError, match="must be orthonormal"):
             ask(X[0], "tool")
         answer = ask(X, "tool")
-        assert "must be orthonormal" in answer.status[0] and "must be orthonormal" in answer.status[1]
+        assert (
+            "must be orthonormal" in answer.status[0] and "must be orthonormal" in answer.status[1]
+        )
         assert "must be finite" in answer.status[2]
 
 
 def test_wrist_in_line():
-    """Puma with q5 = 0: axes 4 and 6 are one line, only the sum of their angles counts (Paul, 1981)."""
+    """Puma with q5 = 0: axes 4 and 6 are one line, only the sum of their angles counts (Paul,
+    1981).
+    """
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.0, 0.6])
     a, X, families, rows = solved("puma560", q)
     (f,) = families
     assert f.dimension == 1 and f.closed and f.joints == ("q4", "q6") and f.parameter == "q4"
     assert reaches(a.system, f.q, X) < 1e-12 and len(f.q) > 50
-    assert np.ptp(f.q[:, 3]) > 6.0 and np.abs(f.q[:, 3] + f.q[:, 5] - (f.q[0, 3] + f.q[0, 5])).max() < 1e-12
-    np.testing.assert_allclose(np.abs(f.tangent), [0, 0, 0, math.sqrt(0.5), 0, math.sqrt(0.5)], atol=1e-12)
+    assert (
+        np.ptp(f.q[:, 3]) > 6.0
+        and np.abs(f.q[:, 3] + f.q[:, 5] - (f.q[0, 3] + f.q[0, 5])).max() < 1e-12
+    )
+    np.testing.assert_allclose(
+        np.abs(f.tangent), [0, 0, 0, math.sqrt(0.5), 0, math.sqrt(0.5)], atol=1e-12
+    )
     assert f.tangent[3] * f.tangent[5] < 0.0
     assert f.describe() == "q4 + q6 = 1 while q5 = 0: one freedom" == str(f)
-    assert f.distance(q) < 1e-12 and (rows == 0).sum() == 1 and (rows[a.multiplicity > 0] == -1).all()
+    assert (
+        f.distance(q) < 1e-12 and (rows == 0).sum() == 1 and (rows[a.multiplicity > 0] == -1).all()
+    )
     assert len(a) - (rows == 0).sum() == 6  # the other shoulder and elbow, each with two wrists
     assert f.distance(q + [0, 0, 0, 0, 0, TURN]) < 1e-12
     assert f.distance(q + [0, 0, 0, 0, 1e-3, 0]) == pytest.approx(1e-3, rel=1e-6)
@@ -139,7 +165,12 @@ def test_a_configuration_of_a_family():
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.0, 0.6])
     a, X, (f,), _ = solved("puma560", q)
     one = f.at(q4=1.1)
-    assert one.shape == (6,) and one[3] == 1.1 and abs(one[5] + 0.1) < 1e-10 and reaches(a.system, one, X) < 1e-10
+    assert (
+        one.shape == (6,)
+        and one[3] == 1.1
+        and abs(one[5] + 0.1) < 1e-10
+        and reaches(a.system, one, X) < 1e-10
+    )
     some = f.at(q6=[0.0, 1.0, 2.0])
     assert some.shape == (3, 6) and reaches(a.system, some, X) < 1e-10
     with pytest.raises(InputError, match="no configuration with q5 = 1"):
@@ -153,7 +184,9 @@ def test_a_configuration_of_a_family():
 
 
 def shoulder_singular(q5: float) -> np.ndarray:
-    """A configuration of the anthropomorphic arm whose wrist centre lies on axis 1, by bisection of q3."""
+    """A configuration of the anthropomorphic arm whose wrist centre lies on axis 1, by bisection of
+    q3.
+    """
     s = system("anthropomorphic6")
 
     def off(q3: float) -> float:
@@ -178,7 +211,12 @@ def test_shoulder_on_its_axis():
     a, X, families, rows = solved("anthropomorphic6", q)
     assert len(families) == 4 and set(rows.tolist()) == {0, 1, 2, 3}
     for f in families:
-        assert f.dimension == 1 and f.closed and f.joints == ("q1", "q4", "q5", "q6") and f.parameter == "q1"
+        assert (
+            f.dimension == 1
+            and f.closed
+            and f.joints == ("q1", "q4", "q5", "q6")
+            and f.parameter == "q1"
+        )
         assert reaches(s, f.q, X) < 1e-11
         np.testing.assert_allclose(f.q[:, 1:3], f.q[:1, 1:3].repeat(len(f), 0), atol=1e-10)
         assert reaches(s, f.at(q1=np.linspace(-3.0, 3.0, 7)), X) < 1e-10
@@ -188,7 +226,9 @@ def test_shoulder_on_its_axis():
 
 @pytest.mark.slow
 def test_families_that_cross():
-    """Shoulder and wrist singular at once: the arm turns about axis 1, and at one angle of it q4 is free too."""
+    """Shoulder and wrist singular at once: the arm turns about axis 1, and at one angle of it q4 is
+    free too.
+    """
     q = shoulder_singular(0.0)
     a, X, families, _ = solved("anthropomorphic6", q)
     assert all(reaches(a.system, f.q, X) < 1e-11 for f in families)
@@ -219,12 +259,18 @@ def test_puma_elbow_is_a_double_root():
 @pytest.mark.slow
 @pytest.mark.parametrize("q3", [0.9, 0.0])
 def test_four_parallel_axes(q3):
-    """UR5 with q5 = 0: axes 2, 3, 4 and 6 are parallel and move as a four-bar linkage. All its motions are found."""
+    """UR5 with q5 = 0: axes 2, 3, 4 and 6 are parallel and move as a four-bar linkage. All its
+    motions are found.
+    """
     q = np.array([0.1, -0.7, q3, 0.4, 0.0, 0.6])
     a, X, families, rows = solved("ur5", q)
     s = a.system
     model = arms.arms()["ur5"].model
-    assert families and (rows[a.multiplicity == 0] >= 0).all() and (rows[a.multiplicity > 0] == -1).all()
+    assert (
+        families
+        and (rows[a.multiplicity == 0] >= 0).all()
+        and (rows[a.multiplicity > 0] == -1).all()
+    )
     for f in families:
         assert f.closed and f.joints == ("shoulder_lift", "elbow", "wrist_1", "wrist_3")
         assert reaches(s, f.q, X) < 1e-11
@@ -242,7 +288,9 @@ def test_four_parallel_axes(q3):
 
 
 def test_several_configurations_of_a_curve():
-    """The elbow of a four-bar motion goes to and fro: two configurations for a value between its ends, none outside."""
+    """The elbow of a four-bar motion goes to and fro: two configurations for a value between its
+    ends, none outside.
+    """
     q = np.array([0.1, -0.7, 0.9, 0.4, 0.0, 0.6])
     a, X, families, _ = solved("ur5", q)
     f = next(f for f in families if f.distance(q) < 1e-9)
@@ -263,7 +311,10 @@ def test_two_equal_links_at_their_base():
     (f,), rows = families_of(a, 0)
     assert f.closed and f.joints == ("q1",) and np.ptp(f.q[:, 0]) > 6.0
     np.testing.assert_allclose(np.abs(f.q[:, 1]), math.pi, atol=1e-12)
-    assert f.describe() in ("q1 is free while q2 = 3.14159: one freedom", "q1 is free while q2 = -3.14159: one freedom")
+    assert f.describe() in (
+        "q1 is free while q2 = 3.14159: one freedom",
+        "q1 is free while q2 = -3.14159: one freedom",
+    )
     assert f.distance([1.234, math.pi]) < 1e-12 and (rows[: len(a)] == 0).all()
     assert families_of(planar_arm(0.5, 0.4).ik_all([0.1, 0.0], "tip"), 0)[0] == []
 
@@ -273,7 +324,11 @@ def test_target_on_the_first_axis():
     s = system("anthropomorphic3")
     a = s.ik_all([0.0, 0.0, 0.7], "tool")
     families, rows = families_of(a, 0)
-    assert len(families) == 2 and {f.joints for f in families} == {("q1",)} and (rows[: len(a)] >= 0).all()
+    assert (
+        len(families) == 2
+        and {f.joints for f in families} == {("q1",)}
+        and (rows[: len(a)] >= 0).all()
+    )
     for f in families:
         assert np.abs(s.fk(f.q, "tool")[:, :3, 3] - [0.0, 0.0, 0.7]).max() < 1e-11
         assert f.describe().startswith("q1 is free while q2 = ")
@@ -297,7 +352,11 @@ def test_slides():
 
 def test_geared_wrist():
     """A wrist whose first joint follows a motor 2 to 1: 2 m + j3 is constant."""
-    rows = [arms.Joint(follow=(2.0, 0.3)), arms.Joint(rpy=(math.pi / 2, 0, 0)), arms.Joint(rpy=(-math.pi / 2, 0, 0))]
+    rows = [
+        arms.Joint(follow=(2.0, 0.3)),
+        arms.Joint(rpy=(math.pi / 2, 0, 0)),
+        arms.Joint(rpy=(-math.pi / 2, 0, 0)),
+    ]
     s = arms.joints("geared", rows, "", 2).system
     q = s.q({"motor1": 0.2, "j2": 0.0, "j3": 0.5})
     X = s.fk(q, "tool")
@@ -330,7 +389,11 @@ def test_more_freedoms_than_one():
     a, X, families, rows = solved("ur5", q, "position")
     assert (rows >= 0).all() and {f.dimension for f in families} == {3}
     for f in families:
-        assert reaches(a.system, f.q, X, "position") < 1e-11 and f.basis.shape == (3, 6) and not f.closed
+        assert (
+            reaches(a.system, f.q, X, "position") < 1e-11
+            and f.basis.shape == (3, 6)
+            and not f.closed
+        )
         J = a.system.jacobian(f.q[0], "tool")[:3]
         assert np.abs(J @ f.basis.T).max() < 1e-10 and np.linalg.matrix_rank(f.basis) == 3
     assert min(f.distance(q) for f in families) < 1e-10
@@ -341,12 +404,16 @@ def test_more_freedoms_than_one():
 
 
 def test_families_for_which_an_answer_has_no_room():
-    """A spherical wrist given by angles about z, y, x, singular in all four postures of shoulder and elbow."""
+    """A spherical wrist given by angles about z, y, x, singular in all four postures of shoulder
+    and elbow.
+    """
     q = arms.arms()["ball_wrist"].random(2, 1)[0]
     q[4] = math.pi / 2
     a, X, families, _ = solved("ball_wrist", q)
     assert len(families) == 4 and min(f.distance(q) for f in families) < 1e-10
-    assert all(f.joints == ("j4.rz", "j4.rx") and reaches(a.system, f.q, X) < 1e-11 for f in families)
+    assert all(
+        f.joints == ("j4.rz", "j4.rx") and reaches(a.system, f.q, X) < 1e-11 for f in families
+    )
     assert {f.describe().split(" = ")[0] for f in families} == {"j4.rz + j4.rx", "j4.rz - j4.rx"}
 
 
@@ -362,11 +429,17 @@ NEAR = [("puma560", [4]), ("ur5", [4]), ("ur5", [2]), ("ur5", [2, 4]), ("anthrop
 @pytest.mark.slow
 @pytest.mark.parametrize("name,joints", some(NEAR, 3))
 def test_near_singular_targets_are_covered(name, joints):
-    """However near to singular: the configuration that made a target is an answer, or on a family of answers."""
+    """However near to singular: the configuration that made a target is an answer, or on a family
+    of answers.
+    """
     rng = np.random.default_rng(6)
     for exponent in np.arange(-15.0, -2.0):
         q = rng.uniform(-1.5, 1.5, 6)
-        q[joints] = 10.0**exponent * rng.choice([-1.0, 1.0], len(joints)) * rng.uniform(0.3, 1.0, len(joints))
+        q[joints] = (
+            10.0**exponent
+            * rng.choice([-1.0, 1.0], len(joints))
+            * rng.uniform(0.3, 1.0, len(joints))
+        )
         a, X, families, rows = solved(name, q)
         alone = [apart(x, q) for x, row in zip(a, rows, strict=True) if row < 0]
         assert min([*alone, *(f.distance(q) for f in families)]) < 2e-6, exponent
@@ -397,12 +470,16 @@ def test_two_links_out_of_reach(target):
     assert len(a) == 0 and position == pytest.approx(wanted, abs=1e-9) and angle == 0.0
     assert np.linalg.norm(s.fk(q, "tip")[:2, 3] - target) == pytest.approx(wanted, abs=1e-9)
     text = status(a, 0)
-    assert text.startswith(f"no solution: outside the workspace by at least {wanted:.6g} m, by the lengths of the lin")
+    assert text.startswith(
+        f"no solution: outside the workspace by at least {wanted:.6g} m, by the lengths of the lin"
+    )
     assert text.endswith(f"the closest configuration found misses it by {wanted:.6g} m")
 
 
 def test_a_direction_beyond_a_limit():
-    """One joint from -0.5 to 0.5 about x: the direction (0, 1, 0) is a right angle away from z, on the wrong side."""
+    """One joint from -0.5 to 0.5 about x: the direction (0, 1, 0) is a right angle away from z, on
+    the wrong side.
+    """
     m = kempe.Mechanism("head")
     b = m.body("b")
     m.revolute("A", m.ground, b, axis=(1, 0, 0), limits=(-0.5, 0.5))
@@ -412,7 +489,10 @@ def test_a_direction_beyond_a_limit():
     q, position, angle = nearest(a, 0)
     assert q[0] == pytest.approx(-0.5, abs=1e-12) and position == 0.0
     assert angle == pytest.approx(math.pi / 2 - 0.5, abs=1e-10)
-    assert f"none inside the limits (the nearest to them has 'A' {math.pi / 2 - 0.5:.6g} rad beyond" in status(a, 0)
+    assert (
+        f"none inside the limits (the nearest to them has 'A' {math.pi / 2 - 0.5:.6g} rad beyond"
+        in status(a, 0)
+    )
 
 
 def test_a_tilted_direction():
@@ -426,7 +506,10 @@ def test_a_tilted_direction():
     q, _, angle = nearest(a, 0)
     assert len(a) == 0 and angle == pytest.approx(0.2, abs=1e-9)
     assert q[0] == pytest.approx(-math.pi / 2, abs=1e-6)
-    assert "the chain has 1 joint, the task 2 equations: this target is not among those it can reach" in status(a, 0)
+    assert (
+        "the chain has 1 joint, the task 2 equations: this target is not among those it can reach"
+        in status(a, 0)
+    )
 
 
 def test_joints_that_are_held_stay():
@@ -448,11 +531,15 @@ def test_sentences_of_what_is_reached():
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     s = system("puma560")
     plain = "axes 4, 5, 6 meet in a point (closed form)"
-    assert status(s.ik_all(s.fk(q, "tool"), "tool"), 0) == f"8 solutions, all of them, 4 inside the limits: {plain}"
+    assert (
+        status(s.ik_all(s.fk(q, "tool"), "tool"), 0)
+        == f"8 solutions, all of them, 4 inside the limits: {plain}"
+    )
     q[4] = 0.0
     text = status(s.ik_all(s.fk(q, "tool"), "tool"), 0)
     assert text == (
-        "6 solutions, all of them, 3 inside the limits, and a family with one freedom: q4 + q6 = 1 while q5 = 0"
+        "6 solutions, all of them, 3 inside the limits, and a family with one freedom: q4 + q6 = 1 "
+        "while q5 = 0"
     )
     u = system("ur5")
     assert status(u.ik_all(u.fk([0.1, -0.7, 0.9, 0.4, 0.3, 0.6], "tool"), "tool"), 0) == (
@@ -461,16 +548,24 @@ def test_sentences_of_what_is_reached():
 
 
 def test_sentences_of_what_is_not():
-    """Puma: the wrist centre is d3 = 0.15005 from axis 1 at least; a2, (a3, d4) and d3 bound its distance."""
+    """Puma: the wrist centre is d3 = 0.15005 from axis 1 at least; a2, (a3, d4) and d3 bound its
+    distance.
+    """
     s = system("puma560")
     X = s.fk([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "tool")
     X[:3, 3] = 0.9, 0.0, 0.8
     over = math.hypot(0.9, 0.8) - math.hypot(0.4318 + math.hypot(0.4318, 0.0203), 0.15005)
     text = status(s.ik_all(X, "tool"), 0)
-    assert f"no angle of 'q3' brings the point where axes 4, 5, 6 meet to its distance: {over:.6g} m too far" in text
+    assert (
+        f"no angle of 'q3' brings the point where axes 4, 5, 6 meet to its distance: {over:.6g} m "
+        "too far" in text
+    )
     X[:3, 3] = 0.03, 0.04, 0.5
     text = status(s.ik_all(X, "tool"), 0)
-    assert "no angle of 'q1' brings the point where axes 4, 5, 6 meet to its height: 0.10005 m off" in text
+    assert (
+        "no angle of 'q1' brings the point where axes 4, 5, 6 meet to its height: 0.10005 m off"
+        in text
+    )
     assert "the closest configuration found inside the limits misses it by 0.10005 m" in text
 
 
@@ -478,13 +573,16 @@ def test_sentence_of_a_chain_with_few_joints():
     s = system("so101")
     X = s.fk([0.1, 0.2, 0.3, 0.4, 0.5], "tool")
     X[:3, 3] += 0.0, 0.02, 0.01
-    assert "the chain has 5 joints, the task 6 equations: this target is not among those it can reach" in status(
-        s.ik_all(X, "tool"), 0
+    assert (
+        "the chain has 5 joints, the task 6 equations: this target is not among those it can reach"
+        in status(s.ik_all(X, "tool"), 0)
     )
 
 
 def test_sentence_of_a_planar_system():
-    assert "outside the plane of the system by 0.1 m" in status(planar_arm(0.5, 0.5).ik_all([0.3, 0.2, 0.1], "tip"), 0)
+    assert "outside the plane of the system by 0.1 m" in status(
+        planar_arm(0.5, 0.5).ik_all([0.3, 0.2, 0.1], "tip"), 0
+    )
 
 
 def leg(lengths, knee):
@@ -503,11 +601,15 @@ def leg(lengths, knee):
 
 
 def test_a_double_root_at_a_limit_is_inside_it(hunt):
-    """A stretched leg whose knee ends there: rounding moves the two roots, which are one, beyond the limit."""
+    """A stretched leg whose knee ends there: rounding moves the two roots, which are one, beyond
+    the limit.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         end = rng.choice([0.0, np.pi])
-        system = leg(rng.uniform(0.2, 0.6, 2), (end, end + 2.0) if rng.random() < 0.5 else (end - 2.0, end))
+        system = leg(
+            rng.uniform(0.2, 0.6, 2), (end, end + 2.0) if rng.random() < 0.5 else (end - 2.0, end)
+        )
         q = rng.uniform(-1.0, 1.0, 6)
         q[3] = end
         answer = system.ik_all(system.fk(q, "sole"), "sole", limits=True)
@@ -519,7 +621,9 @@ def test_a_double_root_at_a_limit_is_inside_it(hunt):
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1000.0])
 def test_a_slide_at_its_limit_is_inside_it_whatever_the_size_of_the_arm(size, hunt):
-    """Rounding grows with the lengths: a slide of an arm of 1000 m was 1.07e-10 m beyond the limit at which it was."""
+    """Rounding grows with the lengths: a slide of an arm of 1000 m was 1.07e-10 m beyond the limit
+    at which it was.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         m = kempe.Mechanism()

@@ -1,4 +1,6 @@
-"""Long batteries of all inverse solutions: thousands of poses an arm, and the neighbourhood of singularities."""
+"""Long batteries of all inverse solutions: thousands of poses an arm, and the neighbourhood of
+singularities.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,9 @@ every_arm = pytest.mark.parametrize("name", part(ARMS))
 SQUARE = part(name for name, arm in ARMS.items() if square(arm))
 
 MISSED = {"randomPRRPRP_2": 20}
-"""Of 300 poses within 1e-12 to 1e-3 of a singularity those that may be missed, in answers that are not complete: next
-to a self-motion the slides run away a hundred metres. By the processor, whose rounding decides, 14 or 15 are."""
+"""Of 300 poses within 1e-12 to 1e-3 of a singularity those that may be missed, in answers that are
+not complete: next to a self-motion the slides run away a hundred metres. By the processor, whose
+rounding decides, 14 or 15 are."""
 
 
 @every_arm
@@ -48,7 +51,9 @@ def test_thousands_of_poses(name, where):
 
 @every_arm
 def test_as_many_as_newton_finds(name):
-    """Every solution that thousands of starts find is among the answers, and the answers are no fewer."""
+    """Every solution that thousands of starts find is among the answers, and the answers are no
+    fewer.
+    """
     arm = ARMS[name]
     q = arm.random(101, 8)
     X = arm.model.fk(q)
@@ -82,7 +87,9 @@ def test_near_singularities(name, hunt):
 
 @pytest.mark.parametrize("name", [n for n in SQUARE if n not in MISSED])
 def test_both_of_two_solutions_that_meet(name):
-    """Off a fold by 1e-5 to 1e-2 there are two solutions, both of which are listed, if rounding leaves them apart."""
+    """Off a fold by 1e-5 to 1e-2 there are two solutions, both of which are listed, if rounding
+    leaves them apart.
+    """
     arm = ARMS[name]
     sizes = 10.0 ** -np.arange(2, 6)
     theta, curve = near_singular(arm, 4, 20, sizes)
@@ -91,7 +98,9 @@ def test_both_of_two_solutions_that_meet(name):
         for one in group:
             X = arm.model.pose(one)
             centre = group[-1]
-            other, done = oracle.newton(arm.model, X, [2 * centre - one], arm.task, arm.axis, steps=80)
+            other, done = oracle.newton(
+                arm.model, X, [2 * centre - one], arm.task, arm.axis, steps=80
+            )
             answer = ask(arm, X)
             within = float(allowed(arm, one, False))
             assert nearest(arm, answer.q, one) < within
@@ -114,10 +123,14 @@ def test_gauges(name):
         assert_found(new, answer, wanted)
 
 
-@pytest.mark.parametrize("rows_", [arms.UR10E, arms.PUMA, arms.JACO, arms.TM5], ids=["ur10e", "puma", "jaco2", "tm5"])
+@pytest.mark.parametrize(
+    "rows_", [arms.UR10E, arms.PUMA, arms.JACO, arms.TM5], ids=["ur10e", "puma", "jaco2", "tm5"]
+)
 @pytest.mark.parametrize("size", [10.0**-k for k in range(2, 13)])
 def test_calibrated_arms(rows_, size):
-    """From a real calibration down to rounding: no size of the perturbation is a gap between two methods."""
+    """From a real calibration down to rounding: no size of the perturbation is a gap between two
+    methods.
+    """
     for seed in range(3):
         arm = arms.calibrated("calibrated", rows_, size, seed)
         q = arm.random(seed, 60)

@@ -1,4 +1,6 @@
-"""Derivatives of answers with respect to their targets, against finite differences of solving again."""
+"""Derivatives of answers with respect to their targets, against finite differences of solving
+again.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,14 @@ def moved(X: np.ndarray, twist: np.ndarray) -> np.ndarray:
     return spatial.pose(spatial.exp_so3(twist[3:]) @ X[:3, :3], X[:3, 3] + twist[:3])
 
 
-def difference(s: System, X: np.ndarray, q: np.ndarray, twist: np.ndarray, both: bool = True, **options) -> np.ndarray:
+def difference(
+    s: System, X: np.ndarray, q: np.ndarray, twist: np.ndarray, both: bool = True, **options
+) -> np.ndarray:
     """dq for a twist by solving again from q, on both sides or on one."""
-    ends = [s.ik(moved(X, h * twist), HAND, q, tolerance=1e-13, **options) for h in ((H, -H) if both else (H, 0.0))]
+    ends = [
+        s.ik(moved(X, h * twist), HAND, q, tolerance=1e-13, **options)
+        for h in ((H, -H) if both else (H, 0.0))
+    ]
     assert all(ends)
     return (ends[0].q - ends[1].q) / (2 * H if both else H)
 
@@ -71,7 +78,9 @@ def test_a_joint_at_its_limit_stays(panda):
             if abs(outwards @ e) > 1e-3:
                 twist = e * np.sign(outwards @ e)
                 dq = difference(panda, X, q, twist, both=False)
-                np.testing.assert_allclose(dq, D @ twist, atol=1e-3 * max(1.0, np.abs(D).max() ** 2))
+                np.testing.assert_allclose(
+                    dq, D @ twist, atol=1e-3 * max(1.0, np.abs(D).max() ** 2)
+                )
                 checked += 1
     assert checked > 6
 
@@ -94,7 +103,9 @@ def test_tasks_that_ask_for_less(panda, task):
         np.testing.assert_allclose(D[:, k], difference(panda, X, q, e, **options), atol=1e-3)
     a = X[:3, :3] @ np.array(axis) / np.linalg.norm(axis)
     if task == "direction":
-        np.testing.assert_allclose(D @ [0, 0, 0, *a], 0.0, atol=1e-12)  # a turn about the axis asks for nothing
+        np.testing.assert_allclose(
+            D @ [0, 0, 0, *a], 0.0, atol=1e-12
+        )  # a turn about the axis asks for nothing
 
 
 def test_it_is_that_of_all_solutions(six):

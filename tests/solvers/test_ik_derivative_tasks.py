@@ -1,4 +1,6 @@
-"""Derivatives of answers to tasks with respect to their goals, against finite differences of solving again."""
+"""Derivatives of answers to tasks with respect to their goals, against finite differences of
+solving again.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,12 @@ def moved(X: np.ndarray, twist: np.ndarray) -> np.ndarray:
     return spatial.pose(spatial.exp_so3(twist[3:]) @ X[:3, :3], X[:3, 3] + twist[:3])
 
 
-def again(s: System, make: Make, q: np.ndarray, step: float, direction: np.ndarray, **options) -> np.ndarray:
-    """dq along a direction, by solving again from q on both sides, at two distances (Richardson, 1911)."""
+def again(
+    s: System, make: Make, q: np.ndarray, step: float, direction: np.ndarray, **options
+) -> np.ndarray:
+    """dq along a direction, by solving again from q on both sides, at two distances (Richardson,
+    1911).
+    """
 
     def difference(h: float) -> np.ndarray:
         ends = [s.ik(make(x * h * direction), start=q, **TIGHT, **options) for x in (1.0, -1.0)]
@@ -33,7 +39,9 @@ def again(s: System, make: Make, q: np.ndarray, step: float, direction: np.ndarr
     return (4.0 * difference(step / 2.0) - difference(step)) / 3.0
 
 
-def check(s: System, make: Make, q: np.ndarray, n: int, step=1e-3, atol=1e-6, label=None, **options) -> np.ndarray:
+def check(
+    s: System, make: Make, q: np.ndarray, n: int, step=1e-3, atol=1e-6, label=None, **options
+) -> np.ndarray:
     """The derivative of a task's answer for the n directions that `make` takes."""
     answer = s.ik(make(np.zeros(n)), start=q, **TIGHT, **options)
     assert answer.success, answer.status
@@ -100,12 +108,19 @@ def test_numbers_and_other_frames():
     s = kempe.load("panda")
     q = s.mid + 0.2
     far = float(np.linalg.norm(s.fk(q, HAND)[:3, 3]))
-    D = check(s, lambda t: [tasks.OnSphere(HAND, t[:3], far + t[6])], q, 7, prefer="nearest", atol=1e-5)
+    D = check(
+        s, lambda t: [tasks.OnSphere(HAND, t[:3], far + t[6])], q, 7, prefer="nearest", atol=1e-5
+    )
     assert D.shape == (7, 7) and not D[:, 3:6].any()
     X = spatial.inverse(s.fk(q, "panda_link1")) @ s.fk(q, HAND)
     relative = lambda t: [tasks.RelativePose(HAND, "panda_link1", moved(X, t))]  # noqa: E731
     check(s, relative, q, 6, prefer="nearest", atol=1e-4)
-    bend = lambda t: [tasks.Posture({"panda_joint2": 0.3 + t[0], "panda_joint4": t[1] - 1.5}, weight=None)]  # noqa: E731
+
+    def bend(t):
+        return [
+            tasks.Posture({"panda_joint2": 0.3 + t[0], "panda_joint4": t[1] - 1.5}, weight=None)
+        ]
+
     D = check(s, bend, q, 2)
     np.testing.assert_allclose(D[[1, 3]], np.eye(2), atol=1e-9)
 
@@ -115,7 +130,9 @@ def test_quaternions():
     q = s.assemble().q
     i = s.coordinate_names.index("S1.qw")
     names = s.coordinate_names[i : i + 4]
-    held = s.ik(tasks.Posture(dict(zip(names, q[i : i + 4], strict=True)), weight=None), start=q, **TIGHT)
+    held = s.ik(
+        tasks.Posture(dict(zip(names, q[i : i + 4], strict=True)), weight=None), start=q, **TIGHT
+    )
     D = held.derivative[next(iter(held.derivative))]
     v = (
         s.structure.velocity_names.index("S1.wx")
@@ -176,7 +193,9 @@ def test_inequalities_at_their_bound_hold():
     D = answer.derivative
     np.testing.assert_allclose(D["HalfSpace of 'v'"][:, :2], [[1.0, 0.0], [0.0, 0.0]], atol=1e-6)
     np.testing.assert_allclose(D["Position of 'v'"][:, :2], [[0.0, 0.0], [0.0, 1.0]], atol=1e-6)
-    inside = s.ik([tasks.HalfSpace("v", [3.0, 0.0], [-1.0, 0.0]), wish], start=[0.0, 0.0]).derivative
+    inside = s.ik(
+        [tasks.HalfSpace("v", [3.0, 0.0], [-1.0, 0.0]), wish], start=[0.0, 0.0]
+    ).derivative
     assert not inside["HalfSpace of 'v'"].any()
     np.testing.assert_allclose(inside["Position of 'v'"][:, :2], np.eye(2), atol=1e-6)
 

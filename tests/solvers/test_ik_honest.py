@@ -1,4 +1,6 @@
-"""What the numerical inverse model claims: tolerances, reasons, answers that depend on nothing but the question."""
+"""What the numerical inverse model claims: tolerances, reasons, answers that depend on nothing but
+the question.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from kempe.status import Status
 
 @pytest.mark.parametrize("name, limit", [("so101", 0.05), ("youbot", 0.05)])
 def test_a_loose_tolerance_is_used_where_the_target_itself_cannot_be_reached(name, limit):
-    """Five joints, poses turned off what they reach: the configuration they were made from is within the tolerance."""
+    """Five joints, poses turned off what they reach: the configuration they were made from is
+    within the tolerance.
+    """
     robot = kempe.load(name)
     frame = robot.frame_names[-1]
     q = robot.random(0, 60)
@@ -106,7 +110,11 @@ def test_a_joint_with_whole_turns_is_never_blamed():
     s = m.build().ik([0.0, 0.7], "tip")
     assert s.code in (Status.NOT_FOUND, Status.OUT_OF_REACH) and "'table'" not in s.status
     inner = m.build().ik([0.0, 0.1], "tip")
-    assert inner.code == Status.NOT_FOUND and "blocked by the limit of 'slide' (all 2" in inner.status and inner.proven
+    assert (
+        inner.code == Status.NOT_FOUND
+        and "blocked by the limit of 'slide' (all 2" in inner.status
+        and inner.proven
+    )
 
 
 def test_a_pose_off_the_plane_is_said_to_be():
@@ -119,7 +127,9 @@ def test_a_pose_off_the_plane_is_said_to_be():
 
 @pytest.mark.parametrize("height, out", [(0.4, 0.1), (0.0, 1e-3), (2.0, 0.5)])
 def test_columns_do_not_weaken_the_proof(height, out):
-    """An arm on a column: the shoulder is as far as the axis leaves the point alone, and all that counts."""
+    """An arm on a column: the shoulder is as far as the axis leaves the point alone, and all that
+    counts.
+    """
     m = Mechanism("on a column")
     m.revolute("pan", m.ground, m.body("column"), axis=(0, 0, 1))
     m.revolute("lift", "column", m.body("upper"), at=(0, 0, height), axis=(0, 1, 0))
@@ -150,7 +160,9 @@ def test_wrong_input_blames_what_is_wrong():
             robot.ik(words, "tool", task=task)
     Y = X.copy()
     Y[0, 3] = 1e155
-    with pytest.raises(InputError, match=r"its entry \[0, 3\] is 1e\+155; its size must be below 1e\+100"):
+    with pytest.raises(
+        InputError, match=r"its entry \[0, 3\] is 1e\+155; its size must be below 1e\+100"
+    ):
         robot.ik(Y, "tool")
     for _ in range(2):
         with pytest.raises(InputError, match=r"start\['q1'\] is (nan|inf); it must be finite"):
@@ -180,7 +192,10 @@ def test_a_path_with_restarts_begins_where_it_can():
     p = np.stack([np.linspace(2.2, 1.2, 11), np.full(11, 0.1)], axis=1)
     path = robot.ik_path(p, "tip", restart=True)
     reachable = np.linalg.norm(p, axis=1) < 1.7
-    assert np.array_equal(path.success, reachable) and "no answer was found for targets 0 to" in path.status
+    assert (
+        np.array_equal(path.success, reachable)
+        and "no answer was found for targets 0 to" in path.status
+    )
     assert not robot.ik_path(p, "tip").success.any()
 
 
@@ -198,7 +213,9 @@ def test_joints_without_room_have_no_derivative():
     assert s.success and not s.derivative.any()
 
 
-@pytest.mark.parametrize("task, m", [("pose", 6), ("position", 3), ("position_axis", 5), ("orientation", 3)])
+@pytest.mark.parametrize(
+    "task, m", [("pose", 6), ("position", 3), ("position_axis", 5), ("orientation", 3)]
+)
 def test_freedoms_that_a_target_leaves_are_counted(task, m):
     """The lecture's m and n: rank and null space are those of the Jacobian's rows that count."""
     robot = kempe.load("panda")
@@ -221,7 +238,9 @@ def test_freedoms_that_a_target_leaves_are_counted(task, m):
 @pytest.mark.parametrize("size", [1.0, 1e-3])
 @pytest.mark.parametrize("gap", [3e-8, 3e-7, 3e-5])
 def test_a_near_miss_is_said_to_be_one(size, gap):
-    """Beyond the reach of an arm whose links do not lie on one line, so that their lengths prove nothing."""
+    """Beyond the reach of an arm whose links do not lie on one line, so that their lengths prove
+    nothing.
+    """
     m = Mechanism("arm")
     m.revolute("yaw", m.ground, m.body("base"), axis=(0, 0, 1))
     m.revolute("shoulder", "base", m.body("upper"), axis=(0, 1, 0))
@@ -235,6 +254,10 @@ def test_a_near_miss_is_said_to_be_one(size, gap):
     if gap > 1e-6:
         assert "no configuration was found" in status and "ended early" not in status
     else:
-        reason = "at so small a scale" if size < 1.0 else "or the target is just outside the workspace"
-        assert f"the search came within {gap:.0e} m" in status and "it may have ended early" in status
+        reason = (
+            "at so small a scale" if size < 1.0 else "or the target is just outside the workspace"
+        )
+        assert (
+            f"the search came within {gap:.0e} m" in status and "it may have ended early" in status
+        )
         assert reason in status and "no configuration was found" not in status

@@ -1,4 +1,6 @@
-"""The inverse model of one frame: tasks, the rule by which a start is chosen, plain calls; batteries."""
+"""The inverse model of one frame: tasks, the rule by which a start is chosen, plain calls;
+batteries.
+"""
 
 from __future__ import annotations
 
@@ -59,9 +61,10 @@ def angles(A, B, axis=None):
 
 
 ROBOTS = {
-    "so101": lambda: (kempe.load("so101"), None), "panda": lambda: (kempe.load("panda"), None),
+    "so101": lambda: (kempe.load("so101"), None),
+    "panda": lambda: (kempe.load("panda"), None),
     "gantry": lambda: (gantry(), "tip"),
-}  # fmt: skip
+}
 
 
 def robot_of(name):
@@ -72,7 +75,9 @@ def robot_of(name):
 def inside(robot, q):
     at_q = robot.structure.layout.vector_q
     at_v = robot.structure.layout.vector_v
-    return bool((q[..., at_q] >= robot.lower[at_v]).all() and (q[..., at_q] <= robot.upper[at_v]).all())
+    return bool(
+        (q[..., at_q] >= robot.lower[at_v]).all() and (q[..., at_q] <= robot.upper[at_v]).all()
+    )
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -113,7 +118,9 @@ def test_tasks_by_other_targets():
     assert s.success and np.abs(robot.fk(s.q, frame)[:3, :3] - X[:3, :3]).max() < 2e-6
     planar = snake(5)
     s = planar.ik([0.3, 0.2, 0.0, 1.0], "tip", task=("position_axis", (1, 0, 0)))
-    assert s.success and np.allclose(planar.fk(s.q, "tip")[:2, [0, 3]], [[0.0, 0.3], [1.0, 0.2]], atol=2e-6)
+    assert s.success and np.allclose(
+        planar.fk(s.q, "tip")[:2, [0, 3]], [[0.0, 0.3], [1.0, 0.2]], atol=2e-6
+    )
 
 
 def test_five_joints_point_where_they_cannot_pose():
@@ -138,7 +145,10 @@ def test_arguments_are_checked():
         robot.ik(X[:3, 3], frame, task="pose")
     with pytest.raises(InputError, match="not all zero"):
         robot.ik(X, frame, task=("direction", (0, 0, 0)))
-    assert robot.ik(X, frame, task="position").q.tolist() == robot.ik(X, frame, task="position").q.tolist()
+    assert (
+        robot.ik(X, frame, task="position").q.tolist()
+        == robot.ik(X, frame, task="position").q.tolist()
+    )
 
 
 @pytest.mark.parametrize("task", ["direction", "position_axis", "orientation"])
@@ -147,7 +157,9 @@ def test_exact_solutions_answer_tasks_too(task):
     X = robot.fk(robot.random(1, 30), "tool")
     s = robot.ik(X, "tool", task=(task, (1, 0, 1)), method="auto")
     Y = robot.fk(s.q, "tool")
-    assert s.success.all() and angles(X, Y, None if task == "orientation" else (1, 0, 1)).max() < 1e-6
+    assert (
+        s.success.all() and angles(X, Y, None if task == "orientation" else (1, 0, 1)).max() < 1e-6
+    )
 
 
 # ---- which start is chosen
@@ -156,7 +168,9 @@ def test_exact_solutions_answer_tasks_too(task):
 def test_a_seed_that_leads_to_the_target_is_the_answer():
     robot, frame = robot_of("panda")
     q = robot.random(1, 200)
-    near = np.clip(q + np.random.default_rng(0).uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
+    near = np.clip(
+        q + np.random.default_rng(0).uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper
+    )
     X = robot.fk(q, frame)
     s = robot.ik(X, frame, start=near)
     alone = robot.ik(X, frame, start=near, budget=kempe.Budget(starts=1))
@@ -173,7 +187,11 @@ def test_plain_calls_are_answered_as_careful_ones():
     first = robot.ik(X[0], frame)
     again = robot.ik(X[0], frame)
     assert (frame, None, 2) in robot._queries
-    assert np.array_equal(first.q, many.q[0]) and np.array_equal(again.q, first.q) and again.success is True
+    assert (
+        np.array_equal(first.q, many.q[0])
+        and np.array_equal(again.q, first.q)
+        and again.success is True
+    )
     for X_, q in zip(X, robot.random(1, 30), strict=True):
         short = robot.ik(X_, frame, start=q)
         careful = robot.ik(X_.tolist(), frame, start=list(q))
@@ -196,7 +214,9 @@ def test_plain_calls_for_points_are_answered_as_careful_ones(options):
         for p_, q in zip(p, robot.random(1, 30), strict=True):
             for seed in (None, q, q + 40.0):
                 short = robot.ik(p_, frame, seed, **options)
-                careful = robot.ik(p_.tolist(), frame, None if seed is None else seed.tolist(), **options)
+                careful = robot.ik(
+                    p_.tolist(), frame, None if seed is None else seed.tolist(), **options
+                )
                 assert np.array_equal(short.q, careful.q) and short.status == careful.status
                 assert (short.iterations, short.residual) == (careful.iterations, careful.residual)
                 assert short and inside(robot, short.q)
@@ -276,8 +296,14 @@ def test_the_width_of_the_vectors_does_not_decide(tmp_path):
     """The same starts reach the goals with four lanes as with eight."""
     path = tmp_path / "four.npz"
     pytest.importorskip("numba")
-    narrow = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma", "KEMPE_KERNELS": "jit"}
-    subprocess.run([sys.executable, "-c", SCRIPT, str(path)], check=True, env={**os.environ, **narrow})
+    narrow = {
+        "NUMBA_CPU_NAME": "haswell",
+        "NUMBA_CPU_FEATURES": "+avx2,+fma",
+        "KEMPE_KERNELS": "jit",
+    }
+    subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(path)], check=True, env={**os.environ, **narrow}
+    )
     four = np.load(path)
     (robot, frame) = robot_of("panda")
     own = robot.ik(robot.fk(robot.random(1, 300), frame), frame)
@@ -289,15 +315,24 @@ def test_the_width_of_the_vectors_does_not_decide(tmp_path):
 # ---- batteries
 
 ARMS = {
-    "panda": ("panda.urdf", "panda_hand_tcp"), "ur5": ("ur5_robot.urdf", "tool0"), "ur10": ("ur10_robot.urdf", "tool0"),
-    "ur5 limited": ("ur5_joint_limited_robot.urdf", "tool0"), "talos": ("talos_reduced.urdf", "gripper_left_base_link"),
-    "icub": ("icub.urdf", "r_hand"), "tiago": ("tiago.urdf", "arm_tool_link"), "romeo": ("romeo.urdf", "r_wrist"),
-    "g1": ("g1_29dof_rev_1_0.urdf", "right_rubber_hand"), "so101": ("so101.urdf", "gripper_frame_link"),
-}  # fmt: skip
+    "panda": ("panda.urdf", "panda_hand_tcp"),
+    "ur5": ("ur5_robot.urdf", "tool0"),
+    "ur10": ("ur10_robot.urdf", "tool0"),
+    "ur5 limited": ("ur5_joint_limited_robot.urdf", "tool0"),
+    "talos": ("talos_reduced.urdf", "gripper_left_base_link"),
+    "icub": ("icub.urdf", "r_hand"),
+    "tiago": ("tiago.urdf", "arm_tool_link"),
+    "romeo": ("romeo.urdf", "r_wrist"),
+    "g1": ("g1_29dof_rev_1_0.urdf", "right_rubber_hand"),
+    "so101": ("so101.urdf", "gripper_frame_link"),
+}
 OURS = {
-    "iiwa": lambda: kempe.load("iiwa14"), "snake10": lambda: snake(10), "snake20": lambda: snake(20),
-    "snake40": lambda: snake(40), "gantry": gantry,
-}  # fmt: skip
+    "iiwa": lambda: kempe.load("iiwa14"),
+    "snake10": lambda: snake(10),
+    "snake20": lambda: snake(20),
+    "snake40": lambda: snake(40),
+    "gantry": gantry,
+}
 BATTERY = 10_000
 
 
@@ -305,7 +340,12 @@ def at_limits(robot, frame, q, rng):
     """Half of the chain's joints exactly at a limit, of those that have limits."""
     rows = robot.structure.table.path(frame)
     v = np.array(sorted({int(robot.structure.table.iv[k]) for k in rows}))
-    at = np.array([int(robot.structure.table.iq[next(k for k in rows if robot.structure.table.iv[k] == i)]) for i in v])
+    at = np.array(
+        [
+            int(robot.structure.table.iq[next(k for k in rows if robot.structure.table.iv[k] == i)])
+            for i in v
+        ]
+    )
     low = robot.lower[v]
     high = robot.upper[v]
     low = np.where(np.isfinite(low), low, -np.pi)
@@ -325,8 +365,11 @@ def pinocchio(path, frame):
 
     def poses(robot, q):
         index = {n: i for i, n in enumerate(robot.coordinate_names)}
-        joints = [(index[model.names[j]], model.joints[j].idx_q, model.joints[j].nq)
-                  for j in range(1, model.njoints) if model.names[j] in index]  # fmt: skip
+        joints = [
+            (index[model.names[j]], model.joints[j].idx_q, model.joints[j].nq)
+            for j in range(1, model.njoints)
+            if model.names[j] in index
+        ]
         out = np.empty((len(q), 4, 4))
         x = pin.neutral(model)
         for row, configuration in enumerate(q):
@@ -343,7 +386,9 @@ def pinocchio(path, frame):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*ARMS, *OURS])
 def test_battery(name):
-    """All reachable targets are found, at the limits all but one in a thousand; none is falsely said to be reached."""
+    """All reachable targets are found, at the limits all but one in a thousand; none is falsely
+    said to be reached.
+    """
     if name in ARMS:
         if not DATA:
             pytest.skip("example-robot-data is not installed")
@@ -354,11 +399,17 @@ def test_battery(name):
     else:
         robot = OURS[name]()
         frame = robot.frame_names[-1]
-        poses = lambda robot, q: robot.fk(q, robot.frame_names[-1])
+
+        def poses(robot, q):
+            return robot.fk(q, robot.frame_names[-1])
+
     axis = (1.0, 2.0, -0.5) if name == "so101" else None
     options = {"task": ("position_axis", axis)} if axis else {}
     q = robot.random(1, BATTERY)
-    for configurations, share in ((q, 1.0), (at_limits(robot, frame, q, np.random.default_rng(0)), 0.999)):
+    for configurations, share in (
+        (q, 1.0),
+        (at_limits(robot, frame, q, np.random.default_rng(0)), 0.999),
+    ):
         X = poses(robot, configurations)
         s = robot.ik(X, frame, **options)
         Y = poses(robot, s.q)
@@ -373,7 +424,11 @@ def test_battery(name):
 def test_plain_calls_take_what_the_first_call_takes(kind, task):
     """The same answer or the same error, whether or not a bound form was made."""
     robot, frame = robot_of("panda")
-    target = robot.fk(robot.random(4), frame) if task is None else robot.fk(robot.random(4), frame)[:3, 3]
+    target = (
+        robot.fk(robot.random(4), frame)
+        if task is None
+        else robot.fk(robot.random(4), frame)[:3, 3]
+    )
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         odd = (target * (1 + 1j) if kind is complex else target).astype(kind)

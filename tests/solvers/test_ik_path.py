@@ -1,4 +1,6 @@
-"""Paths that follow targets, against Pinocchio and against arms whose limits, jumps and ends are known by hand."""
+"""Paths that follow targets, against Pinocchio and against arms whose limits, jumps and ends are
+known by hand.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def test_a_straight_line_with_a_turn_is_followed_on_target():
     start = np.array([0.3, -1.2, 1.5, -0.9, -1.4, 0.2])
     X = robot.fk(start, "tool0")
     s = np.linspace(0.0, 1.0, 41)[:, None]
-    targets = spatial.pose(X[:3, :3] @ spatial.exp_so3(s * [0.5, -0.8, 0.4]), X[:3, 3] + s * [-0.2, 0.35, 0.1])
+    targets = spatial.pose(
+        X[:3, :3] @ spatial.exp_so3(s * [0.5, -0.8, 0.4]), X[:3, 3] + s * [-0.2, 0.35, 0.1]
+    )
     p = robot.ik_path(targets, "tool0", start)
     assert p and p.success.all() and p.jumps == () and len(p) == 41
     np.testing.assert_allclose(p.q[0], start, atol=1e-9)
@@ -43,10 +47,17 @@ def test_a_straight_line_with_a_turn_is_followed_on_target():
         pin.framesForwardKinematics(model, data, q)
         np.testing.assert_allclose(data.oMf[number].homogeneous, target, atol=1e-9)
     J = robot.jacobian(p.q[:-1], "tool0")
-    twist = np.concatenate([np.diff(targets[:, :3, 3], axis=0), spatial.log_so3(
-        targets[1:, :3, :3] @ np.swapaxes(targets[:-1, :3, :3], 1, 2))], axis=1)  # fmt: skip
+    twist = np.concatenate(
+        [
+            np.diff(targets[:, :3, 3], axis=0),
+            spatial.log_so3(targets[1:, :3, :3] @ np.swapaxes(targets[:-1, :3, :3], 1, 2)),
+        ],
+        axis=1,
+    )
     ahead = np.linalg.solve(J, twist[..., None])[..., 0]
-    assert np.abs(np.diff(p.q, axis=0) - ahead).max() < 0.1 * np.abs(ahead).max()  # each step is its first order
+    assert (
+        np.abs(np.diff(p.q, axis=0) - ahead).max() < 0.1 * np.abs(ahead).max()
+    )  # each step is its first order
 
 
 def test_free_joints_turn_on_and_on():
@@ -54,7 +65,9 @@ def test_free_joints_turn_on_and_on():
     beta = elbow(1.2)
     p = planar_arm(1.0, 1.0).ik_path(circle(1.2, angles), "tip", [-beta / 2, beta])
     assert p
-    np.testing.assert_allclose(p.q, np.stack([angles - beta / 2, np.full(60, beta)], axis=1), atol=1e-9)
+    np.testing.assert_allclose(
+        p.q, np.stack([angles - beta / 2, np.full(60, beta)], axis=1), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("limit", [2.5, 2.0 * math.pi])
@@ -71,13 +84,21 @@ def test_a_circle_that_leaves_the_range_of_a_joint_jumps_where_it_does(limit):
     np.testing.assert_allclose(p.q[: last + 1, 0], angles[: last + 1] - beta / 2, atol=1e-9)
     part = (limit + beta / 2 - angles[last]) / (angles[1] - angles[0])
     said = float(p.status.split("stops ")[1].split("%")[0]) / 100
-    assert abs(said - part) < 0.01 and "at the limit of 'q1'" in p.status and "by a jump of" in p.status
+    assert (
+        abs(said - part) < 0.01
+        and "at the limit of 'q1'" in p.status
+        and "by a jump of" in p.status
+    )
     again = s.ik_path(circle(1.2, angles), "tip", [-beta / 2, beta], restart=True)
     assert again.success[last + 1] and again.jumps[0] == last + 1 and not again
     good = again.success
-    np.testing.assert_allclose(s.fk(again.q[good], "tip")[:, :2, 3], circle(1.2, angles)[good], atol=1e-9)
+    np.testing.assert_allclose(
+        s.fk(again.q[good], "tip")[:, :2, 3], circle(1.2, angles)[good], atol=1e-9
+    )
     jumped = np.abs(np.diff(again.q, axis=0)).max(axis=1) > 0.3
-    assert jumped[last] and np.all(good[1:][jumped] & np.isin(np.arange(1, 200)[jumped], again.jumps))
+    assert jumped[last] and np.all(
+        good[1:][jumped] & np.isin(np.arange(1, 200)[jumped], again.jumps)
+    )
 
 
 @pytest.mark.parametrize("restart", [False, True])
@@ -90,17 +111,27 @@ def test_the_edge_of_the_workspace_is_a_singularity(restart):
 
 
 def test_a_path_begins_at_a_singularity():
-    """From the stretched arm inwards joint steps go with the square root of the way: fast, but no jump."""
+    """From the stretched arm inwards joint steps go with the square root of the way: fast, but no
+    jump.
+    """
     line = np.linspace([2.0, 0.0], [1.0, 0.0], 30)
     p = planar_arm(1.0, 1.0).ik_path(line, "tip", [0.0, 0.0])
     assert p, p.status
-    np.testing.assert_allclose(np.abs(p.q[:, 1]), [elbow(r) if r < 2.0 else 0.0 for r in line[:, 0]], atol=1e-5)
+    np.testing.assert_allclose(
+        np.abs(p.q[:, 1]), [elbow(r) if r < 2.0 else 0.0 for r in line[:, 0]], atol=1e-5
+    )
 
 
 def test_a_wrist_goes_straight_through_its_singularity():
-    """Targets of a motion in which the middle axis of a spherical wrist passes zero, which samples step over."""
+    """Targets of a motion in which the middle axis of a spherical wrist passes zero, which samples
+    step over.
+    """
     m = Mechanism("wrist")
-    for before, body, axis in (("ground", "1", (0, 0, 1)), ("1", "2", (0, 1, 0)), ("2", "3", (0, 0, 1))):
+    for before, body, axis in (
+        ("ground", "1", (0, 0, 1)),
+        ("1", "2", (0, 1, 0)),
+        ("2", "3", (0, 0, 1)),
+    ):
         m.revolute(f"j{body}", before, m.body(body), axis=axis)
     s = m.build()
     t = np.linspace(-1.0, 1.0, 30)
@@ -111,13 +142,18 @@ def test_a_wrist_goes_straight_through_its_singularity():
 
 
 def test_a_limited_elbow_cannot_pass_to_the_other_side():
-    """Touching the edge of the workspace and coming back changes the elbow only where limits let it."""
+    """Touching the edge of the workspace and coming back changes the elbow only where limits let
+    it.
+    """
     beta = elbow(1.6)
     p = planar_arm(1.0, 1.0, limits=[None, (0.3, 3.0)]).ik_path(
         np.linspace([1.6, 0.0], [1.99, 0.0], 40), "tip", [-beta / 2, beta]
     )
     farthest = 2.0 * math.cos(0.15)  # the reach with the elbow at its limit
-    assert p.success.sum() == np.sum(np.linspace(1.6, 1.99, 40) <= farthest) and "the limit of 'q2'" in p.status
+    assert (
+        p.success.sum() == np.sum(np.linspace(1.6, 1.99, 40) <= farthest)
+        and "the limit of 'q2'" in p.status
+    )
 
 
 def test_branches_choose_the_start_that_gets_farthest():
@@ -160,18 +196,24 @@ def test_bad_input_is_refused_and_no_start_is_said():
     p = s.ik_path([[3.0, 0.0], [1.0, 0.0]], "tip")
     assert not p.success.any() and "target 0" in p.status
     refused = [
-        ([1.0, 0.0], {}), ([[1.0, 0.0], [np.nan, 0.0]], {}), ([[1.0, 0.0]], {"max_step": 0.0}),
+        ([1.0, 0.0], {}),
+        ([[1.0, 0.0], [np.nan, 0.0]], {}),
+        ([[1.0, 0.0]], {"max_step": 0.0}),
         ([[1.0, 0.0]], {"start": [[0.0, 1.0]] * 2}),
-    ]  # fmt: skip
+    ]
     for targets, options in refused:
         with pytest.raises(InputError):
             s.ik_path(targets, "tip", **options)
 
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("name", "frame"), [("iiwa14", "tool"), ("panda", "panda_hand_tcp"), ("gen3", "tool")])
+@pytest.mark.parametrize(
+    ("name", "frame"), [("iiwa14", "tool"), ("panda", "panda_hand_tcp"), ("gen3", "tool")]
+)
 def test_lines_of_joints_of_redundant_arms_are_followed(name, frame, every):
-    """Targets of a straight line of joints inside the limits: a continuous answer exists, and no status denies it."""
+    """Targets of a straight line of joints inside the limits: a continuous answer exists, and no
+    status denies it.
+    """
     system = kempe.load(name)
     followed = 0
     for k in range(0, 30, every):
@@ -189,15 +231,21 @@ def test_lines_of_joints_of_redundant_arms_are_followed(name, frame, every):
             B = X[big + 1]
             s = np.linspace(0, 1, 129)[:, None]
             turn = spatial.exp_so3(s * spatial.log_so3(A[:3, :3].T @ B[:3, :3]))
-            fine = system.ik_path(spatial.pose(A[:3, :3] @ turn, A[:3, 3] + s * (B - A)[:3, 3]), frame, p.q[big])
-            assert fine and np.abs(np.diff(fine.q, axis=0)).max() < 0.2, "its largest step is followed in small ones"
+            fine = system.ik_path(
+                spatial.pose(A[:3, :3] @ turn, A[:3, 3] + s * (B - A)[:3, 3]), frame, p.q[big]
+            )
+            assert fine and np.abs(np.diff(fine.q, axis=0)).max() < 0.2, (
+                "its largest step is followed in small ones"
+            )
         else:
             assert "whether a way without a jump exists is not known" in p.status
     assert followed >= (28 if every == 1 else 4)
 
 
 def test_an_ik_path_names_the_constraint_that_the_targets_leave(hunt):
-    """The tip of an arm is on a rail; targets beside it are refused by the rail's name, not by a singularity."""
+    """The tip of an arm is on a rail; targets beside it are refused by the rail's name, not by a
+    singularity.
+    """
     rng = hunt.rng()
     m = planar_arm(0.4, 0.4, 0.4, 0.3).mechanism
     m.constrain(kempe.constraints.OnLine("tip", [0, 0.5], [1, 0]), "rail")

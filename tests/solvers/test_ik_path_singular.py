@@ -1,4 +1,6 @@
-"""Paths through singularities and at limits, against the joint motions that the targets were made of."""
+"""Paths through singularities and at limits, against the joint motions that the targets were made
+of.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def tip(system: System) -> str:
 
 
 def line(system: System, rng: np.random.Generator, count: int, middle: float = 0.0) -> np.ndarray:
-    """A straight line (count, 6) of joints inside the limits, the fifth through the middle of a wrist."""
+    """A straight line (count, 6) of joints inside the limits, the fifth through the middle of a
+    wrist.
+    """
     a = system.random(rng)
     b = system.random(rng)
     a[4] = middle - 0.8
@@ -73,7 +77,9 @@ def test_uneven_samples_and_targets_that_stay_are_followed():
 
 @pytest.mark.parametrize("name", ["puma560", "ur5", "irb6640"])
 def test_rounded_targets_are_followed_within_a_tolerance(robots, name):
-    """Rounded by 0.05 mm, a target at a singularity asks for a turn of the wrist that the next one takes back."""
+    """Rounded by 0.05 mm, a target at a singularity asks for a turn of the wrist that the next one
+    takes back.
+    """
     s = robots[name]
     rng = np.random.default_rng(5)
     for _ in range(8):
@@ -87,7 +93,9 @@ def test_rounded_targets_are_followed_within_a_tolerance(robots, name):
 
 
 def followed_or_ended(robots, hunt, cases: int) -> None:
-    """Half the motions stay inside the limits and are followed; half leave one, and the path ends where they do."""
+    """Half the motions stay inside the limits and are followed; half leave one, and the path ends
+    where they do.
+    """
     rng = hunt.rng()
     ends = 0
     for _ in range(cases):
@@ -137,10 +145,16 @@ def two_arms() -> System:
     m.revolute("torso", "ground", m.body("chest"), axis=(0, 0, 1), limits=(-0.5, 0.5))
     for side, y in (("l", 0.2), ("r", -0.2)):
         before = "chest"
-        for k, (axis, at) in enumerate((
-            ((0, 0, 1), (0, y, 0.5)), ((0, 1, 0), (0.1, 0, 0)), ((0, 1, 0), (0.4, 0, 0)), ((1, 0, 0), (0.3, 0, 0)),
-            ((0, 1, 0), (0.1, 0, 0)), ((1, 0, 0), (0.1, 0, 0)),
-        )):  # fmt: skip
+        for k, (axis, at) in enumerate(
+            (
+                ((0, 0, 1), (0, y, 0.5)),
+                ((0, 1, 0), (0.1, 0, 0)),
+                ((0, 1, 0), (0.4, 0, 0)),
+                ((1, 0, 0), (0.3, 0, 0)),
+                ((0, 1, 0), (0.1, 0, 0)),
+                ((1, 0, 0), (0.1, 0, 0)),
+            )
+        ):
             body = m.body(f"{side}{k}")
             m.revolute(f"{side}_{k}", before, body, axis=axis, at=at, limits=(-2.0, 2.0))
             before = body
@@ -162,7 +176,9 @@ def test_a_new_start_leaves_the_other_arm_alone(branches):
         targets[:, :3, 3] += np.linspace(0.0, 1.0, 12)[:, None] * (goal[:3, 3] - targets[0, :3, 3])
         p = s.ik_path(targets, "r_hand", q, restart=True, branches=branches)
         jumps += len(p.jumps)
-        np.testing.assert_array_equal(p.q[p.success][:, other], np.tile(q[other], (p.success.sum(), 1)))
+        np.testing.assert_array_equal(
+            p.q[p.success][:, other], np.tile(q[other], (p.success.sum(), 1))
+        )
     assert jumps > (0 if branches else 3)
 
 
@@ -188,7 +204,9 @@ def test_loops_beside_the_task_stay_as_they_are():
             m.body(side + b)
         m.revolute(f"{side}A", m.ground, f"{side}a", at=(x, 0), limits=(-3.0, 3.0))
         m.revolute(f"{side}B", f"{side}a", f"{side}b", at=(0.4, 0), limits=(-3.0, 3.0))
-        m.revolute(f"{side}C", f"{side}b", f"{side}c", at=(1.0, 0), child_at=(0.8, 0), limits=(-3.0, 3.0))
+        m.revolute(
+            f"{side}C", f"{side}b", f"{side}c", at=(1.0, 0), child_at=(0.8, 0), limits=(-3.0, 3.0)
+        )
         m.revolute(f"{side}D", m.ground, f"{side}c", at=(x + 0.9, 0), limits=(-3.0, 3.0))
         m.frame(f"{side}tip", f"{side}b", at=(0.5, 0.4))
     s = m.build()

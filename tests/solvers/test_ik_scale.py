@@ -1,4 +1,6 @@
-"""Lengths of many sizes in one chain: no joint is dropped, no foreign exception, and what is not found is said so."""
+"""Lengths of many sizes in one chain: no joint is dropped, no foreign exception, and what is not
+found is said so.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,16 @@ TABLES = {
     "iiwa14": [(0, -H, 0.36, 0), (0, H, 0, 0), (0, H, 0.42, 0), (0, -H, 0, 0), (0, -H, 0.4, 0), (0, H, 0, 0),
                (0, 0, 0.126, 0)],
 }  # fmt: skip
-"""Standard Denavit-Hartenberg tables (a, alpha, d, theta) of arms with and without closed form, one redundant."""
+"""Standard Denavit-Hartenberg tables (a, alpha, d, theta) of arms with and without closed form, one
+redundant."""
 
-LENGTHS = [(name, row, column) for name, rows in TABLES.items() for row, values in enumerate(rows)
-           for column in (0, 2) if values[column] != 0.0]  # fmt: skip
+LENGTHS = [
+    (name, row, column)
+    for name, rows in TABLES.items()
+    for row, values in enumerate(rows)
+    for column in (0, 2)
+    if values[column] != 0.0
+]
 """Every length of the tables that is not zero."""
 
 
@@ -38,7 +46,9 @@ def scaled(name: str, row: int, column: int, factor: float) -> list[tuple[float,
 
 
 def arm(rows) -> kempe.System:
-    return kempe.from_dh([dict(zip(("a", "alpha", "d", "theta"), r, strict=True)) for r in rows]).build()
+    return kempe.from_dh(
+        [dict(zip(("a", "alpha", "d", "theta"), r, strict=True)) for r in rows]
+    ).build()
 
 
 def product(rows, q: np.ndarray) -> np.ndarray:
@@ -51,13 +61,20 @@ def product(rows, q: np.ndarray) -> np.ndarray:
         sa = math.sin(alpha)
         z = np.zeros_like(c)
         one = np.ones_like(c)
-        link = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [z, z + sa, z + ca, z + d], [z, z, z, one]]
+        link = [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [z, z + sa, z + ca, z + d],
+            [z, z, z, one],
+        ]
         T = T @ np.moveaxis(np.array(link), (0, 1), (-2, -1))
     return T
 
 
 def off(rows, q: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """What poses miss (...): positions in tolerances of `ik`, or in 1e-7 of the longest length, angles in 2e-6."""
+    """What poses miss (...): positions in tolerances of `ik`, or in 1e-7 of the longest length,
+    angles in 2e-6.
+    """
     error = np.abs(product(rows, q) - targets)
     error[..., :3, 3] /= 1e-7 * max(max(abs(r[0]), abs(r[2]), 10.0) for r in rows)
     error[..., :3, :3] /= 2e-6
@@ -83,9 +100,18 @@ def assert_solved_or_said(name, row, column, power, number, rng):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "row", "column", "power"), some([
-    ("hc10", 4, 2, 6), ("ur5", 5, 2, 12), ("ur5", 3, 2, 6), ("iiwa14", 6, 2, 6),
-], 3))  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "row", "column", "power"),
+    some(
+        [
+            ("hc10", 4, 2, 6),
+            ("ur5", 5, 2, 12),
+            ("ur5", 3, 2, 6),
+            ("iiwa14", 6, 2, 6),
+        ],
+        3,
+    ),
+)
 def test_one_length_far_from_the_others(name, row, column, power, hunt):
     """A joint was dropped, `ik` reached none of these poses, and one raised LinAlgError."""
     assert_solved_or_said(name, row, column, power, 2, hunt.rng())
@@ -120,7 +146,10 @@ def test_bounds_and_misses_agree():
     rows = scaled("ur5", 1, 0, 1e90)
     system = arm(rows)
     q = np.random.default_rng(2).uniform(-3.0, 3.0, (40, 6))
-    assert not any("outside the workspace" in s for s in np.atleast_1d(system.ik(product(rows, q), "tool").status))
+    assert not any(
+        "outside the workspace" in s
+        for s in np.atleast_1d(system.ik(product(rows, q), "tool").status)
+    )
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e3, 1e6])
@@ -138,7 +167,9 @@ def test_units(unit):
 
 @pytest.mark.parametrize("length", [1e3, 2e4, 3e4, 5e4])
 def test_all_solutions_of_an_arm_with_one_long_link(length):
-    """The structure that solves the arm is found, though rounding of the long link blurs its angles."""
+    """The structure that solves the arm is found, though rounding of the long link blurs its
+    angles.
+    """
     s = kempe.load("ur5").with_parameters(d4=length)
     q = s.random(1, 60)
     answer = s.ik_all(s.fk(q, "tool"), "tool")

@@ -1,4 +1,6 @@
-"""Steps of velocities, against scipy's bounded least squares, linear programs, closed forms and finite differences."""
+"""Steps of velocities, against scipy's bounded least squares, linear programs, closed forms and
+finite differences.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def test_bounded_least_squares_is_that_of_scipy():
         oracle = low.copy()
         if wide.any():
             rest = b - A[:, ~wide] @ low[~wide]
-            oracle[wide] = lsq_linear(A[:, wide], rest, (low[wide], high[wide]), tol=1e-15, method="bvls").x
+            oracle[wide] = lsq_linear(
+                A[:, wide], rest, (low[wide], high[wide]), tol=1e-15, method="bvls"
+            ).x
         assert np.linalg.norm(A @ x - b) <= np.linalg.norm(A @ oracle - b) + 1e-9
         np.testing.assert_allclose(x, oracle, atol=1e-6)
 
@@ -55,13 +59,17 @@ def test_the_twist_is_had_to_first_order(panda):
         Y = panda.fk(s.q, HAND)
         moved = np.concatenate([Y[:3, 3] - X[:3, 3], spatial.log_so3(Y[:3, :3] @ X[:3, :3].T)]) / h
         np.testing.assert_allclose(moved, twist, atol=1e-5)
-        np.testing.assert_allclose(s.velocity, np.linalg.pinv(panda.jacobian(q, HAND)) @ twist, atol=1e-9)
+        np.testing.assert_allclose(
+            s.velocity, np.linalg.pinv(panda.jacobian(q, HAND)) @ twist, atol=1e-9
+        )
         np.testing.assert_allclose(s.q, q + h * s.velocity, atol=1e-15)
         assert s.saturated == () and abs(s.fraction - 1.0) < 1e-9
 
 
 def test_limits_are_those_of_a_bounded_least_squares_problem(six):
-    """The nearest velocities within limits, in the metric of the equations and of a little of the velocities."""
+    """The nearest velocities within limits, in the metric of the equations and of a little of the
+    velocities.
+    """
     rng = np.random.default_rng(2)
     met = 0
     dt = 1e-4
@@ -120,11 +128,15 @@ def test_the_direction_is_kept_and_the_part_of_it_the_largest(panda):
         s = panda.ik_step(q, twist, HAND, DT, velocity_limits=0.7, keep_direction=True)
         low, high = box(panda, q, 0.7)
         best = linprog(
-            np.append(np.zeros(7), -1.0), A_eq=np.column_stack([J, -twist]), b_eq=np.zeros(6),
+            np.append(np.zeros(7), -1.0),
+            A_eq=np.column_stack([J, -twist]),
+            b_eq=np.zeros(6),
             bounds=[*zip(low, high, strict=True), (0.0, 1.0)],
-        )  # fmt: skip
+        )
         np.testing.assert_allclose(s.twist, s.fraction * twist, atol=1e-5)
-        assert 0.95 * best.x[-1] - 1e-6 <= s.fraction <= best.x[-1] + 1e-6  # self-motions cost a little
+        assert (
+            0.95 * best.x[-1] - 1e-6 <= s.fraction <= best.x[-1] + 1e-6
+        )  # self-motions cost a little
         met += 0.01 < s.fraction < 0.99
     assert met > 10
 
@@ -146,14 +158,26 @@ def test_damping_near_a_singularity():
     for b in (1e-8, 1e-3, 0.02, 0.5):
         J = s.jacobian([0.3, b], "tip")[:2]
         U, values, Vt = np.linalg.svd(J)
-        hard = np.where(values < 0.05, 0.05 * np.sqrt(np.maximum(1.0 - (values / 0.05) ** 2, 0.0)), 0.0)
+        hard = np.where(
+            values < 0.05, 0.05 * np.sqrt(np.maximum(1.0 - (values / 0.05) ** 2, 0.0)), 0.0
+        )
         wish = np.array([0.01, -0.02])
         v = Vt.T @ (values / (values**2 + hard**2) * (U.T @ wish))
         got = s.ik_step([0.3, b], [*wish, 0, 0, 0, 0], "tip", DT, weights=POSITION)
         np.testing.assert_allclose(got.velocity, v, atol=1e-9)
-    outwards = s.ik_step([0.3, 0.0], [math.cos(0.3), math.sin(0.3), 0, 0, 0, 0], "tip", DT, weights=POSITION)
+    outwards = s.ik_step(
+        [0.3, 0.0], [math.cos(0.3), math.sin(0.3), 0, 0, 0, 0], "tip", DT, weights=POSITION
+    )
     assert np.abs(outwards.velocity).max() < 1e-9 and abs(outwards.fraction) < 1e-9
-    free = s.ik_step([0.3, 1e-3], [*wish, 0, 0, 0, 0], "tip", DT, weights=POSITION, damping=0.0, velocity_limits=1e9)
+    free = s.ik_step(
+        [0.3, 1e-3],
+        [*wish, 0, 0, 0, 0],
+        "tip",
+        DT,
+        weights=POSITION,
+        damping=0.0,
+        velocity_limits=1e9,
+    )
     np.testing.assert_allclose(free.twist[:2], wish, atol=1e-9)
 
 
@@ -175,14 +199,17 @@ def test_steps_towards_a_pose_arrive(panda):
     np.testing.assert_allclose(panda.fk(q, HAND), target, atol=1e-9)
 
 
-@pytest.mark.parametrize(("wanted", "dt", "options"), [
-    (np.zeros(5), DT, {}),
-    (np.full(6, np.nan), DT, {}),
-    (np.zeros(6), 0.0, {}),
-    (np.zeros(6), DT, {"damping": -1.0}),
-    (np.zeros(6), DT, {"velocity_limits": [1.0, 2.0]}),
-    (np.zeros(6), DT, {"weights": -1.0}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("wanted", "dt", "options"),
+    [
+        (np.zeros(5), DT, {}),
+        (np.full(6, np.nan), DT, {}),
+        (np.zeros(6), 0.0, {}),
+        (np.zeros(6), DT, {"damping": -1.0}),
+        (np.zeros(6), DT, {"velocity_limits": [1.0, 2.0]}),
+        (np.zeros(6), DT, {"weights": -1.0}),
+    ],
+)
 def test_bad_input_is_refused(wanted, dt, options, panda):
     q = panda.mid
     with pytest.raises(InputError):

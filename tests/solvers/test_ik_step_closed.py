@@ -1,4 +1,6 @@
-"""Steps of velocities under closed loops, relations and tasks, against linear programs, SLSQP and the forward model."""
+"""Steps of velocities under closed loops, relations and tasks, against linear programs, SLSQP and
+the forward model.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ PLANE = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
 
 
 def leg(speed: float | None = None) -> System:
-    """A planar leg on a slider whose knee is driven through a four-bar; the ankle follows two coordinates."""
+    """A planar leg on a slider whose knee is driven through a four-bar; the ankle follows two
+    coordinates.
+    """
     m = Mechanism("leg", dim=2)
     for body in ("hip", "crank", "rod", "shin", "foot"):
         m.body(body)
@@ -49,8 +53,26 @@ def circle(X: np.ndarray, radius: float, t: float, axes: tuple[int, int] = (0, 1
             (kempe.load("stewart"), "platform", {}, (0, 2), None, 0.0075, 250),
             (kempe.load("five_bar"), "tip", {}, (0, 1), PLANE, 0.03, 1000),
             (leg(), "toe", {"motor": 0.5, "rail": 0.0}, (0, 1), PLANE, 0.01, 1000),
-            pytest.param(kempe.load("stewart"), "platform", {}, (0, 2), None, 0.03, 1000, marks=pytest.mark.slow),
-            pytest.param(kempe.load("delta_uu"), "platform", {}, (0, 2), None, 0.03, 1000, marks=pytest.mark.slow),
+            pytest.param(
+                kempe.load("stewart"),
+                "platform",
+                {},
+                (0, 2),
+                None,
+                0.03,
+                1000,
+                marks=pytest.mark.slow,
+            ),
+            pytest.param(
+                kempe.load("delta_uu"),
+                "platform",
+                {},
+                (0, 2),
+                None,
+                0.03,
+                1000,
+                marks=pytest.mark.slow,
+            ),
         ],
         3,
     ),
@@ -69,8 +91,12 @@ def test_loops_stay_closed_over_many_steps(system, frame, known, axes, weights, 
             assert np.abs(residual(system, q)).max() < 1e-11
             C = evaluate(system, before)[1]
             np.testing.assert_allclose(C @ s.velocity, 0.0, atol=1e-9)  # first order
-            np.testing.assert_allclose(system.configuration_space.difference(before, q) / DT, s.velocity, atol=0.02)
-            np.testing.assert_allclose(s.twist, system.jacobian(before, frame) @ s.velocity, atol=1e-12)
+            np.testing.assert_allclose(
+                system.configuration_space.difference(before, q) / DT, s.velocity, atol=0.02
+            )
+            np.testing.assert_allclose(
+                s.twist, system.jacobian(before, frame) @ s.velocity, atol=1e-12
+            )
 
 
 def test_the_part_of_a_direction_is_that_of_a_linear_program():
@@ -88,12 +114,23 @@ def test_the_part_of_a_direction_is_that_of_a_linear_program():
         low = np.maximum(low, (s.lower - q) / DT)
         high = np.minimum(high, (s.upper - q) / DT)
         best = linprog(
-            np.append(np.zeros(s.nv), -1.0), A_eq=np.vstack([np.column_stack([J, -twist]),
-            np.column_stack([C, np.zeros(len(C))])]), b_eq=np.zeros(2 + len(C)),
+            np.append(np.zeros(s.nv), -1.0),
+            A_eq=np.vstack([np.column_stack([J, -twist]), np.column_stack([C, np.zeros(len(C))])]),
+            b_eq=np.zeros(2 + len(C)),
             bounds=[*zip(low, high, strict=True), (0.0, 1.0)],
-        )  # fmt: skip
-        got = s.ik_step(q, [*twist, 0, 0, 0, 0], "toe", DT, velocity_limits=fast, keep_direction=True, weights=PLANE)
-        assert 0.9 * best.x[-1] - 1e-6 <= got.fraction <= best.x[-1] + 1e-6  # self-motions cost a little
+        )
+        got = s.ik_step(
+            q,
+            [*twist, 0, 0, 0, 0],
+            "toe",
+            DT,
+            velocity_limits=fast,
+            keep_direction=True,
+            weights=PLANE,
+        )
+        assert (
+            0.9 * best.x[-1] - 1e-6 <= got.fraction <= best.x[-1] + 1e-6
+        )  # self-motions cost a little
         np.testing.assert_allclose(got.twist[:2], got.fraction * twist, atol=1e-4)
         assert np.all(np.abs(s.configuration_space.difference(q, got.q)) <= fast * DT * (1 + 1e-9))
         met += got.fraction < 0.99
@@ -109,17 +146,22 @@ def test_limits_of_speed_and_position_are_those_of_a_general_optimiser():
         q = s.assemble({"motor": rng.uniform(-0.5, 1.2), "rail": rng.choice([-0.3, 0.0, 0.3])}).q
         wish = rng.normal(size=2)
         speed = np.minimum(s.structure.velocity_limits, 3.0)
-        got = s.ik_step(q, [*wish, 0, 0, 0, 0], "toe", DT, velocity_limits=speed, weights=PLANE, damping=0.0)
+        got = s.ik_step(
+            q, [*wish, 0, 0, 0, 0], "toe", DT, velocity_limits=speed, weights=PLANE, damping=0.0
+        )
         J = s.jacobian(q, "toe")[:2]
         C = evaluate(s, q)[1]
         low = np.maximum(-speed, (s.lower - q) / DT)
         high = np.minimum(speed, (s.upper - q) / DT)
         best = minimize(
-            lambda v, J=J, wish=wish: np.sum((J @ v - wish) ** 2), np.zeros(s.nv), method="SLSQP",
-            jac=lambda v, J=J, wish=wish: 2 * J.T @ (J @ v - wish), bounds=[*zip(low, high, strict=True)],
+            lambda v, J=J, wish=wish: np.sum((J @ v - wish) ** 2),
+            np.zeros(s.nv),
+            method="SLSQP",
+            jac=lambda v, J=J, wish=wish: 2 * J.T @ (J @ v - wish),
+            bounds=[*zip(low, high, strict=True)],
             constraints={"type": "eq", "fun": lambda v, C=C: C @ v, "jac": lambda v, C=C: C},
             options={"ftol": 1e-14, "maxiter": 500},
-        )  # fmt: skip
+        )
         assert np.sum((got.twist[:2] - wish) ** 2) <= 1.03 * best.fun + 1e-7
         assert np.all(got.velocity >= low - 1e-9) and np.all(got.velocity <= high + 1e-9)
         assert np.all(got.q >= s.lower) and np.all(got.q <= s.upper)
@@ -157,7 +199,10 @@ def test_what_is_outside_its_limits_comes_back_with_the_loops_closed():
     free = s.assemble({"motor": 0.4, "rail": 0.35}, limits=False).q
     rail = s.coordinate_names.index("rail")
     got = s.ik_step(free, np.zeros(6), "toe", DT, velocity_limits=1.0)
-    assert got.velocity[rail] == pytest.approx(-1.0, abs=1e-6) and np.abs(residual(s, got.q)).max() < 1e-11
+    assert (
+        got.velocity[rail] == pytest.approx(-1.0, abs=1e-6)
+        and np.abs(residual(s, got.q)).max() < 1e-11
+    )
 
 
 # ---- tasks
@@ -188,9 +233,11 @@ def test_levels_are_strict_and_those_of_pseudoinverses():
     got = panda.ik_step(q, [first, second, third], dt=DT, velocity_limits=math.inf)
     v = np.zeros(7)
     N = np.eye(7)
-    for J, rate in ((panda.jacobian(q, hand)[:3], (p - panda.fk(q, hand)[:3, 3]) / DT),
-                    (panda.jacobian(q, "panda_link4")[2:3], np.array([1e-5 / DT])),
-                    (np.eye(7), (rest - q) / DT)):  # fmt: skip
+    for J, rate in (
+        (panda.jacobian(q, hand)[:3], (p - panda.fk(q, hand)[:3, 3]) / DT),
+        (panda.jacobian(q, "panda_link4")[2:3], np.array([1e-5 / DT])),
+        (np.eye(7), (rest - q) / DT),
+    ):
         v = v + np.linalg.pinv(J @ N, rcond=1e-9) @ (rate - J @ v)
         _, values, Vt = np.linalg.svd(J @ N)
         N = N @ Vt[int((values > 1e-9).sum()) :].T @ Vt[int((values > 1e-9).sum()) :]
@@ -229,6 +276,8 @@ def test_bad_input_is_refused():
     for wanted, frame in ((np.zeros(6), "tip"), (tasks.Position("tip", p), None)):
         with pytest.raises(InputError, match="finite number"):
             s.ik_step(np.full(s.nq, np.nan), wanted, frame, DT)
-    still = s.ik_step(q, np.array([0, 0, 1.0, 0, 0, 0]), "tip", DT, weights=[0, 0, 1, 0, 0, 0])  # across the plane
+    still = s.ik_step(
+        q, np.array([0, 0, 1.0, 0, 0, 0]), "tip", DT, weights=[0, 0, 1, 0, 0, 0]
+    )  # across the plane
     assert not still.velocity.any() and still.fraction == 0.0
     assert isinstance(s.ik_step(q, spatial.pose(p=[*p, 0.0]), "tip", DT).velocity, np.ndarray)

@@ -1,6 +1,7 @@
 """Steps towards what cannot be had: they settle, with bounded speed, where the error is least.
 
-Judged by `ik`'s nearest configuration, by scipy's minimiser of an error written here, and by the velocities themselves.
+Judged by `ik`'s nearest configuration, by scipy's minimiser of an error written here, and by the
+velocities themselves.
 """
 
 from __future__ import annotations
@@ -23,8 +24,21 @@ STARTS = {
     "panda": [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785], "ur5": [0.3, -0.8, 1.2, -0.4, 1.0, 0.2],
     "iiwa14": [0.3, 0.5, 0.2, -1.2, 0.3, 0.8, 0.1],
 }  # fmt: skip
-HUNTED = ("panda", "ur5", "iiwa14", "puma560", "stanford", "xarm6", "gen3", "irb6640", "jaco2", "so101", "cobra600",
-          "youbot", "two_link")  # fmt: skip
+HUNTED = (
+    "panda",
+    "ur5",
+    "iiwa14",
+    "puma560",
+    "stanford",
+    "xarm6",
+    "gen3",
+    "irb6640",
+    "jaco2",
+    "so101",
+    "cobra600",
+    "youbot",
+    "two_link",
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +67,9 @@ def turns_back(Q: np.ndarray, dt: float) -> int:
 
 
 def outside(system: System, q: np.ndarray, frame: str, by: float) -> np.ndarray:
-    """The pose of the frame at q, moved away from its base until it is out of reach, and then by some metres."""
+    """The pose of the frame at q, moved away from its base until it is out of reach, and then by
+    some metres.
+    """
     X = system.fk(q, frame)
     way = X[:3, 3] / np.linalg.norm(X[:3, 3])
     far = np.linspace(0.0, 2.0, 81)
@@ -64,7 +80,9 @@ def outside(system: System, q: np.ndarray, frame: str, by: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("damping", [0.05, 0.0])
-@pytest.mark.parametrize("by", [pytest.param(x, marks=pytest.mark.slow) if x != 0.1 else x for x in (0.01, 0.1, 1.0)])
+@pytest.mark.parametrize(
+    "by", [pytest.param(x, marks=pytest.mark.slow) if x != 0.1 else x for x in (0.01, 0.1, 1.0)]
+)
 @pytest.mark.parametrize("name", list(TIPS))
 def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
     s = kempe.load(name)
@@ -74,14 +92,17 @@ def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
     Q = motion(s, q, X, frame, damping=damping, time=4.0 if by == 1.0 else 3.0)
     assert turns_back(Q, 0.01) == 0 and not np.diff(Q[-100:], axis=0).any()
     assert np.abs(np.diff(Q, axis=0) / 0.01).max() <= TURNING * (1.0 + 1e-9)
-    # the wrist of a UR5 has minima on both sides, and a step does not leave the one that it comes to
+    # the wrist of a UR5 has minima on both sides, and a step does not leave the one that it comes
+    # to
     nearest = s.ik(X, frame, start=Q[-1], budget=kempe.Budget(starts=1 if name == "ur5" else 1000))
     rest = s.fk(Q[-1], frame)
     assert abs(np.linalg.norm(rest[:3, 3] - X[:3, 3]) - nearest.position_error) < 1e-4
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"damping": 0.0}, {"velocity_limits": 1.0}, {"keep_direction": True}])
+@pytest.mark.parametrize(
+    "options", [{}, {"damping": 0.0}, {"velocity_limits": 1.0}, {"keep_direction": True}]
+)
 @pytest.mark.parametrize("name", ["panda", "ur5"])
 def test_a_thousand_cycles_a_second_settle_too(name, options):
     s = kempe.load(name)
@@ -90,7 +111,9 @@ def test_a_thousand_cycles_a_second_settle_too(name, options):
     X = outside(s, q, frame, 0.3)
     Q = motion(s, q, X, frame, 0.001, 5.0 if "velocity_limits" in options else 3.0, **options)
     assert turns_back(Q, 0.001) == 0
-    assert np.abs(np.diff(Q, axis=0) / 0.001).max() <= options.get("velocity_limits", TURNING) * (1.0 + 1e-9)
+    assert np.abs(np.diff(Q, axis=0) / 0.001).max() <= options.get("velocity_limits", TURNING) * (
+        1.0 + 1e-9
+    )
 
 
 def rests_nearest(s: System, frame: str, X: np.ndarray, q: np.ndarray) -> bool:
@@ -99,7 +122,9 @@ def rests_nearest(s: System, frame: str, X: np.ndarray, q: np.ndarray) -> bool:
 
     def missed(x):
         Y = s.fk(x, frame)
-        e = np.concatenate([(X[:3, 3] - Y[:3, 3]) / length, spatial.log_so3(X[:3, :3] @ Y[:3, :3].T)])
+        e = np.concatenate(
+            [(X[:3, 3] - Y[:3, 3]) / length, spatial.log_so3(X[:3, :3] @ Y[:3, :3].T)]
+        )
         return float(e @ e)
 
     bounds = list(zip(np.minimum(s.lower, q), np.maximum(s.upper, q), strict=True))
@@ -119,9 +144,13 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
     far = 10.0 ** rng.uniform(-2.0, 0.0)
     way = rng.normal(size=3) * ([1.0, 1.0, 0.0] if s.dim == 2 else 1.0)
     reach = min((b.largest for b in chain_of(s, frame).bounds), default=1.0)
-    X[:3, 3] = way / np.linalg.norm(way) * (reach + far) if rng.random() < 0.7 else X[:3, 3] + far * way
+    X[:3, 3] = (
+        way / np.linalg.norm(way) * (reach + far) if rng.random() < 0.7 else X[:3, 3] + far * way
+    )
     kind = rng.choice(["pose", "pose", "position", "orientation"])
-    w = np.array({"pose": [1] * 6, "position": [1, 1, 1, 0, 0, 0], "orientation": [0, 0, 0, 1, 1, 1]}[kind])
+    w = np.array(
+        {"pose": [1] * 6, "position": [1, 1, 1, 0, 0, 0], "orientation": [0, 0, 0, 1, 1, 1]}[kind]
+    )
     damping = float(rng.choice([0.0, 0.05]))
     Q = motion(s, q, X, frame, 0.01, 7.0, weights=None if kind == "pose" else w, damping=damping)
     if np.abs(np.diff(Q[-101:], axis=0)).max() > 0.02:
@@ -131,7 +160,9 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
 
     def missed(x):
         Y = s.fk(x, frame)
-        e = w * np.concatenate([scale * (X[:3, 3] - Y[:3, 3]), spatial.log_so3(X[:3, :3] @ Y[:3, :3].T)])
+        e = w * np.concatenate(
+            [scale * (X[:3, 3] - Y[:3, 3]), spatial.log_so3(X[:3, :3] @ Y[:3, :3].T)]
+        )
         return float(e @ e)
 
     low = np.minimum(s.lower, Q[-1])
@@ -142,22 +173,32 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
 
 
 def test_it_settles_at_a_minimum_of_the_error(robots, hunt):
-    """Every resting place is a local minimum inside the limits, by scipy, and no velocity turns back there."""
+    """Every resting place is a local minimum inside the limits, by scipy, and no velocity turns
+    back there.
+    """
     rng = hunt.rng()
     cases = hunt.cases(5)
-    assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
+    assert (
+        sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases))
+        > 0.5 * cases - 1
+    )
 
 
 @pytest.mark.slow
 def test_it_settles_at_a_minimum_of_the_error_often(robots, hunt):
     rng = hunt.rng()
     cases = hunt.cases(80)
-    assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
+    assert (
+        sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases))
+        > 0.5 * cases - 1
+    )
 
 
 @pytest.mark.parametrize("name", some(list(TIPS), 3))
 def test_a_straight_way_leads_to_the_border_and_then_to_the_nearest_pose(name):
-    """Pushed out of reach, the hand stays on its line to 1.5 % of the way until the arm is stretched, then slides."""
+    """Pushed out of reach, the hand stays on its line to 1.5 % of the way until the arm is
+    stretched, then slides.
+    """
     s = kempe.load(name)
     frame = TIPS[name]
     q = np.array(STARTS[name])
@@ -169,7 +210,13 @@ def test_a_straight_way_leads_to_the_border_and_then_to_the_nearest_pose(name):
     way = np.array([0.3, 0.9, 0.3]) / math.hypot(0.3, 0.9, 0.3)
     beside = np.linalg.norm(p - (p @ way)[:, None] * way, axis=1)
     smallest = np.linalg.svd(s.jacobian(Q, frame), compute_uv=False)[:, -1]
-    free = int(np.argmax((smallest < 0.06) | (Q <= s.lower + 1e-3).any(axis=1) | (Q >= s.upper - 1e-3).any(axis=1)))
+    free = int(
+        np.argmax(
+            (smallest < 0.06)
+            | (Q <= s.lower + 1e-3).any(axis=1)
+            | (Q >= s.upper - 1e-3).any(axis=1)
+        )
+    )
     assert free > 5 and beside[: free - 1].max() < 0.015 * p[free - 1] @ way + 1e-3
     assert rests_nearest(s, frame, X, Q[-1])
 
@@ -208,7 +255,11 @@ def test_a_target_that_goes_out_of_reach_and_comes_back_is_tracked():
         q = s.ik_step(q, goal, frame, 0.01).q
         fastest = max(fastest, float(np.abs(q - before).max()) / 0.01)
         if k % 500 < 100 or k % 500 > 400:
-            worst = max(worst, float(np.linalg.norm(s.fk(q, frame)[:3, 3] - goal[:3, 3]))) if k > 20 else worst
+            worst = (
+                max(worst, float(np.linalg.norm(s.fk(q, frame)[:3, 3] - goal[:3, 3])))
+                if k > 20
+                else worst
+            )
     assert fastest <= TURNING * (1.0 + 1e-9)
     assert worst < 2e-3  # near the border it is led through by damping
 
@@ -216,13 +267,27 @@ def test_a_target_that_goes_out_of_reach_and_comes_back_is_tracked():
 # ---- no joint turns back at once
 
 
-TWELVE = ("puma560", "ur5", "ur10e", "panda", "iiwa14", "gen3", "jaco2", "xarm6", "stanford", "gen3_lite", "crx10ia",
-          "so101")  # fmt: skip
+TWELVE = (
+    "puma560",
+    "ur5",
+    "ur10e",
+    "panda",
+    "iiwa14",
+    "gen3",
+    "jaco2",
+    "xarm6",
+    "stanford",
+    "gen3_lite",
+    "crx10ia",
+    "so101",
+)
 KINDS = ("twist", "turn", "pose", "far", "turned", "position", "soft", "levels")
 
 
 def turns_at_speed(Q: np.ndarray, dt: float, speed: float) -> int:
-    """Cycles in which a joint's velocity changes its sign, above a twentieth of its limit before and after."""
+    """Cycles in which a joint's velocity changes its sign, above a twentieth of its limit before
+    and after.
+    """
     v = np.diff(Q, axis=0) / dt
     fast = np.abs(v) > 0.05 * speed
     return int(((v[1:] * v[:-1] < 0.0) & fast[1:] & fast[:-1]).any(axis=1).sum())
@@ -261,11 +326,17 @@ def asked(kind: str, s: System, frame: str, q: np.ndarray, rng: np.random.Genera
         return goal, frame
     soft = None if kind == "position" else 1.0
     first = tasks.Position(frame, goal[:3, 3], weight=soft if kind == "soft" else None)
-    rest = {"position": [], "soft": [tasks.Posture(s.mid, weight=0.05)], "levels": [tasks.Posture(s.mid, priority=1)]}
+    rest = {
+        "position": [],
+        "soft": [tasks.Posture(s.mid, weight=0.05)],
+        "levels": [tasks.Posture(s.mid, priority=1)],
+    }
     return [first, *rest[kind]], None
 
 
-def turns_of_a_case(s: System, rng: np.random.Generator, kinds=KINDS, cycles: int = 120) -> tuple[int, tuple]:
+def turns_of_a_case(
+    s: System, rng: np.random.Generator, kinds=KINDS, cycles: int = 120
+) -> tuple[int, tuple]:
     frame = tip(s)
     kind = str(rng.choice(kinds))
     dt = float(rng.choice([0.0005, 0.001, 0.004, 0.01]))
@@ -278,7 +349,9 @@ def turns_of_a_case(s: System, rng: np.random.Generator, kinds=KINDS, cycles: in
 
 
 def test_no_joint_turns_back_at_once(hunt):
-    """Twists, poses and tasks, a direction kept or not, from singular, stretched and limited starts."""
+    """Twists, poses and tasks, a direction kept or not, from singular, stretched and limited
+    starts.
+    """
     rng = hunt.rng()
     bad = []
     for _ in range(hunt.cases(24)):
@@ -314,7 +387,9 @@ def test_no_joint_turns_back_at_once_often(name, hunt):
     ),
 )
 def test_a_kept_direction_slows_down_and_stops(name, q, twist):
-    """The hand goes along the line, never back, to a singular posture: there no pose ahead is reached to 2 cm."""
+    """The hand goes along the line, never back, to a singular posture: there no pose ahead is
+    reached to 2 cm.
+    """
     s = kempe.load(name)
     frame = TIPS[name]
     dt = 0.01
@@ -337,16 +412,23 @@ def test_the_hand_travels_from_singular_postures(name):
     frame = tip(s)
     way = np.eye(3)[0]
     goes = motion(s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0)
-    kept = motion(s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0, keep_direction=True)
+    kept = motion(
+        s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0, keep_direction=True
+    )
     X = s.fk(np.array([goes[-1], kept[-1], q]), frame)[:, :3, 3]
     assert (X[0] - X[2]) @ way > 0.095
-    # stretched: a straight way across leaves the sphere of reach at once, as far as a direction is kept to 1 %
+    # stretched: a straight way across leaves the sphere of reach at once, as far as a direction is
+    # kept to 1 %
     assert 0.005 < (X[1] - X[2]) @ way < 0.05 and np.linalg.norm((X[1] - X[2])[1:]) < 0.002
 
 
-@pytest.mark.parametrize("k", some(range(5), 2), ids=["hard", "soft", "levels", "soft pair", "look at"])
+@pytest.mark.parametrize(
+    "k", some(range(5), 2), ids=["hard", "soft", "levels", "soft pair", "look at"]
+)
 def test_saddle_points_are_left_towards_tasks(k):
-    """A straight arm, its target inside on the same ray; an axis that points away from what it is to look at."""
+    """A straight arm, its target inside on the same ray; an axis that points away from what it is
+    to look at.
+    """
     s = arm()
     q = np.array([0.2, 0.0])
     P = s.fk(q, "tip")[:3, 3] * 0.8
@@ -358,7 +440,10 @@ def test_saddle_points_are_left_towards_tasks(k):
         [tasks.LookAt("tip", s.fk(q, "tip")[:3, 3] * 0.4)],
     ][k]
     Q = motion(s, q, wanted, None, 0.02, 4.0, velocity_limits=2.0)
-    assert np.abs(np.diff(Q, axis=0)).max() <= 0.04 * (1.0 + 1e-9) and turns_at_speed(Q, 0.02, 2.0) == 0
+    assert (
+        np.abs(np.diff(Q, axis=0)).max() <= 0.04 * (1.0 + 1e-9)
+        and turns_at_speed(Q, 0.02, 2.0) == 0
+    )
     X = s.fk(Q[-1], "tip")
     if k < 4:
         assert np.linalg.norm(X[:3, 3] - P) < (1e-2 if k == 3 else 1e-6)
@@ -385,8 +470,13 @@ def test_without_limits_of_speed_stated_ones_hold():
         "geared": TURNING / 4,
     }
     for wanted in (np.full(6, 1e4), spatial.pose(p=[50.0, 30.0, 0.0])):
-        assert (np.abs(s.ik_step(s.neutral + 0.1, wanted, "tip", 0.01, damping=0.0).velocity) <= speeds(s)).all()
-    free = s.ik_step(s.neutral + 0.1, np.full(6, 1e4), "tip", 0.01, damping=0.0, velocity_limits=math.inf)
+        assert (
+            np.abs(s.ik_step(s.neutral + 0.1, wanted, "tip", 0.01, damping=0.0).velocity)
+            <= speeds(s)
+        ).all()
+    free = s.ik_step(
+        s.neutral + 0.1, np.full(6, 1e4), "tip", 0.01, damping=0.0, velocity_limits=math.inf
+    )
     assert np.abs(free.velocity).max() > 100.0
 
 
@@ -397,7 +487,9 @@ def test_without_limits_of_speed_stated_ones_hold():
     ("name", "frame", "by", "weights"),
     [
         ("five_bar", "tip", [0.4, 0.3, 0.0], [1, 1, 0, 0, 0, 0]),
-        pytest.param("delta_uu", "platform", [0.4, 0.3, 0.0], [1, 1, 1, 0, 0, 0], marks=pytest.mark.slow),
+        pytest.param(
+            "delta_uu", "platform", [0.4, 0.3, 0.0], [1, 1, 1, 0, 0, 0], marks=pytest.mark.slow
+        ),
         pytest.param("stewart", "platform", [0.6, 0.0, 0.3], None, marks=pytest.mark.slow),
     ],
 )
@@ -423,13 +515,17 @@ def demands_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
         [tasks.Position(frame, p + [0.05, 0.0, 0.0]), tasks.Posture(s.mid, priority=1)],
         [tasks.Position(frame, p + [0.2, 0.0, 0.0]), tasks.Position(frame, p - [0.2, 0.1, 0.0])],
         [tasks.Position(frame, far[:3, 3], weight=1.0), tasks.Posture(s.mid, weight=0.1)],
-        [tasks.HalfSpace(frame, p + [0.1, 0.0, 0.0], [-1.0, 0.0, 0.0]), tasks.Position(frame, far[:3, 3], weight=1.0,
-                                                                                       priority=1)],
-    ]  # fmt: skip
+        [
+            tasks.HalfSpace(frame, p + [0.1, 0.0, 0.0], [-1.0, 0.0, 0.0]),
+            tasks.Position(frame, far[:3, 3], weight=1.0, priority=1),
+        ],
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("k", some(range(6), 3), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"])
+@pytest.mark.parametrize(
+    "k", some(range(6), 3), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"]
+)
 @pytest.mark.parametrize("name", ["panda", pytest.param("iiwa14", marks=pytest.mark.slow)])
 def test_tasks_that_cannot_be_held_settle(name, k):
     s = kempe.load(name)
@@ -456,7 +552,9 @@ def test_one_task_settles_where_the_step_of_a_frame_does():
 
 
 def straight_way_of_a_case(s: System, rng: np.random.Generator) -> tuple:
-    """A straight way towards a pose that is near, far, turned, beyond limits or out of reach, until the arm rests."""
+    """A straight way towards a pose that is near, far, turned, beyond limits or out of reach, until
+    the arm rests.
+    """
     frame = tip(s)
     kind = str(rng.choice(["pose", "far", "turned", "away"]))
     dt = float(rng.choice([0.004, 0.01]))
@@ -472,7 +570,10 @@ def straight_way_of_a_case(s: System, rng: np.random.Generator) -> tuple:
         Q.append(s.ik_step(Q[-1], X, frame, dt, velocity_limits=1.0, keep_direction=True).q)
     case = (s.name, kind, dt, q.tolist())
     assert turns_at_speed(np.array(Q), dt, 1.0) == 0, case
-    assert np.abs(Q[-1] - Q[-25]).max() < 1e-2 * dt * 25, ("does not rest", case)  # some creep, and are there already
+    assert np.abs(Q[-1] - Q[-25]).max() < 1e-2 * dt * 25, (
+        "does not rest",
+        case,
+    )  # some creep, and are there already
     assert rests_nearest(s, frame, X, Q[-1]), ("not the nearest", case)
     return case
 

@@ -29,7 +29,9 @@ def two_link(l1=1.0, l2=0.7, limits=None):
 
 
 def tip(q, l1=1.0, l2=0.7):
-    return np.array([l1 * np.cos(q[0]) + l2 * np.cos(q[0] + q[1]), l1 * np.sin(q[0]) + l2 * np.sin(q[0] + q[1])])
+    return np.array(
+        [l1 * np.cos(q[0]) + l2 * np.cos(q[0] + q[1]), l1 * np.sin(q[0]) + l2 * np.sin(q[0] + q[1])]
+    )
 
 
 def spatial_arm(n=6, seed=1, limits=None):
@@ -54,7 +56,9 @@ def spatial_arm(n=6, seed=1, limits=None):
 def angle_between(A, B):
     """Angle of R_A^T R_B from its skew and trace parts, accurate near zero."""
     R = np.swapaxes(A[..., :3, :3], -1, -2) @ B[..., :3, :3]
-    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    skew = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
+    )
     return np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0)
 
 
@@ -75,12 +79,16 @@ def test_limits_choose_elbow_up_or_down(limits, sign):
     assert s.success and np.sign(math.sin(s.q[1])) == sign
 
 
-@pytest.mark.parametrize("p, distance", [((3.0, 0.0), 1.3), ((0.0, -2.5), 0.8), ((0.1, 0.0), 0.2), ((0.0, 0.0), 0.3)])
+@pytest.mark.parametrize(
+    "p, distance", [((3.0, 0.0), 1.3), ((0.0, -2.5), 0.8), ((0.1, 0.0), 0.2), ((0.0, 0.0), 0.3)]
+)
 def test_unreachable_points_say_how_far_outside_they_are(p, distance):
     s = two_link().ik(p, "tip")
     assert s.success is False and s.code == Status.OUT_OF_REACH and not s
     assert f"outside the workspace by at least {distance:g} m" in s.status
-    np.testing.assert_allclose(s.position_error, distance, atol=1e-6)  # the nearest configuration is the true one
+    np.testing.assert_allclose(
+        s.position_error, distance, atol=1e-6
+    )  # the nearest configuration is the true one
     np.testing.assert_allclose(np.linalg.norm(tip(s.q) - p), distance, atol=1e-6)
     with pytest.raises(NoSolutionError, match="outside the workspace"):
         two_link().ik(p, "tip").expect()
@@ -112,7 +120,9 @@ def three_links(limits):
 
 
 def test_limits_that_block_together_are_named():
-    """A pose has two solutions, elbow up and down; each limit that is lifted alone leaves both of them shut off."""
+    """A pose has two solutions, elbow up and down; each limit that is lifted alone leaves both of
+    them shut off.
+    """
     up = np.array([0.3, 0.9, -0.4])
     free = three_links([(-3.0, 3.0)] * 3)
     X = free.fk(up, "tip")
@@ -148,7 +158,10 @@ def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis(below):
     far[:3, :3] = np.diag([1.0, -1.0, -1.0])  # looking down, the wrist is 0.126 m above the flange
     s = robot.ik(far, frame)
     assert s.code == Status.OUT_OF_REACH
-    assert f"outside the workspace with this orientation by at least {2 * 0.126 - below:.3g} m" in s.status
+    assert (
+        f"outside the workspace with this orientation by at least {2 * 0.126 - below:.3g} m"
+        in s.status
+    )
     position = robot.ik(far[:3, 3].copy(), frame)
     assert position.success
 
@@ -160,7 +173,11 @@ def test_more_equations_than_freedoms_is_said():
     X[:2, :2] = [[0.0, 1.0], [-1.0, 0.0]]
     s = robot.ik(X, "tip")
     assert not s.success
-    assert "3 equations" in s.status and "2 freedoms" in s.status and "position alone can be reached" in s.status
+    assert (
+        "3 equations" in s.status
+        and "2 freedoms" in s.status
+        and "position alone can be reached" in s.status
+    )
     s = robot.ik(X, "tip", task="position")
     assert s.success and s.orientation_error == 0
 
@@ -202,11 +219,19 @@ def test_shapes_follow_the_targets():
     robot = spatial_arm(6)
     X = robot.fk(robot.random(0, (2, 3)), "tool")
     s = robot.ik(X, "tool")
-    assert s.q.shape == (2, 3, robot.nq) and s.success.shape == s.starts.shape == s.residual.shape == (2, 3)
+    assert s.q.shape == (
+        2,
+        3,
+        robot.nq,
+    ) and s.success.shape == s.starts.shape == s.residual.shape == (2, 3)
     assert s.status.shape == (2, 3) and s.status[0, 0].startswith("reached")
     assert robot.ik(X[:0], "tool").q.shape == (0, 3, robot.nq)
     single = robot.ik(X[0, 0], "tool")
-    assert single.q.shape == (robot.nq,) and single.success is True and isinstance(single.iterations, int)
+    assert (
+        single.q.shape == (robot.nq,)
+        and single.success is True
+        and isinstance(single.iterations, int)
+    )
     assert str(single).startswith("reached") and "j0 = " in str(single)
 
 
@@ -237,7 +262,11 @@ def test_bad_single_arguments_raise():
         robot.ik(X, "tol")
     with pytest.raises(InputError, match="6"):
         robot.ik(X, "tool", start=np.zeros(5))
-    for keyword in ({"budget": kempe.Budget(starts=0)}, {"tolerance": -1.0}, {"tolerance": (1e-6, math.nan)}):
+    for keyword in (
+        {"budget": kempe.Budget(starts=0)},
+        {"tolerance": -1.0},
+        {"tolerance": (1e-6, math.nan)},
+    ):
         with pytest.raises(InputError):
             robot.ik(X, "tool", **keyword)
 
@@ -277,7 +306,9 @@ def test_mimic_and_locked_joints_inside_the_chain():
     q = robot.random(0, 100)
     s = robot.ik(robot.fk(q, "tip")[..., :2, 3], "tip")
     assert s.success.all()
-    angles = np.cumsum(np.stack([s.q[:, 0], s.q[:, 1], -0.5 * s.q[:, 1] + 0.2, np.full(100, 0.4)], -1), axis=-1)
+    angles = np.cumsum(
+        np.stack([s.q[:, 0], s.q[:, 1], -0.5 * s.q[:, 1] + 0.2, np.full(100, 0.4)], -1), axis=-1
+    )
     p = 0.3 * np.stack([np.cos(angles).sum(-1), np.sin(angles).sum(-1)], -1)
     np.testing.assert_allclose(p, robot.fk(q, "tip")[:, :2, 3], atol=1e-6)
 
@@ -294,7 +325,9 @@ def test_quaternion_chain():
     s = robot.ik(robot.fk(q, "hand")[:, :3, 3], "hand")
     assert s.success.all()
     np.testing.assert_allclose(np.linalg.norm(s.q[:, :4], axis=-1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(robot.fk(s.q, "hand")[:, :3, 3], robot.fk(q, "hand")[:, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(
+        robot.fk(s.q, "hand")[:, :3, 3], robot.fk(q, "hand")[:, :3, 3], atol=1e-6
+    )
 
 
 def test_a_frame_that_nothing_moves():
@@ -347,14 +380,23 @@ def test_renaming_and_reordering_do_not_change_the_answer():
             m.body(names[i])
         for i in order:
             parent = m.ground if i == 0 else names[i - 1]
-            m.revolute(f"{names[i]}_joint", parent, names[i], at=(0.2, 0.1 * i, 0.3), axis=(i % 2, 1 - i % 2, 0.3 * i))
+            m.revolute(
+                f"{names[i]}_joint",
+                parent,
+                names[i],
+                at=(0.2, 0.1 * i, 0.3),
+                axis=(i % 2, 1 - i % 2, 0.3 * i),
+            )
         return m.build()
 
     plain, renamed, mixed = (
-        build(o, n) for o, n in (
-            (range(6), "abcdef"), (range(6), ["x", "y", "z", "u", "v", "w"]), ([3, 1, 5, 0, 4, 2], "abcdef"),
+        build(o, n)
+        for o, n in (
+            (range(6), "abcdef"),
+            (range(6), ["x", "y", "z", "u", "v", "w"]),
+            ([3, 1, 5, 0, 4, 2], "abcdef"),
         )
-    )  # fmt: skip
+    )
     X = plain.fk(plain.random(0), "f")
     s = plain.ik(X, "f")
     assert np.array_equal(s.q, renamed.ik(X, "w").q)
@@ -393,7 +435,11 @@ def test_orientation_of_a_particle_is_refused_as_target():
     target = np.diag([-1.0, -1.0, 1.0, 1.0])
     with pytest.raises(InputError, match="particle"):
         built.ik(target, "p")
-    assert built.ik(target, "p", task="position") and built.ik(np.eye(4), "p") and built.ik([1.0, 2.0, 3.0], "p")
+    assert (
+        built.ik(target, "p", task="position")
+        and built.ik(np.eye(4), "p")
+        and built.ik([1.0, 2.0, 3.0], "p")
+    )
 
 
 @pytest.mark.parametrize("joint", ["q1", "q3"])
@@ -410,27 +456,38 @@ def test_wrong_arguments_are_named():
     target = robot.fk(robot.q("qn"), "tool")
     with pytest.raises(InputError, match="starts is"):
         robot.ik(target, "tool", budget=kempe.Budget(starts=10**30))
-    with pytest.raises(InputError, match=r"leading shapes do not fit together: \(3,\) of target, \(2,\) of start"):
+    with pytest.raises(
+        InputError, match=r"leading shapes do not fit together: \(3,\) of target, \(2,\) of start"
+    ):
         robot.ik(np.stack([target] * 3), "tool", start=np.zeros((2, 6)))
     with pytest.raises(kempe.KempeError, match="frame of expression"):
         robot.jacobian(robot.neutral, "tool", ["body"])
     assert robot.ik(target, "tool", tolerance=np.array([1e-6, 1e-6]))
 
 
-@pytest.mark.parametrize(("p", "distance"), [((0.5, 0.0, 0.0), 0.5), ((0.0, 0.0, -3.0), 2.0), ((2.0, 2.0, 1.0), 2.0)])
+@pytest.mark.parametrize(
+    ("p", "distance"), [((0.5, 0.0, 0.0), 0.5), ((0.0, 0.0, -3.0), 2.0), ((2.0, 2.0, 1.0), 2.0)]
+)
 def test_a_ball_joint_leads_a_point_on_a_sphere(p, distance):
-    """No axis of it stays where it is, so that the lengths about an axis that turns say nothing there."""
+    """No axis of it stays where it is, so that the lengths about an axis that turns say nothing
+    there.
+    """
     m = Mechanism("ball")
     rod = m.body("rod")
     m.spherical("S", m.ground, rod)
     m.frame("tip", rod, (0.0, 0.0, 1.0))
     s = m.build().ik(p, "tip")
-    assert s.code == Status.OUT_OF_REACH and f"outside the workspace by at least {distance:g} m" in s.status
+    assert (
+        s.code == Status.OUT_OF_REACH
+        and f"outside the workspace by at least {distance:g} m" in s.status
+    )
     np.testing.assert_allclose(s.position_error, distance, atol=1e-6)
 
 
 def test_starts_and_targets_broadcast():
-    """Each answer of a batch is the answer to its pair alone; the elbow is on the side on which its start is."""
+    """Each answer of a batch is the answer to its pair alone; the elbow is on the side on which its
+    start is.
+    """
     arm = kempe.load("two_link")
     starts = np.stack([np.full(9, 0.5), np.linspace(-1.0, 1.1, 9)], axis=-1)
     p = np.array([[0.6, 0.3], [0.4, -0.5]])
@@ -444,7 +501,9 @@ def test_starts_and_targets_broadcast():
 def test_names_stand_for_starts_and_targets():
     arm = kempe.load("two_link")
     p = arm.fk(arm.neutral, "p")[:2, 3]
-    np.testing.assert_array_equal(arm.ik(p, "e", start="elbow_up").q, arm.ik(p, "e", start=arm.q("elbow_up")).q)
+    np.testing.assert_array_equal(
+        arm.ik(p, "e", start="elbow_up").q, arm.ik(p, "e", start=arm.q("elbow_up")).q
+    )
     np.testing.assert_array_equal(arm.ik("p", "e", task="position").q, arm.ik(p, "e").q)
     assert len(arm.ik_all("p", "e", task="position")) == 2
     with pytest.raises(InputError, match="'e', which moves"):
@@ -455,7 +514,9 @@ def test_names_stand_for_starts_and_targets():
         arm.ik(p, "e", start="x")
 
 
-@pytest.mark.parametrize(("name", "frame"), [("puma560", "tool"), ("panda", "panda_hand_tcp"), ("two_link", "e")])
+@pytest.mark.parametrize(
+    ("name", "frame"), [("puma560", "tool"), ("panda", "panda_hand_tcp"), ("two_link", "e")]
+)
 def test_a_history_leads_from_the_start_to_the_answer(name, frame):
     robot = kempe.load(name)
     q0 = robot.random(1)
@@ -468,13 +529,19 @@ def test_a_history_leads_from_the_start_to_the_answer(name, frame):
     np.testing.assert_allclose(history.q[0], q0, rtol=0, atol=1e-12)
     assert history.start[-1] == s.starts - 1 and (np.diff(history.start) >= 0).all()
     Y = robot.fk(history.q, frame)
-    np.testing.assert_allclose(history.position_error, np.linalg.norm(Y[:, :3, 3] - X[:3, 3], axis=-1), atol=1e-12)
+    np.testing.assert_allclose(
+        history.position_error, np.linalg.norm(Y[:, :3, 3] - X[:3, 3], axis=-1), atol=1e-12
+    )
     energy = history.position_error**2 + history.orientation_error**2
-    assert energy[-1] < 1e-12 < energy[0] and str(history).startswith(f"{len(history.q) - s.starts} steps of ")
+    assert energy[-1] < 1e-12 < energy[0] and str(history).startswith(
+        f"{len(history.q) - s.starts} steps of "
+    )
 
 
 def test_a_history_of_what_converges_not_at_first():
-    """Stretched, the arm is singular: the first start is stuck; of a target out of reach no start arrives."""
+    """Stretched, the arm is singular: the first start is stuck; of a target out of reach no start
+    arrives.
+    """
     arm = kempe.load("two_link")
     s = arm.ik([-0.6, 0.0], "e", start=[0.0, 0.0], history=True)
     assert s and s.starts > 1 and (s.history.position_error[s.history.start == 0] > 1.4).all()
@@ -483,8 +550,11 @@ def test_a_history_of_what_converges_not_at_first():
     assert "the first 64 of 1000" in far.history.status
     axes = s.plot_history()
     assert {line.get_gid() for line in axes.lines} == {f"position:{k}" for k in range(s.starts)}
-    for call in (lambda: arm.ik([[0.6, 0.3]], "e", history=True), lambda: arm.ik([0.6, 0.3], "e").plot_history(),
-                 lambda: arm.ik([0.6, 0.3], "e", method="analytic", history=True),
-                 lambda: arm.ik([kempe.tasks.Position("e", [0.6, 0.3])], history=True)):  # fmt: skip
+    for call in (
+        lambda: arm.ik([[0.6, 0.3]], "e", history=True),
+        lambda: arm.ik([0.6, 0.3], "e").plot_history(),
+        lambda: arm.ik([0.6, 0.3], "e", method="analytic", history=True),
+        lambda: arm.ik([kempe.tasks.Position("e", [0.6, 0.3])], history=True),
+    ):
         with pytest.raises(InputError, match="history"):
             call()

@@ -1,4 +1,6 @@
-"""Reachable targets on every real robot, judged by Pinocchio: all found, none false, none outside the limits."""
+"""Reachable targets on every real robot, judged by Pinocchio: all found, none false, none outside
+the limits.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ def tips(robot):
     """Ends of the two longest chains, and the last body that carries on from one of them."""
     inner = set(robot.parent)
     ends = [
-        name for i, name in enumerate(robot.body_names) if i and i not in inner and robot.structure.table.path(name)
+        name
+        for i, name in enumerate(robot.body_names)
+        if i and i not in inner and robot.structure.table.path(name)
     ]
     return sorted(ends, key=lambda name: (-len(robot.structure.table.path(name)), name))[:2]
 
@@ -32,7 +36,9 @@ def pinocchio_poses(model, robot, q, frame):
     out = np.empty((len(q), 4, 4))
     x = pin.neutral(model)
     index = {n: i for i, n in enumerate(robot.coordinate_names)}
-    joints = [(model.names[j], model.joints[j].idx_q, model.joints[j].nq) for j in range(1, model.njoints)]
+    joints = [
+        (model.names[j], model.joints[j].idx_q, model.joints[j].nq) for j in range(1, model.njoints)
+    ]
     for row, configuration in enumerate(q):
         for name, at, size in joints:
             if name not in index:
@@ -63,7 +69,9 @@ def test_every_reachable_target_is_found(name):
         at_q = robot.structure.layout.vector_q
         at_v = robot.structure.layout.vector_v
         assert s.success.all(), f"{frame}: {s}"
-        assert (s.q[:, at_q] >= robot.lower[at_v]).all() and (s.q[:, at_q] <= robot.upper[at_v]).all()
+        assert (s.q[:, at_q] >= robot.lower[at_v]).all() and (
+            s.q[:, at_q] <= robot.upper[at_v]
+        ).all()
         Y = pinocchio_poses(model, robot, s.q, frame)
         assert np.linalg.norm(Y[:, :3, 3] - X[:, :3, 3], axis=-1).max() <= 1.001e-6
         assert angles(X, Y).max() <= 1.001e-6

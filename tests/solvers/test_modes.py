@@ -1,4 +1,6 @@
-"""Assembly modes: published counts, independent roots, merging, limits, sets that are not finite, honesty."""
+"""Assembly modes: published counts, independent roots, merging, limits, sets that are not finite,
+honesty.
+"""
 
 from __future__ import annotations
 
@@ -40,18 +42,29 @@ def assert_closed(modes: Modes, known: dict[str, float]) -> None:
 
 @pytest.mark.parametrize(
     "name, known, count",
-    [("four_bar", ["A"], 2), ("slider_crank", ["A"], 2), ("five_bar", ["A", "D"], 2), ("jansen", ["O"], 8)],
+    [
+        ("four_bar", ["A"], 2),
+        ("slider_crank", ["A"], 2),
+        ("five_bar", ["A", "D"], 2),
+        ("jansen", ["O"], 8),
+    ],
 )
 def test_published_counts(name, known, count):
     system = kempe.load(name)
     modes = assembly_modes(system, inputs(system, *known))
     assert len(modes) == count and modes.complete and modes.coverage is None
     assert modes.status.startswith("complete: every dyad in closed form")
-    assert len(set(modes.branches)) == count and np.all(modes.multiplicity == 1) and not modes.freedoms.any()
+    assert (
+        len(set(modes.branches)) == count
+        and np.all(modes.multiplicity == 1)
+        and not modes.freedoms.any()
+    )
     assert_closed(modes, inputs(system, *known))
 
 
-@pytest.mark.parametrize("name, known", [("four_bar", "A"), ("slider_crank", "A"), ("klann", None), ("jansen", "O")])
+@pytest.mark.parametrize(
+    "name, known", [("four_bar", "A"), ("slider_crank", "A"), ("klann", None), ("jansen", "O")]
+)
 def test_structure_and_search_agree(name, known):
     """The same set by closed forms and by random starts, which share no code."""
     system = kempe.load(name)
@@ -82,7 +95,9 @@ def test_every_closed_branch_of_a_random_chain_is_there_once(seed):
 
 
 def test_peaucellier_moves_where_its_rhombus_is_folded():
-    """With A = B the rhombus is folded: C is the centre of D's circle. Four of the eight branches are like that."""
+    """With A = B the rhombus is folded: C is the centre of D's circle. Four of the eight branches
+    are like that.
+    """
     system = kempe.load("peaucellier")
     modes = assembly_modes(system, inputs(system, "Q"))
     assert len(modes) == 8 and not modes.complete and modes.status.startswith("not finite: 4 of 8")
@@ -159,8 +174,10 @@ def test_followers_can_be_given():
 
 
 def folded_kite(x: float, y: float, link: float, reach: float) -> tuple[System, float]:
-    """A four-bar whose crank tip lies on the rocker's pivot (x, y), and a dyad between the rocker's end and the ground;
-    the crank angle. The rocker can stand at any angle at which the dyad closes: some do where `reach` is below 2."""
+    """A four-bar whose crank tip lies on the rocker's pivot (x, y), and a dyad between the rocker's
+    end and the ground; the crank angle. The rocker can stand at any angle at which the dyad closes:
+    some do where `reach` is below 2.
+    """
     m = Mechanism("folded kite", dim=2)
     m.revolute("A", m.ground, m.body("crank"))
     m.revolute("B", "crank", m.body("coupler"), at=(math.hypot(x, y), 0))
@@ -184,7 +201,10 @@ def test_hunt_a_dyad_behind_a_continuum_is_no_proof(hunt):
     """Whether the second dyad closes depends on the position that was chosen for the first."""
     rng = hunt.rng()
     for _ in range(hunt.cases(60)):
-        check_folded_kite(*np.round(rng.uniform(0.2, 2.0, 3), 2).tolist(), float(np.round(rng.uniform(0.5, 1.9), 2)))
+        check_folded_kite(
+            *np.round(rng.uniform(0.2, 2.0, 3), 2).tolist(),
+            float(np.round(rng.uniform(0.5, 1.9), 2)),
+        )
 
 
 def test_a_continuum_from_which_the_rest_is_out_of_reach_is_a_proof():
@@ -195,7 +215,9 @@ def test_a_continuum_from_which_the_rest_is_out_of_reach_is_a_proof():
 
 
 def drawn(*joints: tuple[str, str, str, tuple[float, float], float | None]) -> System:
-    """A mechanism that is closed at q = 0: joints (name, parent, child, place, angle of a slide or None)."""
+    """A mechanism that is closed at q = 0: joints (name, parent, child, place, angle of a slide or
+    None).
+    """
     m = Mechanism("drawn", dim=2)
     for body in sorted({b for j in joints for b in j[1:3]} - {"ground"}):
         m.body(body)
@@ -203,7 +225,14 @@ def drawn(*joints: tuple[str, str, str, tuple[float, float], float | None]) -> S
         if slide is None:
             m.revolute(name, parent, child, at=place, child_at=place)
         else:
-            m.prismatic(name, parent, child, at=place, child_at=place, axis=(math.cos(slide), math.sin(slide)))
+            m.prismatic(
+                name,
+                parent,
+                child,
+                at=place,
+                child_at=place,
+                axis=(math.cos(slide), math.sin(slide)),
+            )
     return m.build()
 
 
@@ -213,10 +242,15 @@ def holds(modes: Modes, q: np.ndarray) -> bool:
 
 
 def test_hunt_a_root_at_the_square_root_of_rounding_is_kept(hunt):
-    """A slide at right angles to its link, which is a double root, then a link without length on the slider."""
+    """A slide at right angles to its link, which is a double root, then a link without length on
+    the slider.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(80)):
-        (px, py), u, w, crank = np.round(rng.uniform(-2.0, 2.0, (2,)), 1), *np.round(rng.uniform(-2, 2, (3, 2)), 1)
+        (px, py), u, w, crank = (
+            np.round(rng.uniform(-2.0, 2.0, (2,)), 1),
+            *np.round(rng.uniform(-2, 2, (3, 2)), 1),
+        )
         along = np.array([1.0, -1.0]) * rng.integers(1, 4)
         system = drawn(
             ("A", "ground", "crank", (crank[0], crank[1]), None),
@@ -233,7 +267,9 @@ def test_hunt_a_root_at_the_square_root_of_rounding_is_kept(hunt):
 
 
 def integer_chain(rng: np.random.Generator) -> System:
-    """Dyads on points of a small lattice, so that points coincide, lie on lines and have the same distances."""
+    """Dyads on points of a small lattice, so that points coincide, lie on lines and have the same
+    distances.
+    """
     digits, scale = (0, 2.0) if rng.random() < 0.6 else (1, 1.5)
     there = ["ground", "crank"]
     joints = []
@@ -249,14 +285,18 @@ def integer_chain(rng: np.random.Generator) -> System:
         one = f"u{k}"
         two = f"v{k}"
         ends = [str(rng.choice(there)), one, two, str(rng.choice(there))]
-        for letter, parent, child, slides in zip("abc", ends, ends[1:], [x == "P" for x in kind], strict=False):
+        for letter, parent, child, slides in zip(
+            "abc", ends, ends[1:], [x == "P" for x in kind], strict=False
+        ):
             joint(f"{letter}{k}", parent, child, slides)
         there += [one, two]
     return drawn(*joints)
 
 
 def check_integer_chain(system: System, starts: np.random.Generator) -> int:
-    """What is called complete has the drawn configuration, and all that least squares find; 1 if it is."""
+    """What is called complete has the drawn configuration, and all that least squares find; 1 if it
+    is.
+    """
     if no_dyads(system, ("A",)) is not None:
         return 0
     modes = system.assembly_modes({"A": 0.0})
@@ -293,7 +333,9 @@ def test_regular_chains_are_still_complete(seed):
 
 
 def test_whole_turns_that_move_a_wheel_are_modes():
-    """A wheel geared one to two stands otherwise after a turn of the rocker, one geared two to one does not."""
+    """A wheel geared one to two stands otherwise after a turn of the rocker, one geared two to one
+    does not.
+    """
     for ratio, count, turns in (
         (0.5, 4, (-math.inf, math.inf)),
         (2.0, 2, (-math.inf, math.inf)),
@@ -324,17 +366,23 @@ def three_rpr(base, platform) -> System:
 
 
 def platform_angles(base, platform, lengths) -> np.ndarray:
-    """Orientations of a 3-RPR platform, from its sextic (Hunt, 1983): real ones are roots of modulus 1.
+    """Orientations of a 3-RPR platform, from its sextic (Hunt, 1983): real ones are roots of
+    modulus 1.
 
-    For a given orientation two differences of the leg equations are linear in the position; put into the first they
-    leave a Laurent polynomial in exp(i angle), whose coefficients come from samples on the circle.
+    For a given orientation two differences of the leg equations are linear in the position; put
+    into the first they leave a Laurent polynomial in exp(i angle), whose coefficients come from
+    samples on the circle.
     """
     n = 32
     z = np.exp(2j * np.pi * np.arange(n) / n)
-    w = [np.stack([z.real * b[0] - z.imag * b[1] - a[0], z.imag * b[0] + z.real * b[1] - a[1]])
-         for a, b in zip(base, platform, strict=True)]  # fmt: skip
+    w = [
+        np.stack([z.real * b[0] - z.imag * b[1] - a[0], z.imag * b[0] + z.real * b[1] - a[1]])
+        for a, b in zip(base, platform, strict=True)
+    ]
     rows = [2 * (w[i] - w[0]) for i in (1, 2)]
-    right = [lengths[i] ** 2 - lengths[0] ** 2 - (w[i] ** 2).sum(0) + (w[0] ** 2).sum(0) for i in (1, 2)]
+    right = [
+        lengths[i] ** 2 - lengths[0] ** 2 - (w[i] ** 2).sum(0) + (w[0] ** 2).sum(0) for i in (1, 2)
+    ]
     det = rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]
     x = right[0] * rows[1][1] - right[1] * rows[0][1]
     y = rows[0][0] * right[1] - rows[1][0] * right[0]
@@ -349,9 +397,24 @@ def platform_angles(base, platform, lengths) -> np.ndarray:
 @pytest.mark.parametrize(
     "base, platform, lengths, count",
     [
-        ([(0, 0), (2.56, 0), (1.45, 1.14)], [(0, 0), (1.1, 0), (-0.41, 1.69)], (1.64, 0.99, 1.66), 6),
-        ([(0, 0), (2.83, 0), (1.15, -0.51)], [(0, 0), (2.28, 0), (-1.13, 1.32)], (2.14, 2.21, 2.55), 4),
-        ([(0, 0), (1.25, 0), (2.46, 0.93)], [(0, 0), (1.52, 0), (-1.88, 0.83)], (1.44, 0.73, 2.15), 2),
+        (
+            [(0, 0), (2.56, 0), (1.45, 1.14)],
+            [(0, 0), (1.1, 0), (-0.41, 1.69)],
+            (1.64, 0.99, 1.66),
+            6,
+        ),
+        (
+            [(0, 0), (2.83, 0), (1.15, -0.51)],
+            [(0, 0), (2.28, 0), (-1.13, 1.32)],
+            (2.14, 2.21, 2.55),
+            4,
+        ),
+        (
+            [(0, 0), (1.25, 0), (2.46, 0.93)],
+            [(0, 0), (1.52, 0), (-1.88, 0.83)],
+            (1.44, 0.73, 2.15),
+            2,
+        ),
     ],
 )
 def test_three_rpr_has_up_to_six_modes(base, platform, lengths, count):
@@ -366,7 +429,9 @@ def test_three_rpr_has_up_to_six_modes(base, platform, lengths, count):
     assert_closed(modes, known)
     X = system.fk(modes.q, "platform")
     assert np.abs(np.sort(np.arctan2(X[:, 1, 0], X[:, 0, 0])) - expected).max() < 1e-7
-    assert np.array_equal(assembly_modes(system, known).q, modes.q), "the same arguments give the same answer"
+    assert np.array_equal(assembly_modes(system, known).q, modes.q), (
+        "the same arguments give the same answer"
+    )
 
 
 @pytest.mark.slow
@@ -381,10 +446,14 @@ def test_dietmaier_has_forty_modes():
 
 
 def test_a_frame_counts_poses():
-    """The legs of a Stewart platform turned over on their universal joints do not count with `frame`."""
+    """The legs of a Stewart platform turned over on their universal joints do not count with
+    `frame`.
+    """
     system = kempe.load("stewart")
     known = inputs(system, *(f"leg{i}" for i in range(1, 7)))
-    few = assembly_modes(system, known, frame="platform", limits=False, budget=kempe.Budget(starts=1024))
+    few = assembly_modes(
+        system, known, frame="platform", limits=False, budget=kempe.Budget(starts=1024)
+    )
     X = system.fk(few.q, "platform")[:, :3]
     apart = np.abs(X[:, None] - X[None]).max(axis=(2, 3)) + np.eye(len(X))
     assert 1 <= len(few) <= 40 and apart.min() > 1e-6
@@ -395,7 +464,11 @@ def test_a_frame_counts_poses():
 def test_what_moves_is_not_called_finite():
     """Bennett with nothing known, and the lecture's four links with one input of two."""
     modes = assembly_modes(kempe.load("bennett"))
-    assert modes.status.startswith("not finite") and modes.freedoms.tolist() == [1] and not modes.complete
+    assert (
+        modes.status.startswith("not finite")
+        and modes.freedoms.tolist() == [1]
+        and not modes.complete
+    )
     assert len(assembly_modes(kempe.load("bennett"), {"q1": 1.0})) == 1
     links = kempe.load("four_links")
     modes = assembly_modes(links, inputs(links, links.coordinate_names[0]))
@@ -428,15 +501,23 @@ def test_the_time_limit_is_the_one_that_was_given(requested, limit, monkeypatch)
 
     monkeypatch.setattr(clock, "TimeLimit", Seen)
     system = kempe.load("bennett")
-    assembly_modes(system, {system.coordinate_names[0]: 0.5}, budget=kempe.Budget(starts=8, time_limit=requested))
+    assembly_modes(
+        system,
+        {system.coordinate_names[0]: 0.5},
+        budget=kempe.Budget(starts=8, time_limit=requested),
+    )
     assert seen and set(seen) == {limit}
 
 
 def test_none_found():
     system = three_rpr([(0, 0), (9, 0), (4, 9)], [(0, 0), (1, 0), (0, 1)])
-    modes = assembly_modes(system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, budget=kempe.Budget(starts=64))
+    modes = assembly_modes(
+        system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, budget=kempe.Budget(starts=64)
+    )
     assert not modes and not modes.complete
-    assert modes.status.startswith("none found, which proves nothing: of 64 starts none closed; not closed after")
+    assert modes.status.startswith(
+        "none found, which proves nothing: of 64 starts none closed; not closed after"
+    )
 
 
 def test_a_frame_can_be_known():
@@ -465,7 +546,9 @@ def test_estimates():
 def test_text_and_table():
     system = kempe.load("four_bar")
     modes = assembly_modes(system, inputs(system, "A"))
-    assert str(modes).startswith("2 configurations of four_bar; complete") and "D = 1.57079633" in str(modes)
+    assert str(modes).startswith(
+        "2 configurations of four_bar; complete"
+    ) and "D = 1.57079633" in str(modes)
     assert "<th>B</th>" in modes._repr_html_() and "A =" not in str(modes)
     assert [q.shape for q in modes] == [(4,), (4,)] and np.array_equal(modes[1], modes.q[1])
 
@@ -489,7 +572,9 @@ def test_refused_arguments():
 
 
 @pytest.mark.parametrize("cut", [None, "B", "D"])
-@pytest.mark.parametrize(("driven", "driver", "ratio", "count"), [("D", "A", -0.3, 6), ("B", "C", -0.5, 4)])
+@pytest.mark.parametrize(
+    ("driven", "driver", "ratio", "count"), [("D", "A", -0.3, 6), ("B", "C", -0.5, 4)]
+)
 def test_all_modes_of_a_gear_that_comes_back_after_several_turns(cut, driven, driver, ratio, count):
     """Counts by sign changes over all turns of the driver, from the closed form of the four-bar."""
     m = four_bar(cut=cut).mechanism
@@ -523,7 +608,9 @@ def test_a_system_without_coordinates_has_one_mode():
 
 @pytest.mark.parametrize("t", [0.0, 0.3, -1.0])
 def test_modes_at_a_time(t):
-    """Crank 0.1, rod 0.3, driven by A = 2 t: the slide is at 0.1 cos(2 t) +- sqrt(0.09 - 0.01 sin^2(2 t))."""
+    """Crank 0.1, rod 0.3, driven by A = 2 t: the slide is at 0.1 cos(2 t) +- sqrt(0.09 - 0.01
+    sin^2(2 t)).
+    """
     m = kempe.Mechanism("crank", dim=2)
     crank = m.body("crank")
     rod = m.body("rod")
@@ -534,7 +621,9 @@ def test_modes_at_a_time(t):
     m.prismatic("D", m.ground, slide, axis="x")
     m.constrain(kempe.constraints.Equation("A - 2*t", time=True), "drive")
     found = m.build().assembly_modes({"t": t})
-    there = 0.1 * np.cos(2.0 * t) + np.array([-1.0, 1.0]) * np.sqrt(0.09 - 0.01 * np.sin(2.0 * t) ** 2)
+    there = 0.1 * np.cos(2.0 * t) + np.array([-1.0, 1.0]) * np.sqrt(
+        0.09 - 0.01 * np.sin(2.0 * t) ** 2
+    )
     np.testing.assert_allclose(np.sort(found.q[:, 3]), there, atol=1e-9)
     np.testing.assert_allclose(found.q[:, 0], 2.0 * t, atol=1e-9)
     assert np.all(found.judged.holds)

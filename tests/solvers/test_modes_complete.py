@@ -1,4 +1,6 @@
-"""Assembly modes, none missing: mirror images, parity, counts by other methods; no more is claimed than is known."""
+"""Assembly modes, none missing: mirror images, parity, counts by other methods; no more is claimed
+than is known.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,11 @@ def missing(modes: np.ndarray, wanted: np.ndarray) -> int:
     if not len(wanted):
         return 0
     axes = tuple(range(2, modes.ndim + 1))
-    return int((np.abs(wanted[:, None] - modes[None]).max(axis=axes).min(axis=1, initial=np.inf) > 1e-5).sum())
+    return int(
+        (
+            np.abs(wanted[:, None] - modes[None]).max(axis=axes).min(axis=1, initial=np.inf) > 1e-5
+        ).sum()
+    )
 
 
 def check_framework(f: Framework, rng: np.random.Generator, starts: int) -> None:
@@ -75,7 +81,11 @@ def test_no_mirror_image_is_missing(case):
 @pytest.mark.parametrize("frame", [None, "rocker"])
 def test_an_idle_spin_does_not_make_modes_infinitely_many(frame):
     modes = kempe.load("rssr").assembly_modes({"A": 0.4}, frame=frame)
-    assert len(modes) == 2 and not modes.freedoms.any() and modes.status.startswith("not proven complete: 2 found")
+    assert (
+        len(modes) == 2
+        and not modes.freedoms.any()
+        and modes.status.startswith("not proven complete: 2 found")
+    )
     assert np.abs(np.sort(modes.q[:, -1]) - [-1.94625781, 0.69620855]).max() < 1e-8
     assert ("idle spin left out: coupler spins" in modes.status) == (frame is None)
 
@@ -90,12 +100,16 @@ def test_legs_between_balls_are_counted_by_their_platform(frame):
     modes = assembly_modes(system, known, frame=frame, limits=False)
     heights = system.fk(modes.q, "platform")[:, 2, 3]
     assert len(modes) == 8 and not modes.freedoms.any()
-    assert np.abs(np.sort(heights) + np.sort(heights)[::-1]).max() < 1e-8, "half of them below the base"
+    assert np.abs(np.sort(heights) + np.sort(heights)[::-1]).max() < 1e-8, (
+        "half of them below the base"
+    )
 
 
 @pytest.mark.parametrize("end", ["spherical", "hinges"])
 def test_balls_made_of_hinges_count_like_others(end):
-    """Their links can stand in two ways each, and spin with the rod: the rocker has two angles all the same."""
+    """Their links can stand in two ways each, and spin with the rod: the rocker has two angles all
+    the same.
+    """
     r = Rssr.random(np.random.default_rng(2))
     modes = rssr_system(r, end).assembly_modes({"A": r.angle})
     got = np.sort(np.angle(np.exp(1j * modes.q[:, modes.system.coordinate_names.index("D")])))
@@ -105,7 +119,10 @@ def test_balls_made_of_hinges_count_like_others(end):
 
 def test_what_moves_besides_the_spin_is_still_not_finite():
     modes = kempe.load("rssr").assembly_modes()
-    assert modes.status.startswith("not finite: there are some with 1 freedom left") and len(modes) == 1
+    assert (
+        modes.status.startswith("not finite: there are some with 1 freedom left")
+        and len(modes) == 1
+    )
 
 
 def test_a_known_spin_is_none():
@@ -144,7 +161,9 @@ def test_where_the_number_is_even_by_theorem():
     system, known = six_sps(rng, False)
     assert must_be_even(found(system, known)) and not must_be_even(found(system, known, "platform"))
     system = kempe.load("three_rrr")
-    assert must_be_even(found(system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")}))
+    assert must_be_even(
+        found(system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")})
+    )
     assert must_be_even(found(kempe.load("rssr"), {"A": 0.4}))
 
 
@@ -179,7 +198,9 @@ def test_where_it_need_not_be():
 
 
 def test_an_odd_number_is_called_incomplete(monkeypatch):
-    """With too few starts to find the last one and no look at images, the answer says that it is there."""
+    """With too few starts to find the last one and no look at images, the answer says that it is
+    there.
+    """
     import kempe.solvers.modes.modes_search as many
 
     f = k33(np.random.default_rng([1, 0]))
@@ -199,12 +220,16 @@ def two_rods(limits: dict[str, tuple[float, float]] | None = None) -> System:
     m.universal("U", m.ground, m.body("plate"), **({"limits": limits} if limits else {}))
     for name, y, length in (("L", 0.06, 0.27), ("R", -0.06, 0.22)):
         m.revolute(f"m{name}", m.ground, m.body(f"crank{name}"), at=(-0.02, y, length), axis="y")
-        m.distance(f"rod{name}", f"crank{name}", "plate", length, at=(-0.06, 0, 0), child_at=(-0.08, y, 0))
+        m.distance(
+            f"rod{name}", f"crank{name}", "plate", length, at=(-0.06, 0, 0), child_at=(-0.08, y, 0)
+        )
     return m.build()
 
 
 def test_without_limits_starts_are_drawn_all_over_and_inside_them_nothing_is_missing_by_parity():
-    """Where the limits hold one of several modes, their number need not be even; without limits all are found."""
+    """Where the limits hold one of several modes, their number need not be even; without limits all
+    are found.
+    """
     free = two_rods()
     q = free.q_dict(free.assemble({"U.rx": 0.05, "U.ry": 0.45}).q)
     known = {name: q[name] for name in ("mL", "mR")}
@@ -214,11 +239,16 @@ def test_without_limits_starts_are_drawn_all_over_and_inside_them_nothing_is_mis
     inside = bounded.assembly_modes(known)
     assert len(every) >= 4 and len(whole) == len(every) and "drawn inside" not in whole.status
     assert len(inside) == int(whole.inside.sum()) == 1
-    assert "missing" not in inside.status and "starts were drawn inside the limits only" in inside.status
+    assert (
+        "missing" not in inside.status
+        and "starts were drawn inside the limits only" in inside.status
+    )
 
 
 def test_hunt_limits_hide_no_mode_from_a_search_without_them(hunt):
-    """Frameworks of four-bars in space with random limits: the same modes as without limits in the model."""
+    """Frameworks of four-bars in space with random limits: the same modes as without limits in the
+    model.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
         r = Rssr.random(rng)
@@ -256,8 +286,14 @@ def test_the_bound_holds_as_often_as_it_says():
 
 def test_no_search_claims_all():
     system = kempe.load("three_rrr")
-    modes = assembly_modes(system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")})
-    assert 0.9 < modes.coverage < 1.0 and "100 %" not in modes.status and "95 % confidence" in modes.status
+    modes = assembly_modes(
+        system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")}
+    )
+    assert (
+        0.9 < modes.coverage < 1.0
+        and "100 %" not in modes.status
+        and "95 % confidence" in modes.status
+    )
 
 
 # ---- hunts
@@ -308,7 +344,9 @@ def test_hunt_many_loops(hunt):
 
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (0.5, -1.0)], ids=str)
 def test_angles_that_wind_up_make_no_modes(factors):
-    """A differential's angles may go around together, and all bodies are where they were: no mode is listed twice."""
+    """A differential's angles may go around together, and all bodies are where they were: no mode
+    is listed twice.
+    """
     rng = np.random.default_rng(3)
     m = Mechanism("7R with a differential")
     bodies = ["ground", *(m.body(f"b{i}") for i in range(7)), "ground"]

@@ -1,4 +1,6 @@
-"""Assembly modes of platforms on rods that spin: as many as six distances allow, by Newton's method alone."""
+"""Assembly modes of platforms on rods that spin: as many as six distances allow, by Newton's method
+alone.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,12 @@ from kempe.joints import joint_type
 from kempe.spatial import exp_so3
 
 
-def poses_of(base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.random.Generator, n: int) -> np.ndarray:
-    """Poses (k, 3, 4), each once, that hold points (m, 3) of a platform at distances from others: n random starts."""
+def poses_of(
+    base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.random.Generator, n: int
+) -> np.ndarray:
+    """Poses (k, 3, 4), each once, that hold points (m, 3) of a platform at distances from others: n
+    random starts.
+    """
     size = float(np.abs(base).max() + lengths.max())
     R = exp_so3(rng.normal(size=(n, 3)) * 2.0)
     p = rng.uniform(-size, size, (n, 3))
@@ -23,11 +29,15 @@ def poses_of(base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.ran
         arms = np.einsum("nij,mj->nmi", R, top)
         d = arms + p[:, None] - base
         error = 0.5 * (np.sum(d * d, axis=-1) - lengths**2)
-        J = np.concatenate([d, np.cross(arms, d)], axis=-1)  # the platform turns about its own point, in the ground
+        J = np.concatenate(
+            [d, np.cross(arms, d)], axis=-1
+        )  # the platform turns about its own point, in the ground
         JT = np.swapaxes(J, 1, 2)
         damped = J @ JT + (1e-6 * np.abs(error).max(axis=1))[:, None, None] * np.eye(len(top))
         step = -(JT @ np.linalg.solve(damped, error[..., None]))[..., 0]
-        step *= np.minimum(1.0, 0.7 * size / np.maximum(np.linalg.norm(step, axis=1), 1e-300))[:, None]
+        step *= np.minimum(1.0, 0.7 * size / np.maximum(np.linalg.norm(step, axis=1), 1e-300))[
+            :, None
+        ]
         p = p + step[:, :3]
         R = exp_so3(step[:, 3:]) @ R
     good = np.abs(error).max(axis=1) < 1e-11 * size**2
@@ -39,7 +49,9 @@ def poses_of(base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.ran
 
 
 def rods(system: System, q: np.ndarray, platform: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ends (m, 3) of rods on what stands still and on the platform (in its axes), and their lengths, at q (nq,)."""
+    """Ends (m, 3) of rods on what stands still and on the platform (in its axes), and their
+    lengths, at q (nq,).
+    """
     m = system.mechanism
     still = {}
     top = {}
@@ -59,7 +71,9 @@ def on_balls(name: str) -> Mechanism:
     """A shipped mechanism with balls in place of its universal joints."""
     m = kempe.load(name).mechanism
     ball = joint_type("spherical")
-    m.joints |= {n: replace(j, type=ball) for n, j in m.joints.items() if j.type.type_name == "universal"}
+    m.joints |= {
+        n: replace(j, type=ball) for n, j in m.joints.items() if j.type.type_name == "universal"
+    }
     m.postures.clear()
     return m
 
@@ -100,7 +114,9 @@ def test_a_delta_robot_on_balls_has_twelve_poses_for_its_arms():
     level = poses[np.abs(poses[:, :3, :3] - np.eye(3)).max(axis=(1, 2)) < 1e-6]
     wanted = other.fk(other.assembly_modes(known, frame="platform").q, "platform")
     assert len(level) == len(wanted) == 2
-    np.testing.assert_allclose(level[np.argsort(level[:, 2, 3])], wanted[np.argsort(wanted[:, 2, 3])], atol=1e-9)
+    np.testing.assert_allclose(
+        level[np.argsort(level[:, 2, 3])], wanted[np.argsort(wanted[:, 2, 3])], atol=1e-9
+    )
 
 
 def _hunt_platforms(hunt, cases: int) -> None:
@@ -133,4 +149,7 @@ def test_modes_read_the_idle_freedoms_of_mobility(name):
     report = system.mobility(q, local=False)
     idle = idle_at(system, q)
     assert idle == report.idle_freedoms
-    assert all(np.array_equal(a.velocity, b.velocity) for a, b in zip(idle, report.idle_freedoms, strict=True))
+    assert all(
+        np.array_equal(a.velocity, b.velocity)
+        for a, b in zip(idle, report.idle_freedoms, strict=True)
+    )

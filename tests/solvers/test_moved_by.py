@@ -15,6 +15,12 @@ def test_a_screw_turns_and_slides():
     m.cylindrical("c", "c", m.body("d"))
     chain = chain_of(m.build(), "d")
     turns, slides = moved_by(chain)
-    assert turns.tolist() == [True, True, False, True, False] or turns.tolist() == [True, True, False, False, True]
+    assert turns.tolist() == [True, True, False, True, False] or turns.tolist() == [
+        True,
+        True,
+        False,
+        False,
+        True,
+    ]
     assert (turns & slides).tolist() == [False, True, False, False, False]
     assert (turns | slides).all()

@@ -1,4 +1,6 @@
-"""What is nearest to a pose out of reach: one measure, whether the pose is a target of a frame or a task."""
+"""What is nearest to a pose out of reach: one measure, whether the pose is a target of a frame or a
+task.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,20 @@ def descent(system, q, frame, X) -> float:
     """The least miss that SciPy finds from here, within the limits."""
     low = np.maximum(system.lower, -7.0)
     high = np.minimum(system.upper, 7.0)
-    found = minimize(lambda x: off(system, x, frame, X), np.clip(q, low, high), method="L-BFGS-B",
-                     bounds=list(zip(low, high, strict=True)), options={"ftol": 1e-15, "gtol": 1e-9})  # fmt: skip
+    found = minimize(
+        lambda x: off(system, x, frame, X),
+        np.clip(q, low, high),
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"ftol": 1e-15, "gtol": 1e-9},
+    )
     return float(found.fun)
 
 
 def beyond(system, frame, seed):
-    """A pose of a random configuration, moved on by some characteristic lengths in a random direction."""
+    """A pose of a random configuration, moved on by some characteristic lengths in a random
+    direction.
+    """
     way = np.random.default_rng(seed).normal(size=3) * (1.0, 1.0, system.dim == 3)
     X = np.array(system.fk(system.random(seed), frame))
     X[:3, 3] += 1.5 * (1 + seed % 4) * characteristic_length(system) * way / np.linalg.norm(way)
@@ -39,11 +48,26 @@ def beyond(system, frame, seed):
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [("two_link", 1), ("puma560", 1), *(pytest.param(name, seed, marks=pytest.mark.slow) for name, seed in
-      (("two_link", 2), ("puma560", 2), ("ur5", 1), ("ur5", 2), ("panda", 1), ("panda", 2)))],
-)  # fmt: skip
+    [
+        ("two_link", 1),
+        ("puma560", 1),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.slow)
+            for name, seed in (
+                ("two_link", 2),
+                ("puma560", 2),
+                ("ur5", 1),
+                ("ur5", 2),
+                ("panda", 1),
+                ("panda", 2),
+            )
+        ),
+    ],
+)
 def test_a_frame_and_a_task_miss_a_pose_by_the_same_measure(name, seed):
-    """Neither can be brought nearer by SciPy, and random starts of SciPy end no nearer than the frame does."""
+    """Neither can be brought nearer by SciPy, and random starts of SciPy end no nearer than the
+    frame does.
+    """
     system = kempe.load(name)
     frame = FRAMES[name]
     X = beyond(system, frame, seed)
@@ -55,7 +79,9 @@ def test_a_frame_and_a_task_miss_a_pose_by_the_same_measure(name, seed):
     assert off(system, other.q, frame, X) <= descent(system, other.q, frame, X) * (1 + 1e-6)
     assert least <= off(system, other.q, frame, X) * (1 + 1e-6)
     rng = np.random.default_rng(0)
-    assert least <= min(descent(system, system.random(rng), frame, X) for _ in range(2)) * (1 + 1e-6)
+    assert least <= min(descent(system, system.random(rng), frame, X) for _ in range(2)) * (
+        1 + 1e-6
+    )
 
 
 def test_rows_of_a_batch_are_nearest_by_this_measure():
@@ -66,4 +92,6 @@ def test_rows_of_a_batch_are_nearest_by_this_measure():
     batch = system.ik(X, frame, system.mid)
     for i in range(3):
         single = system.ik(X[i], frame, system.mid)
-        assert off(system, batch.q[i], frame, X[i]) == pytest.approx(off(system, single.q, frame, X[i]), rel=1e-9)
+        assert off(system, batch.q[i], frame, X[i]) == pytest.approx(
+            off(system, single.q, frame, X[i]), rel=1e-9
+        )

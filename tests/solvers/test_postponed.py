@@ -1,4 +1,6 @@
-"""Targets of a batch that lengths prove out of reach cost a glance; what is nearest to them is found on demand."""
+"""Targets of a batch that lengths prove out of reach cost a glance; what is nearest to them is
+found on demand.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def descents(monkeypatch):
     class Counted:
         @staticmethod
         def approach(*given):
-            requested.append(int(np.sum(given[-1][:, -3] == Status.NOT_FOUND)))  # those that are not found
+            requested.append(
+                int(np.sum(given[-1][:, -3] == Status.NOT_FOUND))
+            )  # those that are not found
             return fallback.approach(*given)
 
     monkeypatch.setattr("kempe.kernels.compiled.fallback", Counted)
@@ -43,7 +47,11 @@ def test_what_is_nearest_is_searched_for_on_demand(descents):
     X = np.array(s.fk(s.random(0, 500), "tool"))
     X[:, :3, 3] *= 30.0
     answer = s.ik(X, "tool")
-    assert not answer.success.any() and (answer.code == Status.OUT_OF_REACH).all() and answer.proven.all()
+    assert (
+        not answer.success.any()
+        and (answer.code == Status.OUT_OF_REACH).all()
+        and answer.proven.all()
+    )
     assert len(answer) == 500 and not answer and not sum(descents)
     assert np.isfinite(answer.q).all() and sum(descents) == 500
 
@@ -63,7 +71,9 @@ def test_rows_of_a_batch_are_what_single_calls_answer(name, hunt):
     assert {Status.SOLVED, Status.OUT_OF_REACH} <= set(answer.code.tolist())
 
 
-@pytest.mark.parametrize("use", [pickle.dumps, repr, lambda a: a.status, lambda a: replace(a, problem=None)])
+@pytest.mark.parametrize(
+    "use", [pickle.dumps, repr, lambda a: a.status, lambda a: replace(a, problem=None)]
+)
 def test_an_answer_can_be_used_before_its_numbers_were_read(use):
     s = kempe.load("puma560")
     X = mixed(s, "tool", np.random.default_rng(4), 30)
@@ -80,10 +90,16 @@ def test_an_answer_can_be_used_before_its_numbers_were_read(use):
 
 
 def test_a_batch_of_answers_is_a_list_of_configurations(descents):
-    """Length, rows and iteration agree with `q`, also where q is found on demand; one answer says where it is."""
+    """Length, rows and iteration agree with `q`, also where q is found on demand; one answer says
+    where it is.
+    """
     s = kempe.load("puma560")
     X = mixed(s, "tool", np.random.default_rng(1), 7)
-    for answer in (s.ik(X, "tool"), s.ik(kempe.tasks.Pose("tool", X)), s.ik(X.reshape(7, 1, 4, 4), "tool")):
+    for answer in (
+        s.ik(X, "tool"),
+        s.ik(kempe.tasks.Pose("tool", X)),
+        s.ik(X.reshape(7, 1, 4, 4), "tool"),
+    ):
         assert len(answer) == 7
         np.testing.assert_array_equal(answer[2], answer.q[2])
         np.testing.assert_array_equal(answer[-1], answer.q[6])
@@ -98,9 +114,16 @@ def test_a_batch_of_answers_is_a_list_of_configurations(descents):
     np.testing.assert_array_equal(list(closed), closed.q)
     plan = bar.loops.closed_form(["A"])
     assert len(list(plan.close(np.array([[0.1], [0.2]])))) == 2
-    singles = s.ik(X[0], "tool"), s.ik(X[0, :3, 3], "tool"), bar.assemble({"A": 0.3}), plan.close([0.1])
+    singles = (
+        s.ik(X[0], "tool"),
+        s.ik(X[0, :3, 3], "tool"),
+        bar.assemble({"A": 0.3}),
+        plan.close([0.1]),
+    )
     for one in singles:
         for use in (len, list, lambda a: a[0], iter):
-            with pytest.raises(CallError, match="one problem and no list: its configuration is `q`"):
+            with pytest.raises(
+                CallError, match="one problem and no list: its configuration is `q`"
+            ):
                 use(one)
         assert bool(one) in (True, False) and np.array([one], dtype=object).shape == (1,)

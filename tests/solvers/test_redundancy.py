@@ -1,4 +1,6 @@
-"""Sweeps of redundant chains: independent closed forms on dense grids, ends of intervals, gauge, singular arms."""
+"""Sweeps of redundant chains: independent closed forms on dense grids, ends of intervals, gauge,
+singular arms.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,15 @@ D = (0.36, 0.0, 0.42, 0.0, 0.4, 0.0, 0.126)
 
 
 def iiwa(base=None, tool=None, limits=LIMITS) -> kempe.System:
-    rows = [{"alpha": a, "d": d, "limits": (-x, x)} for a, d, x in zip(ALPHA, D, limits, strict=True)]
+    rows = [
+        {"alpha": a, "d": d, "limits": (-x, x)} for a, d, x in zip(ALPHA, D, limits, strict=True)
+    ]
     return from_dh(rows, "standard", "iiwa", base, tool).build()
 
 
 def iiwa_at(T, psi: float) -> np.ndarray:
-    """All configurations (8, 7) of the iiwa with its flange at T and its elbow turned by psi from straight above SW.
+    """All configurations (8, 7) of the iiwa with its flange at T and its elbow turned by psi from
+    straight above SW.
 
     The elbow is placed on its circle; then each joint follows from the directions of the two links.
     """
@@ -72,7 +77,9 @@ def wrapped(x):
 
 
 def apart(a, b) -> float:
-    """The largest distance from any configuration of one set to the nearest of the other, both ways."""
+    """The largest distance from any configuration of one set to the nearest of the other, both
+    ways.
+    """
     d = np.abs(wrapped(np.asarray(a)[:, None] - np.asarray(b)[None])).max(axis=-1)
     return max(d.min(axis=0).max(), d.min(axis=1).max())
 
@@ -130,7 +137,9 @@ def test_arm_angle_against_the_elbow_on_its_circle(seed):
 
 @pytest.mark.parametrize("seed", range(10, 16))
 def test_ends_of_intervals(seed):
-    """A hair inside an end a solution respects the limits, a hair outside one less does, by the other closed form."""
+    """A hair inside an end a solution respects the limits, a hair outside one less does, by the
+    other closed form.
+    """
     system = iiwa()
     T = system.fk(system.random(np.random.default_rng(seed)), "tool")
     sweep = ik_sweep(system, T, "tool")
@@ -139,8 +148,13 @@ def test_ends_of_intervals(seed):
         if high - low > 2 * PI - 1e-9:
             continue
         for end, out in ((low, -1.0), (high, 1.0)):
-            within, beyond = ((np.abs(iiwa_at(T, end + s * 1e-8)) <= LIMITS).all(axis=1).sum() for s in (-out, out))
-            shared = sum(abs(wrapped(x - end)) < 1e-9 for rows in sweep.intervals for i in rows for x in i)
+            within, beyond = (
+                (np.abs(iiwa_at(T, end + s * 1e-8)) <= LIMITS).all(axis=1).sum()
+                for s in (-out, out)
+            )
+            shared = sum(
+                abs(wrapped(x - end)) < 1e-9 for rows in sweep.intervals for i in rows for x in i
+            )
             assert within > 0 and (within > beyond or shared > 1), end
             ends += 1
     assert ends > 0
@@ -173,7 +187,9 @@ def test_base_and_tool_change_nothing():
 
 
 def odd_arm(seed: int) -> kempe.System:
-    """Axes of shoulder and wrist at odd angles, an elbow axis out of the plane of both and offset, odd limits."""
+    """Axes of shoulder and wrist at odd angles, an elbow axis out of the plane of both and offset,
+    odd limits.
+    """
     rng = np.random.default_rng([seed, 4])
     m = kempe.Mechanism("odd")
     last = m.ground
@@ -198,7 +214,9 @@ def test_odd_angles_and_offsets(seed):
     assert deviation(system, "tool", sweep.q[sweep.mask], T) < 1e-9
     psi = arm_angle(system, q, "tool")
     at = sweep.at(psi)
-    assert np.abs(wrapped(at.q - q)).max(axis=1).min() < 1e-7 and lies_in(sweep.feasible, psi, 2 * PI)
+    assert np.abs(wrapped(at.q - q)).max(axis=1).min() < 1e-7 and lies_in(
+        sweep.feasible, psi, 2 * PI
+    )
     low = system.lower
     high = system.upper
     for k in range(8):
@@ -217,7 +235,9 @@ def test_odd_angles_and_offsets(seed):
 
 @pytest.mark.parametrize("seed", some(range(3), 3))
 def test_the_arm_angle_and_the_joint_agree(seed):
-    """The same chain over its third joint: every solution inside the limits has an arm angle inside the intervals."""
+    """The same chain over its third joint: every solution inside the limits has an arm angle inside
+    the intervals.
+    """
     system = iiwa()
     T = system.fk(system.random(np.random.default_rng(100 + seed)), "tool")
     arm = ik_sweep(system, T, "tool")
@@ -246,11 +266,15 @@ def test_stretched_arm_and_wrist_above_the_shoulder():
         for row, mask, value in zip(at.q, at.mask, at.value, strict=True):
             assert np.abs(wrapped(arm_angle(system, row[mask], "tool") - value)).max() < 1e-5
     stretched = system.fk([0.3, 0.7, 0.2, 0.0, -0.4, 0.9, 0.1], "tool")
-    assert len(ik_sweep(system, stretched, "tool").at(0.5)) == 4  # both ways to bend the elbow have merged
+    assert (
+        len(ik_sweep(system, stretched, "tool").at(0.5)) == 4
+    )  # both ways to bend the elbow have merged
 
 
 def test_the_arm_angle_of_a_stretched_arm_is_a_limit():
-    """By definition that of the arm that bends to the side "+", here q4 > 0; the other side is half a turn away."""
+    """By definition that of the arm that bends to the side "+", here q4 > 0; the other side is half
+    a turn away.
+    """
     system = iiwa()
     for q in system.random(np.random.default_rng(6), 5):
         a, b, c = (arm_angle(system, [*q[:3], x, *q[4:]], "tool") for x in (0.0, 1e-7, -1e-7))
@@ -296,7 +320,9 @@ def test_best():
     sweep = ik_sweep(system, T, "tool")
     best = sweep.best()
     room = np.min(1.0 - np.abs(best.q) / LIMITS)
-    assert best.score == pytest.approx(room, abs=1e-12) and deviation(system, "tool", best.q, T) < 1e-9
+    assert (
+        best.score == pytest.approx(room, abs=1e-12) and deviation(system, "tool", best.q, T) < 1e-9
+    )
     dense = [q for psi in np.linspace(-PI, PI, 3001) for q in iiwa_at(T, psi)]
     most = np.max(np.min(1.0 - np.abs(dense) / LIMITS, axis=1))
     assert most <= room + 1e-9 and room - most < 1e-3
@@ -332,13 +358,19 @@ def test_panda_over_its_last_joint():
 @pytest.mark.slow
 @pytest.mark.parametrize(("k", "joint"), [(0, "panda_joint1"), (6, "panda_joint7")])
 def test_few_samples_find_the_curves_that_they_meet(k, joint):
-    """Six values of the parameter: most pieces of the curves lie between two of them, some have folds at both ends."""
+    """Six values of the parameter: most pieces of the curves lie between two of them, some have
+    folds at both ends.
+    """
     system = kempe.load("panda")
     rng = np.random.default_rng(0)
     q = [system.random(rng) for _ in range(7)]
-    sweep = ik_sweep(system, system.fk(q[k], "tool"), "tool", joint, n=60, budget=kempe.Budget(points=6))
+    sweep = ik_sweep(
+        system, system.fk(q[k], "tool"), "tool", joint, n=60, budget=kempe.Budget(points=6)
+    )
     requested = sweep.at(sweep.values)
-    assert len(sweep.labels) >= 12 and np.array_equal(requested.mask.sum(axis=1), sweep.mask.sum(axis=1))
+    assert len(sweep.labels) >= 12 and np.array_equal(
+        requested.mask.sum(axis=1), sweep.mask.sum(axis=1)
+    )
     assert np.array_equal(requested.inside.sum(axis=1), sweep.inside.sum(axis=1))
 
 
@@ -355,7 +387,9 @@ def test_folds_close_to_each_other():
 
 
 def test_planar_arm_with_four_joints():
-    """Ends of the span over the last joint: where the first two links are in line, by the law of cosines."""
+    """Ends of the span over the last joint: where the first two links are in line, by the law of
+    cosines.
+    """
     lengths = (0.5, 0.4, 0.35, 0.2)
     system = planar_arm(*lengths)
     q = np.array([0.3, 0.9, -0.7, 0.5])
@@ -364,14 +398,18 @@ def test_planar_arm_with_four_joints():
     assert deviation(system, "tip", sweep.q[sweep.mask], T) < 1e-9
     angle = q.sum()
     p3 = T[:2, 3] - lengths[3] * np.array([math.cos(angle), math.sin(angle)])
-    # joint 3 is at p3 - l3 (cos, sin)(angle - q4): at most l1 + l2 from the origin, at least l1 - l2
+    # joint 3 is at p3 - l3 (cos, sin)(angle - q4): at most l1 + l2 from the origin, at least l1 -
+    # l2
     away = np.linalg.norm(p3)
     towards = math.atan2(p3[1], p3[0])
     known = []
     for reach in (lengths[0] + lengths[1], lengths[0] - lengths[1]):
         c = (away**2 + lengths[2] ** 2 - reach**2) / (2 * away * lengths[2])
         if abs(c) < 1:
-            known += [wrapped(angle - towards - math.acos(c)), wrapped(angle - towards + math.acos(c))]
+            known += [
+                wrapped(angle - towards - math.acos(c)),
+                wrapped(angle - towards + math.acos(c)),
+            ]
     ends = [x for rows in sweep.spans for i in rows for x in i if abs(abs(x) - PI) > 1e-9]
     ends = sorted({round(x, 9) for x in ends})
     assert known and np.allclose(ends, np.sort(known), atol=1e-9)
@@ -380,12 +418,21 @@ def test_planar_arm_with_four_joints():
 
 @pytest.mark.slow
 def test_position_with_four_joints_in_space():
-    rows = [{"alpha": H, "d": 0.3}, {"a": 0.1, "alpha": -H}, {"a": 0.3, "alpha": H, "d": 0.2}, {"a": 0.25}]
+    rows = [
+        {"alpha": H, "d": 0.3},
+        {"a": 0.1, "alpha": -H},
+        {"a": 0.3, "alpha": H, "d": 0.2},
+        {"a": 0.25},
+    ]
     system = from_dh([{**r, "limits": (-2.6, 2.4)} for r in rows], "standard", "four").build()
     for q in system.random(np.random.default_rng(2), 3):
         target = system.fk(q, "tool")[:3, 3]
         sweep = ik_sweep(system, target, "tool", "q1", n=100)
-        assert sweep and deviation(system, "tool", sweep.q[sweep.mask], target) < 1e-9 and lies_in(sweep.feasible, q[0])
+        assert (
+            sweep
+            and deviation(system, "tool", sweep.q[sweep.mask], target) < 1e-9
+            and lies_in(sweep.feasible, q[0])
+        )
         found = sweep.at(sweep.values)
         assert np.array_equal(found.inside.sum(axis=1), sweep.inside.sum(axis=1))
 
@@ -396,7 +443,9 @@ def test_more_freedoms_than_one():
     target = system.fk(q, "tool")[:3, 3]
     sweep = ik_sweep(system, target, "tool", "q1", start=q, n=60)
     assert len(sweep.held) == 3 and "held" in str(sweep)
-    assert deviation(system, "tool", sweep.q[sweep.mask], target) < 1e-9 and lies_in(sweep.feasible, q[0])
+    assert deviation(system, "tool", sweep.q[sweep.mask], target) < 1e-9 and lies_in(
+        sweep.feasible, q[0]
+    )
     for name, x in sweep.held.items():
         assert np.all(sweep.q[sweep.mask][:, system.coordinate_names.index(name)] == x)
 
@@ -420,7 +469,13 @@ def test_what_is_refused():
     with pytest.raises(UnknownNameError, match="'q9'"):
         ik_sweep(system, T, "tool", "q9")
     several = {"fixed": {"q1": [0.0, 1.0]}}
-    for bad in ({"n": 1}, {"n": 2.5}, {"parameter": ("arm_angle", (0, 0, 0))}, {"start": np.full(7, np.nan)}, several):
+    for bad in (
+        {"n": 1},
+        {"n": 2.5},
+        {"parameter": ("arm_angle", (0, 0, 0))},
+        {"start": np.full(7, np.nan)},
+        several,
+    ):
         with pytest.raises(InputError):
             ik_sweep(system, T, "tool", **bad)
     for bad_pose in (2.0 * T, T * np.array([1.0, 1.0, -1.0, 1.0])):

@@ -12,21 +12,33 @@ import kempe
 
 def arm(rng: np.random.Generator, joints: int) -> kempe.System:
     """A chain of few joints with links of about half a metre."""
-    rows = [(*rng.uniform(0.2, 0.8, 1), float(rng.choice([0, 1.5707963, -1.5707963, 0.4])), rng.uniform(-0.3, 0.3), 0.0)
-            for _ in range(joints)]  # fmt: skip
+    rows = [
+        (
+            *rng.uniform(0.2, 0.8, 1),
+            float(rng.choice([0, 1.5707963, -1.5707963, 0.4])),
+            rng.uniform(-0.3, 0.3),
+            0.0,
+        )
+        for _ in range(joints)
+    ]
     return kempe.from_dh(rows).build()
 
 
 def advice(sentence: str) -> tuple[float, float]:
     """The tolerance that a sentence names."""
-    found = re.search(r"a target that was rounded needs a larger tolerance: tolerance=\(([^,]+), ([^)]+)\) accepts it",
-                      sentence)  # fmt: skip
+    found = re.search(
+        r"a target that was rounded needs a larger tolerance: tolerance=\(([^,]+), ([^)]+)\) "
+        r"accepts it",
+        sentence,
+    )
     assert found, sentence
     return float(found[1]), float(found[2])
 
 
 def hunted(rng: np.random.Generator, count: int) -> int:
-    """How many rounded targets were not reached; the tolerance named for each is enough, and not a tenth of it."""
+    """How many rounded targets were not reached; the tolerance named for each is enough, and not a
+    tenth of it.
+    """
     missed = 0
     for _ in range(count):
         s = arm(rng, int(rng.integers(2, 6)))
@@ -41,7 +53,11 @@ def hunted(rng: np.random.Generator, count: int) -> int:
         again = s.ik(X, "tool", start=q, tolerance=tolerance)
         E = np.linalg.inv(s.fk(again.q, "tool")) @ X
         turned = np.arccos(np.clip((np.trace(E[:3, :3]) - 1) / 2, -1, 1))
-        assert again.success and np.linalg.norm(E[:3, 3]) <= tolerance[0] and turned <= tolerance[1] + 1e-7
+        assert (
+            again.success
+            and np.linalg.norm(E[:3, 3]) <= tolerance[0]
+            and turned <= tolerance[1] + 1e-7
+        )
         errors = np.maximum([a.position_error, a.orientation_error], 1e-6)
         assert np.all(np.array(tolerance) <= 2.1 * errors)
     return missed
@@ -79,5 +95,7 @@ def test_tasks_name_a_tolerance_that_accepts_it():
 
 def test_ik_all_names_a_tolerance_that_accepts_it():
     s, X = rounded()
-    found = re.search(r"needs a larger tolerance: tolerance=(\S+) accepts it", s.ik_all(X, "tool").status)
+    found = re.search(
+        r"needs a larger tolerance: tolerance=(\S+) accepts it", s.ik_all(X, "tool").status
+    )
     assert found and s.ik_all(X, "tool", tolerance=float(found[1]))

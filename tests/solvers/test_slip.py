@@ -1,4 +1,6 @@
-"""Velocity constraints in steps, velocities and paths: what rolls does not slip, and where it would is reported."""
+"""Velocity constraints in steps, velocities and paths: what rolls does not slip, and where it would
+is reported.
+"""
 
 from __future__ import annotations
 
@@ -46,21 +48,32 @@ def test_steps_do_not_slip(hunt):
         for step in (
             system.ik_step(q, wanted, "tip", dt, damping=0.0),
             system.ik_step(q, system.fk(rng.uniform(-2, 2, system.nq), "tip"), "tip", dt),
-            system.ik_step(q, [tasks.Position("tip", [*rng.uniform(-2, 2, 2), 0]), tasks.Posture(q, weight=0.1)],
-                           None, dt),
-        ):  # fmt: skip
+            system.ik_step(
+                q,
+                [tasks.Position("tip", [*rng.uniform(-2, 2, 2), 0]), tasks.Posture(q, weight=0.1)],
+                None,
+                dt,
+            ),
+        ):
             assert abs(slips(system, "body", q, step.velocity)) < 1e-9
             way = system.configuration_space.difference(q, step.q)
             middle = system.configuration_space.integrate(q, 0.5 * way)
-            assert abs(slips(system, "body", middle, way)) < 1e-3 * dt**3 + 0.5 * np.linalg.norm(way) ** 3
+            assert (
+                abs(slips(system, "body", middle, way))
+                < 1e-3 * dt**3 + 0.5 * np.linalg.norm(way) ** 3
+            )
 
 
 def test_a_step_gives_the_twist_that_rolling_leaves():
     """The arm makes up for what the axle does not allow; without it only the allowed part is had."""
     system = with_arm()
     q = np.array([0.0, 0.0, 0.0, 0.5, 0.7])
-    step = system.ik_step(q, [0.1, 0.2, 0, 0, 0, 0.3], "tip", 0.01, damping=0.0, velocity_limits=math.inf)
-    assert step.fraction == pytest.approx(1.0) and step.twist == pytest.approx([0.1, 0.2, 0, 0, 0, 0.3])
+    step = system.ik_step(
+        q, [0.1, 0.2, 0, 0, 0, 0.3], "tip", 0.01, damping=0.0, velocity_limits=math.inf
+    )
+    assert step.fraction == pytest.approx(1.0) and step.twist == pytest.approx(
+        [0.1, 0.2, 0, 0, 0, 0.3]
+    )
     bare = wheels.knife().ik_step(np.zeros(3), [0, 1.0, 0, 0, 0, 0], "body", 0.01)
     assert bare.fraction == 0.0 and not bare.velocity.any()
     half = wheels.knife().ik_step(np.zeros(3), [0.5, 0.5, 0, 0, 0, 0], "body", 0.01)
@@ -74,10 +87,16 @@ def test_a_step_names_why_the_rest_is_missing():
     assert str(aside.status) == "No motion: the wheels of 'rear axle' do not slip sideways"
     assert aside.blocked_by == ("rear axle",) and aside.saturated == aside.default_speed == ()
     fast = car.ik_step(car.neutral, [2.0, 0, 0, 0, 0, 0], "car", 0.1)
-    assert str(fast.status) == "0.5 of the wanted motion: at the default speed (pi rad/s, 1 m/s): 'drive.x'"
+    assert (
+        str(fast.status)
+        == "0.5 of the wanted motion: at the default speed (pi rad/s, 1 m/s): 'drive.x'"
+    )
     assert fast.default_speed == ("drive.x",) and fast.blocked_by == ()
     limited = car.ik_step(car.neutral, [2.0, 0, 0, 0, 0, 0], "car", 0.1, velocity_limits=0.5)
-    assert str(limited.status) == "0.25 of the wanted motion: at a limit: 'drive.x'" and limited.default_speed == ()
+    assert (
+        str(limited.status) == "0.25 of the wanted motion: at a limit: 'drive.x'"
+        and limited.default_speed == ()
+    )
     full = car.ik_step(car.neutral, [1.0, 0, 0, 0, 0, 0], "car", 0.1)
     assert str(full.status) == "The wanted motion in full"
     tasked = car.ik_step(car.neutral, tasks.Position("car", [0.0, 1.0]), dt=0.1)
@@ -100,14 +119,18 @@ def test_cycles_lead_a_mobile_arm_to_its_target():
 
 def test_velocities_of_a_car():
     system = wheels.car(length=1.2)
-    J = system.loops.jacobian([1.0, 2.0, 0.7, 0.3], ["pose.x", "steer"], ["pose.y", "pose.rz", "fork"])
+    J = system.loops.jacobian(
+        [1.0, 2.0, 0.7, 0.3], ["pose.x", "steer"], ["pose.y", "pose.rz", "fork"]
+    )
     assert J.success and J.nullity == 2
     forward = 1.0 / math.cos(0.7)
     assert J.matrix[0] == pytest.approx([math.tan(0.7), 0.0])
     assert J.matrix[1] == pytest.approx([forward * math.tan(0.3) / 1.2, 0.0])
     loose = system.loops.jacobian([0, 0, 0, 0.3], ["steer"], ["pose.x"])
     assert not loose and "not determined" in loose.status
-    assert system.loops.mechanical_advantage([0, 0, 0, 0.3], "pose.x", "pose.rz") == pytest.approx(1.2 / math.tan(0.3))
+    assert system.loops.mechanical_advantage([0, 0, 0, 0.3], "pose.x", "pose.rz") == pytest.approx(
+        1.2 / math.tan(0.3)
+    )
 
 
 def test_a_belt_under_the_wheel_is_no_proportion():
@@ -141,17 +164,24 @@ def test_ik_says_that_going_there_is_a_manoeuvre():
 
 @pytest.mark.slow
 def test_paths_that_roll_are_followed(hunt):
-    """Manoeuvres at random, sampled finely and coarsely, arcs, straight lines, cusps and turns on the spot."""
+    """Manoeuvres at random, sampled finely and coarsely, arcs, straight lines, cusps and turns on
+    the spot.
+    """
     rng = hunt.rng()
     system = wheels.knife((0.3, 0.1), 0.5)
     for _ in range(hunt.cases(15)):
         n = int(rng.integers(30, 200))
-        found = system.manoeuvre(*rng.uniform(-2, 2, (2, 3)), radius=rng.choice([0.0, 0.5, 2.0]),
-                                 budget=kempe.Budget(points=n))  # fmt: skip
+        found = system.manoeuvre(
+            *rng.uniform(-2, 2, (2, 3)),
+            radius=rng.choice([0.0, 0.5, 2.0]),
+            budget=kempe.Budget(points=n),
+        )
         path = system.ik_path(system.fk(found.q, "body"), "body", found.q[0])
         assert path, path.status
         assert np.abs(path.q - found.q).max() < 1e-8
-        motion = system.drive({name: found.values(name) for name in system.coordinate_names}, found.t)
+        motion = system.drive(
+            {name: found.values(name) for name in system.coordinate_names}, found.t
+        )
         assert motion, motion.status
 
 
@@ -170,13 +200,19 @@ def test_paths_that_slip_are_refused_with_the_place(hunt):
         aside = np.where(t > t[k], speed * (t - t[k]), 0.0)
         q[:, :2] += aside[:, None] * np.column_stack([-np.sin(h), np.cos(h)])
         path = system.ik_path(system.fk(q, "body"), "body", q[0])
-        where = re.search(r"stops before target (\d+).*slips by ([\d.e-]+) m across 'edge'", path.status)
+        where = re.search(
+            r"stops before target (\d+).*slips by ([\d.e-]+) m across 'edge'", path.status
+        )
         assert not path and where, path.status
         assert int(where[1]) in (k, k + 1, k + 2) and path.success.sum() == int(where[1])
         motion = system.drive(dict(zip(system.coordinate_names, q.T, strict=True)), t)
         where = re.search(r"before time ([\d.]+) by ([\d.e-]+) m/s across 'edge'", motion.status)
         assert not motion and where, motion.status
-        assert t[k] - 0.02 <= float(where[1]) <= t[k + 2] + 1e-4 and len(motion.q) in (k, k + 1, k + 2)
+        assert t[k] - 0.02 <= float(where[1]) <= t[k + 2] + 1e-4 and len(motion.q) in (
+            k,
+            k + 1,
+            k + 2,
+        )
         assert float(where[2]) < 1.5 * abs(speed)
 
 
@@ -188,7 +224,9 @@ def test_slow_slip_all_along_is_reported_with_its_speed():
 
 
 def test_a_towed_axle_follows_a_tractrix():
-    """A point ahead of the axle goes along a line: tan(angle / 2) to the line falls with exp(-way / length)."""
+    """A point ahead of the axle goes along a line: tan(angle / 2) to the line falls with exp(-way /
+    length).
+    """
     m = Mechanism("towed", dim=2)
     body = m.body("body")
     m.planar("pose", m.ground, body)
@@ -199,7 +237,9 @@ def test_a_towed_axle_follows_a_tractrix():
     path = system.ik_path(np.column_stack([2 + 0 * s, s, 0 * s]), "nose", np.zeros(3))
     assert path and "without slip" in path.status
     assert np.abs(np.tan((0.5 * math.pi - path.q[:, 2]) / 2) - np.exp(-s / 2)).max() < 1e-4
-    assert np.abs(system.fk(path.q, "nose")[:, :2, 3] - np.column_stack([2 + 0 * s, s])).max() < 1e-9
+    assert (
+        np.abs(system.fk(path.q, "nose")[:, :2, 3] - np.column_stack([2 + 0 * s, s])).max() < 1e-9
+    )
 
 
 @pytest.mark.slow
@@ -211,29 +251,45 @@ def test_a_motion_that_rolls_along():
     assert np.ptp(np.hypot(motion.q[:, 0], motion.q[:, 1] - 0.5)) < 1e-9
     curve = {"pose.x": 0.5 * np.sin(2 * t), "pose.y": 0.5 - 0.5 * np.cos(2 * t), "pose.rz": 2 * t}
     rolled = system.drive(curve, t, np.zeros(4))
-    assert rolled and rolled.q[-1, 3] == pytest.approx(2 * math.pi, rel=1e-3)  # of the chords of 80 samples
+    assert rolled and rolled.q[-1, 3] == pytest.approx(
+        2 * math.pi, rel=1e-3
+    )  # of the chords of 80 samples
     functions = {"roll": lambda t: 2 * t, "pose.rz": lambda t: 2 * t + math.sin(t)}
     driven = system.drive(functions, t, np.zeros(4))
-    same = system.simulate(math.pi, np.zeros(4), inputs={"roll": 2.0, "pose.rz": lambda t: 2 + math.cos(t)})
+    same = system.simulate(
+        math.pi, np.zeros(4), inputs={"roll": 2.0, "pose.rz": lambda t: 2 + math.cos(t)}
+    )
     assert driven and np.abs(driven.q[-1] - same.q[-1]).max() < 1e-9
 
 
 def test_traces_and_self_motions_tell_where_they_slip():
     system = wheels.knife()
-    path = system.trace("pose.y", [0, 0, 0], hold={"pose.x": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20))
+    path = system.trace(
+        "pose.y", [0, 0, 0], hold={"pose.x": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20)
+    )
     assert not path and "slips by" in path.status and "'edge'" in path.status
-    along = system.trace("pose.x", [0, 0, 0], hold={"pose.y": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20))
+    along = system.trace(
+        "pose.x", [0, 0, 0], hold={"pose.y": 0.0, "pose.rz": 0.0}, budget=kempe.Budget(points=20)
+    )
     assert "slips" not in along.status
     with pytest.raises(UnsupportedError, match="self-motion of mobile arm slips"):
-        with_arm().inverse.self_motion([0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", budget=kempe.Budget(points=5))
+        with_arm().inverse.self_motion(
+            [0, 0, 0, 0.5, 0.7], "tip", direction="pose.y", budget=kempe.Budget(points=5)
+        )
 
 
 def test_inputs_that_leave_freedoms_and_limits():
     with pytest.raises(UnsupportedError, match="leave 1 freedom of motion, among 'pose.rz'"):
         wheels.coin().drive({"roll": [0.0, 1.0]}, start=np.zeros(4))
     t = np.linspace(0, 1, 40)
-    stopped = wheels.knife(limits={"x": (-1, 0.5)}).drive({"pose.x": t, "pose.y": 0 * t, "pose.rz": 0 * t}, t)
-    assert not stopped and "'pose.x' would be beyond its limit" in stopped.status and stopped.q[-1, 0] <= 0.5
+    stopped = wheels.knife(limits={"x": (-1, 0.5)}).drive(
+        {"pose.x": t, "pose.y": 0 * t, "pose.rz": 0 * t}, t
+    )
+    assert (
+        not stopped
+        and "'pose.x' would be beyond its limit" in stopped.status
+        and stopped.q[-1, 0] <= 0.5
+    )
     held = wheels.coin().drive({"roll": t}, t, np.zeros(4), hold={"pose.rz": 0.0})
     assert held and held.q[-1] == pytest.approx([0.5, 0, 0, 1])
 
@@ -249,18 +305,25 @@ def cart(*axles: tuple[float, float, float]) -> kempe.System:
 
 
 def test_ik_speaks_of_a_manoeuvre_only_where_brackets_show_one(hunt):
-    """One axle is a car; two in parallel, or not, leave one freedom: a line or a circle, and no manoeuvre."""
+    """One axle is a car; two in parallel, or not, leave one freedom: a line or a circle, and no
+    manoeuvre.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(20)):
         first, second = rng.uniform(-1, 1, (2, 3))
         if rng.random() < 0.5:
             second[2] = first[2]
-        target = kempe.spatial.pose(kempe.spatial.rot_z(rng.uniform(-2, 2)), [*rng.uniform(-2, 2, 2), 0.0])
+        target = kempe.spatial.pose(
+            kempe.spatial.rot_z(rng.uniform(-2, 2)), [*rng.uniform(-2, 2, 2), 0.0]
+        )
         one = cart(first).ik(target, "body")
         two = cart(first, second).ik(target, "body")
         assert one and "going there is a manoeuvre ('axle0' holds on the way)" in one.status
         assert two and "is a manoeuvre" not in two.status
-        assert "'axle0', 'axle1' hold on the way, where 2 functions of position keep their values" in two.status
+        assert (
+            "'axle0', 'axle1' hold on the way, where 2 functions of position keep their values"
+            in two.status
+        )
 
 
 def test_a_coin_on_a_rail_has_no_manoeuvre():
@@ -270,7 +333,10 @@ def test_a_coin_on_a_rail_has_no_manoeuvre():
     m.rolls("floor", "disc", radius=0.3, shape="disc")
     system = m.build()
     answer = system.ik(system.fk(system.q({"x": 1.0, "roll": 0.2}), "disc"), "disc")
-    assert "1 function of position keeps its value" in answer.status and "is a manoeuvre" not in answer.status
+    assert (
+        "1 function of position keeps its value" in answer.status
+        and "is a manoeuvre" not in answer.status
+    )
 
 
 def test_ik_does_not_point_to_manoeuvres_that_are_not_known():
@@ -281,6 +347,10 @@ def test_ik_does_not_point_to_manoeuvres_that_are_not_known():
     system = m.build()
     q = system.q({"at.x": 0.4, "at.z": 0.1})
     answer = system.ik(system.fk(q, "ball"), "ball", system.q({"at.z": 0.1}))
-    assert answer and "there are such motions" in answer.status and "system.manoeuvre" not in answer.status
+    assert (
+        answer
+        and "there are such motions" in answer.status
+        and "system.manoeuvre" not in answer.status
+    )
     with pytest.raises(UnsupportedError):
         system.manoeuvre(system.q({"at.z": 0.1}), q)

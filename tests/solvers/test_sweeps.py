@@ -1,4 +1,6 @@
-"""Sweeps over a joint for each task: the solutions at a value are those of `ik_all`, ends lie where a limit is met."""
+"""Sweeps over a joint for each task: the solutions at a value are those of `ik_all`, ends lie where
+a limit is met.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,14 @@ from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
 AXIS = (0.6, 0.0, 0.8)
 CASES = {
-    "pose": ("RRRRRRR", (0.0, 0.0, 1.0)), "pose, slide": ("RRPRRRR", (0.0, 0.0, 1.0)),
-    "position": ("RRRR", (0.0, 0.0, 1.0)), "position, slide": ("RPRR", (0.0, 0.0, 1.0)),
-    "orientation": ("RRRR", (0.0, 0.0, 1.0)), "direction": ("RRR", AXIS), "position_axis": ("RRRRRR", AXIS),
-}  # fmt: skip
+    "pose": ("RRRRRRR", (0.0, 0.0, 1.0)),
+    "pose, slide": ("RRPRRRR", (0.0, 0.0, 1.0)),
+    "position": ("RRRR", (0.0, 0.0, 1.0)),
+    "position, slide": ("RPRR", (0.0, 0.0, 1.0)),
+    "orientation": ("RRRR", (0.0, 0.0, 1.0)),
+    "direction": ("RRR", AXIS),
+    "position_axis": ("RRRRRR", AXIS),
+}
 
 
 def limited(arm: arms.Arm, q: np.ndarray, half: float) -> kempe.System:

@@ -30,14 +30,25 @@ def arm(l1, l2, at=(0.0, 0.0), axis=1):
 def test_the_lectures_formulas_to_the_letter():
     """The slide: c2 from squares, s2 = +-sqrt(1 - c2^2), q1 = alpha - beta, q2 = atan2(s2, c2)."""
     found = {str(step.symbol): step.formula for step in ARM.symbolic.ik("e").steps}
-    x, y, l1, l2, r2, c2, s2, alpha, beta, sign = sympy.symbols("p_x p_y l1 l2 r2 c2 s2 alpha beta sign")
-    assert sympy.simplify(found["c2"].subs(r2, found["r2"]) - (x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2)) == 0
+    x, y, l1, l2, r2, c2, s2, alpha, beta, sign = sympy.symbols(
+        "p_x p_y l1 l2 r2 c2 s2 alpha beta sign"
+    )
+    assert (
+        sympy.simplify(
+            found["c2"].subs(r2, found["r2"]) - (x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2)
+        )
+        == 0
+    )
     assert found["s2"] == sign * sympy.sqrt(1 - c2**2)
-    assert found["alpha"] == sympy.atan2(y, x) and found["beta"] == sympy.atan2(l2 * s2, l1 + l2 * c2)
+    assert found["alpha"] == sympy.atan2(y, x) and found["beta"] == sympy.atan2(
+        l2 * s2, l1 + l2 * c2
+    )
     assert found["q1"] == alpha - beta and found["q2"] == sympy.atan2(s2, c2)
 
 
-@pytest.mark.parametrize("system", [ARM, arm(0.7, 0.4, (0.2, -0.1)), arm(0.7, -0.4)], ids=["lecture", "moved", "back"])
+@pytest.mark.parametrize(
+    "system", [ARM, arm(0.7, 0.4, (0.2, -0.1)), arm(0.7, -0.4)], ids=["lecture", "moved", "back"]
+)
 def test_both_solutions_reach_the_target(system):
     frame = system.frame_names[-1] if system is not ARM else "e"
     p = system.fk(np.random.default_rng(1).uniform(-3, 3, (20, 2)), frame)[..., :2, 3]
@@ -59,15 +70,25 @@ def test_the_signs_are_the_elbows_of_all_solutions():
 
 def test_what_is_printed():
     formulas = ARM.symbolic.ik("e")
-    assert "s_{2} &= \\pm \\sqrt{1 - c_{2}^{2}}" in formulas.latex() and formulas.latex() in formulas._repr_latex_()
+    assert (
+        "s_{2} &= \\pm \\sqrt{1 - c_{2}^{2}}" in formulas.latex()
+        and formulas.latex() in formulas._repr_latex_()
+    )
     code = formulas.code()
-    assert "def inverse(p_x, p_y, sign, l1, l2):" in code and "    s2 = sign*numpy.sqrt(1 - c2**2)" in code
+    assert (
+        "def inverse(p_x, p_y, sign, l1, l2):" in code
+        and "    s2 = sign*numpy.sqrt(1 - c2**2)" in code
+    )
     assert code.endswith("    return q1, q2\n")
     assert "if -1 <= c2 <= 1" in str(formulas)
 
 
 def test_other_chains_are_refused():
-    for name, frame in (("xarm6", "tool"), ("slider", "B5"), ("four_bar", kempe.load("four_bar").body_names[2])):
+    for name, frame in (
+        ("xarm6", "tool"),
+        ("slider", "B5"),
+        ("four_bar", kempe.load("four_bar").body_names[2]),
+    ):
         with pytest.raises(UnsupportedError, match="ik_all"):
             kempe.load(name).symbolic.ik(frame)
     with pytest.raises(UnsupportedError, match="two joints to a position"):
@@ -84,7 +105,9 @@ def test_other_chains_are_refused():
         ARM.symbolic.ik("e", symbols={"l1": sympy.Symbol("k")})([0.6, 0.3], 1)
 
 
-@pytest.mark.parametrize("names", [("a.b", "a_b"), ("q 1", "2nd"), ("lambda", "numpy"), ("first", "second")])
+@pytest.mark.parametrize(
+    "names", [("a.b", "a_b"), ("q 1", "2nd"), ("lambda", "numpy"), ("first", "second")]
+)
 def test_code_has_names_of_its_own_for_all_that_it_computes(names):
     m = Mechanism("arm", dim=2)
     m.revolute(names[0], m.ground, m.body("A"))
@@ -103,10 +126,13 @@ def test_code_has_names_of_its_own_for_all_that_it_computes(names):
 
 
 @pytest.mark.parametrize(
-    "names", [("r2", "s2", "c2"), ("alpha", "sign", "phi"), ("p_x", "w_x_0", "u"), ("beta", "x", "beta_0")]
+    "names",
+    [("r2", "s2", "c2"), ("alpha", "sign", "phi"), ("p_x", "w_x_0", "u"), ("beta", "x", "beta_0")],
 )
 def test_names_that_derivations_use_are_left_to_the_system(names):
-    """The symbols of the steps get an ending; the formulas reach the pose by `fk`, also as the printed function."""
+    """The symbols of the steps get an ending; the formulas reach the pose by `fk`, also as the
+    printed function.
+    """
     m = Mechanism("arm", dim=2)
     bodies = ["ground", "A", "B", "C"]
     for k, name in enumerate(names):
@@ -170,7 +196,11 @@ def test_formulas_of_any_planar_chain_reach_the_target_and_miss_no_solution(kind
     turns = np.array(list(kinds)) == "R"
     q = rng.uniform(-2, 2, (20, n))
     X = system.fk(q, "tip")
-    target = X[:, :2, 3] if n == 2 else np.column_stack([X[:, :2, 3], np.arctan2(X[:, 1, 0], X[:, 0, 0])])
+    target = (
+        X[:, :2, 3]
+        if n == 2
+        else np.column_stack([X[:, :2, 3], np.arctan2(X[:, 1, 0], X[:, 0, 0])])
+    )
     formulas = system.inverse.plan("tip", "position" if n == 2 else "pose").formulas()
     assert len(formulas.signs) == (kinds.count("R") > n - 2 or kinds == "RP")
     off = []
@@ -237,7 +267,9 @@ def test_formulas_with_a_slide_along_z_are_all_solutions(kinds, hunt):
     assert found.success.all() and (found.mask.sum(axis=1) == len(formulas.signs) + 1).all()
     for i, mask in enumerate(found.mask):
         for q, name in zip(found.q[i, mask], found.names[i, mask], strict=True):
-            off = [np.where(turns, (x[i] - q + np.pi) % (2 * np.pi) - np.pi, x[i] - q) for x in both]
+            off = [
+                np.where(turns, (x[i] - q + np.pi) % (2 * np.pi) - np.pi, x[i] - q) for x in both
+            ]
             off = np.abs(off).max(axis=1)
             assert off.min() < 1e-6
             assert not name or name == ("elbow-up" if off[0] < off[1] else "elbow-down")
@@ -263,18 +295,24 @@ def test_the_formulas_of_a_shipped_scara():
     assert said["r2"] == "p_x**2 + p_y**2" and said["q3"] == "d1 - p_z" and "w_x" not in said
     assert "q_{3} &= d_{1} - p_{z}" in formulas.latex()
     exec(formulas.code(), names)
-    q = scara.ik_all(scara.fk([0.5, 0.9, 0.1, -0.3], "tool"), "tool", start=[0.5, 0.9, 0.1, -0.3]).q[0]
+    q = scara.ik_all(
+        scara.fk([0.5, 0.9, 0.1, -0.3], "tool"), "tool", start=[0.5, 0.9, 0.1, -0.3]
+    ).q[0]
     X = scara.fk(q, "tool")
     sizes = scara.structure.parameters
     p = [*X[:3, 3], np.arctan2(X[1, 0], X[0, 0])]
-    np.testing.assert_allclose(names["inverse"](*p, 1, *(sizes[x] for x in ("a1", "a2", "d1"))), q, atol=1e-9)
+    np.testing.assert_allclose(
+        names["inverse"](*p, 1, *(sizes[x] for x in ("a1", "a2", "d1"))), q, atol=1e-9
+    )
     np.testing.assert_allclose(formulas(p, 1), q, atol=1e-9)
     with pytest.raises(InputError, match="shape"):
         formulas([0.1, 0.2, 0.3], 1)
 
 
 def test_what_is_printed_of_numbers_can_be_read():
-    """Six digits of each, while the formulas and the function keep all; slides at right angles divide by nothing."""
+    """Six digits of each, while the formulas and the function keep all; slides at right angles
+    divide by nothing.
+    """
     m = Mechanism("arm", dim=2)
     m.revolute("q1", m.ground, m.body("A"))
     m.revolute("q2", "A", m.body("B"), at=(0.3, 0))
@@ -282,23 +320,38 @@ def test_what_is_printed_of_numbers_can_be_read():
     system = m.build()
     formulas = system.symbolic.ik("tip")
     both = system.ik_all([0.4, 0.2], "tip")
-    assert "c2 = 6.66667*r2 - 1.01667" in str(formulas) and "6.66667 r_{2} - 1.01667" in formulas.latex()
+    assert (
+        "c2 = 6.66667*r2 - 1.01667" in str(formulas)
+        and "6.66667 r_{2} - 1.01667" in formulas.latex()
+    )
     assert "6.6666666666666" in formulas.code()
-    np.testing.assert_allclose([formulas([0.4, 0.2], 1)], both.q[both.named("elbow-down")], atol=1e-12)
+    np.testing.assert_allclose(
+        [formulas([0.4, 0.2], 1)], both.q[both.named("elbow-down")], atol=1e-12
+    )
     t = Mechanism("table", dim=2)
     t.prismatic("x", t.ground, t.body("A"), axis=(1, 0))
     t.prismatic("y", "A", t.body("B"), axis=(0, -1))
     t.frame("tip", "B", at=(0.5, 0))
-    assert [str(step.formula) for step in t.build().symbolic.ik("tip").steps] == ["p_x - 0.5", "-p_y"]
+    assert [str(step.formula) for step in t.build().symbolic.ik("tip").steps] == [
+        "p_x - 0.5",
+        "-p_y",
+    ]
 
 
 def test_formulas_take_poses():
-    """Of a planar arm with three joints, and of a SCARA, whose pose has as many rows as its targets have numbers."""
+    """Of a planar arm with three joints, and of a SCARA, whose pose has as many rows as its targets
+    have numbers.
+    """
     arm = kempe.Mechanism("arm", dim=2)
     for k, (parent, body) in enumerate(pairwise((arm.ground, "a", "b", "c"))):
         arm.revolute(f"q{k}", parent, arm.body(body), at=(0.5 * (k > 0), 0))
     arm.frame("tip", "c", at=(0.2, 0))
-    rows = [{"a": 0.3, "d": 0.4}, {"a": 0.25, "alpha": np.pi}, {"type": "prismatic"}, {"type": "revolute"}]
+    rows = [
+        {"a": 0.3, "d": 0.4},
+        {"a": 0.25, "alpha": np.pi},
+        {"type": "prismatic"},
+        {"type": "revolute"},
+    ]
     for system, frame, q in (
         (arm.build(), "tip", [0.3, 0.8, -0.4]),
         (kempe.from_dh(rows).build(), "tool", [0.4, 0.8, 0.1, 0.3]),

@@ -1,4 +1,6 @@
-"""The table of solvers: which one answers, why those before it do not, and that all who can say the same."""
+"""The table of solvers: which one answers, why those before it do not, and that all who can say the
+same.
+"""
 
 from __future__ import annotations
 
@@ -59,25 +61,39 @@ CASES = {
     ("ik", "chain", "in a batch"): lambda: PUMA.ik(PATH, TOOL),
     ("ik", "closed form"): lambda: PUMA.ik(X, TOOL, method="auto"),
     ("ik", "levels"): lambda: PUMA.ik([kempe.tasks.Pose(TOOL, X)]),
-    ("ik", "levels", "through loops"): lambda: PLATFORM.ik(PLATFORM.fk(PLATFORM.q("closed"), "tool"), "tool"),
-    ("ik", "levels", "preferring"): lambda: SEVEN.ik(SEVEN.fk(SEVEN.mid, "tool"), "tool", prefer="mid"),
+    ("ik", "levels", "through loops"): lambda: PLATFORM.ik(
+        PLATFORM.fk(PLATFORM.q("closed"), "tool"), "tool"
+    ),
+    ("ik", "levels", "preferring"): lambda: SEVEN.ik(
+        SEVEN.fk(SEVEN.mid, "tool"), "tool", prefer="mid"
+    ),
     ("ik_all", "closed form, side by side"): lambda: PUMA.ik_all(X, TOOL),
-    ("ik_all", "closed form"): lambda: PUMA.ik_all(X[:3, 3], TOOL, fixed=dict.fromkeys(PUMA.coordinate_names[3:], 0.1)),
+    ("ik_all", "closed form"): lambda: PUMA.ik_all(
+        X[:3, 3], TOOL, fixed=dict.fromkeys(PUMA.coordinate_names[3:], 0.1)
+    ),
     ("ik_all", "elimination"): lambda: GENERAL.ik_all(G, "tool"),
-    ("ik_all", "assembly modes"): lambda: PLATFORM.ik_all(PLATFORM.fk(PLATFORM.q("closed"), "tool"), "tool"),
+    ("ik_all", "assembly modes"): lambda: PLATFORM.ik_all(
+        PLATFORM.fk(PLATFORM.q("closed"), "tool"), "tool"
+    ),
     ("ik_path", "steps"): lambda: PUMA.ik_path(PATH, TOOL, start=Q),
     ("assemble", "least squares"): lambda: LINKAGE.assemble({"A": 0.3}),
     ("assemble", "dyads"): lambda: LINKAGE.assemble({"A": 0.3}, branch="+"),
     ("assemble", "active set"): lambda: STOPPED.assemble({"A": 0.3}),
     ("assembly_modes", "dyads"): lambda: LINKAGE.assembly_modes({"A": 0.3}),
     ("assembly_modes", "many starts"): lambda: SPATIAL.assembly_modes(
-        {SPATIAL.coordinate_names[0]: 0.2}, budget=kempe.Budget(starts=64)),
+        {SPATIAL.coordinate_names[0]: 0.2}, budget=kempe.Budget(starts=64)
+    ),
     ("self_motion", "tangents"): lambda: SEVEN.inverse.self_motion(
-        SEVEN.mid + 0.2, "tool", budget=kempe.Budget(points=5)),
+        SEVEN.mid + 0.2, "tool", budget=kempe.Budget(points=5)
+    ),
     ("sweep", "arm angle"): lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN.mid + 0.2, "tool"), "tool"),
     ("sweep", "joint"): lambda: SEVEN.inverse.sweep(
-        SEVEN.fk(SEVEN.mid + 0.2, "tool"), "tool", SEVEN.coordinate_names[2], budget=kempe.Budget(points=16)),
-}  # fmt: skip
+        SEVEN.fk(SEVEN.mid + 0.2, "tool"),
+        "tool",
+        SEVEN.coordinate_names[2],
+        budget=kempe.Budget(points=16),
+    ),
+}
 """Questions by verb and by who must answer."""
 
 
@@ -90,7 +106,9 @@ def test_answers_say_who_answered_and_why(case):
     before = rows[: rows.index(name)]
     assert [n for n, _ in answer.solver.refused] == before
     assert all(why and not why.endswith(".") for _, why in answer.solver.refused)
-    assert str(answer.solver).startswith(f"{name}: ") and str(answer.solver).count("\n") == len(answer.solver.refused)
+    assert str(answer.solver).startswith(f"{name}: ") and str(answer.solver).count("\n") == len(
+        answer.solver.refused
+    )
     assert pickle.loads(pickle.dumps(answer)).solver == answer.solver
     assert json.loads(answer.to_json())["solver"] == name
 
@@ -126,7 +144,9 @@ def test_all_who_can_reach_the_same(name, hunt):
             if row.refuses(robot, frame, task, method, False) is not None:
                 refused.add(row.name)
                 continue
-            problem = Problem(robot, "one", frame=frame, task=task, targets=target[None], method=method)
+            problem = Problem(
+                robot, "one", frame=frame, task=task, targets=target[None], method=method
+            )
             answer = row.run(problem)
             assert answer.success and answer.judged.holds, row.name
     assert len(refused) < len(inverse.SOLVERS) - 1, refused
@@ -135,7 +155,10 @@ def test_all_who_can_reach_the_same(name, hunt):
 @pytest.mark.parametrize("name", ["four_bar", "slider_crank", "five_bar"])
 def test_closed_forms_and_many_starts_find_the_same_modes(name):
     system = kempe.load(name)
-    known = {n: float(system.q_dict(system.assemble().q)[n]) for n in system.coordinate_names[: system.mobility().dof]}
+    known = {
+        n: float(system.q_dict(system.assemble().q)[n])
+        for n in system.coordinate_names[: system.mobility().dof]
+    }
     problem = Problem(system, "all", known=known, budget=kempe.Budget(starts=256))
     assert modes.no_dyads(system, tuple(known)) is None
     exact = modes.by_dyads(problem)
@@ -148,5 +171,7 @@ def test_closed_forms_and_many_starts_find_the_same_modes(name):
 def test_what_nobody_answers_is_refused_with_the_reason():
     with pytest.raises(UnsupportedError, match="more joints than the task needs"):
         SEVEN.ik(SEVEN.fk(SEVEN.mid, "tool"), "tool", method="analytic")
-    with pytest.raises(UnsupportedError, match="does not hold one-sided constraints, such as 'stop'"):
+    with pytest.raises(
+        UnsupportedError, match="does not hold one-sided constraints, such as 'stop'"
+    ):
         STOPPED.ik([1.0, 0.2], "tip", method="analytic")

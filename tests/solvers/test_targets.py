@@ -15,7 +15,9 @@ def three_links(dim: int = 2) -> kempe.System:
     before = m.ground
     for i, length in enumerate((0.0, 0.4, 0.3)):
         link = m.body(f"L{i}")
-        m.revolute(f"J{i}", before, link, at=(length, 0.0, 0.0)[:dim], axis="z" if dim == 3 else None)
+        m.revolute(
+            f"J{i}", before, link, at=(length, 0.0, 0.0)[:dim], axis="z" if dim == 3 else None
+        )
         before = link
     m.frame("tip", before, at=(0.2, 0.0, 0.0)[:dim])
     return m.build()
@@ -55,11 +57,15 @@ def test_a_position_is_no_pose(verb, dim):
             getattr(system, verb)(target, "tip", task="pose")
         assert ("x, y and angle" in str(error.value)) == (dim == 2)
     with pytest.raises(InputError, match="asks for an orientation"):
-        getattr(system, verb)([0.3, 0.4] if dim == 2 else [0.3, 0.4, 0.0], "tip", task="orientation")
+        getattr(system, verb)(
+            [0.3, 0.4] if dim == 2 else [0.3, 0.4, 0.0], "tip", task="orientation"
+        )
 
 
 def test_a_target_beyond_the_limit_of_a_slide_names_the_limit():
-    """Lengths alone say nothing of an arm on a rail: its end is the reason, in `ik`, `ik_all` and of tasks."""
+    """Lengths alone say nothing of an arm on a rail: its end is the reason, in `ik`, `ik_all` and
+    of tasks.
+    """
     m = kempe.Mechanism("rail")
     cart = m.body("cart")
     link = m.body("link")
@@ -84,8 +90,11 @@ def test_numbers_of_a_pose_in_a_row_name_the_form_that_works():
         s.ik([*place, 1, 0, 0, 0], "panda_hand_tcp")
     with pytest.raises(InputError, match=r"'rpy': \[roll, pitch, yaw\]"):
         s.ik([*place, np.pi, 0, 0], "panda_hand_tcp")
-    for form in ({"at": place, "quat_xyzw": [1, 0, 0, 0]}, {"at": place, "quat_wxyz": [0, 1, 0, 0]},
-                 {"at": place, "rpy": [np.pi, 0, 0]}):  # fmt: skip
+    for form in (
+        {"at": place, "quat_xyzw": [1, 0, 0, 0]},
+        {"at": place, "quat_wxyz": [0, 1, 0, 0]},
+        {"at": place, "rpy": [np.pi, 0, 0]},
+    ):
         answer = s.ik(form, "panda_hand_tcp")
         assert answer
         np.testing.assert_allclose(s.fk(answer.q, "panda_hand_tcp"), X, atol=1e-5)

@@ -1,4 +1,6 @@
-"""Several tasks at once, against nested optimisation, closed forms, known truths, and the forward model."""
+"""Several tasks at once, against nested optimisation, closed forms, known truths, and the forward
+model.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,14 @@ def two_arms() -> System:
         at = (0.0, y, 0.3)
         for k in range(7):
             name = f"{side}{k}"
-            m.revolute(name, before, m.body(f"{name} link", 1.0, (0.0, 0.0, 0.1)), at=at,
-                       rpy=(math.pi / 2 * (-1) ** k, 0.0, rng.normal(0, 0.1)), limits=(-2.2, 2.2))  # fmt: skip
+            m.revolute(
+                name,
+                before,
+                m.body(f"{name} link", 1.0, (0.0, 0.0, 0.1)),
+                at=at,
+                rpy=(math.pi / 2 * (-1) ** k, 0.0, rng.normal(0, 0.1)),
+                limits=(-2.2, 2.2),
+            )
             before = f"{name} link"
             at = (0.0, 0.02, 0.2)
         m.frame(side, before, at=at)
@@ -55,17 +63,26 @@ def test_two_hands_and_the_centre_of_mass_of_a_floating_base():
     rng = np.random.default_rng(2)
     for q in s.random(rng, 15):
         com = tasks.error(s, tasks.CentreOfMass([0.0, 0.0, 0.0]), q)
-        answer = s.ik([tasks.Pose("left", s.fk(q, "left")), tasks.Pose("right", s.fk(q, "right")),
-                       tasks.CentreOfMass(com)])  # fmt: skip
+        answer = s.ik(
+            [
+                tasks.Pose("left", s.fk(q, "left")),
+                tasks.Pose("right", s.fk(q, "right")),
+                tasks.CentreOfMass(com),
+            ]
+        )
         assert answer.success and isinstance(answer, Solution) and inside(s, answer.q)
         for side in ("left", "right"):
             np.testing.assert_allclose(s.fk(answer.q, side), s.fk(q, side), atol=3e-6)
-        np.testing.assert_allclose(tasks.error(s, tasks.CentreOfMass(com), answer.q), 0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            tasks.error(s, tasks.CentreOfMass(com), answer.q), 0.0, atol=1e-6
+        )
         assert (answer.m, answer.n, answer.rank, answer.redundancy) == (15, 20, 15, 5)
         assert answer.self_motion.shape == (20, 5)
 
 
-@pytest.mark.parametrize("name", ["stewart", "delta_uu", "three_rrr", "five_bar", "four_bar", "bennett", "scissor"])
+@pytest.mark.parametrize(
+    "name", ["stewart", "delta_uu", "three_rrr", "five_bar", "four_bar", "bennett", "scissor"]
+)
 def test_closed_loops_stay_closed(name):
     s = kempe.load(name)
     frame = "platform" if "platform" in s.body_names else s.body_names[-1]
@@ -79,7 +96,9 @@ def test_closed_loops_stay_closed(name):
 
 
 def test_a_leg_with_a_four_bar_and_a_coupling():
-    """A planar leg on a slider whose knee is driven through a four-bar; a gear moves a foot with it."""
+    """A planar leg on a slider whose knee is driven through a four-bar; a gear moves a foot with
+    it.
+    """
     m = Mechanism("leg", dim=2)
     for body in ("hip", "crank", "rod", "shin", "foot"):
         m.body(body)
@@ -121,19 +140,27 @@ def test_every_kind_of_hard_task_is_met_where_it_can_be():
         d = rng.normal(size=3)
         far = np.linalg.norm(R[:3, 3] - L[:3, 3])
         for task in (
-            tasks.Pose("left", L), tasks.Position("left", (L @ [0.1, 0, 0, 1])[:3], point=[0.1, 0, 0]),
-            tasks.Orientation("left", L[:3, :3]), tasks.Pointing("left", z), tasks.LookAt("left", L[:3, 3] + 0.7 * z),
-            tasks.OnLine("left", L[:3, 3] + d, d), tasks.OnPlane("left", L[:3, 3], d),
+            tasks.Pose("left", L),
+            tasks.Position("left", (L @ [0.1, 0, 0, 1])[:3], point=[0.1, 0, 0]),
+            tasks.Orientation("left", L[:3, :3]),
+            tasks.Pointing("left", z),
+            tasks.LookAt("left", L[:3, 3] + 0.7 * z),
+            tasks.OnLine("left", L[:3, 3] + d, d),
+            tasks.OnPlane("left", L[:3, 3], d),
             tasks.OnSphere("left", L[:3, 3] + d, np.linalg.norm(d)),
             tasks.InBox("left", [-1, -1, -1], [0, 0.1, 0.1], L),
             tasks.HalfSpace("left", L[:3, 3] - 0.2 * d / np.linalg.norm(d), d, margin=0.2),
             tasks.RelativePose("left", "right", spatial.inverse(R) @ L),
             tasks.RelativePosition("left", "right", (spatial.inverse(R) @ L)[:3, 3]),
-            tasks.Distance("left", "right", far), tasks.Distance("left", "right", at_least=far, at_most=far + 0.1),
-            tasks.Posture(q, weight=None), tasks.CentreOfPoints(["left", "right"], 0.5 * (L + R)[:3, 3]),
+            tasks.Distance("left", "right", far),
+            tasks.Distance("left", "right", at_least=far, at_most=far + 0.1),
+            tasks.Posture(q, weight=None),
+            tasks.CentreOfPoints(["left", "right"], 0.5 * (L + R)[:3, 3]),
             tasks.Function(lambda x, q=q: (x - q)[7:] + 0.2 * (np.sin(x[7:]) - np.sin(q[7:]))),
-        ):  # fmt: skip
-            answer = s.ik([task, tasks.HalfSpace("torso", [0, 0, -9], [0, 0, 1])], start=s.random(rng))
+        ):
+            answer = s.ik(
+                [task, tasks.HalfSpace("torso", [0, 0, -9], [0, 0, 1])], start=s.random(rng)
+            )
             assert answer.success, answer.status
             assert all(np.all(e <= 1.1e-6) for e in answer.errors.values()) and inside(s, answer.q)
 
@@ -157,7 +184,9 @@ def test_wide_limits_do_not_stand_in_the_way():
     s = kempe.load("ur5")
     frame = s.body_names[-1]
     rng = np.random.default_rng(5)
-    answers = [s.ik(tasks.Pose(frame, s.fk(q, frame)), start=s.random(rng)) for q in s.random(rng, 40)]
+    answers = [
+        s.ik(tasks.Pose(frame, s.fk(q, frame)), start=s.random(rng)) for q in s.random(rng, 40)
+    ]
     assert all(a.success and inside(s, a.q) for a in answers)
     assert np.mean([a.starts == 1 for a in answers]) > 0.6
 
@@ -166,7 +195,9 @@ def test_wide_limits_do_not_stand_in_the_way():
 
 
 def cost_of(s: System, task: tasks.Task):
-    """Half the square of a task's error in characteristic lengths, and its gradient by scaled velocities."""
+    """Half the square of a task's error in characteristic lengths, and its gradient by scaled
+    velocities.
+    """
     packed = Packed(s, [task])
     pins = packed.pins([task_of(task, s.dim).goals(s)])
 
@@ -181,22 +212,35 @@ def equal_to(s: System, task: tasks.Task, value: np.ndarray | None = None) -> di
     """The task, at a value, as a constraint for scipy."""
     packed = Packed(s, [task])
     pins = packed.pins([task_of(task, s.dim).goals(s)])
-    return {"type": "eq", "fun": lambda q: packed.evaluate(q, pins)[0] - (0.0 if value is None else value),
-            "jac": lambda q: packed.evaluate(q, pins)[1]}  # fmt: skip
+    return {
+        "type": "eq",
+        "fun": lambda q: packed.evaluate(q, pins)[0] - (0.0 if value is None else value),
+        "jac": lambda q: packed.evaluate(q, pins)[1],
+    }
 
 
 def least(function, s: System, q: np.ndarray, constraints: list[dict]) -> float:
     """The local minimum near q, by sequential quadratic programming."""
     options = {"ftol": 1e-15, "maxiter": 400}
     bounds = list(zip(s.lower, s.upper, strict=True))
-    found = minimize(function, q, jac=True, bounds=bounds, constraints=constraints, method="SLSQP", options=options)
+    found = minimize(
+        function,
+        q,
+        jac=True,
+        bounds=bounds,
+        constraints=constraints,
+        method="SLSQP",
+        options=options,
+    )
     assert max((np.abs(c["fun"](found.x)).max() for c in constraints), default=0.0) < 1e-7
     return found.fun
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_levels_are_optima_of_a_nested_optimisation(seed):
-    """A hard task, two weighted soft ones below it, a posture below these: each level as SLSQP finds it."""
+    """A hard task, two weighted soft ones below it, a posture below these: each level as SLSQP
+    finds it.
+    """
     s = kempe.load("panda")
     rng = np.random.default_rng(seed)
     X = s.fk(s.random(rng), HAND)
@@ -220,7 +264,11 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
     held = [equal_to(s, hard)]
     for task in (point, elbow):
         packed = Packed(s, [task])
-        held.append(equal_to(s, task, packed.evaluate(answer.q, packed.pins([task_of(task, s.dim).goals(s)]))[0]))
+        held.append(
+            equal_to(
+                s, task, packed.evaluate(answer.q, packed.pins([task_of(task, s.dim).goals(s)]))[0]
+            )
+        )
     lowest = least(c, s, answer.q, held)
     assert c(answer.q)[0] == pytest.approx(lowest, abs=1e-5)
 
@@ -230,8 +278,11 @@ def test_a_lower_level_disturbs_no_higher_one():
     s = two_arms()
     rng = np.random.default_rng(1)
     for q in s.random(rng, 4):
-        higher = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("left", [5.0, 0.0, 0.0], weight=1.0),
-                  tasks.Position("right", [5.0, 0.0, 0.0], weight=1.0, priority=1)]  # fmt: skip
+        higher = [
+            tasks.Pose("left", s.fk(q, "left")),
+            tasks.Position("left", [5.0, 0.0, 0.0], weight=1.0),
+            tasks.Position("right", [5.0, 0.0, 0.0], weight=1.0, priority=1),
+        ]
         alone = s.ik(higher, start=q)
         both = s.ik([*higher, tasks.Posture(s.random(rng), priority=2)], start=alone.q)
         for task in higher:
@@ -245,7 +296,9 @@ def test_contradictory_hard_levels_keep_the_first():
     far = tasks.Position("tip", [1.5, 0.5], priority=1, name="far")
     answer = s.ik([far, near])
     assert not answer.success
-    assert answer.errors[near.label][0] < 1e-6 and answer.errors["far"][0] == pytest.approx(0.5, abs=1e-5)
+    assert answer.errors[near.label][0] < 1e-6 and answer.errors["far"][0] == pytest.approx(
+        0.5, abs=1e-5
+    )
 
 
 def test_inequalities_bind_only_where_they_must():
@@ -258,7 +311,9 @@ def test_inequalities_bind_only_where_they_must():
     np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [1.5, 1.0], atol=1e-6)
     free = s.ik([goal, tasks.HalfSpace("tip", [2.5, 0.0], [-1.0, 0.0])], start=[0.3, 0.3, 0.3])
     np.testing.assert_allclose(s.fk(free.q, "tip")[:2, 3], [2.0, 1.0], atol=1e-6)
-    apart = s.ik([tasks.Distance("tip", "ground", at_least=2.9), tasks.InBox("tip", [2.0, 2.0], [3.0, 3.0])])
+    apart = s.ik(
+        [tasks.Distance("tip", "ground", at_least=2.9), tasks.InBox("tip", [2.0, 2.0], [3.0, 3.0])]
+    )
     assert apart.success and np.linalg.norm(s.fk(apart.q, "tip")[:2, 3]) >= 2.9 - 1e-6
 
 
@@ -274,20 +329,28 @@ def test_nearest_and_mid_are_the_nearest_with_the_tasks_held():
         for prefer, to in (("nearest", seed), ("mid", s.mid)):
             answer = s.ik(task, start=seed, prefer=prefer)
             assert answer.success
-            best = least(lambda x, to=to: (0.5 * float((x - to) @ (x - to)), x - to), s, answer.q, [equal_to(s, task)])
+            best = least(
+                lambda x, to=to: (0.5 * float((x - to) @ (x - to)), x - to),
+                s,
+                answer.q,
+                [equal_to(s, task)],
+            )
             assert 0.5 * np.sum((answer.q - to) ** 2) == pytest.approx(best, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["five_bar", "stewart", "four_bar", "seven_bodies_loop"])
 def test_the_nearest_closed_configuration_is_that_of_assembly(name):
-    """A soft posture on a closed loop, against `assemble(nearest=True)`, which finds it in another way."""
+    """A soft posture on a closed loop, against `assemble(nearest=True)`, which finds it in another
+    way.
+    """
     s = kempe.load(name)
     for near in s.random(1, 4):
         there = s.assemble(start=near, prefer="nearest")
         answer = s.ik(tasks.Posture(near), start=there.q)
         scale = Packed(s, [tasks.Posture(near)]).scale
         far, least = (
-            float(np.sum((s.configuration_space.difference(q, near) / scale) ** 2)) for q in (there.q, answer.q)
+            float(np.sum((s.configuration_space.difference(q, near) / scale) ** 2))
+            for q in (there.q, answer.q)
         )
         assert there.success and answer.success and least <= far + 1e-9
         np.testing.assert_allclose(residual(s, answer.q), 0.0, atol=1e-9)
@@ -311,7 +374,9 @@ def test_preferred_functions_are_stationary_along_the_self_motion():
         v = answer.self_motion[:, 0]
         slope = (function(answer.q + 1e-5 * v) - function(answer.q - 1e-5 * v)) / 2e-5
         push = -sign * slope * v
-        stopped = np.any((answer.q >= s.upper - 1e-6) & (push > 0)) or np.any((answer.q <= s.lower + 1e-6) & (push < 0))
+        stopped = np.any((answer.q >= s.upper - 1e-6) & (push > 0)) or np.any(
+            (answer.q <= s.lower + 1e-6) & (push < 0)
+        )
         assert stopped or abs(slope) < 1e-3
 
 
@@ -337,7 +402,10 @@ def test_contradictory_tasks_are_named():
     there = [tasks.Position("left", [5.0, 0.0, 0.0]), tasks.Position("right", [-5.0, 0.0, 0.0])]
     answer = s.ik([*there, tasks.Orientation("torso", np.eye(3))])
     assert not answer.success
-    assert f"contradictory: {there[0].label!r} and {there[1].label!r}: their places are 10 m apart" in answer.status
+    assert (
+        f"contradictory: {there[0].label!r} and {there[1].label!r}: their places are 10 m apart"
+        in answer.status
+    )
     assert answer.proven
     assert "'Orientation of 'torso''" not in answer.status.split("contradictory")[1]
     with pytest.raises(NoSolutionError):
@@ -363,21 +431,28 @@ def test_too_many_equations_are_said():
 def test_out_of_reach_is_missed_by_as_much_as_must_be():
     s = planar_arm(1.0, 1.0)
     answer = s.ik(tasks.Position("tip", [3.0, 0.0]))
-    assert not answer.success and answer.errors["Position of 'tip'"][0] == pytest.approx(1.0, abs=1e-6)
+    assert not answer.success and answer.errors["Position of 'tip'"][0] == pytest.approx(
+        1.0, abs=1e-6
+    )
     assert "is missed by 1 m" in answer.status and f"{answer.starts} starts" in answer.status
 
 
 def test_no_false_success():
-    """What is called a success holds, whatever the tasks: checked by the forward model on impossible and odd ones."""
+    """What is called a success holds, whatever the tasks: checked by the forward model on
+    impossible and odd ones.
+    """
     s = kempe.load("panda")
     rng = np.random.default_rng(9)
     for _ in range(20):
         X = spatial.pose(spatial.exp_so3(rng.normal(size=3)), rng.uniform(-1, 1, 3))
-        answer = s.ik([tasks.Pose(HAND, X), tasks.HalfSpace("panda_link4", [0, 0, 0.4], [0, 0, 1])],
-                      budget=kempe.Budget(starts=10))  # fmt: skip
+        answer = s.ik(
+            [tasks.Pose(HAND, X), tasks.HalfSpace("panda_link4", [0, 0, 0.4], [0, 0, 1])],
+            budget=kempe.Budget(starts=10),
+        )
         held = (
-            np.abs(s.fk(answer.q, HAND) - X).max() < 3e-6 and s.fk(answer.q, "panda_link4")[2, 3] > 0.4 - 2e-6
-        )  # fmt: skip
+            np.abs(s.fk(answer.q, HAND) - X).max() < 3e-6
+            and s.fk(answer.q, "panda_link4")[2, 3] > 0.4 - 2e-6
+        )
         assert answer.success == (held and inside(s, answer.q))
 
 
@@ -389,16 +464,26 @@ def test_batches_are_their_rows_and_do_not_depend_on_threads():
     q = s.random(10, (4, 12))
     L = s.fk(q, "left")
     R = s.fk(q, "right")[..., :3, 3]
-    wanted = [tasks.Pose("left", L), tasks.Position("right", R), tasks.Posture(s.neutral, priority=1)]
+    wanted = [
+        tasks.Pose("left", L),
+        tasks.Position("right", R),
+        tasks.Posture(s.neutral, priority=1),
+    ]
     answer = s.ik(wanted, budget=kempe.Budget(threads=1))
     assert (
-        answer.q.shape == (4, 12, s.nq) and answer.success.all() and answer.errors[wanted[0].label].shape == (4, 12, 2)
+        answer.q.shape == (4, 12, s.nq)
+        and answer.success.all()
+        and answer.errors[wanted[0].label].shape == (4, 12, 2)
     )
     for threads in (2, 5):
-        np.testing.assert_array_equal(s.ik(wanted, budget=kempe.Budget(threads=threads)).q, answer.q)
+        np.testing.assert_array_equal(
+            s.ik(wanted, budget=kempe.Budget(threads=threads)).q, answer.q
+        )
     first = s.ik([tasks.Pose("left", L[0, 0]), tasks.Position("right", R[0, 0]), wanted[2]])
     np.testing.assert_array_equal(first.q, answer.q[0, 0])
-    assert "48 of 48 problems solved" in str(answer) and answer.status[1, 2].startswith("all hard tasks hold")
+    assert "48 of 48 problems solved" in str(answer) and answer.status[1, 2].startswith(
+        "all hard tasks hold"
+    )
     with pytest.raises(InputError, match="one answer"):
         _ = answer.rank
 
@@ -416,17 +501,26 @@ def test_what_is_refused():
     s = kempe.load("panda")
     X = s.fk(s.random(0), HAND)
     for bad, match in (
-        ((X,), "task of kempe.tasks"), (([],), "task of kempe.tasks"), ((tasks.Pose(HAND, X, weight=-1),), "weight"),
+        ((X,), "task of kempe.tasks"),
+        (([],), "task of kempe.tasks"),
+        ((tasks.Pose(HAND, X, weight=-1),), "weight"),
         ((tasks.Pose(HAND, X, priority=0.5),), "priority"),
         ((tasks.Pose(HAND, 2 * X - np.diag([0, 0, 0, 1])),), "is not a pose"),
         ((tasks.Pose(HAND, np.where(np.eye(4) > 0, np.nan, X)),), "it must be finite"),
-        (([tasks.Pose(HAND, X[None].repeat(2, 0)), tasks.Position(HAND, np.zeros((3, 3)))],), "fit together"),
-    ):  # fmt: skip
+        (
+            ([tasks.Pose(HAND, X[None].repeat(2, 0)), tasks.Position(HAND, np.zeros((3, 3)))],),
+            "fit together",
+        ),
+    ):
         with pytest.raises(InputError, match=match):
             s.ik(*bad)
     nan = [math.nan] * 7
     none = kempe.Budget(starts=0)
-    for more, match in (({"prefer": "best"}, "prefer"), ({"start": nan}, "start"), ({"budget": none}, "starts")):
+    for more, match in (
+        ({"prefer": "best"}, "prefer"),
+        ({"start": nan}, "start"),
+        ({"budget": none}, "starts"),
+    ):
         with pytest.raises(InputError, match=match):
             s.ik(tasks.Pose(HAND, X), **more)
 
@@ -455,7 +549,9 @@ def test_functions_do_what_the_tasks_they_stand_for_do():
     b = s.ik(tasks.Position(HAND, p), start=s.mid)
     assert a.success and b.success
     np.testing.assert_allclose(s.fk(a.q, HAND)[:3, 3], p, atol=1e-6)
-    between = s.ik(tasks.Function(lambda x: x[:2] * 1.0, low=[0.5, -1.0], high=[0.7, -0.9]), start=np.zeros(7))
+    between = s.ik(
+        tasks.Function(lambda x: x[:2] * 1.0, low=[0.5, -1.0], high=[0.7, -0.9]), start=np.zeros(7)
+    )
     assert (
         between.success
         and between.q[0] == pytest.approx(0.5, abs=1e-6)
@@ -474,7 +570,9 @@ def test_the_self_motion_of_three_links_closes():
     m = s.inverse.self_motion(q, tasks.Position("tip", p[:2, 3]), budget=kempe.Budget(points=400))
     assert m.closed and m.freedoms == 1 and len(m) > 50
     np.testing.assert_allclose(s.fk(m.q, "tip")[:, :3, 3] - p[:3, 3], 0.0, atol=1e-9)
-    steps = np.linalg.norm([s.configuration_space.difference(a, b) for a, b in itertools.pairwise(m.q)], axis=-1)
+    steps = np.linalg.norm(
+        [s.configuration_space.difference(a, b) for a, b in itertools.pairwise(m.q)], axis=-1
+    )
     assert steps.max() < 0.06
     assert s.configuration_space.distance(m.q[-1], m.q[0]) < 0.06
 
@@ -484,7 +582,9 @@ def test_a_self_motion_stops_at_limits_and_keeps_the_pose():
     q = s.random(4)
     m = s.inverse.self_motion(q, HAND)
     assert not m.closed and all(end.startswith("the limit of") for end in m.ends) and inside(s, m.q)
-    np.testing.assert_allclose(s.fk(m.q, HAND), np.broadcast_to(s.fk(q, HAND), (len(m), 4, 4)), atol=1e-9)
+    np.testing.assert_allclose(
+        s.fk(m.q, HAND), np.broadcast_to(s.fk(q, HAND), (len(m), 4, 4)), atol=1e-9
+    )
     np.testing.assert_allclose(m.q[m.start], q, atol=1e-9)
     for q_end, name in ((m.q[0], m.ends[0]), (m.q[-1], m.ends[1])):
         i = s.coordinate_names.index(name.split("'")[1])
@@ -507,7 +607,9 @@ def test_one_direction_of_a_larger_self_motion():
 
 
 def test_the_self_motion_of_a_platform_is_the_spin_of_its_legs():
-    """A Stewart platform with balls at both ends of its legs: six spins, which the basis of self-motions has."""
+    """A Stewart platform with balls at both ends of its legs: six spins, which the basis of
+    self-motions has.
+    """
     s = kempe.load("stewart_sps")
     q = s.assemble().q
     answer = s.ik(tasks.Pose("platform", s.fk(q, "platform")), start=q)
@@ -529,7 +631,12 @@ def test_the_whole_body_of_a_humanoid(with_mass, least_found):
     """Both feet and both hands of a Unitree G1 with a floating base, 300 reachable targets."""
     path = next(p for n, p in urdf_files().items() if n.endswith("g1_29dof_rev_1_0.urdf"))
     s = kempe.load(path, base="free")
-    frames = ["left_ankle_roll_link", "right_ankle_roll_link", "left_rubber_hand", "right_rubber_hand"]
+    frames = [
+        "left_ankle_roll_link",
+        "right_ankle_roll_link",
+        "left_rubber_hand",
+        "right_rubber_hand",
+    ]
     q = s.random(5, 300)
     wanted: list[tasks.Task] = [tasks.Pose(f, s.fk(q, f)) for f in frames]
     if with_mass:
@@ -542,7 +649,9 @@ def test_the_whole_body_of_a_humanoid(with_mass, least_found):
 
 
 def mobile(planar: bool) -> System:
-    """An arm of four joints on a base that drives over the ground: a planar joint, or slides and a turn."""
+    """An arm of four joints on a base that drives over the ground: a planar joint, or slides and a
+    turn.
+    """
     m = Mechanism("mobile")
     if planar:
         m.joint("drive", "planar", m.ground, m.body("base"))
@@ -553,7 +662,14 @@ def mobile(planar: bool) -> System:
     before = "base"
     at = (0.0, 0.0, 0.5)
     for k in range(4):
-        m.revolute(f"j{k}", before, m.body(f"l{k}"), at=at, rpy=(math.pi / 2 * (-1) ** k, 0, 0), limits=(-2.5, 2.5))
+        m.revolute(
+            f"j{k}",
+            before,
+            m.body(f"l{k}"),
+            at=at,
+            rpy=(math.pi / 2 * (-1) ** k, 0, 0),
+            limits=(-2.5, 2.5),
+        )
         before = f"l{k}"
         at = (0.02, 0.0, 0.2)
     m.frame("tool", before, at=at)

@@ -1,4 +1,6 @@
-"""Tasks at their edges: opposite axes, what is refused, proofs by lengths, names, caches, ends of self-motions."""
+"""Tasks at their edges: opposite axes, what is refused, proofs by lengths, names, caches, ends of
+self-motions.
+"""
 
 from __future__ import annotations
 
@@ -64,10 +66,13 @@ def test_tilts_have_the_length_and_the_rates_that_they_should(task, angle):
     q = s.neutral
     h = 1e-6 if angle < 3.1 else 1e-3 * (math.pi - angle)
     ends = [
-        [tasks.error(s, t, s.configuration_space.integrate(q, sign * h * e)) for sign in (1, -1)] for e in np.eye(6)
+        [tasks.error(s, t, s.configuration_space.integrate(q, sign * h * e)) for sign in (1, -1)]
+        for e in np.eye(6)
     ]
     J = np.stack([(a - b) / (2.0 * h) for a, b in ends], axis=-1)
-    assert np.linalg.norm(tasks.error(s, t, q)) == pytest.approx(2.0 * math.sin(angle / 2.0), abs=1e-12)
+    assert np.linalg.norm(tasks.error(s, t, q)) == pytest.approx(
+        2.0 * math.sin(angle / 2.0), abs=1e-12
+    )
     np.testing.assert_allclose(tasks.jacobian(s, t, q), J, atol=2e-6 * np.abs(J).max())
 
 
@@ -92,7 +97,11 @@ def test_two_opposite_directions_contradict_each_other():
 def test_nothing_looks_at_its_own_origin():
     s = ball()
     answer = s.ik(tasks.LookAt("b", [0.0, 0.0, 0.0]))
-    assert not answer.success and answer.starts > 1 and answer.orientation_error == pytest.approx(math.pi)
+    assert (
+        not answer.success
+        and answer.starts > 1
+        and answer.orientation_error == pytest.approx(math.pi)
+    )
 
 
 # ---- the plane
@@ -109,26 +118,45 @@ def test_axes_of_the_plane():
         assert (tasks.count(s, task), tasks.error(s, task, q).shape) == (1, (1,))
         assert tasks.jacobian(s, task, q).shape == (1, 3)
         assert (answer.m, answer.rank, answer.self_motion.shape) == (1, 1, (3, 2))
-        ends = [(tasks.error(s, task, q + h) - tasks.error(s, task, q - h)) / 2e-6 for h in 1e-6 * np.eye(3)]
+        ends = [
+            (tasks.error(s, task, q + h) - tasks.error(s, task, q - h)) / 2e-6
+            for h in 1e-6 * np.eye(3)
+        ]
         np.testing.assert_allclose(tasks.jacobian(s, task, q), np.stack(ends, axis=-1), atol=1e-8)
     back = tasks.LookAt("tip", [0.0, 0.0])
-    assert abs(tasks.error(s, back, np.zeros(3)).item()) == pytest.approx(2.0) and s.ik(back, start=np.zeros(3)).success
+    assert (
+        abs(tasks.error(s, back, np.zeros(3)).item()) == pytest.approx(2.0)
+        and s.ik(back, start=np.zeros(3)).success
+    )
 
 
 TILTED = spatial.pose(spatial.rot_x(0.5))
 
 
-@pytest.mark.parametrize("task", [
-    tasks.LookAt("tip", [1.0, 0.0], axis=[0, 0, 1]), tasks.Pointing("tip", [1.0, 0.0], axis=[1, 0, 1]),
-    tasks.Pointing("tip", [0, 0, 1.0]), tasks.Position("tip", [1, 1, 5.0]), tasks.Pose("tip", TILTED),
-    tasks.Pose("tip", spatial.pose(p=[1.0, 0.0, 1.0])), tasks.Orientation("tip", np.diag([1.0, -1.0, -1.0])),
-    tasks.OnLine("tip", [1, 0, 3.0], [1, 0]), tasks.OnLine("tip", [1, 0], [1, 0, 1.0]),
-    tasks.OnPlane("tip", [1, 0], [0, 0, 1.0]), tasks.HalfSpace("tip", [1, 0, 3.0], [1, 0]),
-    tasks.OnSphere("tip", [1, 0, 2.0], 1.0), tasks.InBox("tip", [0, 0, 1.0], [2, 2, 2.0]),
-    tasks.InBox("tip", [0, 0], [1, 1], pose=TILTED), tasks.RelativePosition("tip", "b0", [0.5, 0.5, 1.0]),
-    tasks.Position("tip", [1.0, 1.0], point=[0, 0, 1.0]), tasks.CentreOfMass([0.5, 0.5, 2.0]),
-    tasks.CentreOfMass([0.5, 0.5], axes="z"),
-], ids=lambda t: t.label)  # fmt: skip
+@pytest.mark.parametrize(
+    "task",
+    [
+        tasks.LookAt("tip", [1.0, 0.0], axis=[0, 0, 1]),
+        tasks.Pointing("tip", [1.0, 0.0], axis=[1, 0, 1]),
+        tasks.Pointing("tip", [0, 0, 1.0]),
+        tasks.Position("tip", [1, 1, 5.0]),
+        tasks.Pose("tip", TILTED),
+        tasks.Pose("tip", spatial.pose(p=[1.0, 0.0, 1.0])),
+        tasks.Orientation("tip", np.diag([1.0, -1.0, -1.0])),
+        tasks.OnLine("tip", [1, 0, 3.0], [1, 0]),
+        tasks.OnLine("tip", [1, 0], [1, 0, 1.0]),
+        tasks.OnPlane("tip", [1, 0], [0, 0, 1.0]),
+        tasks.HalfSpace("tip", [1, 0, 3.0], [1, 0]),
+        tasks.OnSphere("tip", [1, 0, 2.0], 1.0),
+        tasks.InBox("tip", [0, 0, 1.0], [2, 2, 2.0]),
+        tasks.InBox("tip", [0, 0], [1, 1], pose=TILTED),
+        tasks.RelativePosition("tip", "b0", [0.5, 0.5, 1.0]),
+        tasks.Position("tip", [1.0, 1.0], point=[0, 0, 1.0]),
+        tasks.CentreOfMass([0.5, 0.5, 2.0]),
+        tasks.CentreOfMass([0.5, 0.5], axes="z"),
+    ],
+    ids=lambda t: t.label,
+)
 def test_what_leaves_the_plane_is_refused(task):
     with pytest.raises(InputError, match=r"plane|z, |axes|corner"):
         flat_arm().ik(task)
@@ -144,36 +172,45 @@ def test_a_box_through_the_plane_is_a_box_in_it():
 P = [0.4, 0.1, 0.5]
 
 
-@pytest.mark.parametrize("make, match", [
-    (lambda: tasks.Position(HAND, P, point=[NAN, 0, 0]), "point"),
-    (lambda: tasks.Position(HAND, P, point=np.zeros((2, 3))), "point"),
-    (lambda: tasks.Pointing(HAND, P, axis=[0, INF, 0]), "axis"), (lambda: tasks.Pointing(HAND, P, [0, NAN, 0]), "axis"),
-    (lambda: tasks.Position(HAND, [1e300, 0, 0]), "goal of .* its size must be below"),
-    (lambda: tasks.HalfSpace(HAND, P, P, margin=NAN), "HalfSpace"),
-    (lambda: tasks.HalfSpace(HAND, P, P, margin="x"), "margin"),
-    (lambda: tasks.HalfSpace(HAND, P, P, margin=None), "margin"),
-    (lambda: tasks.InBox(HAND, [NAN, 0, 0], [1, 1, 1]), "InBox"),
-    (lambda: tasks.InBox(HAND, [INF, 0, 0], [INF, 1, 1]), "InBox"),
-    (lambda: tasks.InBox(HAND, [0, 0], [1, 1]), "InBox"),
-    (lambda: tasks.Distance(HAND, "panda_link0", at_least=INF), "Distance"),
-    (lambda: tasks.Distance(HAND, "panda_link0", at_most=NAN), "Distance"),
-    (lambda: tasks.Distance(HAND, "panda_link0", at_most="a"), "Distance"),
-    (lambda: tasks.Distance(HAND, "panda_link0", at_least=-0.1), "at_least|bound"),
-    (lambda: tasks.CentreOfPoints([HAND], P, within=-1.0), "within"),
-    (lambda: tasks.CentreOfPoints([HAND], P, within=NAN), "within"),
-    (lambda: tasks.CentreOfPoints([HAND], P, within=[0.1, 0.2]), "within"),
-    (lambda: tasks.CentreOfPoints([HAND], P, within=[0.1, -0.2, 0.1]), "within"),
-    (lambda: tasks.CentreOfPoints({HAND: NAN}, P), "weight"), (lambda: tasks.CentreOfPoints({HAND: "a"}, P), "weight"),
-    (lambda: tasks.CentreOfMass(P, axes=["x"]), "axes"), (lambda: tasks.Function(3), "function of q"),
-    (lambda: tasks.Function(lambda q: np.zeros(0)), "no numbers"),
-    (lambda: tasks.Function(lambda q: q[0], low=NAN, high=1.0), "bounds"),
-    (lambda: tasks.Function(lambda q: q[0], low=INF, high=INF), "bounds"),
-    (lambda: tasks.Function(lambda q: q[: 1 + int(abs(np.real(q[0])) * 10) % 3] - 0.1), "gave 1 before|numbers"),
-    (lambda: tasks.Position(HAND, P, weight="1"), "weight"),
-    (lambda: tasks.Position(HAND, P, weight=np.ones(3)), "weight"),  # type: ignore[arg-type]
-    (lambda: tasks.Position(HAND, P, tolerance=[1e-3, 1e-3, 1e-3]), "tolerance"),  # type: ignore[arg-type]
-    (lambda: tasks.Position(HAND, P, name=3), "name"),  # type: ignore[arg-type]
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make, match",
+    [
+        (lambda: tasks.Position(HAND, P, point=[NAN, 0, 0]), "point"),
+        (lambda: tasks.Position(HAND, P, point=np.zeros((2, 3))), "point"),
+        (lambda: tasks.Pointing(HAND, P, axis=[0, INF, 0]), "axis"),
+        (lambda: tasks.Pointing(HAND, P, [0, NAN, 0]), "axis"),
+        (lambda: tasks.Position(HAND, [1e300, 0, 0]), "goal of .* its size must be below"),
+        (lambda: tasks.HalfSpace(HAND, P, P, margin=NAN), "HalfSpace"),
+        (lambda: tasks.HalfSpace(HAND, P, P, margin="x"), "margin"),
+        (lambda: tasks.HalfSpace(HAND, P, P, margin=None), "margin"),
+        (lambda: tasks.InBox(HAND, [NAN, 0, 0], [1, 1, 1]), "InBox"),
+        (lambda: tasks.InBox(HAND, [INF, 0, 0], [INF, 1, 1]), "InBox"),
+        (lambda: tasks.InBox(HAND, [0, 0], [1, 1]), "InBox"),
+        (lambda: tasks.Distance(HAND, "panda_link0", at_least=INF), "Distance"),
+        (lambda: tasks.Distance(HAND, "panda_link0", at_most=NAN), "Distance"),
+        (lambda: tasks.Distance(HAND, "panda_link0", at_most="a"), "Distance"),
+        (lambda: tasks.Distance(HAND, "panda_link0", at_least=-0.1), "at_least|bound"),
+        (lambda: tasks.CentreOfPoints([HAND], P, within=-1.0), "within"),
+        (lambda: tasks.CentreOfPoints([HAND], P, within=NAN), "within"),
+        (lambda: tasks.CentreOfPoints([HAND], P, within=[0.1, 0.2]), "within"),
+        (lambda: tasks.CentreOfPoints([HAND], P, within=[0.1, -0.2, 0.1]), "within"),
+        (lambda: tasks.CentreOfPoints({HAND: NAN}, P), "weight"),
+        (lambda: tasks.CentreOfPoints({HAND: "a"}, P), "weight"),
+        (lambda: tasks.CentreOfMass(P, axes=["x"]), "axes"),
+        (lambda: tasks.Function(3), "function of q"),
+        (lambda: tasks.Function(lambda q: np.zeros(0)), "no numbers"),
+        (lambda: tasks.Function(lambda q: q[0], low=NAN, high=1.0), "bounds"),
+        (lambda: tasks.Function(lambda q: q[0], low=INF, high=INF), "bounds"),
+        (
+            lambda: tasks.Function(lambda q: q[: 1 + int(abs(np.real(q[0])) * 10) % 3] - 0.1),
+            "gave 1 before|numbers",
+        ),
+        (lambda: tasks.Position(HAND, P, weight="1"), "weight"),
+        (lambda: tasks.Position(HAND, P, weight=np.ones(3)), "weight"),  # type: ignore[arg-type]
+        (lambda: tasks.Position(HAND, P, tolerance=[1e-3, 1e-3, 1e-3]), "tolerance"),  # type: ignore[arg-type]
+        (lambda: tasks.Position(HAND, P, name=3), "name"),  # type: ignore[arg-type]
+    ],
+)
 def test_bad_input_is_named(panda, make, match):
     with pytest.raises(InputError, match=match):
         panda.ik(make())
@@ -184,7 +221,9 @@ def test_a_task_by_name_belongs_to_one_frame(panda):
         panda.ik([tasks.Position(HAND, P)], task="pose")
 
 
-@pytest.mark.parametrize("tolerance", [[1e-3, 1e-3], np.array([1e-3, 1e-3]), (1e-3, 1e-3), 1e-3], ids=str)
+@pytest.mark.parametrize(
+    "tolerance", [[1e-3, 1e-3], np.array([1e-3, 1e-3]), (1e-3, 1e-3), 1e-3], ids=str
+)
 def test_tolerances_may_be_lists(tolerance, panda):
     goal = panda.fk(panda.random(0), HAND)[:3, 3]
     assert panda.ik(tasks.Position(HAND, goal, tolerance=tolerance)).success  # type: ignore[arg-type]
@@ -203,7 +242,9 @@ def test_a_function_that_writes_into_its_argument_changes_nothing(panda):
 
 def test_every_task_has_a_key_of_its_own(panda):
     x = panda.fk(panda.mid, HAND)[:3, 3]
-    answer = panda.ik([tasks.Position(HAND, x, name=n) for n in ("x", "x (2)", "x", "x")], start=panda.mid)
+    answer = panda.ik(
+        [tasks.Position(HAND, x, name=n) for n in ("x", "x (2)", "x", "x")], start=panda.mid
+    )
     assert list(answer.errors) == ["x", "x (2)", "x (3)", "x (4)"]
 
 
@@ -211,7 +252,12 @@ def test_every_task_has_a_key_of_its_own(panda):
 def test_caches_are_bounded():
     s = flat_arm()
     for k in range(200):
-        s.ik([tasks.Position("tip", [1.0, 1.0], point=[1e-3 * k, 0]), tasks.Posture(np.zeros(3), weight=1.0 + k)])
+        s.ik(
+            [
+                tasks.Position("tip", [1.0, 1.0], point=[1e-3 * k, 0]),
+                tasks.Posture(np.zeros(3), weight=1.0 + k),
+            ]
+        )
     same = tasks.Position("tip", [1.0, 1.0])
     for k in range(200):
         s.ik([same, tasks.Posture(np.zeros(3), weight=1.0 + k)])
@@ -229,7 +275,10 @@ def test_lengths_prove_what_is_out_of_reach_as_for_one_frame(panda):
         single = panda.ik(3.0 * d, HAND)
         beyond = single.status.split("at least ")[1].split(",")[0]
         assert answer.code == single.code == Status.OUT_OF_REACH
-        assert f"is outside the workspace by at least {beyond}, by the lengths of the links" in answer.status
+        assert (
+            f"is outside the workspace by at least {beyond}, by the lengths of the links"
+            in answer.status
+        )
         assert float(beyond.split()[0]) <= answer.position_error
     X = spatial.pose(spatial.rot_x(math.pi), [0.0, 0.0, 1.25])
     answer = panda.ik(tasks.Pose(HAND, X), budget=kempe.Budget(starts=4))
@@ -245,10 +294,18 @@ def test_lengths_prove_nothing_wrong(panda):
         X = panda.fk(q, HAND)
         p = (X @ [*point, 1.0])[:3]
         d = np.array([0.3, 0.5, -0.2])
-        at = [tasks.Pose(HAND, X), tasks.Position(HAND, p, point), tasks.OnLine(HAND, p + d, d, point),
-              tasks.OnPlane(HAND, p, d, point), tasks.RelativePose(HAND, "panda_link0", X)]  # fmt: skip
+        at = [
+            tasks.Pose(HAND, X),
+            tasks.Position(HAND, p, point),
+            tasks.OnLine(HAND, p + d, d, point),
+            tasks.OnPlane(HAND, p, d, point),
+            tasks.RelativePose(HAND, "panda_link0", X),
+        ]
         for task in at:
-            assert panda.ik(task, budget=kempe.Budget(starts=1)).code in (Status.SOLVED, Status.NOT_FOUND)
+            assert panda.ik(task, budget=kempe.Budget(starts=1)).code in (
+                Status.SOLVED,
+                Status.NOT_FOUND,
+            )
 
 
 def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
@@ -256,13 +313,20 @@ def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
     line = tasks.OnLine(HAND, [5.0, 0.0, 0.0], [0.0, 0.0, 1.0], name="line")
     near = tasks.Position("panda_link4", panda.fk(panda.mid, "panda_link4")[:3, 3], name="near")
     answer = panda.ik([far, near], budget=kempe.Budget(starts=3))
-    assert answer.code == Status.OUT_OF_REACH and "; 'far' is outside the workspace by at least" in answer.status
+    assert (
+        answer.code == Status.OUT_OF_REACH
+        and "; 'far' is outside the workspace by at least" in answer.status
+    )
     assert "'near' is outside" not in answer.status
     assert panda.ik([line], budget=kempe.Budget(starts=3)).code == Status.OUT_OF_REACH
     side = tasks.HalfSpace(HAND, [0.0, 0.0, -4.0], [0.0, 0.0, 1.0])
     assert panda.ik([side, near], start=panda.mid).success
     targets = np.array([[0.4, 0.1, 0.5], [3.0, 0.0, 0.0], [NAN, 0.0, 0.0]])
-    assert panda.ik(tasks.Position(HAND, targets), budget=kempe.Budget(starts=5)).code.tolist() == [0, 3, 2]
+    assert panda.ik(tasks.Position(HAND, targets), budget=kempe.Budget(starts=5)).code.tolist() == [
+        0,
+        3,
+        2,
+    ]
 
 
 def test_lengths_prove_with_loops_too():
@@ -283,7 +347,10 @@ def test_a_slide_that_is_too_short_is_blocked_by_its_limit():
     m.frame("tip", "b", at=(1.0, 0.0))
     answer = m.build().ik(tasks.Position("tip", [3.0, 0.5]), budget=kempe.Budget(starts=3))
     assert answer.code == Status.OUT_OF_REACH and answer.proven
-    assert "outside the workspace" in answer.status and "without the limit of 's' it is reached" in answer.status
+    assert (
+        "outside the workspace" in answer.status
+        and "without the limit of 's' it is reached" in answer.status
+    )
 
 
 # ---- self-motions
@@ -304,7 +371,9 @@ def test_the_half_space_at_which_a_self_motion_ends_is_named():
     q = np.array([0.4, 1.0, 0.7])
     elbow = s.fk(q, "b2")[:2, 3]
     wall = tasks.HalfSpace("b2", elbow + [0.1, 0.0], [-1.0, 0.0], name="wall")
-    m = s.inverse.self_motion(q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], budget=kempe.Budget(points=300))
+    m = s.inverse.self_motion(
+        q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], budget=kempe.Budget(points=300)
+    )
     assert not m.closed and "the bound of 'wall'" in m.ends
     end = m.q[0] if m.ends[0].startswith("the bound") else m.q[-1]
     assert s.fk(end, "b2")[0, 3] == pytest.approx(elbow[0] + 0.1, abs=1e-4)

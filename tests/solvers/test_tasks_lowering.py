@@ -1,4 +1,6 @@
-"""Levels of tasks: strict priorities, least values against scipy and closed forms, saddles, long ways, free bases."""
+"""Levels of tasks: strict priorities, least values against scipy and closed forms, saddles, long
+ways, free bases.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,18 @@ HAND = "panda_hand_tcp"
 
 def screw_table(pitch: float, limits: tuple[float, float] | None = None) -> System:
     m = Mechanism("screw table")
-    m.helical("screw", m.ground, m.body("nut"), pitch=pitch, **({"limits": limits} if limits else {}))
+    m.helical(
+        "screw", m.ground, m.body("nut"), pitch=pitch, **({"limits": limits} if limits else {})
+    )
     return m.build()
 
 
-def solve(s: System, *wanted: tasks.Task, start=None, tolerance=None, prefer=None, **budget) -> Reached:
-    answer = s.ik(list(wanted), start=start, tolerance=tolerance, prefer=prefer, budget=kempe.Budget(**budget))
+def solve(
+    s: System, *wanted: tasks.Task, start=None, tolerance=None, prefer=None, **budget
+) -> Reached:
+    answer = s.ik(
+        list(wanted), start=start, tolerance=tolerance, prefer=prefer, budget=kempe.Budget(**budget)
+    )
     assert isinstance(answer, Reached)
     return answer
 
@@ -57,7 +65,9 @@ def test_a_soft_task_between_two_hard_ones_is_met_with_them():
 
 
 def test_a_soft_task_does_not_suffer_for_a_hard_one_behind_it():
-    """A target 2 m beyond a stretched arm wants it stretched; the first link shall turn away, behind that."""
+    """A target 2 m beyond a stretched arm wants it stretched; the first link shall turn away,
+    behind that.
+    """
     s = planar_arm(*[1.0] * 3)
     soft = tasks.Position("tip", [5.0, 0.0], weight=1.0, name="soft")
     hard = tasks.Posture({"q1": 0.5}, weight=None, priority=1, name="hard")
@@ -68,10 +78,14 @@ def test_a_soft_task_does_not_suffer_for_a_hard_one_behind_it():
 
 
 def test_a_hard_task_behind_a_soft_one_that_stays_off_holds_in_what_that_leaves():
-    """Four links come within 6 m of the line x = 10 where they are stretched along x: the first angle is then 0."""
+    """Four links come within 6 m of the line x = 10 where they are stretched along x: the first
+    angle is then 0.
+    """
     s = planar_arm(*[1.0] * 4)
     soft = tasks.OnPlane("tip", [10.0, 0.0], [1.0, 0.0], weight=1.0, name="soft")
-    answer = solve(s, soft, tasks.Posture({"q1": 0.0}, weight=None, priority=1), start=[0.3, 0.4, 0.5, 0.2])
+    answer = solve(
+        s, soft, tasks.Posture({"q1": 0.0}, weight=None, priority=1), start=[0.3, 0.4, 0.5, 0.2]
+    )
     assert answer.success and answer.errors["soft"][0] == pytest.approx(6.0, abs=1e-9)
 
 
@@ -106,7 +120,9 @@ def test_soft_mixes_are_as_low_as_scipy_brings_them():
 def test_an_arm_stretches_towards_what_is_out_of_reach(count, away):
     """The least distance is what the target is farther away than the arm is long."""
     s = planar_arm(*[1.0] * count)
-    answer = solve(s, tasks.Position("tip", [away, 0.0], weight=1.0), start=np.ones(count), starts=1)
+    answer = solve(
+        s, tasks.Position("tip", [away, 0.0], weight=1.0), start=np.ones(count), starts=1
+    )
     assert answer.position_error == 0.0 and answer.iterations <= 120
     assert next(iter(answer.errors.values()))[0] == pytest.approx(1.0, abs=1e-6)
 
@@ -127,7 +143,9 @@ def test_a_soft_position_is_as_near_as_scipy_comes():
             return s.fk(q, frame)[:3, 3] - x
 
         starts = [np.clip(s.random(rng), low + 1e-6, high - 1e-6) for _ in range(4)]
-        best = min(least_squares(miss, q, bounds=(low, high), xtol=1e-13, ftol=1e-13).cost for q in starts)
+        best = min(
+            least_squares(miss, q, bounds=(low, high), xtol=1e-13, ftol=1e-13).cost for q in starts
+        )
         assert np.linalg.norm(miss(answer.q)) <= math.sqrt(2.0 * best) + 1e-3
 
 
@@ -152,7 +170,9 @@ def test_a_stretched_arm_folds_within_a_hard_task():
 
 
 def test_a_posture_does_not_stay_a_whole_turn_off():
-    """The hand is held by a configuration; each of its joints may be a turn away, which changes nothing else."""
+    """The hand is held by a configuration; each of its joints may be a turn away, which changes
+    nothing else.
+    """
     s = kempe.load("ur5")
     frame = s.frame_names[-1]
     q = 0.3 * s.random(0)
@@ -189,9 +209,13 @@ def flying(frames: int) -> System:
     return m.build()
 
 
-@pytest.mark.parametrize("frames, posed", [(1, True), (1, False), (2, False), (3, False), (2, True)])
+@pytest.mark.parametrize(
+    "frames, posed", [(1, True), (1, False), (2, False), (3, False), (2, True)]
+)
 def test_a_rigid_body_that_flies_is_where_it_should_be_at_once(frames, posed):
-    """The best fit of goals that a rigid body can meet is exact, also where points leave a turn open."""
+    """The best fit of goals that a rigid body can meet is exact, also where points leave a turn
+    open.
+    """
     s = flying(frames)
     rng = np.random.default_rng(4)
     for k in range(10):
@@ -200,7 +224,10 @@ def test_a_rigid_body_that_flies_is_where_it_should_be_at_once(frames, posed):
         quaternion = np.roll(Rotation.from_matrix(turn).as_quat(), 1)
         q = s.q(dict(zip(s.coordinate_names, [*X[:3, 3], *quaternion], strict=True)))
         at = [s.fk(q, str(i)) for i in range(frames)]
-        kind = [tasks.Pose(str(i), Y) if posed else tasks.Position(str(i), Y[:3, 3]) for i, Y in enumerate(at)]
+        kind = [
+            tasks.Pose(str(i), Y) if posed else tasks.Position(str(i), Y[:3, 3])
+            for i, Y in enumerate(at)
+        ]
         answer = solve(s, *kind)
         assert answer.success and answer.starts == 1 and answer.iterations <= 2
         for i, Y in enumerate(at):
@@ -208,7 +235,9 @@ def test_a_rigid_body_that_flies_is_where_it_should_be_at_once(frames, posed):
 
 
 def test_rows_that_need_more_starts_are_the_calls_alone():
-    """Random starts are the same for every row, so an answer does not depend on its place in a batch."""
+    """Random starts are the same for every row, so an answer does not depend on its place in a
+    batch.
+    """
     s = kempe.load("panda")
     q = s.random(7, 60)
     X = s.fk(q, HAND)
@@ -216,7 +245,9 @@ def test_rows_that_need_more_starts_are_the_calls_alone():
     again = np.flatnonzero(together.starts > 1)
     assert len(again) >= 3
     for i in again[:6]:
-        np.testing.assert_array_equal(solve(s, tasks.Pose(HAND, X[i]), start=s.mid).q, together.q[i])
+        np.testing.assert_array_equal(
+            solve(s, tasks.Pose(HAND, X[i]), start=s.mid).q, together.q[i]
+        )
 
 
 def test_what_cannot_be_reached_is_missed_by_as_little_as_must_be_after_few_steps():

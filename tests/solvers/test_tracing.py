@@ -10,7 +10,19 @@ from hunts import some
 from scipy.special import ellipe
 
 from kempe.solvers.common import tracing
-from kempe.solvers.common.tracing import BEND, Curve, Node, arc, bend, correct, flipped, inside, node, step, walk
+from kempe.solvers.common.tracing import (
+    BEND,
+    Curve,
+    Node,
+    arc,
+    bend,
+    correct,
+    flipped,
+    inside,
+    node,
+    step,
+    walk,
+)
 
 
 class Implicit(Curve):
@@ -27,8 +39,13 @@ class Implicit(Curve):
 
 
 def ellipse(a, b):
-    return Implicit(2, lambda x: (np.array([(x[0] / a) ** 2 + (x[1] / b) ** 2 - 1.0]),
-                                  np.array([[2.0 * x[0] / a**2, 2.0 * x[1] / b**2]])))  # fmt: skip
+    return Implicit(
+        2,
+        lambda x: (
+            np.array([(x[0] / a) ** 2 + (x[1] / b) ** 2 - 1.0]),
+            np.array([[2.0 * x[0] / a**2, 2.0 * x[1] / b**2]]),
+        ),
+    )
 
 
 def traced(curve, x, toward, longest, most=100_000, **more):
@@ -48,7 +65,9 @@ def traced(curve, x, toward, longest, most=100_000, **more):
 @pytest.mark.slow
 @pytest.mark.parametrize("a", some([1.0, 2.0, 5.0], 3))
 def test_the_circumference_of_an_ellipse(a):
-    """Complete elliptic integral of the second kind; nodes on the curve, tangents by the derivative, bends bounded."""
+    """Complete elliptic integral of the second kind; nodes on the curve, tangents by the
+    derivative, bends bounded.
+    """
     curve = ellipse(a, 1.0)
     nodes = []
     for b in traced(curve, [a, 0.0], [0.0, 1.0], 0.05, 2000):
@@ -58,7 +77,9 @@ def test_the_circumference_of_an_ellipse(a):
     x = np.array([n.x for n in nodes])
     assert np.abs((x[:, 0] / a) ** 2 + x[:, 1] ** 2 - 1.0).max() < 1e-13
     t = np.stack([-a * x[:, 1], x[:, 0] / a], axis=1)
-    np.testing.assert_allclose([n.t for n in nodes], t / np.linalg.norm(t, axis=1)[:, None], atol=1e-12)
+    np.testing.assert_allclose(
+        [n.t for n in nodes], t / np.linalg.norm(t, axis=1)[:, None], atol=1e-12
+    )
     bends = [bend(n, m) for n, m in zip(nodes, nodes[1:], strict=False)]
     assert max(bends) <= BEND
     last = node(curve, nodes[0].x, nodes[0].t)
@@ -67,7 +88,9 @@ def test_the_circumference_of_an_ellipse(a):
 
 
 def test_a_helix_among_dependent_equations(hunt):
-    """x = cos z, y = sin z, said twice: every node on it, and steps as long as requested where it bends evenly."""
+    """x = cos z, y = sin z, said twice: every node on it, and steps as long as requested where it
+    bends evenly.
+    """
 
     def f(x):
         F = np.array([x[0] - math.cos(x[2]), x[1] - math.sin(x[2])])
@@ -79,8 +102,12 @@ def test_a_helix_among_dependent_equations(hunt):
         z = rng.uniform(-3.0, 3.0)
         nodes = traced(Implicit(3, f), [math.cos(z), math.sin(z), z], [0.0, 0.0, 1.0], 0.1, 60)
         x = np.array([n.x for n in nodes])
-        np.testing.assert_allclose(x[:, :2], np.stack([np.cos(x[:, 2]), np.sin(x[:, 2])], axis=1), atol=1e-12)
-        np.testing.assert_allclose([n.t[2] for n in nodes], math.sqrt(0.5), atol=1e-12)  # pitch 1, radius 1
+        np.testing.assert_allclose(
+            x[:, :2], np.stack([np.cos(x[:, 2]), np.sin(x[:, 2])], axis=1), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            [n.t[2] for n in nodes], math.sqrt(0.5), atol=1e-12
+        )  # pitch 1, radius 1
         assert np.diff(x[:, 2])[5:] == pytest.approx(0.1 * math.sqrt(0.5), rel=5e-3)
 
 
@@ -95,9 +122,15 @@ def test_a_crossing_is_passed_straight_on_and_noticed():
 
 
 def test_the_walk_ends_where_a_curve_is_not_smooth():
-    """y^2 = x^3 has a cusp at the origin: the walk ends where rounding says so, and does not turn round."""
-    near = tracing.CLOSED ** (1.0 / 3.0)  # points at which less is missing count as points of the curve
-    curve = Implicit(2, lambda x: (np.array([x[1] ** 2 - x[0] ** 3]), np.array([[-3.0 * x[0] ** 2, 2.0 * x[1]]])))
+    """y^2 = x^3 has a cusp at the origin: the walk ends where rounding says so, and does not turn
+    round.
+    """
+    near = tracing.CLOSED ** (
+        1.0 / 3.0
+    )  # points at which less is missing count as points of the curve
+    curve = Implicit(
+        2, lambda x: (np.array([x[1] ** 2 - x[0] ** 3]), np.array([[-3.0 * x[0] ** 2, 2.0 * x[1]]]))
+    )
     nodes = traced(curve, [0.5, 0.5**1.5], [-1.0, -1.0], 0.1, 1000)
     x = np.array([n.x[0] for n in nodes])
     assert len(x) < 1000 and -near <= x[-1] < 1e-3 and (np.diff(x) < 0.0).all()
@@ -109,7 +142,9 @@ def test_steps_that_are_too_long_are_none():
     for h in np.linspace(0.05, 1.5, 30):
         # the corrector lands in the plane across the tangent, at the height h: the bend is asin(h)
         b = step(ellipse(1.0, 1.0), a, float(h))
-        allowed = h <= 1.0 and math.asin(h) <= BEND and 1.0 - math.sqrt(1.0 - h * h) <= tracing.ACROSS * h
+        allowed = (
+            h <= 1.0 and math.asin(h) <= BEND and 1.0 - math.sqrt(1.0 - h * h) <= tracing.ACROSS * h
+        )
         assert (b is not None) == allowed
         assert b is None or bend(a, b) == pytest.approx(math.asin(h), abs=1e-10)
 
@@ -120,12 +155,16 @@ def test_points_between_and_points_that_are_not_there():
     b = step(curve, a, 0.2)
     c = inside(curve, a, b, 0.1)
     np.testing.assert_allclose(c.x, [math.sqrt(0.99), 0.1], atol=1e-13)
-    assert correct(curve, np.array([1.0, 1.5]), np.array([0.0, 1.0])) is None  # no point of the circle is at y = 1.5
+    assert (
+        correct(curve, np.array([1.0, 1.5]), np.array([0.0, 1.0])) is None
+    )  # no point of the circle is at y = 1.5
 
 
 @pytest.mark.parametrize("limit", [0.123, 0.5, 0.99])
 def test_the_walk_comes_as_near_to_a_limit_as_its_least_step(limit):
-    """Steps beyond a limit are refused: halved until none is left, so that the last was refused below twice that."""
+    """Steps beyond a limit are refused: halved until none is left, so that the last was refused
+    below twice that.
+    """
     a = Node(np.zeros(1), np.ones(1), 1.0, 1, tracing.NONE, tracing.NONE)
 
     def taken(a, h):

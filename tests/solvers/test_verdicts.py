@@ -1,7 +1,8 @@
-"""What the inverse model says of targets that it does not reach: proofs hold, all else is worded as evidence.
+"""What the inverse model says of targets that it does not reach: proofs hold, all else is worded as
+evidence.
 
-Goals are made from one configuration inside the limits, so they can be reached; those that cannot are judged by
-arguments of their own: distances between goals, and closed forms.
+Goals are made from one configuration inside the limits, so they can be reached; those that cannot
+are judged by arguments of their own: distances between goals, and closed forms.
 """
 
 from __future__ import annotations
@@ -20,13 +21,17 @@ CLAIMS = ("blocked by", "contradictory", "outside the workspace", "outside the p
 """Words that claim a proof."""
 FILES = {
     "centauro": ("centauro_description/urdf/centauro.urdf", ("arm1_8", "arm2_8")),
-    "tiago_pro": ("tiago_pro_description/robots/tiago_pro.urdf", ("arm_left_tool_link", "arm_right_tool_link")),
+    "tiago_pro": (
+        "tiago_pro_description/robots/tiago_pro.urdf",
+        ("arm_left_tool_link", "arm_right_tool_link"),
+    ),
     "alex": ("alex_description/urdf/alex_nub_hands.urdf", ("leftNub", "rightNub")),
     "baxter": ("baxter_description/urdf/baxter.urdf", ("left_gripper", "right_gripper")),
     "simple_humanoid": (
-        "simple_humanoid_description/urdf/simple_humanoid.urdf", ("l_wrist", "r_wrist", "l_ankle", "r_ankle"),
+        "simple_humanoid_description/urdf/simple_humanoid.urdf",
+        ("l_wrist", "r_wrist", "l_ankle", "r_ankle"),
     ),
-}  # fmt: skip
+}
 FREE = ("simple_humanoid",)
 AT_LIMITS = {"random": 0.0, "half": 0.5, "corner": 1.0}
 """Part of the coordinates that is put at a limit."""
@@ -55,7 +60,9 @@ def configurations(s: System, rng: np.random.Generator, n: int, kind: str) -> np
 
 
 def tree(rng: np.random.Generator) -> System:
-    """A body on a joint or free, with two to four arms of three to seven joints that turn or slide, all limited."""
+    """A body on a joint or free, with two to four arms of three to seven joints that turn or slide,
+    all limited.
+    """
     m = Mechanism("tree")
     free = rng.random() < 0.5
     if free:
@@ -68,7 +75,11 @@ def tree(rng: np.random.Generator) -> System:
         for k in range(int(rng.integers(3, 8))):
             link = m.body(f"{arm}.{k}")
             low = -rng.uniform(0.3, 3.0)
-            make, limits = (m.prismatic, (0.1 * low, 0.2)) if rng.random() < 0.15 else (m.revolute, (low, low + 3.0))
+            make, limits = (
+                (m.prismatic, (0.1 * low, 0.2))
+                if rng.random() < 0.15
+                else (m.revolute, (low, low + 3.0))
+            )
             make(f"j{arm}.{k}", before, link, at=at, rpy=rng.normal(0.0, 1.5, 3), limits=limits)
             before = link
             at = rng.normal(0.0, 0.15, 3)
@@ -191,7 +202,9 @@ def test_answers_do_not_depend_on_batch_or_threads():
     q = configurations(s, np.random.default_rng(5), 60, "corner")
     L, R = (s.fk(q, frame) for frame in frames)
     whole = s.ik([tasks.Pose(frames[0], L), tasks.Pose(frames[1], R)])
-    threaded = s.ik([tasks.Pose(frames[0], L), tasks.Pose(frames[1], R)], budget=kempe.Budget(threads=3))
+    threaded = s.ik(
+        [tasks.Pose(frames[0], L), tasks.Pose(frames[1], R)], budget=kempe.Budget(threads=3)
+    )
     assert np.array_equal(whole.q, threaded.q) and np.array_equal(whole.starts, threaded.starts)
     hard = np.argsort(whole.starts)[-4:]
     assert whole.starts[hard].min() > 60
@@ -204,7 +217,9 @@ def test_answers_do_not_depend_on_batch_or_threads():
 
 
 def test_contradictions_are_proven_and_their_sizes_true(hunt):
-    """Pairs made to exclude each other by more than the tolerances, and the same pair where it just does not."""
+    """Pairs made to exclude each other by more than the tolerances, and the same pair where it just
+    does not.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(30)):
         s = tree(rng)
@@ -216,40 +231,62 @@ def test_contradictions_are_proven_and_their_sizes_true(hunt):
         turned = X.copy()
         turned[:3, :3] = spatial.exp_so3(off * n) @ X[:3, :3]
         cases = [
-            (tasks.Position("tip0", X[:3, 3], name="a"), tasks.Position("tip0", X[:3, 3] + off * n, name="b")),
-            (tasks.Position("tip0", X[:3, 3], name="a"), tasks.HalfSpace("tip0", X[:3, 3] + off * n, n, name="b")),
-            (tasks.Position("tip0", X[:3, 3], name="a"), tasks.OnPlane("tip0", X[:3, 3] + off * n, n, name="b")),
+            (
+                tasks.Position("tip0", X[:3, 3], name="a"),
+                tasks.Position("tip0", X[:3, 3] + off * n, name="b"),
+            ),
+            (
+                tasks.Position("tip0", X[:3, 3], name="a"),
+                tasks.HalfSpace("tip0", X[:3, 3] + off * n, n, name="b"),
+            ),
+            (
+                tasks.Position("tip0", X[:3, 3], name="a"),
+                tasks.OnPlane("tip0", X[:3, 3] + off * n, n, name="b"),
+            ),
             (tasks.Orientation("tip0", X, name="a"), tasks.Orientation("tip0", turned, name="b")),
             (tasks.Pose("tip0", X, name="a"), tasks.Position("tip0", X[:3, 3] + off * n, name="b")),
         ]
         for pair in cases:
             answer = s.ik(list(pair), budget=kempe.Budget(starts=2))
-            assert not answer.success and answer.proven and answer.code in (Status.CONTRADICTORY, Status.OUT_OF_REACH)
+            assert (
+                not answer.success
+                and answer.proven
+                and answer.code in (Status.CONTRADICTORY, Status.OUT_OF_REACH)
+            )
             if answer.code == Status.CONTRADICTORY:
                 assert "contradictory: 'a' and 'b'" in answer.status
-                assert float(re.findall(r"([\d.e-]+) (?:m|rad) (?:apart|away)", answer.status)[0]) == pytest.approx(
-                    off, rel=1e-4)  # fmt: skip
+                assert float(
+                    re.findall(r"([\d.e-]+) (?:m|rad) (?:apart|away)", answer.status)[0]
+                ) == pytest.approx(off, rel=1e-4)
         alone = s.ik([cases[0][0], tasks.HalfSpace("tip0", X[:3, 3] - off * n, n)])
         assert not alone.proven
 
 
 def test_hands_farther_apart_than_the_links_between_them_are_long(hunt):
-    """The bound is never below the distance of the tips in any configuration, and is what the sentence says."""
+    """The bound is never below the distance of the tips in any configuration, and is what the
+    sentence says.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(30)):
         s = tree(rng)
         q = configurations(s, rng, 300, "half")
         apart = np.linalg.norm(s.fk(q, "tip0")[:, :3, 3] - s.fk(q, "tip1")[:, :3, 3], axis=1).max()
         far = rng.uniform(5.0, 20.0)
-        answer = s.ik([tasks.Position("tip0", [far, 0, 0]), tasks.Position("tip1", [-far, 0, 0])],
-                      budget=kempe.Budget(starts=2))  # fmt: skip
+        answer = s.ik(
+            [tasks.Position("tip0", [far, 0, 0]), tasks.Position("tip1", [-far, 0, 0])],
+            budget=kempe.Budget(starts=2),
+        )
         assert answer.proven
         if answer.code == Status.CONTRADICTORY:
-            assert apart <= float(re.findall(r"at most ([\d.e-]+) m", answer.status)[0]) * (1.0 + 1e-5)
+            assert apart <= float(re.findall(r"at most ([\d.e-]+) m", answer.status)[0]) * (
+                1.0 + 1e-5
+            )
 
 
 def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
-    """The closed form judges: where it has no solution inside the limits that is proven, else never."""
+    """The closed form judges: where it has no solution inside the limits that is proven, else
+    never.
+    """
     rng = hunt.rng()
     blocked = 0
     for _ in range(hunt.cases(120)):
@@ -291,8 +328,12 @@ def test_a_bound_is_never_above_the_miss_of_the_same_quantity(name, hunt):
     X[:, :3, 3] += way * rng.uniform(0.5, 4.0, (len(X), 1))
     answer = s.ik(X, frame, budget=kempe.Budget(starts=64))
     seen = 0
-    place = s.ik(X[:, : s.dim, 3] if s.dim == 2 else X[:, :3, 3], frame, task="position",
-                 budget=kempe.Budget(starts=64))  # fmt: skip
+    place = s.ik(
+        X[:, : s.dim, 3] if s.dim == 2 else X[:, :3, 3],
+        frame,
+        task="position",
+        budget=kempe.Budget(starts=64),
+    )
     for i in np.flatnonzero(answer.code == Status.OUT_OF_REACH):
         status = answer.status[i]
         missed = float(re.findall(r"misses it by ([\d.e+-]+) m", status)[0])
@@ -301,7 +342,10 @@ def test_a_bound_is_never_above_the_miss_of_the_same_quantity(name, hunt):
         assert whole or with_turn
         seen += 1
         for bound in whole:  # of the place alone, whatever the orientation: nothing comes nearer
-            assert float(bound) <= min(missed, float(f"{place.position_error[i]:.6g}")) * (1.0 + 1e-9) + 1e-9
+            assert (
+                float(bound)
+                <= min(missed, float(f"{place.position_error[i]:.6g}")) * (1.0 + 1e-9) + 1e-9
+            )
         for bound in with_turn:  # only what has the orientation is as far as that
             assert float(bound) <= missed * (1 + 1e-9) or answer.orientation_error[i] > 1e-6
     assert seen > 5
@@ -313,8 +357,13 @@ def test_a_bound_that_needs_the_orientation_says_so():
     X[0, 3] += 3.0
     answer = s.ik(X, "panda_hand_tcp")
     place, turned = (float(x) for x in re.findall(r"by at least ([\d.]+) m", answer.status))
-    assert "workspace by at least" in answer.status and "with this orientation by at least" in answer.status
-    assert place <= answer.position_error < turned and answer.orientation_error > 0.1 and answer.proven
+    assert (
+        "workspace by at least" in answer.status
+        and "with this orientation by at least" in answer.status
+    )
+    assert (
+        place <= answer.position_error < turned and answer.orientation_error > 0.1 and answer.proven
+    )
 
 
 @pytest.mark.parametrize("beyond", [1e-6, 1e-7, 1e-8])
@@ -323,7 +372,10 @@ def test_a_near_miss_of_all_solutions_is_given_as_it_is(beyond):
     longest = np.abs(s.fk([0.0, 0.0], "e")[0, 3])
     answer = s.ik_all([longest + beyond, 0.0], "e")
     assert not answer.success
-    assert f"no solution within 1e-09, but a configuration within {beyond:g} of the target" in answer.status
+    assert (
+        f"no solution within 1e-09, but a configuration within {beyond:g} of the target"
+        in answer.status
+    )
 
 
 # ---- singular starts
@@ -359,4 +411,6 @@ def test_stretched_arms_inside_the_workspace_are_never_said_to_be_outside(hunt):
         p = s.fk(q, "tip")[:2, 3]
         along = np.array([np.cos(straight[0]), np.sin(straight[0])]) * np.linalg.norm(p)
         answer = s.ik(along, "tip", start=straight, budget=kempe.Budget(starts=1))
-        assert answer.success or ("outside" not in answer.status and "find an answer" in answer.status)
+        assert answer.success or (
+            "outside" not in answer.status and "find an answer" in answer.status
+        )

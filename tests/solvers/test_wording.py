@@ -25,7 +25,9 @@ def kinds_made() -> set[str]:
         node
         for path in SOLVERS.rglob("*.py")
         for node in sources.nodes(path)
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "evidence"
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "evidence"
     ]
     return {ast.literal_eval(call.args[0]) for call in calls}
 
@@ -34,31 +36,69 @@ def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
     assert kinds_made() == set(KINDS) and not set(wording.PROOFS) & set(wording.FOUND_OUT)
 
 
-@pytest.mark.parametrize("kind, figures, said", [
-    ("lengths", {"place": 0.5}, "outside the workspace by at least 0.5 m, by the lengths of the links"),
-    ("lengths", {"place": 0.5, "turned": 0.75, "task": "t"}, "'t' is outside the workspace by at least 0.5 m, with "
-     "this orientation by at least 0.75 m, by the lengths of the links"),
-    ("lengths", {"plane": 2.0}, "outside the plane of the system by 2 m"),
-    ("lengths", {"place": 873.5, "times": 2000.0}, "outside the workspace by at least 873.5 m, by the lengths of the "
-     "links; lengths are metres: are these millimetres?"),
-    ("outside", {"count": 1}, "the only configuration that reaches it is outside"),
-    ("contradiction", {"how": "turns", "off": 0.25, "first": "a", "second": "b"},
-     "contradictory: 'a' and 'b': they turn one body to orientations 0.25 rad apart"),
-    ("no root", {"joint": "q1", "axes": [3, 4, 5], "what": "near", "off": 0.1},
-     "no angle of 'q1' brings the point where axes 4, 5, 6 meet to its distance: 0.1 m too near"),
-    ("no root", {"joint": "q1", "axes": [3], "what": "direction", "off": 0.1},
-     "no angle of 'q1' gives axis 4 the direction that is needed: 0.1 rad off"),
-    ("rank", {"equations": 6, "freedoms": 5, "frame": "tool", "position": True}, "the task has 6 equations, but the "
-     "chain moves this frame in 5 freedoms only (its position alone can be reached)"),
-    ("rank", {"equations": 6, "freedoms": 0, "frame": "tool"}, "no joint moves frame 'tool'"),
-    ("limits", {"names": ["a", "b"], "each": True},
-     "without the limit of 'a' or of 'b' it is reached, so that may be what blocks it"),
-    ("limits", {"names": ["a", "b"], "done": "closes"},
-     "without the limits of 'a', 'b' it closes, so these may be what blocks it"),
-    ("one-sided", {"violated": ["x", "y"], "known": True}, "what is known contradicts x, y"),
-    ("tried", {"held": [("q", 0.5)], "values": 1, "starts": 9},
-     "no solution with 'q' at 0.5, and none from 9 starts of a search"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind, figures, said",
+    [
+        (
+            "lengths",
+            {"place": 0.5},
+            "outside the workspace by at least 0.5 m, by the lengths of the links",
+        ),
+        (
+            "lengths",
+            {"place": 0.5, "turned": 0.75, "task": "t"},
+            "'t' is outside the workspace by at least 0.5 m, with "
+            "this orientation by at least 0.75 m, by the lengths of the links",
+        ),
+        ("lengths", {"plane": 2.0}, "outside the plane of the system by 2 m"),
+        (
+            "lengths",
+            {"place": 873.5, "times": 2000.0},
+            "outside the workspace by at least 873.5 m, by the lengths of the "
+            "links; lengths are metres: are these millimetres?",
+        ),
+        ("outside", {"count": 1}, "the only configuration that reaches it is outside"),
+        (
+            "contradiction",
+            {"how": "turns", "off": 0.25, "first": "a", "second": "b"},
+            "contradictory: 'a' and 'b': they turn one body to orientations 0.25 rad apart",
+        ),
+        (
+            "no root",
+            {"joint": "q1", "axes": [3, 4, 5], "what": "near", "off": 0.1},
+            "no angle of 'q1' brings the point where axes 4, 5, 6 meet to its distance: 0.1 m too "
+            "near",
+        ),
+        (
+            "no root",
+            {"joint": "q1", "axes": [3], "what": "direction", "off": 0.1},
+            "no angle of 'q1' gives axis 4 the direction that is needed: 0.1 rad off",
+        ),
+        (
+            "rank",
+            {"equations": 6, "freedoms": 5, "frame": "tool", "position": True},
+            "the task has 6 equations, but the "
+            "chain moves this frame in 5 freedoms only (its position alone can be reached)",
+        ),
+        ("rank", {"equations": 6, "freedoms": 0, "frame": "tool"}, "no joint moves frame 'tool'"),
+        (
+            "limits",
+            {"names": ["a", "b"], "each": True},
+            "without the limit of 'a' or of 'b' it is reached, so that may be what blocks it",
+        ),
+        (
+            "limits",
+            {"names": ["a", "b"], "done": "closes"},
+            "without the limits of 'a', 'b' it closes, so these may be what blocks it",
+        ),
+        ("one-sided", {"violated": ["x", "y"], "known": True}, "what is known contradicts x, y"),
+        (
+            "tried",
+            {"held": [("q", 0.5)], "values": 1, "starts": 9},
+            "no solution with 'q' at 0.5, and none from 9 starts of a search",
+        ),
+    ],
+)
 def test_a_sentence_says_the_figures(kind, figures, said):
     found = Evidence(kind, figures)
     assert found.text == str(found) == said and found.proof == (kind in wording.PROOFS)
@@ -78,7 +118,11 @@ def test_targets_in_millimetres_are_suspected_and_those_a_little_too_far_are_not
     far[:3, 3] *= 1000.0
     near[:3, 3] *= 4.0
     for X, wrong in ((far, True), (near, False)):
-        said = [ARM.ik(X, "tool").status, ARM.ik_all(X, "tool").status, ARM.ik_path([X, X], "tool").status]
+        said = [
+            ARM.ik(X, "tool").status,
+            ARM.ik_all(X, "tool").status,
+            ARM.ik_path([X, X], "tool").status,
+        ]
         assert ["are these millimetres?" in x for x in said] == [wrong] * 3
         assert all("outside the workspace" in x for x in said)
 
@@ -92,7 +136,8 @@ def test_a_proof_within_evidence_makes_it_one():
 
 def test_parts_that_are_empty_leave_no_mark():
     assert (
-        wording.failed("not reached", "", None, evidence("more starts"), 0) == "not reached: more starts find an answer"
+        wording.failed("not reached", "", None, evidence("more starts"), 0)
+        == "not reached: more starts find an answer"
     )
     assert wording.failed("", "a", "b") == "a; b"
 

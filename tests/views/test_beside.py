@@ -18,11 +18,14 @@ def raising(error):
     return work
 
 
-@pytest.mark.parametrize(("error", "said"), [
-    (InputError("n is 0"), "n is 0"),
-    (TypeError("no such thing"), "not done, by a defect of Kempe: TypeError: no such thing"),
-    (MemoryError("1 TiB"), "not done, by a defect of Kempe: MemoryError: 1 TiB"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (InputError("n is 0"), "n is 0"),
+        (TypeError("no such thing"), "not done, by a defect of Kempe: TypeError: no such thing"),
+        (MemoryError("1 TiB"), "not done, by a defect of Kempe: MemoryError: 1 TiB"),
+    ],
+)
 def test_what_ends_in_an_error_is_said_and_others_go_on(error, said, capfd):
     actions = queue.Queue()
     texts = []

@@ -41,7 +41,11 @@ def test_a_gif_shows_the_motion_on_one_scale(tmp_path, turn):
     """Frames differ, and their common part, ground and curve, stays where it is."""
     path = turn.animate(tmp_path / "turn.gif", frames=["coupler_point"], seconds=1.0, fps=8)
     found = images(path)
-    assert path == tmp_path / "turn.gif" and len(found) == 8 and {x.shape for x in found} == {found[0].shape}
+    assert (
+        path == tmp_path / "turn.gif"
+        and len(found) == 8
+        and {x.shape for x in found} == {found[0].shape}
+    )
     dark = np.stack(found) < 200.0
     moving = dark.any(axis=0) & ~dark.all(axis=0)
     still = dark.all(axis=0)
@@ -51,7 +55,9 @@ def test_a_gif_shows_the_motion_on_one_scale(tmp_path, turn):
 
 def test_a_page_with_a_player(tmp_path, turn):
     text = BAR.animate(turn, tmp_path / "turn.html", seconds=0.5, fps=6).read_text()
-    assert text.count("data:image/png;base64") == 3 and "http://" not in text.replace("http://www.w3.org", "")
+    assert text.count("data:image/png;base64") == 3 and "http://" not in text.replace(
+        "http://www.w3.org", ""
+    )
 
 
 @pytest.mark.slow
@@ -59,7 +65,9 @@ def test_a_motion_in_space_between_two_configurations(tmp_path):
     """Without loops it is interpolated."""
     path = ARM.animate(np.stack([ARM.mid, ARM.mid + 1.0]), tmp_path / "arm.gif", seconds=0.5, fps=8)
     found = images(path)
-    assert len(found) == 4 and all(abs(a - b).max() > 50.0 for a, b in zip(found[:-1], found[1:], strict=True))
+    assert len(found) == 4 and all(
+        abs(a - b).max() > 50.0 for a, b in zip(found[:-1], found[1:], strict=True)
+    )
 
 
 def test_what_is_refused(tmp_path, turn, monkeypatch):
@@ -71,17 +79,23 @@ def test_what_is_refused(tmp_path, turn, monkeypatch):
         turn.animate(tmp_path / "turn.gif", seconds=1e3)
     monkeypatch.setattr(animation.writers, "is_available", lambda name: name != "ffmpeg")
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(UnsupportedError, match="the program ffmpeg is needed.*pip install imageio-ffmpeg"):
+    with pytest.raises(
+        UnsupportedError, match="the program ffmpeg is needed.*pip install imageio-ffmpeg"
+    ):
         turn.animate(tmp_path / "turn.mp4")
 
 
 def test_the_program_of_a_package_writes_films(tmp_path, monkeypatch):
-    """Where ffmpeg is not installed, that of imageio-ffmpeg is run: here a script that keeps what it is given."""
+    """Where ffmpeg is not installed, that of imageio-ffmpeg is run: here a script that keeps what
+    it is given.
+    """
     program = tmp_path / "program"
     kept = tmp_path / "kept"
     program.write_text(f"#!/bin/sh\ncat > {kept}\n")
     program.chmod(0o755)
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", SimpleNamespace(get_ffmpeg_exe=lambda: program))
+    monkeypatch.setitem(
+        sys.modules, "imageio_ffmpeg", SimpleNamespace(get_ffmpeg_exe=lambda: program)
+    )
     monkeypatch.setitem(matplotlib.rcParams, "animation.ffmpeg_path", "no-such-program")
     ARM.animate(np.stack([ARM.mid, ARM.mid + 1.0]), tmp_path / "arm.mp4", seconds=0.5, fps=8)
     assert kept.stat().st_size % 4 == 0 and kept.stat().st_size > 4 * 4 * 10_000
@@ -100,15 +114,43 @@ def test_commands_that_draw(tmp_path):
     assert Result("plot", "seven_bodies_loop", "--tree", "-o", tree).code == 0
     assert 'id="cut:J6"' in tree.read_text()
     arm = tmp_path / "arm.svg"
-    more = ("--axes", "all", "--angles", "--dimensions", "--motion", "--workspace", "e", "--labels", "bodies")
+    more = (
+        "--axes",
+        "all",
+        "--angles",
+        "--dimensions",
+        "--motion",
+        "--workspace",
+        "e",
+        "--labels",
+        "bodies",
+    )
     assert Result("plot", "two_link", "-o", arm, "--q", "30,50", "--deg", *more).code == 0
-    for part in ("angle:q1", "dimension:B1:0", "motion:q1:0", "workspace:0", "mark:e:x", "label:body:B1"):
+    for part in (
+        "angle:q1",
+        "dimension:B1:0",
+        "motion:q1:0",
+        "workspace:0",
+        "mark:e:x",
+        "label:body:B1",
+    ):
         assert f'id="{part}"' in arm.read_text(), part
     both = tmp_path / "both.svg"
     place = ("--frame", "e", "--target", "0.6,0.3,0", "--position-only")
     assert Result("ik", "two_link", *place, "--all", "--plot", both).code == 0
     assert 'id="label:configuration1"' in both.read_text()
-    none = Result("ik", "two_link", "--frame", "e", "--target", "9,0,0", "--position-only", "--all", "--plot", both)
+    none = Result(
+        "ik",
+        "two_link",
+        "--frame",
+        "e",
+        "--target",
+        "9,0,0",
+        "--position-only",
+        "--all",
+        "--plot",
+        both,
+    )
     assert none.code == 1 and "is not written: there is no configuration to draw" in none.err
     refused = Result("trace", "four_bar", "--gif", tmp_path / "turn.png")
     assert refused.code == 2 and "moving pictures are .gif" in refused.err
@@ -123,4 +165,6 @@ def test_the_tree_and_the_joints_as_text(tmp_path):
     assert out.code == 0 and picture.stat().st_size > 10_000
     (line,) = (line for line in out.out.splitlines() if line.startswith("universal"))
     assert line.split()[:4] == ["universal", "U", "2", "4"]
-    assert {row["type"]: row["dof"] for row in Result("joints", "--json").json()["joints"]}["free"] == 6
+    assert {row["type"]: row["dof"] for row in Result("joints", "--json").json()["joints"]}[
+        "free"
+    ] == 6

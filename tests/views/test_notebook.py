@@ -31,7 +31,8 @@ FOUND = [
     for folder in ("kinematics", "solvers", "analysis")
     for path in sorted((SOURCE / folder).rglob("*.py"))
     for node in sources.tree(path).body
-    if isinstance(node, ast.ClassDef) and any(getattr(x, "name", "") == "__str__" for x in node.body)
+    if isinstance(node, ast.ClassDef)
+    and any(getattr(x, "name", "") == "__str__" for x in node.body)
 ]
 """Modules and names of classes with a text of their own."""
 
@@ -49,7 +50,9 @@ def poses(n: int) -> np.ndarray:
 
 BATCHES = {
     "ik": lambda n: ARM.ik(poses(n), ARM.frame_names[-1]),
-    "ik of tasks": lambda n: ARM.ik([kempe.tasks.Position(ARM.frame_names[-1], poses(n)[:, :3, 3])]),
+    "ik of tasks": lambda n: ARM.ik(
+        [kempe.tasks.Position(ARM.frame_names[-1], poses(n)[:, :3, 3])]
+    ),
     "ik_all": lambda n: ARM.ik_all(poses(n), ARM.frame_names[-1]),
     "assemble": lambda n: BAR.assemble({"A": np.linspace(0.0, 6.0, n)}),
     "close": lambda n: BAR.loops.closed_form(["A"]).close(np.linspace(0.0, 6.0, n)[:, None]),
@@ -66,7 +69,9 @@ def test_a_batch_is_one_screen(name):
     found = BATCHES[name](MANY)
     page = found._repr_html_()
     assert len(str(found).splitlines()) <= SCREEN and str(MANY) in str(found)
-    assert page.count("<tr>") + page.count("<p>") + page.count("<br>") <= SCREEN and str(MANY) in page
+    assert (
+        page.count("<tr>") + page.count("<p>") + page.count("<br>") <= SCREEN and str(MANY) in page
+    )
 
 
 def picture(page: str) -> np.ndarray:
@@ -79,7 +84,9 @@ MAPS = {
     "workspace": lambda: TWO.workspace("e", n=5000, cells=16),
     "planar": lambda: TWO.reach.planar("e"),
     "capability": lambda: TWO.reach.capability("e", [[-2.0, -2.0], [2.0, 2.0]], 4, 4),
-    "place": lambda: TWO.reach.place(TWO.fk(TWO.random(0, 3), "e"), "e", {"x": (-1, 1), "y": (-1, 1)}, 3),
+    "place": lambda: TWO.reach.place(
+        TWO.fk(TWO.random(0, 3), "e"), "e", {"x": (-1, 1), "y": (-1, 1)}, 3
+    ),
 }
 
 
@@ -121,7 +128,7 @@ WORDED = {
     "structure": lambda: BAR.structure,
     "query": lambda: TWO.query("e"),
     "designs": lambda: TWO.with_parameters(l1=np.linspace(0.1, 0.5, 4)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WORDED)
@@ -129,13 +136,20 @@ def test_a_cell_shows_words_and_no_arrays(name):
     """On one screen, without places in memory, and with names that the system has."""
     found = WORDED[name]()
     text = str(found)
-    assert " at 0x" not in text and "array(" not in text and len(text.splitlines()) <= SCREEN and len(text) < 3000
+    assert (
+        " at 0x" not in text
+        and "array(" not in text
+        and len(text.splitlines()) <= SCREEN
+        and len(text) < 3000
+    )
     assert any(word in text for word in ("C", "two_link", "four_bar", "c12", "start"))
     assert not hasattr(found, "_repr_html_") or found._repr_html_().count("<p>") <= SCREEN
 
 
 def test_a_short_formula_is_printed_with_what_it_stands_for():
-    """Read back with the legend put in it is the long one; a difference of angles does not look like a subtraction."""
+    """Read back with the legend put in it is the long one; a difference of angles does not look
+    like a subtraction.
+    """
     import sympy
 
     m = kempe.Mechanism("crossed")
@@ -159,7 +173,9 @@ def records() -> dict[str, object]:
     m = kempe.Mechanism("arm", dim=2)
     s = kempe.Mechanism("joints")
     m.parameter("l1", 0.3)
-    m.revolute("q1", m.ground, m.body("a", mass=2, center=(0.1, 0, 0)), at=("l1", 0), limits=(-1, 1))
+    m.revolute(
+        "q1", m.ground, m.body("a", mass=2, center=(0.1, 0, 0)), at=("l1", 0), limits=(-1, 1)
+    )
     m.prismatic("q2", "a", m.body("b"), axis=(3, 4), actuated=True, limits=(None, 0.3))
     m.translation("q3", m.ground, m.particle("p"), limits={"x": (0, 1)})
     m.revolute("q4", "b", m.body("c"), actuated=False)
@@ -170,7 +186,13 @@ def records() -> dict[str, object]:
     s.helical("h", s.ground, s.body("h1"), pitch=0.01)
     s.universal("u", s.ground, s.body("u1"))
     s.spherical("s", s.ground, s.body("s1"))
-    found = {**m.bodies, **m.joints, "tip": m.frame("tip", "c", at=("l1", 0)), **m.constraints, **s.joints}
+    found = {
+        **m.bodies,
+        **m.joints,
+        "tip": m.frame("tip", "c", at=("l1", 0)),
+        **m.constraints,
+        **s.joints,
+    }
     return {**found, **{f"of {name}": x for name, x in m.couplings.items()}}
 
 
@@ -215,7 +237,10 @@ def test_types_of_joints_and_tasks_are_sentences():
     """At the end of a cell as elsewhere; fields stay in the `repr`."""
     joint = kempe.joints.TYPES["cylindrical"]()
     task = kempe.tasks.Position("tip", (1, 2, 3))
-    assert joint._repr_html_() == "<p>cylindrical: turn about z, slide along z; 2 DoF, 4 constraints</p>"
+    assert (
+        joint._repr_html_()
+        == "<p>cylindrical: turn about z, slide along z; 2 DoF, 4 constraints</p>"
+    )
     assert task._repr_html_() == f"<p>{task.sentence}</p>" and "tip" in task.sentence
     named = kempe.tasks.Position("tip", (1, 2, 3), name="home")
     assert named._repr_html_() == f"<p>home: {named.sentence}</p>"

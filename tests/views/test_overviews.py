@@ -1,4 +1,6 @@
-"""The tree as text and as a picture, the joint types, and what notebooks show, by the numbers of the lecture."""
+"""The tree as text and as a picture, the joint types, and what notebooks show, by the numbers of
+the lecture.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def test_the_tree_of_the_seven_bodies_as_text():
 
 
 def test_the_tree_of_the_seven_bodies_as_a_picture():
-    """Each body stands one row below its parent, leaves beside one another, J6 is cut, C is written."""
+    """Each body stands one row below its parent, leaves beside one another, J6 is cut, C is
+    written.
+    """
     system = kempe.load("seven_bodies_loop")
     ax = system.plot_tree()
     found = artists(ax)
@@ -51,9 +55,13 @@ def test_the_tree_of_the_seven_bodies_as_a_picture():
         line = found[f"edge:{system.structure.parent_joints[body - 1]}"][0].get_xydata()
         assert np.allclose(line, [above, child])
     cut = found["cut:J6"][0]
-    assert cut.get_linestyle() == "--" and np.allclose(cut.get_xydata()[[0, -1]], [at["B0"], at["B5"]])
+    assert cut.get_linestyle() == "--" and np.allclose(
+        cut.get_xydata()[[0, -1]], [at["B0"], at["B5"]]
+    )
     assert found["connectivity"][0].get_text() == "C = {0, 1, 2, 1, 4, 4, 2}"
-    assert found["label:J3"][0].get_text() == "J3  P" and found["label:J6"][0].get_color() != "black"
+    assert (
+        found["label:J3"][0].get_text() == "J3  P" and found["label:J6"][0].get_color() != "black"
+    )
 
 
 def humanoid() -> kempe.System:
@@ -78,7 +86,9 @@ def chain_of_long_names() -> kempe.System:
 
 @pytest.mark.parametrize("make", [humanoid, chain_of_long_names])
 def test_names_in_a_tree_can_be_read(make):
-    """They stay on the paper, do not touch one another, and every circle has a number; long ones keep both ends."""
+    """They stay on the paper, do not touch one another, and every circle has a number; long ones
+    keep both ends.
+    """
     system = make()
     ax = system.plot_tree()
     draw = ax.figure.canvas.get_renderer()
@@ -116,8 +126,17 @@ def test_a_long_chain_has_a_tree():
 
 def test_letters_of_joint_types():
     assert {n: t().letter for n, t in TYPES.items()} == {
-        "fixed": "", "revolute": "R", "prismatic": "P", "helical": "H", "cylindrical": "C", "universal": "U",
-        "planar": "E", "translation": "T", "spherical": "S", "free": "F"}  # fmt: skip
+        "fixed": "",
+        "revolute": "R",
+        "prismatic": "P",
+        "helical": "H",
+        "cylindrical": "C",
+        "universal": "U",
+        "planar": "E",
+        "translation": "T",
+        "spherical": "S",
+        "free": "F",
+    }
     assert joint_type("P(x) R(z) R(y)").letter == "PRR"
 
 
@@ -136,25 +155,32 @@ def test_a_row_for_each_joint_type():
     assert [row["type"] for row in rows] == list(TYPES)
     assert all(row["dof"] + row["constraints"] == 6 for row in rows)
     plane = [row for row in rows if row["dof_in_the_plane"] is not None]
-    assert plane and all(row["dof_in_the_plane"] + row["constraints_in_the_plane"] == 3 for row in plane)
+    assert plane and all(
+        row["dof_in_the_plane"] + row["constraints_in_the_plane"] == 3 for row in plane
+    )
 
 
 # ---- notebooks
 
 
-@pytest.mark.parametrize("name", some(["two_link", "four_bar", "bennett", "seven_bodies_loop", "ball", "panda"], 3))
+@pytest.mark.parametrize(
+    "name", some(["two_link", "four_bar", "bennett", "seven_bodies_loop", "ball", "panda"], 3)
+)
 def test_a_system_in_a_notebook(name):
     system = kempe.load(name)
     page = system._repr_html_()
     (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     assert base64.b64decode(data)[1:4] == b"PNG"
     said = html.unescape(page)
-    assert overviews.connectivity(system) in said and all(joint in said for joint in system.joint_names)
+    assert overviews.connectivity(system) in said and all(
+        joint in said for joint in system.joint_names
+    )
     assert system.mechanism._repr_html_() == page
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("car", "3 degrees of freedom.*; 2 of velocity"), ("two_link", "dimension 2<")]
+    ("name", "said"),
+    [("car", "3 degrees of freedom.*; 2 of velocity"), ("two_link", "dimension 2<")],
 )
 def test_freedoms_of_velocity_are_said_in_notebooks(name, said):
     """A car has three freedoms of position, and at every moment two."""
@@ -175,7 +201,9 @@ def test_what_cannot_be_built_or_drawn_is_text():
     far = kempe.Mechanism("far", dim=2)
     far.revolute("A", far.ground, far.body("b"), at=(1e300, 0.0))
     assert "C = {0}" in far.build()._repr_html_() and "<img" not in far.build()._repr_html_()
-    with pytest.raises(UnsupportedError, match="body 'b' is 1e[+]300 from the origin; up to 1e[+]100 can be drawn"):
+    with pytest.raises(
+        UnsupportedError, match="body 'b' is 1e[+]300 from the origin; up to 1e[+]100 can be drawn"
+    ):
         far.build().plot()
 
 

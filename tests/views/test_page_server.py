@@ -1,4 +1,6 @@
-"""The page of the viewer is for those who have its address; names and meshes of files are data on it."""
+"""The page of the viewer is for those who have its address; names and meshes of files are data on
+it.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +56,16 @@ def opened(url: str, origin: str | None, host: str | None = None) -> int | str:
     uri = f"ws://{f'{host}:{port}' if host else place}/{path}"
     with socket.create_connection((name, int(port)), 120.0) as way:
         try:
-            with connect(uri, sock=way, origin=origin, subprotocols=[VISER], max_size=None, compression=None,
-                         open_timeout=120.0, proxy=None) as page:  # fmt: skip
+            with connect(
+                uri,
+                sock=way,
+                origin=origin,
+                subprotocols=[VISER],
+                max_size=None,
+                compression=None,
+                open_timeout=120.0,
+                proxy=None,
+            ) as page:
                 return len(page.recv(120.0))
         except InvalidStatus as error:
             return f"{error.response.status_code} {bytes(error.response.body).decode()}"
@@ -65,8 +75,18 @@ def opened(url: str, origin: str | None, host: str | None = None) -> int | str:
 def served(*options: str):
     """The address of a page that `kempe view` serves in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    command = [sys.executable, "-c", "from kempe.cli import main; main()", "view", "two_link", "--no-browser", "--json"]
-    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True, env=environment) as process:
+    command = [
+        sys.executable,
+        "-c",
+        "from kempe.cli import main; main()",
+        "view",
+        "two_link",
+        "--no-browser",
+        "--json",
+    ]
+    with subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
         try:
             assert process.stdout is not None
             text = ""
@@ -80,7 +100,9 @@ def served(*options: str):
 
 
 def test_only_who_has_the_address_and_comes_from_the_page_opens_a_websocket():
-    """As an attacker would: without the token, from a foreign page, without an origin, by DNS rebinding."""
+    """As an attacker would: without the token, from a foreign page, without an origin, by DNS
+    rebinding.
+    """
     with served("--port", "0") as url:
         base, _, token = url.rpartition("/")
         assert len(token) >= 32 and base.startswith("http://127.0.0.1:")
@@ -100,16 +122,25 @@ def test_only_who_has_the_address_and_comes_from_the_page_opens_a_websocket():
             (url, base, "evil.example", "names a host"),
         ):
             said = opened(address, origin, host)
-            assert str(said).startswith("403 Refused") and why in str(said), (address, origin, host, said)
+            assert str(said).startswith("403 Refused") and why in str(said), (
+                address,
+                origin,
+                host,
+                said,
+            )
 
 
 def test_the_page_itself_needs_the_token_and_may_load_nothing_from_elsewhere():
     with kempe.load("two_link").show(port=0, browser=False) as viewer:
         place, _, token = viewer.url.removeprefix("http://").partition("/")
         for path, host, code in (
-            (f"/{token}", place, 200), (f"/{token}/index.html", place, 200), ("/", place, 403),
-            (f"/{token}a", place, 403), (f"/{token}", "evil.example", 403), (f"/{token}/nothing", place, 404),
-        ):  # fmt: skip
+            (f"/{token}", place, 200),
+            (f"/{token}/index.html", place, 200),
+            ("/", place, 403),
+            (f"/{token}a", place, 403),
+            (f"/{token}", "evil.example", 403),
+            (f"/{token}/nothing", place, 404),
+        ):
             connection = http.client.HTTPConnection(place)
             connection.request("GET", path, headers={"Host": host})
             answer = connection.getresponse()
@@ -125,7 +156,10 @@ def test_two_servers_have_two_tokens_and_other_servers_of_viser_are_as_they_were
     plain = viser.infra.WebsockServer._background_worker
     first = PageServer(port=0)
     second = PageServer(port=0)
-    assert first.guard.token != second.guard.token and viser.infra.WebsockServer._background_worker is plain
+    assert (
+        first.guard.token != second.guard.token
+        and viser.infra.WebsockServer._background_worker is plain
+    )
     other = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     assert int(opened(f"http://127.0.0.1:{other.get_port()}/", FOREIGN)) > 0
     for server in (first, second, other):
@@ -142,7 +176,9 @@ def test_a_viser_that_is_built_otherwise_serves_nothing(monkeypatch):
 
 
 def test_requests_with_anything_else_are_refused(hunt):
-    """Letters of the token, the host or the origin are changed, left out or added, or a header comes twice."""
+    """Letters of the token, the host or the origin are changed, left out or added, or a header
+    comes twice.
+    """
     rng = random.Random(int(hunt.rng().integers(2**32)))
     letters = "abcxyzABCXYZ0123456789-_./:@%#"
     refused = 0
@@ -214,17 +250,25 @@ def website(page: str = ""):
 
 @pytest.mark.slow
 def test_another_page_in_the_same_browser_cannot_open_the_websocket(browser):
-    """Not with the address, and not as a frame of it; the page itself can, also in a frame as in a notebook."""
+    """Not with the address, and not as a frame of it; the page itself can, also in a frame as in a
+    notebook.
+    """
     script = """([url, protocol]) => new Promise(done => {
         const s = new WebSocket(url, [protocol]);
         s.onmessage = () => done("open"); s.onclose = () => done("closed")})"""
-    with kempe.load("two_link").show(port=0, browser=False) as viewer, website("<p>foreign</p>") as (site, _):
+    with (
+        kempe.load("two_link").show(port=0, browser=False) as viewer,
+        website("<p>foreign</p>") as (site, _),
+    ):
         tab = browser.new_page()
         tab.goto(f"http://{site}/")
         for url in (viewer.url, viewer.url.rpartition("/")[0]):
             assert tab.evaluate(script, [url.replace("http", "ws"), VISER]) == "closed"
         assert not viewer.pages
-        tab.evaluate("url => { document.body.innerHTML = `<iframe width=800 height=500 src='${url}'>` }", viewer.url)
+        tab.evaluate(
+            "url => { document.body.innerHTML = `<iframe width=800 height=500 src='${url}'>` }",
+            viewer.url,
+        )
         tab.frame_locator("iframe").get_by_text("random", exact=True).wait_for()
         tab.close()
 
@@ -263,19 +307,33 @@ class Tags(html.parser.HTMLParser):
 def test_names_are_text_in_notebooks_and_on_saved_pages(tmp_path):
     system = named("host.example", tmp_path)
     frame = system.frame_names[-1]
-    answers = (system, system.ik(system.fk(system.mid, frame), frame), system.mobility(), system.mechanism)
+    answers = (
+        system,
+        system.ik(system.fk(system.mid, frame), frame),
+        system.mobility(),
+        system.mechanism,
+    )
     for answer in answers:
         tags = Tags(answer._repr_html_()).tags
-        assert "script" not in dict(tags) and all(src.startswith("data:") for tag, src in tags if tag == "img")
+        assert "script" not in dict(tags) and all(
+            src.startswith("data:") for tag, src in tags if tag == "img"
+        )
     system.save_html(tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert 'src="//host.example' not in text and "default-src 'none'" in text.partition("<script")[0]
+    assert (
+        'src="//host.example' not in text and "default-src 'none'" in text.partition("<script")[0]
+    )
 
 
 @pytest.mark.slow
 def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monkeypatch):
-    """With what a browser may load left open, too: the names are seen letter by letter, and no request leaves."""
-    monkeypatch.setattr("kempe.views.viewer.server.POLICY", "default-src * data: blob: 'unsafe-inline' 'unsafe-eval'")
+    """With what a browser may load left open, too: the names are seen letter by letter, and no
+    request leaves.
+    """
+    monkeypatch.setattr(
+        "kempe.views.viewer.server.POLICY",
+        "default-src * data: blob: 'unsafe-inline' 'unsafe-eval'",
+    )
     with website() as (site, asked):
         system = named(site, tmp_path)
         with system.show(port=0, browser=False) as viewer:
@@ -292,7 +350,10 @@ def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monke
             tab.get_by_text("said <img").first.wait_for()
             assert sentence.split()[1] in tab.content() or "&lt;img" in tab.content()
             tab.wait_for_timeout(1500)
-            assert not tab.locator("img[src*='/a']").count() and not tab.locator("img[src*='/b']").count()
+            assert (
+                not tab.locator("img[src*='/a']").count()
+                and not tab.locator("img[src*='/b']").count()
+            )
             tab.close()
         system.save_html(tmp_path / "page.html")
         tab = browser.new_page()
@@ -309,7 +370,9 @@ def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monke
 
 @pytest.fixture
 def page_of(monkeypatch) -> Iterator[Callable[..., Page]]:
-    """Makes pages whose messages go to all clients, of whom there are none, and that do nothing by themselves."""
+    """Makes pages whose messages go to all clients, of whom there are none, and that do nothing by
+    themselves.
+    """
     viewers = []
     monkeypatch.setattr(Page, "_work", lambda page: None)
 
@@ -338,7 +401,10 @@ def test_sliders_show_the_value_that_is_beyond_a_turn_too(name, page_of):
         page._slide()
         for one in session.sliders:
             handle = page.sliders[one.name]
-            assert handle.value == pytest.approx(one.value, abs=1e-9) and handle.min <= handle.value <= handle.max
+            assert (
+                handle.value == pytest.approx(one.value, abs=1e-9)
+                and handle.min <= handle.value <= handle.max
+            )
 
 
 def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
@@ -349,7 +415,9 @@ def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
     for s in page.session.sliders:
         handle = page.sliders[s.name]
         factor = np.pi / 180.0 if s.unit == "rad" else 1.0
-        assert np.allclose(np.array([handle.min, handle.max, handle.value]) * factor, [s.low, s.high, s.value])
+        assert np.allclose(
+            np.array([handle.min, handle.max, handle.value]) * factor, [s.low, s.high, s.value]
+        )
         assert handle.label.endswith("[deg]" if s.unit == "rad" else "[m]")
         page._set(s.name, "deg" if s.unit == "rad" else s.unit, handle.max)
         q = dict(zip(system.coordinate_names, page.session.q, strict=True))[s.name]
@@ -366,9 +434,8 @@ def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
 # ---- meshes are data
 
 
-ROBOT = (
-    """<robot name="r"><link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>{}</robot>"""
-)
+ROBOT = """<robot name="r">
+<link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>{}</robot>"""
 ARM = """<link name="{0}"><visual><geometry><mesh filename="{1}"/></geometry></visual></link>
 <joint name="j{0}" type="revolute"><parent link="base"/><child link="{0}"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
@@ -383,7 +450,10 @@ def robot(folder: Path, *files: str) -> kempe.System:
 
 def packed(path: Path, inner: str, megabytes: int) -> None:
     """A small archive that unpacks to many blanks."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as z, z.open(inner, "w", force_zip64=True) as file:
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as z,
+        z.open(inner, "w", force_zip64=True) as file,
+    ):
         for _ in range(megabytes):
             file.write(b" " * (1 << 20))
 
@@ -393,7 +463,9 @@ def damaged(folder: Path) -> dict[str, str]:
     packed(folder / "bomb.zip", "a.stl", 201)
     for name in ("bomb.3mf", "bomb.zae"):
         shutil.copy(folder / "bomb.zip", folder / name)
-    (folder / "bad.dae").write_text("<COLLADA><library_geometries><geometry id='a'/></library_geometries></COLLADA>")
+    (folder / "bad.dae").write_text(
+        "<COLLADA><library_geometries><geometry id='a'/></library_geometries></COLLADA>"
+    )
     (folder / "text.dae").write_text("no XML")
     (folder / "bad.3mf").write_bytes(b"PK\x03\x04 no archive")
     with zipfile.ZipFile(folder / "open.3mf", "w") as z:
@@ -426,7 +498,10 @@ def test_a_page_with_such_meshes_is_served_and_says_so(tmp_path):
     for name in ("bad.stl", "bad.3mf"):
         (tmp_path / name).write_bytes(b"no mesh")
     system = robot(tmp_path, "bad.stl", "bad.3mf")
-    for act in (lambda: system.show(port=0, browser=False).close(), lambda: system.save_html(tmp_path / "x.html")):
+    for act in (
+        lambda: system.show(port=0, browser=False).close(),
+        lambda: system.save_html(tmp_path / "x.html"),
+    ):
         with pytest.warns(UserWarning, match=r"2 meshes not drawn: b0: mesh bad\.stl"):
             act()
     view = Result("view", tmp_path / "robot.urdf", "--html", tmp_path / "y.html")
@@ -434,7 +509,9 @@ def test_a_page_with_such_meshes_is_served_and_says_so(tmp_path):
     assert "2 meshes not drawn: b0: mesh bad.stl" in view.err
 
 
-def test_a_file_that_takes_too_long_or_too_much_is_ended_and_the_next_is_read(tmp_path, monkeypatch):
+def test_a_file_that_takes_too_long_or_too_much_is_ended_and_the_next_is_read(
+    tmp_path, monkeypatch
+):
     """By the processor's time, by memory, by death of the process: each is told from the others."""
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "good.stl")
     names = ("loop.stl", "fat.stl", "dies.stl", "good.stl")
@@ -451,10 +528,18 @@ def trap(load):
 trimesh.load_mesh = trap(trimesh.load_mesh)
 """
     monkeypatch.setattr(mesh_files, "EACH", 1)
-    monkeypatch.setattr(mesh_files, "_WORKER", mesh_files._WORKER.replace("class Refused", f"{traps}\nclass Refused"))
+    monkeypatch.setattr(
+        mesh_files,
+        "_WORKER",
+        mesh_files._WORKER.replace("class Refused", f"{traps}\nclass Refused"),
+    )
     found = read_meshes(tmp_path / n for n in names)
     said = [found[tmp_path / n] for n in names]
-    assert "takes more than 1 s" in said[0] and "of memory" in said[1] and "ended the process" in said[2]
+    assert (
+        "takes more than 1 s" in said[0]
+        and "of memory" in said[1]
+        and "ended the process" in said[2]
+    )
     assert np.allclose(said[3].extents, [1, 2, 3])
 
 
@@ -467,15 +552,23 @@ def test_meshes_keep_their_colours_and_textures(tmp_path):
 
     picture = Image.new("RGB", (3000, 30), (10, 200, 30))
     uv = np.random.default_rng(0).uniform(size=(len(box.vertices), 2))
-    textured = trimesh.Trimesh(box.vertices, box.faces, process=False,
-                               visual=trimesh.visual.TextureVisuals(uv=uv, image=picture))  # fmt: skip
+    textured = trimesh.Trimesh(
+        box.vertices,
+        box.faces,
+        process=False,
+        visual=trimesh.visual.TextureVisuals(uv=uv, image=picture),
+    )
     textured.export(tmp_path / "texture.glb")
     found = read_meshes(tmp_path / n for n in ("colours.ply", "texture.glb"))
     first, second = found.values()
     assert np.allclose(first.bounds, box.bounds)
     assert (np.asarray(first.visual.vertex_colors) == [200, 30, 40, 255]).all()
     image = second.visual.material.baseColorTexture
-    assert image.size == (mesh_files.TEXTURE, 20) and image.convert("RGB").getpixel((5, 5)) == (10, 200, 30)
+    assert image.size == (mesh_files.TEXTURE, 20) and image.convert("RGB").getpixel((5, 5)) == (
+        10,
+        200,
+        30,
+    )
     assert np.allclose(second.visual.uv, uv, atol=1e-6)
 
 

@@ -24,9 +24,28 @@ from kempe.views.drawing import labels, measured, page, shapes, symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids, flat_hull
 
-PLANAR = ["four_bar", "four_links", "parallelogram", "jansen", "peaucellier", "stephenson_six_bar", "slider_crank",
-          "three_rpr", "scissor", "two_link"]  # fmt: skip
-SPATIAL = ["stewart", "delta_uu", "bennett", "sarrus", "puma560", "panda", "stanford", "seven_bodies_loop"]
+PLANAR = [
+    "four_bar",
+    "four_links",
+    "parallelogram",
+    "jansen",
+    "peaucellier",
+    "stephenson_six_bar",
+    "slider_crank",
+    "three_rpr",
+    "scissor",
+    "two_link",
+]
+SPATIAL = [
+    "stewart",
+    "delta_uu",
+    "bennett",
+    "sarrus",
+    "puma560",
+    "panda",
+    "stanford",
+    "seven_bodies_loop",
+]
 
 
 def start(system):
@@ -62,7 +81,9 @@ class Motion:
 
 
 def parallelogram(n: int = 40) -> tuple[kempe.System, np.ndarray]:
-    """A parallelogram, flat at q = 0, and one turn of it: the crank at angle a gives q = (a, -a, a, a)."""
+    """A parallelogram, flat at q = 0, and one turn of it: the crank at angle a gives q = (a, -a, a,
+    a).
+    """
     m = Mechanism("bars", dim=2)
     crank, coupler, rocker = (m.body(b) for b in ("crank", "coupler", "rocker"))
     m.revolute("A", m.ground, crank, actuated=True)
@@ -107,16 +128,23 @@ def test_ground_symbols_at_ground_pivots_only(name):
     found = artists(plots.plot(system))
     at = centres(system, start(system))
     ground = system.body_names[0]
-    pivots = {n: at[n][:2] for n, j in system.structure.joints.items()
-              if j.type.type_name == "revolute" and ground in (j.parent, j.child)}  # fmt: skip
+    pivots = {
+        n: at[n][:2]
+        for n, j in system.structure.joints.items()
+        if j.type.type_name == "revolute" and ground in (j.parent, j.child)
+    }
     drawn = [a[0].get_path().vertices[0] for gid, a in found.items() if gid.startswith("ground:")]
-    assert {tuple(np.round(p, 9)) for p in drawn} == {tuple(np.round(p, 9)) for p in pivots.values()}
+    assert {tuple(np.round(p, 9)) for p in drawn} == {
+        tuple(np.round(p, 9)) for p in pivots.values()
+    }
     assert len([g for g in found if g.startswith("hatch:")]) == len(drawn)
 
 
 @pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_links_cover_their_joints_and_frames(name):
-    """The outline of a link is its convex hull widened by the half-width of a bar: it holds every point of it."""
+    """The outline of a link is its convex hull widened by the half-width of a bar: it holds every
+    point of it.
+    """
     system = kempe.load(name)
     q = start(system)
     found = artists(plots.plot(system))
@@ -140,7 +168,10 @@ def test_rounded_outlines_have_the_area_of_hull_and_rim():
         x, y = path.to_polygons()[0].T  # curves are flattened
         return 0.5 * abs(float(x[:-1] @ y[1:] - x[1:] @ y[:-1]))
 
-    for points, size, round_ in (([(0, 0), (4, 3)], 0.0, 10.0), ([(0, 0), (4, 0), (4, 3), (2, 1)], 6.0, 12.0)):
+    for points, size, round_ in (
+        ([(0, 0), (4, 3)], 0.0, 10.0),
+        ([(0, 0), (4, 0), (4, 3), (2, 1)], 6.0, 12.0),
+    ):
         r = 0.5
         path = shapes.rounded(np.array(points, dtype=float), r)
         assert area(path) == pytest.approx(size + r * round_ + np.pi * r * r, rel=2e-3)
@@ -184,7 +215,9 @@ def test_a_slider_is_a_block_on_a_hatched_rail():
     assert abs(shapes.cross(ends[1] - ends[0], axis)) < 1e-12, "the rail runs along the axis"
     assert len(rail.get_path().vertices) > 8, "hatching"
     side = block.get_path().vertices
-    assert np.min(np.abs((side - ends[0]) @ np.array([-axis[1], axis[0]]))) < 1e-12, "the block stands on the rail"
+    assert np.min(np.abs((side - ends[0]) @ np.array([-axis[1], axis[0]]))) < 1e-12, (
+        "the block stands on the rail"
+    )
 
 
 def test_the_rail_reaches_as_far_as_the_path_and_the_limits():
@@ -232,7 +265,9 @@ def test_open_loops_are_shown():
     assert "open:C" not in artists(plots.plot(system))
     q[system.coordinate_names.index("A")] += 0.2
     line = artists(plots.plot(system, q))["open:C"][0].get_xydata()
-    crank = system.fk(q, "coupler") @ system.structure.joints["C"].X_PF.evaluate(system.structure.parameters)
+    crank = system.fk(q, "coupler") @ system.structure.joints["C"].X_PF.evaluate(
+        system.structure.parameters
+    )
     assert np.allclose(line, [crank[:2, 3], (0.4, 0.4)], atol=1e-12)
 
 
@@ -259,8 +294,12 @@ def test_curves_are_fk_over_the_path():
     found = artists(ax)
     a = np.linspace(0.0, 2 * np.pi, len(q))
     circle = np.stack([0.3 + 0.2 * np.cos(a), 0.1 + 0.2 * np.sin(a)], axis=1)
-    assert np.allclose(found["curve:P"][0].get_xydata(), circle, atol=1e-12), "the coupler only translates"
-    assert np.allclose(found["here:P"][0].get_xydata(), [(0.5, 0.1)], atol=1e-12), "the pose nearest to mid"
+    assert np.allclose(found["curve:P"][0].get_xydata(), circle, atol=1e-12), (
+        "the coupler only translates"
+    )
+    assert np.allclose(found["here:P"][0].get_xydata(), [(0.5, 0.1)], atol=1e-12), (
+        "the pose nearest to mid"
+    )
     assert len({g.split(":")[0] for g in found if g.startswith("ghost")}) == 3
     here = artists(plots.plot(system, q[10], path=q, frames=["crank", "P"]))
     assert np.allclose(here["here:P"][0].get_xydata(), circle[10:11], atol=1e-12)
@@ -271,7 +310,9 @@ def test_curves_are_fk_over_the_path():
 
 @pytest.mark.parametrize("name", some([*PLANAR, *SPATIAL], 4))
 def test_marked_frames_show_their_axes(name):
-    """The axes of every body and frame, in the plane and in space, lie where `fk` says; others are not marked."""
+    """The axes of every body and frame, in the plane and in space, lie where `fk` says; others are
+    not marked.
+    """
     system = kempe.load(name)
     q = start(system)
     names = [*system.body_names, *system.frame_names][::2]
@@ -295,7 +336,12 @@ def test_marked_frames_show_their_axes(name):
 def test_marks_of_one_name_and_without_labels():
     system = kempe.load("two_link")
     found = artists(plots.plot(system, [0.4, 0.8], frames="B2"))
-    assert {"mark:B2", "mark:B2:x", "mark:B2:y", "label:B2"} <= found.keys() and "mark:e" not in found
+    assert {
+        "mark:B2",
+        "mark:B2:x",
+        "mark:B2:y",
+        "label:B2",
+    } <= found.keys() and "mark:e" not in found
     assert "label:B2" not in artists(plots.plot(system, [0.4, 0.8], frames="B2", labels=False))
     for either in (system, kempe.load("puma560")):
         with pytest.raises(UnknownNameError, match="no frame 'nobody'"):
@@ -318,17 +364,23 @@ def test_all_is_inside_the_limits():
         for patch in ax.patches:
             if patch.get_gid():
                 box = patch.get_path().get_extents()
-                assert x0 <= box.x0 and box.x1 <= x1 and y0 <= box.y0 and box.y1 <= y1, patch.get_gid()
+                assert x0 <= box.x0 and box.x1 <= x1 and y0 <= box.y0 and box.y1 <= y1, (
+                    patch.get_gid()
+                )
 
 
-@pytest.mark.parametrize("name", ["jansen", "peaucellier", "stephenson_six_bar", "three_rpr", "four_bar"])
+@pytest.mark.parametrize(
+    "name", ["jansen", "peaucellier", "stephenson_six_bar", "three_rpr", "four_bar"]
+)
 def test_labels_cover_neither_each_other_nor_pins(name):
     """Measured in pixels by the renderer, not by the boxes that the placing worked with."""
     ax = plots.plot(kempe.load(name))
     renderer = ax.figure.canvas.get_renderer()
     ax.figure.canvas.draw()
     found = artists(ax)
-    boxes = {g: a[0].get_window_extent(renderer) for g, a in found.items() if g.startswith("label:")}
+    boxes = {
+        g: a[0].get_window_extent(renderer) for g, a in found.items() if g.startswith("label:")
+    }
     assert len(boxes) > 3
     for g, box in boxes.items():
         for other, second in boxes.items():
@@ -340,8 +392,12 @@ def test_labels_cover_neither_each_other_nor_pins(name):
 
 
 def test_labels_can_be_left_out():
-    assert not any(g.startswith("label:") for g in artists(plots.plot(kempe.load("four_bar"), labels=False)))
-    assert not any(g.startswith("label:") for g in artists(plots.plot(kempe.load("bennett"), labels=False)))
+    assert not any(
+        g.startswith("label:") for g in artists(plots.plot(kempe.load("four_bar"), labels=False))
+    )
+    assert not any(
+        g.startswith("label:") for g in artists(plots.plot(kempe.load("bennett"), labels=False))
+    )
 
 
 def test_a_label_goes_where_nothing_is():
@@ -362,14 +418,17 @@ def test_the_scale_bar_has_its_length():
     assert x.max() - x.min() == pytest.approx(float(number) * {"m": 1.0, "mm": 1e-3}[unit])
 
 
-@pytest.mark.parametrize(("length", "rounded"), [
-    (0.7, 0.5),
-    (0.2, 0.2),
-    (0.19, 0.1),
-    (1.0, 1.0),
-    (4e-5, 2e-5),
-    (99, 50),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("length", "rounded"),
+    [
+        (0.7, 0.5),
+        (0.2, 0.2),
+        (0.19, 0.1),
+        (1.0, 1.0),
+        (4e-5, 2e-5),
+        (99, 50),
+    ],
+)
 def test_nice_lengths(length, rounded):
     assert page.nice(length) == pytest.approx(rounded)
 
@@ -422,7 +481,9 @@ def test_all_solids_are_in_the_picture_with_equal_scales(name):
     limits = np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()])
     assert (p.min(axis=0) >= limits[:, 0]).all() and (p.max(axis=0) <= limits[:, 1]).all()
     aspect = np.asarray(ax._box_aspect)
-    assert np.allclose(aspect / aspect[0], np.ptp(limits, axis=1) / np.ptp(limits[0])), "one metre is one metre"
+    assert np.allclose(aspect / aspect[0], np.ptp(limits, axis=1) / np.ptp(limits[0])), (
+        "one metre is one metre"
+    )
     ax.figure.canvas.draw()
 
 
@@ -442,7 +503,9 @@ def test_tubes_join_the_joints_of_a_link(name):
 
 
 def test_links_follow_axes_and_common_normals():
-    """A link from (0,0,0) about z to (1,0,1) about y: up the first axis, then along the common normal."""
+    """A link from (0,0,0) about z to (1,0,1) about y: up the first axis, then along the common
+    normal.
+    """
     A = np.eye(4)
     B = np.eye(4)
     B[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -461,7 +524,10 @@ def test_ground_marks_hang_below_ground_joints():
     tips = [vertices(solids, n)[0] for n in solids.named if n.startswith("ground:")]
     at = centres(system, q)
     assert {tuple(np.round(t, 9)) for t in tips} == {tuple(np.round(at[j], 9)) for j in joints}
-    assert all(vertices(solids, n)[:, 2].min() < t[2] for n, t in zip(["ground:0", "ground:1"], tips, strict=True))
+    assert all(
+        vertices(solids, n)[:, 2].min() < t[2]
+        for n, t in zip(["ground:0", "ground:1"], tips, strict=True)
+    )
 
 
 def test_rails_in_space_run_along_the_axis():
@@ -489,7 +555,9 @@ def test_curves_in_space_are_fk_over_the_path():
 
 
 def test_symbols_are_of_joint_types():
-    """Types without a symbol of their own are drawn by their primitives: see tests/test_joint_loops.py."""
+    """Types without a symbol of their own are drawn by their primitives: see
+    tests/test_joint_loops.py.
+    """
     from kempe.joints import TYPES
 
     assert set(symbols.SYMBOLS) <= set(TYPES) - {"fixed"}
@@ -521,7 +589,9 @@ def test_flat_hulls():
 # ---- everything
 
 
-@pytest.mark.parametrize("name", ["ball", "car", "joint_fixed", "joint_free", "joint_helical", "joint_planar"])
+@pytest.mark.parametrize(
+    "name", ["ball", "car", "joint_fixed", "joint_free", "joint_helical", "joint_planar"]
+)
 def test_odd_systems_can_be_drawn(name, tmp_path):
     plots.plot(kempe.load(name)).figure.savefig(tmp_path / "a.png", dpi=30)
     assert (tmp_path / "a.png").stat().st_size > 500
@@ -552,7 +622,9 @@ def test_axes_of_the_caller_are_used():
     assert plots.plot(kempe.load("four_bar"), ax=left) is left and "joint:A" in artists(left)
     assert plots.plot(kempe.load("bennett"), ax=right) is right and "solids" in artists(right)
     limits = np.array([right.get_xlim(), right.get_ylim(), right.get_zlim()])
-    assert np.allclose(right._box_aspect / right._box_aspect[0], np.ptp(limits, axis=1) / np.ptp(limits[0]))
+    assert np.allclose(
+        right._box_aspect / right._box_aspect[0], np.ptp(limits, axis=1) / np.ptp(limits[0])
+    )
     figure.canvas.draw()
     with pytest.raises(InputError, match="planar system"):
         plots.plot(kempe.load("four_bar"), ax=right)
@@ -566,7 +638,9 @@ def test_wrong_calls_say_what_is_allowed():
         plots.plot(system, path=q, frames=["p"])
     with pytest.raises(InputError, match="at most 32 are drawn"):
         plots.plot(system, np.repeat(q, 7, axis=0))
-    with pytest.raises(InputError, match="labels has 'body'; allowed are 'joints', 'frames', 'bodies'"):
+    with pytest.raises(
+        InputError, match="labels has 'body'; allowed are 'joints', 'frames', 'bodies'"
+    ):
         plots.plot(system, labels="body")
     with pytest.raises(CallError, match="no option 'dimension'; did you mean 'dimensions'"):
         plots.plot(system, dimension=True)
@@ -591,11 +665,15 @@ def test_answers_draw_their_coordinates():
     path = bar.trace("A")
     ax = path.plot_curve(["A", "D"])
     found = artists(ax)
-    assert np.array_equal(found["coordinate:D"][0].get_xydata(), np.stack([path.s, path.values("D")], axis=1))
+    assert np.array_equal(
+        found["coordinate:D"][0].get_xydata(), np.stack([path.s, path.values("D")], axis=1)
+    )
     assert ax.get_xlabel() == "arc length" and "coordinate:B" not in found
     follow = arm.ik_path(arm.fk(np.linspace(arm.mid, arm.mid + 0.1, 4), "tool"), "tool", arm.mid)
     ax = follow.plot_curve()
-    assert ax.get_xlabel() == "row" and np.array_equal(artists(ax)["coordinate:q1"][0].get_xdata(), [0, 1, 2, 3])
+    assert ax.get_xlabel() == "row" and np.array_equal(
+        artists(ax)["coordinate:q1"][0].get_xdata(), [0, 1, 2, 3]
+    )
     with pytest.raises(UnknownNameError, match="no coordinate 'E'"):
         path.plot_curve(["E"])
 
@@ -605,10 +683,18 @@ def test_coordinates_over_arc_length():
     q = np.linspace(start(system), start(system) + 1.0, 6)
     s = np.linspace(0.0, 3.0, 6)
     event = SimpleNamespace(s=1.2, q=q[2])
-    found = artists(ax := plots.plot_path(Motion(system, q, s, None, (event,), (SimpleNamespace(s=0.3, q=q[0]),))))
+    found = artists(
+        ax := plots.plot_path(
+            Motion(system, q, s, None, (event,), (SimpleNamespace(s=0.3, q=q[0]),))
+        )
+    )
     for i, name in enumerate(system.coordinate_names):
-        assert np.array_equal(found[f"coordinate:{name}"][0].get_xydata(), np.stack([s, q[:, i]], axis=1))
-    assert np.allclose(found["singular:0"][0].get_xdata(), 1.2) and np.allclose(found["turning:0"][0].get_xdata(), 0.3)
+        assert np.array_equal(
+            found[f"coordinate:{name}"][0].get_xydata(), np.stack([s, q[:, i]], axis=1)
+        )
+    assert np.allclose(found["singular:0"][0].get_xdata(), 1.2) and np.allclose(
+        found["turning:0"][0].get_xdata(), 0.3
+    )
     assert np.allclose(found["singular:0:values"][0].get_ydata(), q[2])
     assert ax.get_ylabel() == "angles [rad], slides [m]"
     one = artists(plots.plot_path(Motion(system, q, s), names=["A"]))
@@ -629,16 +715,18 @@ def test_wrong_paths_are_refused():
 
 
 def run(code: str) -> str:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 @pytest.mark.slow
 def test_no_global_state_is_touched():
     code = (
-        "import sys, matplotlib\nbefore = matplotlib.rcParams.copy()\nimport kempe\n"
-        "from kempe.views.plots import plot\n"
-        "plot(kempe.load('four_bar')), plot(kempe.load('bennett'))\n"
-        "same = matplotlib.rcParams.copy() == before\nimport matplotlib.pyplot as plt\nprint(plt.get_fignums(), same)"
+        "import sys, matplotlib\nbefore = matplotlib.rcParams.copy()\nimport kempe\nfrom "
+        "kempe.views.plots import plot\nplot(kempe.load('four_bar')), "
+        "plot(kempe.load('bennett'))\nsame = matplotlib.rcParams.copy() == before\nimport "
+        "matplotlib.pyplot as plt\nprint(plt.get_fignums(), same)"
     )
     assert run(code) == "[] True"
 
@@ -654,8 +742,9 @@ def test_figures_are_those_of_pyplot_where_it_is_in_use():
 
 def test_without_matplotlib_the_error_names_the_extra():
     code = (
-        "import sys\nsys.modules['matplotlib'] = None\nimport kempe\n"
-        "try:\n    import kempe.views.plots\nexcept kempe.errors.MissingExtraError as e:\n    print(e.package, e.extra)"
+        "import sys\nsys.modules['matplotlib'] = None\nimport kempe\ntry:\n    import "
+        "kempe.views.plots\nexcept kempe.errors.MissingExtraError as e:\n    print(e.package, "
+        "e.extra)"
     )
     assert run(code) == "matplotlib view"
 
@@ -708,7 +797,9 @@ def text_of(ax, gid: str) -> str:
 
 
 def test_the_two_link_arm_with_its_frames_angles_and_lengths():
-    """As in the figure of the lecture: x_0, x_1, x_2, x_e, arcs of q1 and q2 by their size, l1 and l2."""
+    """As in the figure of the lecture: x_0, x_1, x_2, x_e, arcs of q1 and q2 by their size, l1 and
+    l2.
+    """
     arm = kempe.load("two_link")
     q = np.array([0.5, 0.9])
     ax = arm.plot(q, axes="all", angles=True, dimensions=True, labels=("bodies", "joints"))
@@ -738,7 +829,10 @@ def test_the_angles_alpha_and_beta_of_the_inverse_model():
     q = np.array([0.5, 0.9])
     found = artists(arm.plot(q, angles="e"))
     p = arm.fk(q, "e")[:2, 3]
-    way = {"alpha": np.arctan2(p[1], p[0]), "beta": np.arctan2(0.4 * np.sin(0.9), 0.5 + 0.4 * np.cos(0.9))}
+    way = {
+        "alpha": np.arctan2(p[1], p[0]),
+        "beta": np.arctan2(0.4 * np.sin(0.9), 0.5 + 0.4 * np.cos(0.9)),
+    }
     assert way["alpha"] - way["beta"] == pytest.approx(0.5)
     for name, angle in way.items():
         start = np.arctan2(*found[f"angle:{name}"][0].get_xydata()[0][::-1])
@@ -749,7 +843,13 @@ def test_the_angles_alpha_and_beta_of_the_inverse_model():
 def test_labels_say_values_bodies_and_parameters():
     bar = kempe.load("four_bar")
     ax = bar.plot(bar.assemble({"A": 1.0}), labels="all")
-    assert {t.get_text() for t in ax.texts} >= {"ground", "1 crank", "2 coupler", "3 rocker", "A = 1 rad"}
+    assert {t.get_text() for t in ax.texts} >= {
+        "ground",
+        "1 crank",
+        "2 coupler",
+        "3 rocker",
+        "A = 1 rad",
+    }
     assert "a = 0.1" in ax.get_title(loc="left") and ax.texts
     slide = kempe.load("slider_crank").plot(labels=("joints", "coordinates"))
     assert any(t.get_text().endswith(" m") for t in slide.texts if "=" in t.get_text())
@@ -802,29 +902,48 @@ def shown_boxes(ax, words):
 
 
 def test_many_solutions_have_numbers_and_a_key_and_differ_in_grey():
-    """Eight of an arm in space: no number covers another, all lies in the figure, and no two have the same dashes."""
+    """Eight of an arm in space: no number covers another, all lies in the figure, and no two have
+    the same dashes.
+    """
     arm = kempe.load("ur5")
     every = arm.ik_all(arm.fk(arm.random(4), "tool"), "tool")
     ax = every.plot()
     wide = arm.plot(every.q[0]).figure.get_figwidth()
     numbers = shown_boxes(ax, set("12345678"))
     legend = ax.get_legend()
-    assert [t.get_text() for t in legend.get_texts()] == [f"{k}  {name}" for k, name in enumerate(every.names, 1)]
-    assert len(numbers) == 8 and not any(a.overlaps(b) for k, a in enumerate(numbers) for b in numbers[:k])
+    assert [t.get_text() for t in legend.get_texts()] == [
+        f"{k}  {name}" for k, name in enumerate(every.names, 1)
+    ]
+    assert len(numbers) == 8 and not any(
+        a.overlaps(b) for k, a in enumerate(numbers) for b in numbers[:k]
+    )
     boxes = [*numbers, legend.get_window_extent()]
     sheet = ax.figure.bbox
-    assert all(sheet.x0 <= b.x0 and b.x1 <= sheet.x1 and sheet.y0 <= b.y0 and b.y1 <= sheet.y1 for b in boxes)
+    assert all(
+        sheet.x0 <= b.x0 and b.x1 <= sheet.x1 and sheet.y0 <= b.y0 and b.y1 <= sheet.y1
+        for b in boxes
+    )
     assert legend.get_window_extent().x0 > 72 * wide, "beside what is drawn"
-    dashes = [str(artists(ax)[f"configuration{k}:link2"][0]._unscaled_dash_pattern) for k in range(1, 8)]
+    dashes = [
+        str(artists(ax)[f"configuration{k}:link2"][0]._unscaled_dash_pattern) for k in range(1, 8)
+    ]
     assert len(set(dashes)) == 7
     axes = every.plot(side_by_side=True)
-    places = {(round(a.get_subplotspec().rowspan.start), a.get_subplotspec().colspan.start) for a in axes}
+    places = {
+        (round(a.get_subplotspec().rowspan.start), a.get_subplotspec().colspan.start) for a in axes
+    }
     assert places == {(row, column) for row in range(2) for column in range(4)}
 
 
 def test_starts_of_a_history_differ_in_grey():
-    """Each has a mark, filled or open, that no other has; the one that came nearest is the thickest."""
-    found = kempe.load("ur5").ik([2.0, 0.0, 0.5], "tool", history=True, budget=kempe.Budget(starts=14)).history
+    """Each has a mark, filled or open, that no other has; the one that came nearest is the
+    thickest.
+    """
+    found = (
+        kempe.load("ur5")
+        .ik([2.0, 0.0, 0.5], "tool", history=True, budget=kempe.Budget(starts=14))
+        .history
+    )
     lines = found.plot().get_lines()
     looks = {(line.get_marker(), line.get_markerfacecolor() == "white") for line in lines}
     assert len(looks) == len(lines) == 14
@@ -843,11 +962,17 @@ def test_a_motion_is_a_path():
 @pytest.mark.parametrize("name", ["four_bar", "slider_crank", "four_links"])
 def test_an_arrow_for_each_freedom_in_the_plane(name):
     system = kempe.load(name)
-    drawn = [g for g in artists(system.plot(motion=True)) if g.startswith("motion:") and not g.endswith("head")]
+    drawn = [
+        g
+        for g in artists(system.plot(motion=True))
+        if g.startswith("motion:") and not g.endswith("head")
+    ]
     assert len(drawn) == sum(j.type.dof(2) for j in system.structure.joints.values())
 
 
-@pytest.mark.parametrize("name", ["joint_revolute", "joint_cylindrical", "joint_spherical", "joint_universal"])
+@pytest.mark.parametrize(
+    "name", ["joint_revolute", "joint_cylindrical", "joint_spherical", "joint_universal"]
+)
 def test_an_arrow_for_each_freedom(name):
     """Those of a joint go round its axes, or along them; a ball has three."""
     system = kempe.load(name)
@@ -857,7 +982,9 @@ def test_an_arrow_for_each_freedom(name):
     (joint,) = scene.joints
     lines = measured.freedoms(solids, joint, 1.0)
     (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
-    assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(lines)
+    assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(
+        lines
+    )
     for line in lines:
         arc = np.ptp(np.linalg.norm(line - joint.centre, axis=1)) < 1e-9
         straight = np.linalg.norm(np.cross(line - line[0], line[-1] - line[0]), axis=1).max() < 1e-9
@@ -871,16 +998,27 @@ def test_the_values_of_a_free_joint_stand_in_lines():
     lines = one.split("\n")
     assert one.count(" = ") == 7 and max(len(line.rstrip(",").split(", ")) for line in lines) == 3
     wide, high = labels.extent(one, 9.0)
-    assert wide < 0.6 * labels.extent(one.replace("\n", " "), 9.0)[0] and high > 2.5 * labels.extent("x", 9.0)[1]
+    assert (
+        wide < 0.6 * labels.extent(one.replace("\n", " "), 9.0)[0]
+        and high > 2.5 * labels.extent("x", 9.0)[1]
+    )
 
 
 def test_joints_show_both_bodies():
-    """A knuckle and a barrel, a socket and a ball, two forks: each half is as near to its link as it can be."""
-    for name, parts in (("spherical", ("joint", "socket")), ("universal", ("joint", "fork")), ("revolute", ("joint",))):
+    """A knuckle and a barrel, a socket and a ball, two forks: each half is as near to its link as
+    it can be.
+    """
+    for name, parts in (
+        ("spherical", ("joint", "socket")),
+        ("universal", ("joint", "fork")),
+        ("revolute", ("joint",)),
+    ):
         solids, _ = solids_of(system := kempe.load(f"joint_{name}"), system.mid)
         colours = {solids.colours[k][:3] for part in parts for k in solids.named[f"{part}:joint"]}
         greens = [c[1] for c in colours]
-        assert any(0.2 < g < 0.4 for g in greens) and any(0.45 < g < 0.75 for g in greens), "dark parent, light child"
+        assert any(0.2 < g < 0.4 for g in greens) and any(0.45 < g < 0.75 for g in greens), (
+            "dark parent, light child"
+        )
 
 
 def test_options_are_written_out():
@@ -889,7 +1027,9 @@ def test_options_are_written_out():
     from kempe.model.plot_options import PlotOptions
 
     names = list(inspect.signature(kempe.System.plot).parameters)
-    assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(PlotOptions.__dataclass_fields__)
+    assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(
+        PlotOptions.__dataclass_fields__
+    )
     for option in ("workspace", "angles"):
         with pytest.raises(UnsupportedError, match="planar"):
             kempe.load("puma560").plot(**{option: "tool"})
@@ -934,7 +1074,9 @@ def test_the_tool_of_a_file_without_frames_is_drawn(tmp_path):
     (tmp_path / "arm.urdf").write_text(TOOLED)
     arm = kempe.load(tmp_path / "arm.urdf")
     scene = look(arm, arm.neutral)
-    assert list(scene.links[-1].frames) == ["tool"] and np.allclose(scene.points(scene.links[-1])[-1], [0, 0, 0.9])
+    assert list(scene.links[-1].frames) == ["tool"] and np.allclose(
+        scene.points(scene.links[-1])[-1], [0, 0, 0.9]
+    )
     ax = arm.plot()
     assert ax.get_zlim()[1] > 0.9 and "tool" in [t.get_text() for t in ax.texts]
 
@@ -945,7 +1087,9 @@ def test_labels_look_at_what_is_near_them(hunt):
     crowd = labels.Obstacles()
     a, b = rng.uniform(0, 100, (2, 2000, 2))
     for p, q in zip(a, b, strict=True):
-        crowd.segment(p, p + 0.02 * (q - p), float(rng.uniform(0.1, 2.0)), float(rng.uniform(0.1, 2.0)))
+        crowd.segment(
+            p, p + 0.02 * (q - p), float(rng.uniform(0.1, 2.0)), float(rng.uniform(0.1, 2.0))
+        )
     points = rng.uniform(0, 100, (40, 1, 2)) + rng.uniform(-1, 1, (40, 9, 2))
     weights = np.zeros(points.shape[:-1])
     for x0, y0, x1, y1, radius, weight in crowd.segments:
@@ -972,7 +1116,9 @@ def test_long_names_are_shortened_in_pictures():
 
 
 def test_titles_and_ghosts_that_do_not_fit_are_refused():
-    """One name for one configuration stands above it; numbers that differ, and ghosts of no motion, are errors."""
+    """One name for one configuration stands above it; numbers that differ, and ghosts of no motion,
+    are errors.
+    """
     two = kempe.load("two_link")
     assert two.plot([0.3, 0.4], titles=["start"]).get_title() == "start"
     with pytest.raises(InputError, match="titles has 1 name, and 2 configurations are drawn"):
@@ -981,9 +1127,13 @@ def test_titles_and_ghosts_that_do_not_fit_are_refused():
         two.plot([0.3, 0.4], ghosts=3)
 
 
-@pytest.mark.parametrize(("name", "joint"), [("four_bar", "C"), ("jansen", "W"), ("delta_uu", None)])
+@pytest.mark.parametrize(
+    ("name", "joint"), [("four_bar", "C"), ("jansen", "W"), ("delta_uu", None)]
+)
 def test_opened_systems_keep_their_links_in_pictures(name, joint):
-    """Where a joint was taken out its links reach as far as before; a frame stands at each of its ends."""
+    """Where a joint was taken out its links reach as far as before; a frame stands at each of its
+    ends.
+    """
     whole = kempe.load(name)
     system = whole.opened(joint)
     q = whole.assemble().q

@@ -48,7 +48,12 @@ def zoo() -> Mechanism:
 
 def test_units_of_every_coordinate():
     unit = facts.units(zoo().build())
-    assert {n for n, u in unit.items() if u == "m"} == {"sleeve.z", "flight.x", "flight.y", "flight.z"}
+    assert {n for n, u in unit.items() if u == "m"} == {
+        "sleeve.z",
+        "flight.x",
+        "flight.y",
+        "flight.z",
+    }
     assert {n for n, u in unit.items() if u == ""} == {"ball.qw", "ball.qx", "ball.qy", "ball.qz"}
     assert unit["screw"] == unit["sleeve.rz"] == unit["gear"] == unit["ball.wx"] == "rad"
 
@@ -57,15 +62,27 @@ def test_degrees_touch_angles_only():
     system = zoo().build()
     shown = facts.in_degrees(np.ones(system.nq), system.coordinate_names, facts.units(system), True)
     by_name = dict(zip(system.coordinate_names, shown, strict=True))
-    assert by_name["screw"] == pytest.approx(180.0 / np.pi) and by_name["sleeve.z"] == by_name["ball.qx"] == 1.0
+    assert (
+        by_name["screw"] == pytest.approx(180.0 / np.pi)
+        and by_name["sleeve.z"] == by_name["ball.qx"] == 1.0
+    )
 
 
 def test_info_says_everything():
     shown = text(report.info(zoo().build()))
     parts = [
-        "zoo: 6 bodies, 6 joints, in space", "C = {0, 1, 2, 3, 4, 0}", "p (particle)", "0.01 m/rad", "walked backwards",
-        "z [-0.1, 0.2] m", "gear = -2 screw + 0.1", "sleeve.rz = 0.25 (held)", "tool on e", "l = 0.5", "home",
-    ]  # fmt: skip
+        "zoo: 6 bodies, 6 joints, in space",
+        "C = {0, 1, 2, 3, 4, 0}",
+        "p (particle)",
+        "0.01 m/rad",
+        "walked backwards",
+        "z [-0.1, 0.2] m",
+        "gear = -2 screw + 0.1",
+        "sleeve.rz = 0.25 (held)",
+        "tool on e",
+        "l = 0.5",
+        "home",
+    ]
     for part in parts:
         assert part in shown, part
 
@@ -78,9 +95,17 @@ def test_facts_are_json():
 
 
 def test_numbers_in_json_share_a_line():
-    data = {"a": [1.0, -2.5e-300, None], "b": [[1, 2], [3, 4]], "c": "[\n 1,\n 2\n]", "d": [], "e": ["1"]}
+    data = {
+        "a": [1.0, -2.5e-300, None],
+        "b": [[1, 2], [3, 4]],
+        "c": "[\n 1,\n 2\n]",
+        "d": [],
+        "e": ["1"],
+    }
     shown = json_text(data)
-    assert json.loads(shown) == data and '"a": [1.0, -2.5e-300, null],' in shown and "[3, 4]" in shown
+    assert (
+        json.loads(shown) == data and '"a": [1.0, -2.5e-300, null],' in shown and "[3, 4]" in shown
+    )
     assert jsonable(np.array([[np.nan, np.inf], [1.0, -0.0]])) == [[None, None], [1.0, 0.0]]
 
 
@@ -102,7 +127,9 @@ def test_colours_on_terminals_only(monkeypatch):
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("TERM", "xterm")
     system = zoo().build()
-    assert "\x1b[" in text(report.info(system), Terminal()) and "\x1b[" not in text(report.info(system))
+    assert "\x1b[" in text(report.info(system), Terminal()) and "\x1b[" not in text(
+        report.info(system)
+    )
 
 
 def test_markup_and_control_characters_are_plain_text():
@@ -130,18 +157,31 @@ def test_errors_carry_their_data():
         "type": "UnknownNameError",
         "allowed": ["a", "b"],
     }
-    problem = facts.error_facts(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))["problems"][0]
-    assert (problem["file"], problem["line"], problem["column"], problem["message"]) == ("f", 3, 1, "bad")
+    problem = facts.error_facts(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))[
+        "problems"
+    ][0]
+    assert (problem["file"], problem["line"], problem["column"], problem["message"]) == (
+        "f",
+        3,
+        1,
+        "bad",
+    )
 
 
 def test_number_has_no_negative_zero():
-    assert report.number(-1e-9) == "0.000000" and report.number(-0.5, 1) == "-0.5" and report.number(np.nan) == "nan"
+    assert (
+        report.number(-1e-9) == "0.000000"
+        and report.number(-0.5, 1) == "-0.5"
+        and report.number(np.nan) == "nan"
+    )
 
 
 def test_a_long_table_looks_as_a_short_one(monkeypatch):
     """Text in place of a table of rich, which takes a millisecond a line."""
     heads = (">target", "reached", "=name", ">q [rad]")
-    lines = [(i, "yes" if i % 3 else "no", "\u00e4\u4e2d" * (i % 4), f"{1.5 * i:.3f}") for i in range(30)]
+    lines = [
+        (i, "yes" if i % 3 else "no", "\u00e4\u4e2d" * (i % 4), f"{1.5 * i:.3f}") for i in range(30)
+    ]
     short = text(report.table(heads, lines, title="a title"))
     monkeypatch.setattr(report, "LONG", 10)
     long = report.table(heads, lines, title="a title")

@@ -35,7 +35,9 @@ def closed(session: Session) -> bool:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_sliders_are_the_freedoms_and_keep_loops_closed(name):
-    """As many as there are freedoms without idle spins; a slider that was moved stands where it was put."""
+    """As many as there are freedoms without idle spins; a slider that was moved stands where it was
+    put.
+    """
     system = kempe.load(name)
     session = Session(system)
     freedoms = system.mobility(session.q)
@@ -46,20 +48,28 @@ def test_sliders_are_the_freedoms_and_keep_loops_closed(name):
         session.set(slider.name, wanted)
         assert closed(session) or session.status, slider
         if not session.status:
-            assert dict((s.name, s.value) for s in session.sliders)[slider.name] == pytest.approx(wanted, abs=1e-9)
+            assert dict((s.name, s.value) for s in session.sliders)[slider.name] == pytest.approx(
+                wanted, abs=1e-9
+            )
 
 
 def test_limits_are_ends_of_sliders():
     system = kempe.load("panda")
     ends = np.array([(s.low, s.high) for s in Session(system).sliders])
-    assert np.allclose(ends, system.structure.limits) and {s.unit for s in Session(system).sliders} == {"rad"}
+    assert np.allclose(ends, system.structure.limits) and {
+        s.unit for s in Session(system).sliders
+    } == {"rad"}
 
 
 def test_a_slider_stops_where_the_loops_cannot_close():
     """A rocker stays between its dead centres, which a turn of the crank passes."""
     bar = kempe.load("four_bar")
     motion = bar.trace("A").q
-    rocker = next(n for n, x in zip(bar.coordinate_names, motion.T, strict=True) if n != "A" and np.ptp(x) < 3.0)
+    rocker = next(
+        n
+        for n, x in zip(bar.coordinate_names, motion.T, strict=True)
+        if n != "A" and np.ptp(x) < 3.0
+    )
     k = bar.coordinate_names.index(rocker)
     session = Session(bar, motion[len(motion) // 3])
     session.chart = bar.independent(session.q, [rocker])
@@ -68,13 +78,19 @@ def test_a_slider_stops_where_the_loops_cannot_close():
     assert motion[:, k].max() - 0.15 < session.q[k] < motion[:, k].max() + 1e-6
 
 
-@pytest.mark.parametrize("name", ["panda", "puma560", "two_link", "four_bar", "delta_uu", "stewart_sps", "car"])
+@pytest.mark.parametrize(
+    "name", ["panda", "puma560", "two_link", "four_bar", "delta_uu", "stewart_sps", "car"]
+)
 def test_targets_are_reached_or_the_nearest_is_taken_with_the_reason(name):
     session = Session(kempe.load(name))
     X = session.pose.copy()
     session.random()
     there = session.pose.copy()
-    assert session.reach(there) and np.allclose(session.pose, there, atol=1e-6) and session.target is None
+    assert (
+        session.reach(there)
+        and np.allclose(session.pose, there, atol=1e-6)
+        and session.target is None
+    )
     far = X.copy()
     far[0, 3] += 30.0
     if name not in ("car", "stewart_sps"):  # these go anywhere: no limits
@@ -90,7 +106,9 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
     session = Session(system, q)
     before = session.pose.copy()
     count = session.solve()
-    assert count == 7 and session.task == "pose"  # eight in general position (Williams and others), one is this
+    assert (
+        count == 7 and session.task == "pose"
+    )  # eight in general position (Williams and others), one is this
     assert np.allclose(system.fk(session.solutions, "tool"), before, atol=1e-6)
     chosen = session.solutions[3].copy()
     session.choose(3)
@@ -111,7 +129,11 @@ def test_assembly_modes_are_passed_in_turn():
     first = session.q.copy()
     A = session.sliders[0].value
     session.next("mode")
-    assert closed(session) and not np.allclose(session.q, first) and session.sliders[0].value == pytest.approx(A)
+    assert (
+        closed(session)
+        and not np.allclose(session.q, first)
+        and session.sliders[0].value == pytest.approx(A)
+    )
     session.next("mode")
     assert np.allclose(session.q, first, atol=1e-6)
 
@@ -133,7 +155,9 @@ def first(session: Session, name: str) -> Overlay:
 
 
 def test_curves_are_what_the_frame_passes():
-    """A four-bar's coupler curve is the frame's place in its whole motion; a motion that is played goes before."""
+    """A four-bar's coupler curve is the frame's place in its whole motion; a motion that is played
+    goes before.
+    """
     session = Session(kempe.load("four_bar"))
     assert "curve" in offered(session) and "curve" not in offered(Session(kempe.load("two_link")))
     motion = session.system.trace(session.sliders[0].name, session.q)
@@ -145,7 +169,9 @@ def test_curves_are_what_the_frame_passes():
 
 
 def test_the_workspace_of_a_planar_chain_is_its_annulus():
-    """Two links of 1 m and 0.7 m without limits: the triangles cover pi ((1 + 0.7)^2 - (1 - 0.7)^2)."""
+    """Two links of 1 m and 0.7 m without limits: the triangles cover pi ((1 + 0.7)^2 - (1 -
+    0.7)^2).
+    """
     m = kempe.Mechanism("arm", dim=2)
     one = m.body("one")
     two = m.body("two")
@@ -153,7 +179,9 @@ def test_the_workspace_of_a_planar_chain_is_its_annulus():
     m.revolute("B", one, two, at=(1.0, 0.0))
     m.frame("tip", two, at=(0.7, 0.0))
     surfaces = first(Session(m.build()), "workspace").surfaces
-    a, b, c = np.concatenate([corners[triangles] for corners, triangles, _ in surfaces]).transpose(1, 0, 2)[..., :2]
+    a, b, c = np.concatenate([corners[triangles] for corners, triangles, _ in surfaces]).transpose(
+        1, 0, 2
+    )[..., :2]
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum()
     assert area == pytest.approx(np.pi * (1.7**2 - 0.3**2), rel=5e-3)
 
@@ -193,7 +221,9 @@ def test_a_path_is_played():
 
 
 def test_a_ball_falls_and_bounces_and_a_car_manoeuvres():
-    """A fall from a height h without spin lands after sqrt(2 h / g); a manoeuvre ends where the car was put."""
+    """A fall from a height h without spin lands after sqrt(2 h / g); a manoeuvre ends where the car
+    was put.
+    """
     session = Session(kempe.load("ball"))
     assert possible(session) == ("fall",) and session.find_motion("fall")
     motion = session.motion
@@ -204,7 +234,9 @@ def test_a_ball_falls_and_bounces_and_a_car_manoeuvres():
     car.reach(car.pose @ np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
     there = car.q.copy()
     assert car.find_motion("manoeuvre") and car.motion is not None
-    assert np.allclose(car.motion.q[0], car.home, atol=1e-6) and np.allclose(car.motion.q[-1], there, atol=1e-3)
+    assert np.allclose(car.motion.q[0], car.home, atol=1e-6) and np.allclose(
+        car.motion.q[-1], there, atol=1e-3
+    )
 
 
 def test_rods_hold_while_a_target_is_dragged():
@@ -234,18 +266,24 @@ def test_a_motion_through_open_loops_is_shown_and_said():
 
 
 def test_only_motions_that_there_can_be_are_offered():
-    """A manoeuvre is known of what rolls without further equations: a car in the plane, not a wheel on a floor."""
+    """A manoeuvre is known of what rolls without further equations: a car in the plane, not a wheel
+    on a floor.
+    """
     m = kempe.Mechanism("wheel")
     m.free("J", m.ground, m.body("wheel"))
     m.rolls("floor", "wheel", radius=0.2, shape="disc")
     with pytest.raises(UnsupportedError):
         m.build().manoeuvre(m.build().assemble().q, m.build().assemble().q)
-    assert "manoeuvre" not in possible(Session(m.build())) and "manoeuvre" in possible(Session(kempe.load("car")))
+    assert "manoeuvre" not in possible(Session(m.build())) and "manoeuvre" in possible(
+        Session(kempe.load("car"))
+    )
 
 
 def test_what_is_said_names_residual_singularity_and_freedoms():
     session = Session(kempe.load("four_bar"))
-    assert "closed to" in session.said() and session.residual() < 1e-12 and "regular" in session.said()
+    assert (
+        "closed to" in session.said() and session.residual() < 1e-12 and "regular" in session.said()
+    )
     assert session.mobility().startswith("1 degree of freedom: Gruebler says 1")
     stretched = Session(kempe.load("ur5"), np.zeros(6), "tool")
     stretched.aim("tool", "pose")
@@ -257,7 +295,11 @@ def test_what_has_no_freedoms_is_shown_and_said():
     m.fixed("F", m.ground, m.body("top"), at=(0.3, 0.7))
     session = Session(m.build())
     session.random()
-    assert session.sliders == () and "no freedoms" in Session(m.build()).status and session.q.shape == (0,)
+    assert (
+        session.sliders == ()
+        and "no freedoms" in Session(m.build()).status
+        and session.q.shape == (0,)
+    )
 
 
 @pytest.mark.parametrize(
@@ -302,7 +344,10 @@ def test_what_has_no_freedoms_is_shown_and_says_so():
 
 def test_only_what_closes_is_called_closed():
     """Rolling is no equation of positions: nothing is said of a car, the error of loops is."""
-    assert "closed" not in Session(kempe.load("car")).said() and "closed to" in Session(kempe.load("four_bar")).said()
+    assert (
+        "closed" not in Session(kempe.load("car")).said()
+        and "closed to" in Session(kempe.load("four_bar")).said()
+    )
 
 
 def test_long_words_fit_the_panel():
@@ -310,14 +355,18 @@ def test_long_words_fit_the_panel():
 
 
 def test_a_camera_has_all_of_a_motion_in_sight():
-    """A slide by 4 m of a bar of 1 m: the box has both ends, and the camera sees twice as far as to one of them."""
+    """A slide by 4 m of a bar of 1 m: the box has both ends, and the camera sees twice as far as to
+    one of them.
+    """
     from kempe.views.viewer.scene_nodes import Drawn
 
     m = kempe.Mechanism("slide", dim=2)
     m.prismatic("x", m.ground, m.body("bar"), axis="x")
     m.frame("end", "bar", at=(1.0, 0.0))
     system = m.build()
-    still, moving = (Drawn(system, np.zeros(1), way) for way in (None, np.linspace(0.0, 4.0, 100)[:, None]))
+    still, moving = (
+        Drawn(system, np.zeros(1), way) for way in (None, np.linspace(0.0, 4.0, 100)[:, None])
+    )
     assert abs(moving.middle[0] - still.middle[0]) > 0.4 and moving.size > still.size
     ends = moving.rigid.poses(np.array([[0.0], [4.0]]))[:, 1, 0, 3] + [0.0, 1.0]
     assert (np.abs(ends - moving.middle[0]) <= 0.5 * moving.size).all()

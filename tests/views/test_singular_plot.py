@@ -21,14 +21,20 @@ def test_an_arm_has_lost_the_direction_of_its_links():
     found = ARM.singularities("e", budget=FEW)
     axes = found.plot()
     assert [ax.get_title().splitlines() for ax in axes[:2]] == [
-        ["serial, q2 = 0", "1 direction lost"], ["serial, q2 = 3.14", "1 direction lost"]]  # fmt: skip
+        ["serial, q2 = 0", "1 direction lost"],
+        ["serial, q2 = 3.14", "1 direction lost"],
+    ]
     for ax, x in zip(axes, (0.0, np.pi), strict=False):
         (arrow,) = artists(ax)["lost:0"]
         q = min(found.sets[0].q, key=lambda q: abs(q[1] - x))
         way = np.subtract(arrow.xy, arrow.xyann)
         link = ARM.fk(q, "e")[:2, 3]
         assert abs(way[0] * link[1] - way[1] * link[0]) < 1e-9 and np.linalg.norm(way) > 0.1
-    radii = {round(float(np.hypot(*v[0].get_data())[0]), 9) for k, v in artists(axes[2]).items() if "singular" in k}
+    radii = {
+        round(float(np.hypot(*v[0].get_data())[0]), 9)
+        for k, v in artists(axes[2]).items()
+        if "singular" in k
+    }
     assert len(axes) == 3 and radii == {0.9, 0.1}
 
 
@@ -55,7 +61,9 @@ def test_in_space_arrows_are_those_of_the_twists():
     puma = kempe.load("puma560")
     found = puma.singularities("tool", budget=Budget(starts=24))
     axes = found.plot()
-    assert [ax.get_title().splitlines()[0].split(",")[0] for ax in axes] == [s.name for s in found.sets]
+    assert [ax.get_title().splitlines()[0].split(",")[0] for ax in axes] == [
+        s.name for s in found.sets
+    ]
     assert all("lost:0" in artists(ax) for ax in axes)
 
 
@@ -63,8 +71,11 @@ def test_curves_draw_themselves_on_axes_that_are_given():
     curves = ARM.singularities("e", budget=FEW).curves()
     ax = Figure().subplots()
     assert curves.plot(ax) is ax and ax.get_legend().get_texts()[0].get_text() == "serial"
-    held = kempe.load("puma560").singularities("tool", budget=FEW).curves(
-        hold={"q2": 0.3, "q4": 0.2, "q5": 0.7, "q6": 0.1})  # fmt: skip
+    held = (
+        kempe.load("puma560")
+        .singularities("tool", budget=FEW)
+        .curves(hold={"q2": 0.3, "q4": 0.2, "q5": 0.7, "q6": 0.1})
+    )
     assert hasattr(held.plot(), "get_zlim")
 
 

@@ -1,11 +1,20 @@
-"""Pictures of both spaces: numbers, lines and distances are those of closed forms; pixels are not compared."""
+"""Pictures of both spaces: numbers, lines and distances are those of closed forms; pixels are not
+compared.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from drawn import artists
-from two_freedoms_in_space import between, directions, lengths_of_pointer, pointer, slider_pair, spherical_five_bar
+from two_freedoms_in_space import (
+    between,
+    directions,
+    lengths_of_pointer,
+    pointer,
+    slider_pair,
+    spherical_five_bar,
+)
 
 import kempe
 from kempe import Budget
@@ -45,22 +54,31 @@ def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
     count = 0
     for sign in (1.0, -1.0):
         s2 = sign * np.sqrt(1.0 - c2**2)
-        q = np.array([np.arctan2(p[1], p[0]) - np.arctan2(L2 * s2, L1 + L2 * c2), np.arctan2(s2, c2)])
+        q = np.array(
+            [np.arctan2(p[1], p[0]) - np.arctan2(L2 * s2, L1 + L2 * c2), np.arctan2(s2, c2)]
+        )
         inside = [
-            any(a <= x + k <= b for k in (-2.0 * np.pi, 0.0, 2.0 * np.pi)) for x, (a, b) in zip(q, limits, strict=True)
+            any(a <= x + k <= b for k in (-2.0 * np.pi, 0.0, 2.0 * np.pi))
+            for x, (a, b) in zip(q, limits, strict=True)
         ]
         count += all(inside)
     return count
 
 
-@pytest.mark.parametrize(("system", "limits"), [
-    (ARM, [(-9.0, 9.0)] * 2), (LIMITED, [(-0.5, 2.0), (-1.0, 2.5)]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("system", "limits"),
+    [
+        (ARM, [(-9.0, 9.0)] * 2),
+        (LIMITED, [(-0.5, 2.0), (-1.0, 2.5)]),
+    ],
+)
 def test_numbers_of_configurations_are_those_of_the_closed_form(system, limits):
     p = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
     expected = [by_hand(x, limits) for x in p]
     found = two_freedoms(system, "e").number(p)
-    assert found.tolist() == expected and set(expected) == {0, 1, 2} - ({1} if system is ARM else set())
+    assert found.tolist() == expected and set(expected) == {0, 1, 2} - (
+        {1} if system is ARM else set()
+    )
 
 
 def test_shades_show_these_numbers():
@@ -68,12 +86,18 @@ def test_shades_show_these_numbers():
     for ax, at in ((right, lambda x: x), (left, lambda q: LIMITED.fk(q, "e")[:2, 3])):
         mesh = artists(ax)["preimages"][0]
         x, y = (np.asarray(mesh.get_coordinates())[..., i] for i in range(2))
-        middles = np.stack([0.25 * (z[1:, 1:] + z[:-1, 1:] + z[1:, :-1] + z[:-1, :-1]) for z in (x, y)], axis=-1)
+        middles = np.stack(
+            [0.25 * (z[1:, 1:] + z[:-1, 1:] + z[1:, :-1] + z[:-1, :-1]) for z in (x, y)], axis=-1
+        )
         shown = np.asarray(mesh.get_array()).reshape(middles.shape[:2])
         rng = np.random.default_rng(0)
         for _ in range(60):
             i, j = rng.integers(1, 39, 2)
-            assert shown[i, j] == by_hand(at(middles[i, j]), [(-0.5, 2.0), (-1.0, 2.5)]) or ax is left and j in (0, 39)
+            assert (
+                shown[i, j] == by_hand(at(middles[i, j]), [(-0.5, 2.0), (-1.0, 2.5)])
+                or ax is left
+                and j in (0, 39)
+            )
 
 
 def test_singular_lines_and_their_images():
@@ -82,13 +106,21 @@ def test_singular_lines_and_their_images():
     lines = [c for c in left.collections if c.get_gid() is None and len(c.get_paths())]
     q2 = np.concatenate([path.vertices[:, 1] for c in lines for path in c.get_paths()])
     assert np.abs(np.sin(q2)).max() < 1e-6 and np.abs(q2).min() < 1e-6
-    radii = [np.hypot(*line.get_data()) for k, (line,) in artists(right).items() if k.startswith("singular")]
-    assert {round(float(r.mean()), 6) for r in radii} == {0.9, 0.1} and max(float(np.ptp(r)) for r in radii) < 1e-6
+    radii = [
+        np.hypot(*line.get_data())
+        for k, (line,) in artists(right).items()
+        if k.startswith("singular")
+    ]
+    assert {round(float(r.mean()), 6) for r in radii} == {0.9, 0.1} and max(
+        float(np.ptp(r)) for r in radii
+    ) < 1e-6
 
 
 def test_points_have_their_solutions_or_their_distance():
     left, right = ARM.plot_spaces("e", points=[(0.6, 0.3), (1.2, 0.5)], resolution=30)
-    solutions = [np.ravel(a.get_data()) for k, (a, *_) in artists(left).items() if k.startswith("solution:0")]
+    solutions = [
+        np.ravel(a.get_data()) for k, (a, *_) in artists(left).items() if k.startswith("solution:0")
+    ]
     expected = [ARM.q("elbow_up"), ARM.q("elbow_down")]
     assert len(solutions) == 2
     assert all(min(np.abs(q - x).max() for x in solutions) < 1e-9 for q in expected)
@@ -126,7 +158,10 @@ def test_texts_do_not_cover_each_other(small):
 
 
 def test_the_nearest_place_within_limits_is_that_of_a_fine_grid():
-    grid = np.stack(np.meshgrid(np.linspace(-0.5, 2.0, 700), np.linspace(-1.0, 2.5, 700), indexing="ij"), axis=-1)
+    grid = np.stack(
+        np.meshgrid(np.linspace(-0.5, 2.0, 700), np.linspace(-1.0, 2.5, 700), indexing="ij"),
+        axis=-1,
+    )
     p = LIMITED.fk(grid, "e")[..., :2, 3]
     for target in ([-0.5, -0.3], [1.0, 0.4], [0.0, 0.0]):
         far = nearest(LIMITED, "e", PLANE, np.array(target), grid[::20, ::20], p[::20, ::20])[2]
@@ -135,7 +170,9 @@ def test_the_nearest_place_within_limits_is_that_of_a_fine_grid():
 
 def test_limits_are_a_rectangle_and_its_image():
     left, right = LIMITED.plot_spaces("e", resolution=20)
-    assert {k for k in artists(left) if k.startswith("limit")} == {f"limit:q{i}:{k}" for i in (1, 2) for k in (0, 1)}
+    assert {k for k in artists(left) if k.startswith("limit")} == {
+        f"limit:q{i}:{k}" for i in (1, 2) for k in (0, 1)
+    }
     x, y = artists(right)["limit:q2:1"][0].get_data()
     assert np.hypot(x, y) == pytest.approx(np.sqrt(L1**2 + L2**2 + 2.0 * L1 * L2 * np.cos(2.5)))
 
@@ -146,9 +183,10 @@ def test_what_cannot_be_drawn_is_said():
         kempe.load("puma560").plot_spaces("tool")
     for name, frame, words in [
         ("four_bar", "coupler_point", "four_bar has 1 freedom and loops"),
-        ("three_rrr", "tool", "has 3 freedoms and loops"), ("five_bar", "arm2", "'arm2' of five_bar moves on"),
+        ("three_rrr", "tool", "has 3 freedoms and loops"),
+        ("five_bar", "arm2", "'arm2' of five_bar moves on"),
         ("rssr", "coupler", "rssr has 1 freedom and loops, 1 idle spin left out"),
-    ]:  # fmt: skip
+    ]:
         with pytest.raises(UnsupportedError, match=words):
             kempe.load(name).plot_spaces(frame)
     with pytest.raises(InputError, match="'ground' of five_bar does not move"):
@@ -183,13 +221,17 @@ def shades(ax):
     """Middles (n, n, 2) of the cells of a picture, and the numbers (n, n) shown there."""
     mesh = artists(ax)["preimages"][0]
     x, y = (np.asarray(mesh.get_coordinates())[..., i] for i in range(2))
-    middles = np.stack([0.25 * (z[1:, 1:] + z[:-1, 1:] + z[1:, :-1] + z[:-1, :-1]) for z in (x, y)], axis=-1)
+    middles = np.stack(
+        [0.25 * (z[1:, 1:] + z[:-1, 1:] + z[1:, :-1] + z[:-1, :-1]) for z in (x, y)], axis=-1
+    )
     return middles, np.asarray(mesh.get_array()).reshape(middles.shape[:2])
 
 
 @pytest.mark.slow
 def test_ways_of_a_five_bar_are_those_of_its_legs(five):
-    """Each leg reaches a place in two ways where the distance from its pivot is between b - a and a + b."""
+    """Each leg reaches a place in two ways where the distance from its pivot is between b - a and a
+    + b.
+    """
     p, shown = shades(five[1])
     legs = [np.linalg.norm(p - x, axis=-1) for x in ([0.0, 0.0], [BASE, 0.0])]
     ways = [2 * ((r < CRANK + ROD) & (r > ROD - CRANK)) for r in legs]
@@ -198,8 +240,10 @@ def test_ways_of_a_five_bar_are_those_of_its_legs(five):
 
 def test_modes_of_a_five_bar_are_two_where_the_rods_are_long_enough(five):
     q, shown = shades(five[0])
-    ends = [x + CRANK * np.stack([np.cos(a), np.sin(a)], axis=-1)
-            for x, a in zip(([0.0, 0.0], [BASE, 0.0]), np.moveaxis(q, -1, 0), strict=True)]  # fmt: skip
+    ends = [
+        x + CRANK * np.stack([np.cos(a), np.sin(a)], axis=-1)
+        for x, a in zip(([0.0, 0.0], [BASE, 0.0]), np.moveaxis(q, -1, 0), strict=True)
+    ]
     far = np.linalg.norm(ends[1] - ends[0], axis=-1)
     assert np.array_equal(shown, 2 * (far < 2.0 * ROD)) and set(shown.ravel()) == {0, 2}
 
@@ -211,9 +255,12 @@ def test_modes_and_ways_of_five_bars_are_those_of_triangles(hunt):
         a1, b1, b2, a2, d = rng.uniform(0.1, 1.0, 5)
         m = kempe.Mechanism("five bars", dim=2)
         for name, parent, child, at, of in [
-            ("A", "ground", "crank1", 0.0, 0.0), ("B", "crank1", "rod1", a1, 0.0), ("P", "rod1", "rod2", b1, b2),
-            ("C", "crank2", "rod2", a2, 0.0), ("D", "ground", "crank2", d, 0.0),
-        ]:  # fmt: skip
+            ("A", "ground", "crank1", 0.0, 0.0),
+            ("B", "crank1", "rod1", a1, 0.0),
+            ("P", "rod1", "rod2", b1, b2),
+            ("C", "crank2", "rod2", a2, 0.0),
+            ("D", "ground", "crank2", d, 0.0),
+        ]:
             for body in (parent, child):
                 body in m.bodies or m.body(body)
             m.revolute(name, parent, child, at=(at, 0), child_at=(of, 0), actuated=name in "AD")
@@ -221,8 +268,10 @@ def test_modes_and_ways_of_five_bars_are_those_of_triangles(hunt):
         space = two_freedoms(m.build(), "tip")
         values = rng.uniform(-np.pi, np.pi, (500, 2))
         p = rng.uniform(-1.5, 1.5, (500, 2))
-        ends = [x + a * np.stack([np.cos(q), np.sin(q)], axis=1) for x, a, q in (
-            ([0.0, 0.0], a1, values[:, 0]), ([d, 0.0], a2, values[:, 1]))]  # fmt: skip
+        ends = [
+            x + a * np.stack([np.cos(q), np.sin(q)], axis=1)
+            for x, a, q in (([0.0, 0.0], a1, values[:, 0]), ([d, 0.0], a2, values[:, 1]))
+        ]
         far = np.linalg.norm(ends[1] - ends[0], axis=1)
         legs = [np.linalg.norm(p - [x, 0.0], axis=1) for x in (0.0, d)]
         modes = space.over(values)[1].sum(axis=1)
@@ -238,12 +287,21 @@ def _closes(far, a, b):
 
 
 def test_singular_lines_are_where_modes_and_ways_meet(five):
-    """Of type 1 circles about the pivots; of type 2, on the left, where the rods are in line or fold."""
+    """Of type 1 circles about the pivots; of type 2, on the left, where the rods are in line or
+    fold.
+    """
     lines = {k: v[0] for k, v in artists(five[1]).items() if k.startswith("singular")}
-    radii = {k: [np.hypot(x.get_xdata() - b, x.get_ydata()) for b in (0.0, BASE)] for k, x in lines.items()}
-    kind = {k: any(min(abs(r - ROD - CRANK).max(), abs(r - ROD + CRANK).max()) < 1e-6 for r in v)
-            for k, v in radii.items()}  # fmt: skip
-    assert {lines[k].get_linestyle() for k in lines if kind[k]} == {"-"} and 4 <= sum(kind.values()) < len(kind)
+    radii = {
+        k: [np.hypot(x.get_xdata() - b, x.get_ydata()) for b in (0.0, BASE)]
+        for k, x in lines.items()
+    }
+    kind = {
+        k: any(min(abs(r - ROD - CRANK).max(), abs(r - ROD + CRANK).max()) < 1e-6 for r in v)
+        for k, v in radii.items()
+    }
+    assert {lines[k].get_linestyle() for k in lines if kind[k]} == {"-"} and 4 <= sum(
+        kind.values()
+    ) < len(kind)
     assert {lines[k].get_linestyle() for k in lines if not kind[k]} == {"--"}
     for k in (k for k in lines if not kind[k]):
         a, d = np.array(artists(five[0])[k][0].get_data())
@@ -251,15 +309,24 @@ def test_singular_lines_are_where_modes_and_ways_meet(five):
         far = far[np.isfinite(far)]
         assert min(np.abs(far - 2.0 * ROD).max(), far.max()) < 1e-6
     words = [t.get_text() for t in five[1].get_legend().get_texts()]
-    assert words == ["none", "2 modes, or 2 ways", "4 modes, or 4 ways", "singular, type 1", "singular, type 2"]
+    assert words == [
+        "none",
+        "2 modes, or 2 ways",
+        "4 modes, or 4 ways",
+        "singular, type 1",
+        "singular, type 2",
+    ]
 
 
 def test_points_of_a_five_bar_have_four_solutions_or_a_distance(five):
     solutions = [k for k in artists(five[0]) if k.startswith("solution:0")]
-    bars = {k: np.array(v[0].get_data()) for k, v in artists(five[1]).items() if k.startswith("arm:0")}
+    bars = {
+        k: np.array(v[0].get_data()) for k, v in artists(five[1]).items() if k.startswith("arm:0")
+    }
     assert len(solutions) == 4 and len(bars) == 16
     assert all(
-        np.linalg.norm(x[:, 1] - x[:, 0]) == pytest.approx(CRANK if "crank" in k else ROD) for k, x in bars.items()
+        np.linalg.norm(x[:, 1] - x[:, 0]) == pytest.approx(CRANK if "crank" in k else ROD)
+        for k, x in bars.items()
     )
     (text,) = artists(five[1])["distance:1:text"]
     assert text.get_text() == f"{np.hypot(0.6, 0.3) - CRANK - ROD:.3g} m away"
@@ -291,7 +358,9 @@ def test_places_with_a_configuration_are_the_image_of_a_grid(limits):
     beside = np.histogram2d(*p[np.isfinite(p).all(axis=1)].T, bins=[_edges(x), _edges(y)])[0] > 0
     reached = space.reach_grid(x, y) > 0
     assert not (reached & ~beside).any()  # a cell whose middle is reached holds some of the image
-    assert (reached == beside).mean() > 0.88 and 0.1 < reached.mean() < 0.9  # but beside the borders
+    assert (
+        reached == beside
+    ).mean() > 0.88 and 0.1 < reached.mean() < 0.9  # but beside the borders
 
 
 def _edges(x):
@@ -325,26 +394,36 @@ def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dya
     assert np.abs(space.system.loops.closure_error(q[mask])).max() < 1e-9
     p = space.places(q, mask)[mask]
     back, ok = space.reaching(p)
-    assert ok.any(axis=1).all() and space.places(back, ok)[ok] == pytest.approx(np.repeat(p, ok.sum(axis=1), axis=0))
+    assert ok.any(axis=1).all() and space.places(back, ok)[ok] == pytest.approx(
+        np.repeat(p, ok.sum(axis=1), axis=0)
+    )
     off = np.abs(np.sin(0.5 * (back - q[mask][:, None]))).max(axis=-1)
-    assert np.where(ok, off, 1.0).min(axis=1).max() < 1e-6  # the one that it came from is among them
+    assert (
+        np.where(ok, off, 1.0).min(axis=1).max() < 1e-6
+    )  # the one that it came from is among them
 
 
 def test_slides_as_drives_are_the_axes():
     m = kempe.Mechanism("RPRPR", dim=2)
     for k, x in ((1, 0.0), (2, 0.8)):
         m.revolute(f"A{k}", m.ground, m.body(f"leg{k}"), at=(x, 0))
-        m.prismatic(f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=(0.3, 1.0), actuated=True)
+        m.prismatic(
+            f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=(0.3, 1.0), actuated=True
+        )
     m.revolute("P", "rod1", "rod2")
     left, right = m.build().plot_spaces("rod1", points=[(0.4, 1.2)], resolution=50)
     assert left.get_xlabel() == "s1 [m]" and left.get_ylabel() == "s2 [m]"
     s, modes = shades(left)
     clear = np.abs(s.sum(axis=-1) - 0.8) > 1e-9
-    assert np.array_equal(modes[clear], 2 * (s.sum(axis=-1) > 0.8)[clear])  # the triangle with the base of 0.8 m closes
+    assert np.array_equal(
+        modes[clear], 2 * (s.sum(axis=-1) > 0.8)[clear]
+    )  # the triangle with the base of 0.8 m closes
     p, ways = shades(right)
     legs = np.stack([np.linalg.norm(p - x, axis=-1) for x in ([0.0, 0.0], [0.8, 0.0])])
     assert np.array_equal(ways, ((legs > 0.3) & (legs < 1.0)).all(axis=0))
-    assert artists(right)["distance:0:text"][0].get_text() == f"{1.2 - np.sqrt(1.0 - 0.16):.3g} m away"
+    assert (
+        artists(right)["distance:0:text"][0].get_text() == f"{1.2 - np.sqrt(1.0 - 0.16):.3g} m away"
+    )
     m.joints["s2"].limits.clear()
     with pytest.raises(InputError, match=r"'s2' has no limits.*with_limits"):
         m.build().plot_spaces("rod1")
@@ -356,39 +435,58 @@ def test_slides_as_drives_are_the_axes():
 @pytest.fixture(scope="module")
 def pointing():
     points = [(0.3, 0.5), (1.5, 0.6)]
-    return spherical_five_bar(*ARCS).plot_spaces("tip", task="direction", points=points, grid=True, resolution=24)
+    return spherical_five_bar(*ARCS).plot_spaces(
+        "tip", task="direction", points=points, grid=True, resolution=24
+    )
 
 
 @pytest.mark.slow
 def test_a_direction_has_its_solutions_or_an_angle(pointing):
     left, right = (artists(ax) for ax in pointing)
-    assert len([k for k in left if k.startswith("solution:0")]) == 4 and not any(k.startswith("arm") for k in right)
+    assert len([k for k in left if k.startswith("solution:0")]) == 4 and not any(
+        k.startswith("arm") for k in right
+    )
     z = directions(np.array(1.5), np.array(0.6))
-    legs = [between(z, x) for x in (directions(0.0, np.pi / 2), directions(-np.pi / 2, np.pi / 2 - ARCS[4]))]
-    least = max(abs(ARCS[0] - ARCS[1]) - legs[0], legs[0] - ARCS[0] - ARCS[1],
-                abs(ARCS[2] - ARCS[3]) - legs[1], legs[1] - ARCS[2] - ARCS[3])  # fmt: skip
+    legs = [
+        between(z, x)
+        for x in (directions(0.0, np.pi / 2), directions(-np.pi / 2, np.pi / 2 - ARCS[4]))
+    ]
+    least = max(
+        abs(ARCS[0] - ARCS[1]) - legs[0],
+        legs[0] - ARCS[0] - ARCS[1],
+        abs(ARCS[2] - ARCS[3]) - legs[1],
+        legs[1] - ARCS[2] - ARCS[3],
+    )
     (text,) = right["distance:1:text"]
     assert least > 0.1 and text.get_text() == f"{np.degrees(least):.3g}° away"
 
 
 @pytest.mark.slow
 def test_singular_directions_of_a_spherical_five_bar_lie_on_circles_about_its_pivots(pointing):
-    """Of type 1 a leg is in line or folded: sums or differences of its arcs from the pivot, unlike those of type 2."""
+    """Of type 1 a leg is in line or folded: sums or differences of its arcs from the pivot, unlike
+    those of type 2.
+    """
     lines = {k: v[0] for k, v in artists(pointing[1]).items() if k.startswith("singular")}
     seen = {"-": set[float](), "--": set[float]()}
     for line in lines.values():
         p = np.transpose(line.get_data())
         z = directions(*p[np.isfinite(p).all(axis=1)].T)
-        for far, a, b in ((between(z, directions(0.0, np.pi / 2)), *ARCS[:2]),
-                          (between(z, directions(-np.pi / 2, np.pi / 2 - ARCS[4])), ARCS[3], ARCS[2])):  # fmt: skip
-            seen[line.get_linestyle()] |= {x for x in (a + b, abs(a - b)) if np.abs(far - x).max() < 1e-6}
+        for far, a, b in (
+            (between(z, directions(0.0, np.pi / 2)), *ARCS[:2]),
+            (between(z, directions(-np.pi / 2, np.pi / 2 - ARCS[4])), ARCS[3], ARCS[2]),
+        ):
+            seen[line.get_linestyle()] |= {
+                x for x in (a + b, abs(a - b)) if np.abs(far - x).max() < 1e-6
+            }
     sums = {ARCS[0] + ARCS[1], abs(ARCS[0] - ARCS[1]), ARCS[2] + ARCS[3], abs(ARCS[2] - ARCS[3])}
     assert seen["-"] == sums and not seen["--"]
 
 
 @pytest.mark.slow
 def test_images_of_lines_in_space_are_those_of_the_forward_model(pointing):
-    """Of a line on which the first crank stands: the tip is as far from the end of the crank as the rod is long."""
+    """Of a line on which the first crank stands: the tip is as far from the end of the crank as the
+    rod is long.
+    """
     system = spherical_five_bar(*ARCS)
     lines = {k: v for k, v in artists(pointing[1]).items() if k.startswith("grid:A")}
     assert len(lines) == 11
@@ -397,7 +495,9 @@ def test_images_of_lines_in_space_are_those_of_the_forward_model(pointing):
         B = system.fk(system.q({"A": a}), "rod1")[:3, 2]
         for part in line:
             p = np.transpose(part.get_data())
-            assert between(directions(*p[np.isfinite(p).all(axis=1)].T), B) == pytest.approx(ARCS[1], abs=1e-6)
+            assert between(directions(*p[np.isfinite(p).all(axis=1)].T), B) == pytest.approx(
+                ARCS[1], abs=1e-6
+            )
 
 
 @pytest.mark.slow
@@ -420,10 +520,14 @@ def test_a_task_that_sees_a_curve_only_is_refused():
 
 @pytest.mark.slow
 def test_a_linkage_that_spins_idly_is_drawn():
-    """Each direction has two pairs of angles of the universal joint; legs may be too long or too short for them."""
+    """Each direction has two pairs of angles of the universal joint; legs may be too long or too
+    short for them.
+    """
     system = pointer("spherical", "spherical", (0.45, 0.7))
     left, right = system.plot_spaces("camera", task="direction", resolution=14)
-    assert (left.get_xlabel(), left.get_ylabel()) == ("s0 [m]", "s1 [m]") and set(shades(left)[1].ravel()) >= {2, 4}
+    assert (left.get_xlabel(), left.get_ylabel()) == ("s0 [m]", "s1 [m]") and set(
+        shades(left)[1].ravel()
+    ) >= {2, 4}
     p, ways = shades(right)
     z = directions(*np.moveaxis(p, -1, 0))
     expected = np.zeros(ways.shape)
@@ -447,18 +551,24 @@ def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
 
     system = spherical_five_bar(*ARCS)
     budget = Budget(progress=progress)
-    left, _ = until_interrupt(system.plot_spaces, "tip", task="direction", resolution=24, budget=budget)
+    left, _ = until_interrupt(
+        system.plot_spaces, "tip", task="direction", resolution=24, budget=budget
+    )
     modes = shades(left)[1]
     assert "interrupted: this is the part that was done" in artists(left)["partial"][0].get_text()
     assert seen[:4] == sorted(seen[:4]) and 0 < (modes > 0).sum()
-    with pytest.raises(TimeLimitError, match="plot_spaces: the time limit of 0.0001 s was over before anything"):
+    with pytest.raises(
+        TimeLimitError, match="plot_spaces: the time limit of 0.0001 s was over before anything"
+    ):
         system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(time_limit=1e-4))
 
 
 def test_lines_in_millimetres_are_not_torn():
     """Of type 1 a bar is upright: the slides are as far apart as the other bar reaches along x."""
     left, _ = slider_pair(2).plot_spaces("tip", resolution=12)
-    lines = [np.transpose(v[0].get_data()) for k, v in artists(left).items() if k.startswith("singular")]
+    lines = [
+        np.transpose(v[0].get_data()) for k, v in artists(left).items() if k.startswith("singular")
+    ]
     upright = np.sqrt(300.0**2 - 250.0**2)
     apart = [x[:, 1] - x[:, 0] for x in lines if np.ptp(x[:, 1] - x[:, 0]) < 1e-6 and len(x) > 10]
     assert all(np.isfinite(x).all() for x in lines)

@@ -1,4 +1,6 @@
-"""The page of the viewer in a browser, by mouse events only, and what is drawn of a system without one."""
+"""The page of the viewer in a browser, by mouse events only, and what is drawn of a system without
+one.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +35,29 @@ TALOS = "talos_data/robots/talos_reduced.urdf"
 SOON = 300.0
 """Seconds after which what is waited for does not come."""
 BLOCKS = (8, 12)
-"""Blocks of a picture of the space beside the panel, high and wide, whose mean colours are compared."""
+"""Blocks of a picture of the space beside the panel, high and wide, whose mean colours are
+compared."""
 ALIKE = 0.04
-"""How much the mean colour of a block may differ, from 0 (black) to 1 (white): a joint that moved by 0.3 rad differs
-more, another version of a browser less."""
+"""How much the mean colour of a block may differ, from 0 (black) to 1 (white): a joint that moved
+by 0.3 rad differs more, another version of a browser less."""
 PICTURES = Path(__file__).with_name("pictures.json")
-"""Mean colours of blocks by system, six hexadecimal digits a block; written by `python tests/views/test_viewer.py`."""
-DRAWN = ("panda", "four_bar", "slider_crank", "three_rpr", "watt_straight", "bennett", "stewart_sps", "car", "ball",
-         "joint_helical", "joint_planar", "joint_universal", "seven_bodies_loop")  # fmt: skip
+"""Mean colours of blocks by system, six hexadecimal digits a block; written by
+`python tests/views/test_viewer.py`."""
+DRAWN = (
+    "panda",
+    "four_bar",
+    "slider_crank",
+    "three_rpr",
+    "watt_straight",
+    "bennett",
+    "stewart_sps",
+    "car",
+    "ball",
+    "joint_helical",
+    "joint_planar",
+    "joint_universal",
+    "seven_bodies_loop",
+)
 
 
 # ---- without a browser
@@ -48,7 +65,9 @@ DRAWN = ("panda", "four_bar", "slider_crank", "three_rpr", "watt_straight", "ben
 
 @pytest.mark.parametrize("name", some(DRAWN, 4))
 def test_parts_move_with_their_links(name):
-    """What is drawn of each model is on links or rods, finite, and rods end where their constraints hold."""
+    """What is drawn of each model is on links or rods, finite, and rods end where their constraints
+    hold.
+    """
     system = kempe.load(name)
     q = system.q("closed") if "closed" in system.structure.posture_names else system.mid
     rigid = RigidParts(system, q)
@@ -57,12 +76,15 @@ def test_parts_move_with_their_links(name):
     scene = look(system, q)
     X = rigid.poses(q)
     for k, (_, _, ends, _) in enumerate(scene.rods, len(rigid.heads)):
-        assert np.allclose(X[k, :3, 3], ends[0]) and np.allclose(X[k, :3, 2] * np.linalg.norm(ends[1] - ends[0]),
-                                                                 ends[1] - ends[0])  # fmt: skip
+        assert np.allclose(X[k, :3, 3], ends[0]) and np.allclose(
+            X[k, :3, 2] * np.linalg.norm(ends[1] - ends[0]), ends[1] - ends[0]
+        )
 
 
 def test_a_pin_is_drawn_where_its_joint_is():
-    """The drawing at one configuration, moved to another, is the drawing of that other: corners of links agree."""
+    """The drawing at one configuration, moved to another, is the drawing of that other: corners of
+    links agree.
+    """
     bar = kempe.load("four_bar")
     motion = bar.trace("A").q
     here = RigidParts(bar, motion[0])
@@ -81,11 +103,17 @@ def parts_at(rigid: RigidParts, q: np.ndarray) -> np.ndarray:
     X, lengths = rigid.places(q)
     X = X.copy()
     X[:, :3, 2] *= lengths[:, None]
-    return np.concatenate([(p.corners @ X[p.carrier, :3, :3].T + X[p.carrier, :3, 3])[p.triangles]
-                           for p in rigid.parts])  # fmt: skip
+    return np.concatenate(
+        [
+            (p.corners @ X[p.carrier, :3, :3].T + X[p.carrier, :3, 3])[p.triangles]
+            for p in rigid.parts
+        ]
+    )
 
 
-def bare_part(triangles: np.ndarray, a: np.ndarray, z: np.ndarray, along: float, wide: float) -> float:
+def bare_part(
+    triangles: np.ndarray, a: np.ndarray, z: np.ndarray, along: float, wide: float
+) -> float:
     """The longest piece of the line from a (3,) by `along` z (3,) near which nothing is drawn."""
     t = (triangles - a) @ z
     off = triangles - a - t[..., None] * z
@@ -99,13 +127,27 @@ def bare_part(triangles: np.ndarray, a: np.ndarray, z: np.ndarray, along: float,
     return max(most, max(0.0, along) - at)
 
 
-SLIDING = ("stewart", "three_rps", "stanford", "three_upu", "cobra600", "stewart_sps", "joint_cylindrical", "three_rpr",
-           "joint_helical", "peaucellier", "ladder", "seven_bodies")  # fmt: skip
+SLIDING = (
+    "stewart",
+    "three_rps",
+    "stanford",
+    "three_upu",
+    "cobra600",
+    "stewart_sps",
+    "joint_cylindrical",
+    "three_rpr",
+    "joint_helical",
+    "peaucellier",
+    "ladder",
+    "seven_bodies",
+)
 
 
 @pytest.mark.parametrize("name", some(SLIDING, 3))
 def test_sliding_joints_are_whole_at_every_configuration(name):
-    """From one half of a joint to the other something is drawn, as where it is drawn anew (which `plot` does)."""
+    """From one half of a joint to the other something is drawn, as where it is drawn anew (which
+    `plot` does).
+    """
     system = kempe.load(name)
     session = Session(system)
     rigid = RigidParts(system, session.q)
@@ -114,15 +156,23 @@ def test_sliding_joints_are_whole_at_every_configuration(name):
         scene = look(system, session.q)
         here = parts_at(rigid, session.q)
         anew = parts_at(RigidParts(system, session.q), session.q)
-        ends = [(j.F[:3, 3], j.axis, float(j.axis @ (j.centre - j.F[:3, 3]))) for j in scene.joints
-                if j.kind in ("prismatic", "cylindrical", "helical")]  # fmt: skip
+        ends = [
+            (j.F[:3, 3], j.axis, float(j.axis @ (j.centre - j.F[:3, 3])))
+            for j in scene.joints
+            if j.kind in ("prismatic", "cylindrical", "helical")
+        ]
         for a, z, along in ends:
-            assert bare_part(here, a, z, along, 3.0 * rigid.r) <= bare_part(anew, a, z, along, 3.0 * rigid.r) + rigid.r
+            assert (
+                bare_part(here, a, z, along, 3.0 * rigid.r)
+                <= bare_part(anew, a, z, along, 3.0 * rigid.r) + rigid.r
+            )
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_pin_stays_in_its_slot(dim):
-    """A point on a line that slides far: the bar reaches to it, and the slot or the bar is about it."""
+    """A point on a line that slides far: the bar reaches to it, and the slot or the bar is about
+    it.
+    """
     m = kempe.Mechanism("slot", dim=dim)
     bar = m.body("bar")
     arm = m.body("arm")
@@ -131,7 +181,9 @@ def test_a_pin_stays_in_its_slot(dim):
     m.prismatic("x", m.ground, arm, at=(0.0, 0.3, 0.0)[:dim], axis=(1.0, 0.0, 0.0)[:dim])
     m.frame("pin", arm)
     m.frame("line", bar)
-    m.constrain(kempe.constraints.OnLine("pin", other="line", direction=(1.0, 0.0, 0.0)[:dim]), name="slot")
+    m.constrain(
+        kempe.constraints.OnLine("pin", other="line", direction=(1.0, 0.0, 0.0)[:dim]), name="slot"
+    )
     system = m.build()
     first, far = (system.assemble({"x": x}).q for x in (0.1, 3.0))
     rigid = RigidParts(system, first)
@@ -156,7 +208,9 @@ def test_a_rail_is_as_long_as_its_joint_on_the_page():
         lengths = viewer.drawn.rigid.places(session.q)[1]
         changed = [k for k in nodes.stretched if abs(lengths[k] - 1.0) > 1e-9]
         assert len(changed) >= 6
-        assert all(node.scale == (1.0, 1.0, lengths[k]) for k in changed for node in nodes.stretched[k])
+        assert all(
+            node.scale == (1.0, 1.0, lengths[k]) for k in changed for node in nodes.stretched[k]
+        )
 
 
 @pytest.mark.filterwarnings("error")
@@ -164,13 +218,22 @@ def test_a_rail_is_as_long_as_its_joint_on_the_page():
     ("shape", "said"),
     [
         ('<box size="1 0 1"/>', "the size of a box is '1 0 1'; it must be positive"),
-        ('<box size="nan 1 1"/>', "the size of a box is 'nan 1 1'; it must be 3 numbers below 1e+09 in size"),
+        (
+            '<box size="nan 1 1"/>',
+            "the size of a box is 'nan 1 1'; it must be 3 numbers below 1e+09 in size",
+        ),
         ('<sphere radius="-1"/>', "the radius of a sphere is '-1'; it must be positive"),
-        ('<sphere radius="a"/>', "the radius of a sphere is 'a'; it must be 1 number below 1e+09 in size"),
-        ('<cylinder radius="1e300" length="1"/>', "the radius of a cylinder is '1e300'; it must be 1 number"),
+        (
+            '<sphere radius="a"/>',
+            "the radius of a sphere is 'a'; it must be 1 number below 1e+09 in size",
+        ),
+        (
+            '<cylinder radius="1e300" length="1"/>',
+            "the radius of a cylinder is '1e300'; it must be 1 number",
+        ),
         ('<cylinder radius="1"/>', "the length of a cylinder is None; it must be 1 number"),
     ],
-)  # fmt: skip
+)
 def test_shapes_without_a_size_are_not_drawn(shape, said):
     """Spheres of radius 0 had points that are no numbers, and negative boxes were drawn inside out."""
     visual = f"<visual><geometry>{shape}</geometry></visual>"
@@ -181,7 +244,9 @@ def test_shapes_without_a_size_are_not_drawn(shape, said):
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA, reason="example-robot-data is not installed")
 def test_meshes_are_those_of_the_model_and_missing_ones_do_not_block():
-    """With the folder of the package all are found; without it each is named, and links are drawn in their place."""
+    """With the folder of the package all are found; without it each is named, and links are drawn
+    in their place.
+    """
     found, lost = meshes_of(kempe.load(DATA[0] / TALOS, package_dirs=[DATA[0].parent.parent]))
     assert len(found) > 20 and not lost
     bare = kempe.load(DATA[0] / TALOS)
@@ -191,7 +256,10 @@ def test_meshes_are_those_of_the_model_and_missing_ones_do_not_block():
 
 
 def test_importing_loads_no_viewer():
-    code = "import sys, kempe; kempe.load('four_bar'); print('viser' in sys.modules, 'trimesh' in sys.modules)"
+    code = (
+        "import sys, kempe; kempe.load('four_bar'); print('viser' in sys.modules, 'trimesh' in "
+        "sys.modules)"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["False", "False"]
 
@@ -231,7 +299,9 @@ def test_a_viewer_is_on_this_machine_only_and_ends():
     """It listens on 127.0.0.1, and on nothing any more after it was closed."""
     with kempe.load("two_link").show(port=0, browser=False) as viewer:
         address = urlsplit(viewer.url)
-        assert viewer.url.startswith("http://127.0.0.1:") and viewer.server.get_host() == "127.0.0.1"
+        assert (
+            viewer.url.startswith("http://127.0.0.1:") and viewer.server.get_host() == "127.0.0.1"
+        )
         viewer.q = {"q1": 0.5}
         assert viewer.q[0] == 0.5
     connection = http.client.HTTPConnection(address.netloc)
@@ -264,7 +334,9 @@ class Seen:
         assert self.until(lambda: viewer.pages and next(iter(viewer.pages.values())).spent)
         self.page = next(iter(viewer.pages.values()))
         self.tab.get_by_text("random", exact=True).wait_for()
-        self.tab.add_style_tag(content=".mantine-Notification-root {display: none}")  # drawn without a graphics card
+        self.tab.add_style_tag(
+            content=".mantine-Notification-root {display: none}"
+        )  # drawn without a graphics card
         self.tab.wait_for_timeout(500)
 
     def until(self, what, soon: float = SOON) -> bool:
@@ -276,8 +348,8 @@ class Seen:
     def shows(self, right) -> bool:
         """Whether a picture (*BLOCKS, 3) comes that is right; else the page is opened once more.
 
-        Browsers without a graphics card lose what they draw on now and then, and do not draw again. What is wrong is
-        printed with the camera.
+        Browsers without a graphics card lose what they draw on now and then, and do not draw again.
+        What is wrong is printed with the camera.
         """
         for again in (True, False):
             if self.until(lambda: right(self.picture()), 0.25 * SOON):
@@ -312,7 +384,9 @@ class Seen:
         return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))
 
     def press(self, text: str, row: str | None = None) -> None:
-        """Click on a button or a check box of the panel, of several with this text on the one beside a label."""
+        """Click on a button or a check box of the panel, of several with this text on the one
+        beside a label.
+        """
         those = self.tab.get_by_text(text, exact=True)
         those.first.wait_for()  # what the server has sent may not be there yet
         found = those.all()
@@ -336,7 +410,9 @@ class Seen:
         self.tab.mouse.up()
 
     def picture(self) -> np.ndarray:
-        """Mean colours of blocks (*BLOCKS, 3) of what is seen beside the panel, from 0 to 1, once it is at rest."""
+        """Mean colours of blocks (*BLOCKS, 3) of what is seen beside the panel, from 0 to 1, once
+        it is at rest.
+        """
         import io
 
         from matplotlib.image import imread
@@ -346,7 +422,9 @@ class Seen:
         clip = {"x": 0, "y": 0, "width": camera.image_width, "height": camera.image_height}
         for _ in range(20):
             new = imread(io.BytesIO(self.tab.screenshot(clip=clip)), format="png")[..., :3]
-            rows = (np.array_split(row, BLOCKS[1], axis=1) for row in np.array_split(new, BLOCKS[0]))
+            rows = (
+                np.array_split(row, BLOCKS[1], axis=1) for row in np.array_split(new, BLOCKS[0])
+            )
             new = np.array([[block.mean(axis=(0, 1)) for block in row] for row in rows])
             if old.shape and np.abs(new - old).max() < 1e-3:
                 break
@@ -388,7 +466,10 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
         q = viewer.q
         X = session.pose.copy()
         size = 0.22 * seen.page.nodes.drawn.rigid.size
-        ends = {k: [np.array(seen.at(X[:3, 3] + part * size * X[:3, k])) for part in (0.0, 0.85, 1.2)] for k in (0, 1)}
+        ends = {
+            k: [np.array(seen.at(X[:3, 3] + part * size * X[:3, k])) for part in (0.0, 0.85, 1.2)]
+            for k in (0, 1)
+        }
         axis = max(ends, key=lambda k: float(np.linalg.norm(ends[k][1] - ends[k][0])))
         seen.drag(*ends[axis][1:])
         assert seen.until(lambda: not np.allclose(session.pose, X, atol=1e-4))
@@ -407,7 +488,9 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_a_system_in_other_units_looks_the_same(browser, scale):
-    """A linkage in millimetres, or as small as a grain: neither too near to be seen nor too far away."""
+    """A linkage in millimetres, or as small as a grain: neither too near to be seen nor too far
+    away.
+    """
     bar = kempe.load("watt_six_bar")
     pictures = []
     lengths = {name: scale * x for name, x in bar.structure.parameters.items() if name != "bend"}
@@ -415,7 +498,9 @@ def test_a_system_in_other_units_looks_the_same(browser, scale):
         with system.show(bar.assemble().q, port=0, browser=False) as viewer:
             seen = Seen(browser, viewer)
             assert seen.shows(
-                lambda new: np.ptp(new) > 0.1 and (not pictures or np.abs(new - pictures[0]).max() < ALIKE)
+                lambda new: (
+                    np.ptp(new) > 0.1 and (not pictures or np.abs(new - pictures[0]).max() < ALIKE)
+                )
             )
             pictures.append(seen.picture())
             seen.tab.close()
@@ -423,25 +508,35 @@ def test_a_system_in_other_units_looks_the_same(browser, scale):
 
 @pytest.mark.parametrize("panel", [(0.5, 0.6), (0.4, 0.0)])
 def test_a_narrow_page_looks_past_the_panel_from_where_pages_begin(panel):
-    """A camera that the browser puts there late, or by "Reset View", is moved; one that someone moved is left."""
+    """A camera that the browser puts there late, or by "Reset View", is moved; one that someone
+    moved is left.
+    """
     with kempe.load("panda").show(port=0, browser=False) as viewer:
         begin = viewer.server.initial_camera
         camera = types.SimpleNamespace()
         camera.position = begin.position + 0.3
         camera.look_at = begin.look_at
         viewer._uncover(camera, *panel)
-        assert np.allclose(camera.position, begin.position + 0.3) and np.allclose(camera.look_at, begin.look_at)
+        assert np.allclose(camera.position, begin.position + 0.3) and np.allclose(
+            camera.look_at, begin.look_at
+        )
         camera.position = begin.position
         viewer._uncover(camera, *panel)
         away = np.subtract(camera.position, camera.look_at)
         far = np.subtract(begin.position, begin.look_at)
-        assert np.linalg.norm(away) > 2.0 * np.linalg.norm(far) and np.allclose(np.cross(away, far), 0.0)
+        assert np.linalg.norm(away) > 2.0 * np.linalg.norm(far) and np.allclose(
+            np.cross(away, far), 0.0
+        )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "wide"), [*zip(itertools.cycle(["panda", "four_bar"]), [400, 574, 600, 800, 1280])])
+@pytest.mark.parametrize(
+    ("name", "wide"), [*zip(itertools.cycle(["panda", "four_bar"]), [400, 574, 600, 800, 1280])]
+)
 def test_the_panel_leaves_the_system_in_sight(browser, name, wide):
-    """On pages of any width all origins of bodies lie where the picture is uncovered, and spread over a part of it."""
+    """On pages of any width all origins of bodies lie where the picture is uncovered, and spread
+    over a part of it.
+    """
     system = kempe.load(name)
     with system.show(port=0, browser=False) as viewer:
         seen = Seen(browser, viewer, wide, 800)
@@ -462,7 +557,9 @@ def test_the_panel_leaves_the_system_in_sight(browser, name, wide):
 
 @pytest.mark.slow
 def test_a_ghost_is_clicked(browser):
-    """The other solutions of a UR5 are shown by a button; a click on one goes there, with the tool where it was."""
+    """The other solutions of a UR5 are shown by a button; a click on one goes there, with the tool
+    where it was.
+    """
     system = kempe.load("ur5")
     with system.show([0.3, -1.2, 1.5, -0.6, -1.4, 0.2], port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
@@ -472,7 +569,9 @@ def test_a_ghost_is_clicked(browser):
         seen.press("show", "other solutions")
         assert seen.until(lambda: len(session.solutions) == 7)
         solutions = session.solutions.copy()
-        joints = system.fk(solutions, ["forearm", "wrist_1_link"] if "forearm" in system.body_names else None)
+        joints = system.fk(
+            solutions, ["forearm", "wrist_1_link"] if "forearm" in system.body_names else None
+        )
 
         def clicked():  # on each ghost, once they are drawn
             for points in np.asarray(joints)[..., :3, 3]:
@@ -483,13 +582,17 @@ def test_a_ghost_is_clicked(browser):
             return not np.allclose(viewer.q, q)
 
         assert seen.until(clicked), "no ghost was hit"
-        assert np.abs(solutions - viewer.q).max(axis=1).min() < 1e-9 and np.allclose(session.pose, X, atol=1e-6)
+        assert np.abs(solutions - viewer.q).max(axis=1).min() < 1e-9 and np.allclose(
+            session.pose, X, atol=1e-6
+        )
         seen.tab.close()
 
 
 @pytest.mark.slow
 def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
-    """Of a four-bar: by a click on its ghost the loop closes the other way, with the crank where it was."""
+    """Of a four-bar: by a click on its ghost the loop closes the other way, with the crank where it
+    was.
+    """
     bar = kempe.load("four_bar")
     with bar.show(port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
@@ -518,12 +621,19 @@ def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "motion"),
-    [("four_bar", "whole motion"), ("panda", "frame at rest"), ("ball", "fall"), ("car", "manoeuvre")],
+    [
+        ("four_bar", "whole motion"),
+        ("panda", "frame at rest"),
+        ("ball", "fall"),
+        ("car", "manoeuvre"),
+    ],
 )
 def test_motions_are_found_by_a_button_and_played(browser, name, motion):
     """All configurations that are passed are those of the motion, and hold what the system holds."""
     system = kempe.load(name)
-    q = system.neutral + 0.5 * np.eye(system.nq)[2] if name == "ball" else None  # it lies on the ground at first
+    q = (
+        system.neutral + 0.5 * np.eye(system.nq)[2] if name == "ball" else None
+    )  # it lies on the ground at first
     with system.show(q, port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         if name == "car":
@@ -559,7 +669,9 @@ def test_pages_share_a_configuration_on_request(browser):
 
 @pytest.mark.slow
 def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
-    """Of a four-bar: one file, no request but for itself, and two pictures at different times differ."""
+    """Of a four-bar: one file, no request but for itself, and two pictures at different times
+    differ.
+    """
     bar = kempe.load("four_bar")
     file = tmp_path / "robot.html"
     bar.save_html(file, path=bar.trace("A"), seconds=2.0)
@@ -593,8 +705,12 @@ if __name__ == "__main__":
         chromium = play.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
         pictures = {}
         for each in SHOWN:
-            with systems(each).show(frame="car" if each == "car" else None, port=0, browser=False) as shown:
+            with systems(each).show(
+                frame="car" if each == "car" else None, port=0, browser=False
+            ) as shown:
                 seen = Seen(chromium, shown)
-                pictures[each] = [row.tobytes().hex() for row in np.round(255 * seen.picture()).astype(np.uint8)]
+                pictures[each] = [
+                    row.tobytes().hex() for row in np.round(255 * seen.picture()).astype(np.uint8)
+                ]
                 seen.tab.close()
         PICTURES.write_text(json.dumps(pictures, indent=1) + "\n")

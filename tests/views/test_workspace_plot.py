@@ -22,8 +22,10 @@ def test_a_plane_is_drawn_in_metres():
     (image,) = ax.images
     shown = image.get_array()
     assert np.array_equal(np.ma.filled(shown, 0).T, FLAT.map.counts)
-    assert np.allclose(image.get_extent(), [FLAT.map.grid.low[0], FLAT.map.grid.high[0],
-                                            FLAT.map.grid.low[1], FLAT.map.grid.high[1]])  # fmt: skip
+    assert np.allclose(
+        image.get_extent(),
+        [FLAT.map.grid.low[0], FLAT.map.grid.high[0], FLAT.map.grid.low[1], FLAT.map.grid.high[1]],
+    )
     away = np.linalg.norm(np.concatenate([line.get_xydata() for line in ax.lines]), axis=1)
     assert np.minimum(np.abs(away - 0.9), np.abs(away - 0.1)).max() < 1e-9
     assert ax.get_xlabel() == "x [m]" and ax.get_ylabel() == "y [m]"
@@ -60,12 +62,16 @@ def test_a_line_goes_around_cells_where_no_boundary_is_known():
 
 
 def test_slices_show_the_boundary_of_a_solid():
-    """A shell of radii 0.2 and 0.8, cut through its middle: circles, and no line around the cells with samples."""
+    """A shell of radii 0.2 and 0.8, cut through its middle: circles, and no line around the cells
+    with samples.
+    """
     axes = shell(0.5, 0.3).workspace("tip", n=5000, cells=20).plot(at=(0.0, 0.0, 0.0))
     for ax in axes:
         (lines,) = ax.collections
         assert lines.get_gid() == "boundary"
-        radii = np.unique([np.round(np.hypot(*p.T).mean(), 2) for p in lines.get_paths()[0].to_polygons()])
+        radii = np.unique(
+            [np.round(np.hypot(*p.T).mean(), 2) for p in lines.get_paths()[0].to_polygons()]
+        )
         assert radii.tolist() == [0.2, 0.8]
 
 
@@ -103,9 +109,10 @@ def test_what_cannot_be_drawn():
     m.prismatic("S", m.ground, m.body("cart"), axis="x", limits=(0, 1))
     line = m.build().workspace("cart", n=1000)
     for words, draw in {
-        "piece of a line": line.plot, "slices": lambda: FLAT.plot(at=[0, 0]),
+        "piece of a line": line.plot,
+        "slices": lambda: FLAT.plot(at=[0, 0]),
         "inside the box": lambda: SPACE.plot([9, 9, 9]),
         "must be 3 matplotlib axes": lambda: SPACE.plot(ax=FLAT.plot()),
-    }.items():  # fmt: skip
+    }.items():
         with pytest.raises(InputError, match=words):
             draw()

@@ -1,7 +1,8 @@
 """The command line: each command is a few lines over the library.
 
-Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be read).
+Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that
+are no numbers); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be
+read).
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ def main() -> None:
 
 
 def _bound_width() -> None:
-    """Let COLUMNS, by which help and tables are made, be a width that can be read and held in memory."""
+    """Let COLUMNS, by which help and tables are made, be a width that can be read and held in
+    memory.
+    """
     asked = os.environ.get("COLUMNS", "")
     if asked.isdecimal() and len(asked) < 100:
         os.environ["COLUMNS"] = str(min(max(int(asked), NARROWEST), WIDEST))

@@ -1,8 +1,8 @@
 """What all commands share: the application, their options, how files are read.
 
-Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be read);
-130 Ctrl-C, where files that were requested hold what was done.
+Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that
+are no numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file
+that cannot be read); 130 Ctrl-C, where files that were requested hold what was done.
 """
 
 from __future__ import annotations
@@ -27,11 +27,15 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 app = typer.Typer(
-    cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    cls=Commands,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=f"FILE is a file in {named(read_by())}, or the name of a shipped model. "
-    "Exit codes: 0 complete, 1 no solution, problems or a time limit, 2 wrong usage or unreadable file, 130 Ctrl-C.",
-)  # fmt: skip
+    "Exit codes: 0 complete, 1 no solution, problems or a time limit, 2 wrong usage or unreadable "
+    "file, 130 Ctrl-C.",
+)
 
 
 def option(flags: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
@@ -46,72 +50,120 @@ MODELS = "Models"
 """Titles over the commands in the help."""
 
 TimeLimit = Annotated[
-    float | None, option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS")
+    float | None,
+    option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS"),
 ]
 
 Threads = Annotated[int | None, option("--threads", "Threads; all processors if not given.", "N")]
-Scheduler = Annotated[str | None, option("--scheduler", "Address of the scheduler of a Dask cluster.", "ADDRESS")]
+Scheduler = Annotated[
+    str | None, option("--scheduler", "Address of the scheduler of a Dask cluster.", "ADDRESS")
+]
 
 _READ = "How FILE is read"
-File = Annotated[str, typer.Argument(metavar="FILE", help=f"File in {named(read_by())}, or a shipped model's name.")]
+File = Annotated[
+    str,
+    typer.Argument(metavar="FILE", help=f"File in {named(read_by())}, or a shipped model's name."),
+]
 Json = Annotated[bool, option("--json", "Print JSON.")]
 Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
-Out = Annotated[Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")]
+Out = Annotated[
+    Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")
+]
 InPlace = Annotated[Path | None, option("-o,--out", "The file to write, in place of OUT.", "FILE")]
 _FREE = f"'free': the root link moves freely ({named(read_by('base'))})."
 Base = Annotated[str | None, option("--base", _FREE, "free", _READ)]
-Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
-Dirs = Annotated[list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)]
-Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
-_LENIENT = f"Limits without a range (no bounds, or swapped) are none ({named(read_by('lenient_limits'))})."
+Root = Annotated[
+    str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)
+]
+Dirs = Annotated[
+    list[Path] | None,
+    option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ),
+]
+Xacro = Annotated[
+    bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)
+]
+_LENIENT = (
+    f"Limits without a range (no bounds, or swapped) are none ({named(read_by('lenient_limits'))})."
+)
 Lenient = Annotated[bool, option("--lenient-limits", _LENIENT, None, _READ)]
 
-FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
+FrameOrAll = Annotated[
+    str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")
+]
 Values = Annotated[
     str | None,
-    option("--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES"),
+    option(
+        "--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES"
+    ),
 ]
 Posture = Annotated[
     str | None,
-    option("--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"),
+    option(
+        "--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"
+    ),
 ]
 _ROWS = "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file."
-FrameOrTasks = Annotated[str | None, option("--frame", "Body or frame that shall reach the target.", "NAME")]
+FrameOrTasks = Annotated[
+    str | None, option("--frame", "Body or frame that shall reach the target.", "NAME")
+]
 TargetOrTasks = Annotated[str | None, option("--target", _ROWS, "VALUES")]
 PathTargets = Annotated[
-    str | None, option("--targets,--target", "A .csv or .npy file, a target a row, as for ik.", "FILE")
+    str | None,
+    option("--targets,--target", "A .csv or .npy file, a target a row, as for ik.", "FILE"),
 ]
 Tasks = Annotated[
-    Path | None, option("--tasks", "Several tasks in place of a frame and its target: a .toml file.", "FILE")
+    Path | None,
+    option("--tasks", "Several tasks in place of a frame and its target: a .toml file.", "FILE"),
 ]
 Prefer = Annotated[
-    str | None, option("--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT")
+    str | None,
+    option("--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT"),
 ]
 PositionOnly = Annotated[bool, option("--position-only", "Leave the orientation free.")]
-Seed = Annotated[str | None, option("--start,--seed", "Configuration to start from, as --q of fk.", "VALUES")]
+Seed = Annotated[
+    str | None, option("--start,--seed", "Configuration to start from, as --q of fk.", "VALUES")
+]
 Rng = Annotated[int | None, option("--rng", "Number that fixes the random starts (0).", "N")]
 Tolerance = Annotated[
     str | None,
-    option("--tolerance", "Largest errors accepted, metres and radians (1e-6; with --all 1e-9).", "M[,RAD]"),
+    option(
+        "--tolerance",
+        "Largest errors accepted, metres and radians (1e-6; with --all 1e-9).",
+        "M[,RAD]",
+    ),
 ]
 PathTolerance = Annotated[
-    str | None, option("--tolerance", "Largest errors accepted, metres and radians (1e-10).", "M[,RAD]")
+    str | None,
+    option("--tolerance", "Largest errors accepted, metres and radians (1e-10).", "M[,RAD]"),
 ]
 _ALL = "All solutions"
-All = Annotated[bool, option("--all", "All configurations that reach the target, in closed form.", None, _ALL)]
+All = Annotated[
+    bool, option("--all", "All configurations that reach the target, in closed form.", None, _ALL)
+]
 Task = Annotated[
     str | None,
-    option("--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK"),
+    option(
+        "--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK"
+    ),
 ]
-Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two tasks: z, -x or x,y,z (z).", "AXIS")]
+Axis = Annotated[
+    str | None,
+    option("--axis", "Axis of the tool for the last two tasks: z, -x or x,y,z (z).", "AXIS"),
+]
 Hold = Annotated[
-    list[str] | None, option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL)
+    list[str] | None,
+    option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL),
 ]
 PICTURES = (".png", ".svg", ".pdf")
-Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
-Film = Annotated[Path | None, option("--gif,--mp4", "Write the motion as a .gif or .mp4 file.", "FILE")]
+Picture = Annotated[
+    Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")
+]
+Film = Annotated[
+    Path | None, option("--gif,--mp4", "Write the motion as a .gif or .mp4 file.", "FILE")
+]
 Page = Annotated[
-    Path | None, option("--html", "Write a page in which it can be turned, and moves, without network.", "FILE")
+    Path | None,
+    option("--html", "Write a page in which it can be turned, and moves, without network.", "FILE"),
 ]
 
 
@@ -119,8 +171,12 @@ Page = Annotated[
 
 
 def reading(
-    base: str | None, root: str | None, package_dir: list[Path] | None, xacro: bool, lenient_limits: bool
-) -> dict[str, Any]:  # fmt: skip
+    base: str | None,
+    root: str | None,
+    package_dir: list[Path] | None,
+    xacro: bool,
+    lenient_limits: bool,
+) -> dict[str, Any]:
     """The reader's options, without those that were not given."""
     given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
     given["lenient_limits"] = lenient_limits
@@ -140,9 +196,13 @@ def load(file: str, *options: Any) -> System:
 @app.callback(invoke_without_command=True)
 def main_options(
     context: typer.Context,
-    version: Annotated[bool, option("--version", "Print the version, and which kernels run.")] = False,
+    version: Annotated[
+        bool, option("--version", "Print the version, and which kernels run.")
+    ] = False,
 ) -> None:
-    """Analyse the kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
+    """Analyse the kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops
+    move.
+    """
     if version:
         try:
             from kempe.kernels.compiled import VARIANT
@@ -172,7 +232,8 @@ def writable(path: Path | None) -> None:
 
 
 def results(path: Path | None, *read: object) -> None:
-    """Refuse an ending or a place that results cannot be written to, before any work. Errors: `InputError`.
+    """Refuse an ending or a place that results cannot be written to, before any work. Errors:
+    `InputError`.
 
     Nor are they written over a file of rows that the command reads.
     """
@@ -185,7 +246,9 @@ def results(path: Path | None, *read: object) -> None:
     for given in read:
         if isinstance(given, (str, Path)) and rows.is_file(str(given)) and expanded(given).exists():
             if path.samefile(expanded(given)):
-                raise InputError(f"{path}: the command reads this file; write the results to another one")
+                raise InputError(
+                    f"{path}: the command reads this file; write the results to another one"
+                )
 
 
 def remark(text: str) -> None:
@@ -198,7 +261,9 @@ def remark(text: str) -> None:
 def written_to(out: Path | None, option: Path | None) -> Path:
     """The file to write, given as an argument or as the option -o. Errors: `InputError`."""
     if (out is None) == (option is None):
-        raise UsageError("Missing argument 'OUT'." if out is None else "OUT is given twice: leave -o out.")
+        raise UsageError(
+            "Missing argument 'OUT'." if out is None else "OUT is given twice: leave -o out."
+        )
     return out or option  # type: ignore[return-value]
 
 
@@ -208,7 +273,9 @@ def say_written(out: Path, json: bool) -> None:
 
 
 def drawable(plot: Path | None, film: Path | None = None, page: Path | None = None) -> None:
-    """Refuse a picture, a moving one, or a page that cannot be written, before any work. Errors: `InputError`, ..."""
+    """Refuse a picture, a moving one, or a page that cannot be written, before any work. Errors:
+    `InputError`, ...
+    """
     if plot is not None:
         if plot.suffix.lower() not in PICTURES:
             raise InputError(f"{plot}: pictures are .png, .svg or .pdf files")
@@ -232,13 +299,19 @@ def save_picture(axes: Any, path: Path) -> None:
 
 
 def drawn(
-    system: System, found: Any, plot: Path | None, film: Path | None = None, page: Path | None = None,
-    *, draw: Callable[[], Any] | None = None, **options: Any,
-) -> list[Path]:  # fmt: skip
+    system: System,
+    found: Any,
+    plot: Path | None,
+    film: Path | None = None,
+    page: Path | None = None,
+    *,
+    draw: Callable[[], Any] | None = None,
+    **options: Any,
+) -> list[Path]:
     """Draw configurations, or an answer with them, into the files that are given; those written.
 
-    None is the configuration that is drawn by default. A film needs several of them. `draw` gives the axes of a picture
-    that is another one than that of `System.plot`.
+    None is the configuration that is drawn by default. A film needs several of them. `draw` gives
+    the axes of a picture that is another one than that of `System.plot`.
     """
     files = {path for path in (plot, film, page) if path is not None}
     if not files:

@@ -41,26 +41,48 @@ def map(
     verb: Annotated[str, typer.Argument(metavar="VERB", help="fk, ik, ik_all or assemble.")],
     file: File,
     rows: Annotated[
-        Path, typer.Argument(metavar="ROWS", help="A .parquet, .npy or .csv file, or Zarr: a question a row.")
+        Path,
+        typer.Argument(
+            metavar="ROWS", help="A .parquet, .npy or .csv file, or Zarr: a question a row."
+        ),
     ],
-    out: Annotated[Path, option("-o,--out", "The answers to write or to go on with (Zarr).", "ANSWERS")],
-    frame: Annotated[str | None, option("--frame", "Body or frame; of fk all bodies if not given.", "NAME")] = None,
+    out: Annotated[
+        Path, option("-o,--out", "The answers to write or to go on with (Zarr).", "ANSWERS")
+    ],
+    frame: Annotated[
+        str | None, option("--frame", "Body or frame; of fk all bodies if not given.", "NAME")
+    ] = None,
     columns: Annotated[
-        str | None, option("--columns", "Columns that count, or the names of columns that have none.", "A,B,...")
+        str | None,
+        option(
+            "--columns", "Columns that count, or the names of columns that have none.", "A,B,..."
+        ),
     ] = None,
     form: Annotated[
-        str | None, option("--form", "Of fk: matrix, 3x4, position or position_quat_wxyz (matrix).", "FORM")
+        str | None,
+        option("--form", "Of fk: matrix, 3x4, position or position_quat_wxyz (matrix).", "FORM"),
     ] = None,
     float32: Annotated[bool, option("--float32", "Of fk: write numbers of 32 bits.")] = False,
-    task: Task = None, axis: Axis = None, start: Seed = None, tolerance: Tolerance = None,
-    scheduler: Scheduler = None, rng: Rng = None, threads: Threads = None, time_limit: TimeLimit = None,
-    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+    task: Task = None,
+    axis: Axis = None,
+    start: Seed = None,
+    tolerance: Tolerance = None,
+    scheduler: Scheduler = None,
+    rng: Rng = None,
+    threads: Threads = None,
+    time_limit: TimeLimit = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:
     """Answer each row of a file of any size, in chunks, so that it can be stopped and gone on with.
 
-    With --deg angles of ROWS are degrees; what is written is in radians. Ctrl-C or the time limit ends it with what was
-    done; the same command goes on from there.
+    With --deg angles of ROWS are degrees; what is written is in radians. Ctrl-C or the time limit
+    ends it with what was done; the same command goes on from there.
 
     Example: kempe map ik panda targets.parquet -o q.zarr --frame tool
     """
@@ -71,8 +93,14 @@ def map(
     from kempe.views import slices
 
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    given: dict[str, Any] = {"form": form, "dtype": "float32" if float32 else None, "task": task_argument(task, axis)}
-    given["start"] = None if start is None else read.configuration(system, start, None, deg, start=True)
+    given: dict[str, Any] = {
+        "form": form,
+        "dtype": "float32" if float32 else None,
+        "task": task_argument(task, axis),
+    }
+    given["start"] = (
+        None if start is None else read.configuration(system, start, None, deg, start=True)
+    )
     if tolerance is not None:
         errors = read.tolerance(tolerance)
         if verb != "ik" and "," in tolerance:
@@ -81,9 +109,17 @@ def map(
     names = None if columns is None else [name.strip() for name in columns.split(",")]
     with slices.paced(sys.stderr, "rows") as said:
         answer = until_interrupt(
-            kempe.map_file, system, verb, rows, out, frame, columns=names, degrees=deg, client=scheduler,
+            kempe.map_file,
+            system,
+            verb,
+            rows,
+            out,
+            frame,
+            columns=names,
+            degrees=deg,
+            client=scheduler,
             options={name: value for name, value in given.items() if value is not None},
             budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
-        )  # fmt: skip
+        )
     print_json(answer.data()) if json else show(str(answer))
     leave(answer)

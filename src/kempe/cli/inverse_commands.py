@@ -58,21 +58,40 @@ if TYPE_CHECKING:
 
 SLICE = 4096
 TASK_SLICE = 256
-"""Targets that are solved at once: between them the work shows how far it is, and can be stopped."""
+"""Targets that are solved at once: between them the work shows how far it is, and can be
+stopped."""
 
 
 @app.command(rich_help_panel=OPEN)
 @guarded
 def ik(
-    file: File, frame: FrameOrTasks = None, target: TargetOrTasks = None, tasks: Tasks = None,
-    position_only: PositionOnly = False, seed: Seed = None,
-    rng: Rng = None, tolerance: Tolerance = None, all: All = False, task: Task = None, axis: Axis = None,
-    hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, plot: Picture = None,
-    gif: Film = None, html: Page = None, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    file: File,
+    frame: FrameOrTasks = None,
+    target: TargetOrTasks = None,
+    tasks: Tasks = None,
+    position_only: PositionOnly = False,
+    seed: Seed = None,
+    rng: Rng = None,
+    tolerance: Tolerance = None,
+    all: All = False,
+    task: Task = None,
+    axis: Axis = None,
+    hold: Hold = None,
+    prefer: Prefer = None,
+    deg: Deg = False,
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
-    """Find a configuration that brings a frame to a pose, or all of them, or one that holds several tasks.
+) -> None:
+    """Find a configuration that brings a frame to a pose, or all of them, or one that holds several
+    tasks.
 
     Targets of a file are solved in slices; Ctrl-C ends the work with what was done.
 
@@ -81,11 +100,20 @@ def ik(
     given = {"--hold": hold} if not all else {"--rng": rng}
     wrong = [name for name, value in given.items() if value is not None]
     if wrong:
-        raise InputError(f"{wrong[0]} is for {'all solutions: add --all' if not all else 'a search: leave --all out'}")
+        raise InputError(
+            f"{wrong[0]} is for "
+            f"{'all solutions: add --all' if not all else 'a search: leave --all out'}"
+        )
     single = {"--frame": frame, "--target": target}
-    _one_way(tasks, single, {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all})
+    _one_way(
+        tasks,
+        single,
+        {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all},
+    )
     if prefer is not None and tasks is None:
-        raise InputError("--prefer is for --tasks: it says what is made least in what they leave free")
+        raise InputError(
+            "--prefer is for --tasks: it says what is made least in what they leave free"
+        )
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import rows
 
@@ -99,10 +127,22 @@ def ik(
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
-        _answer(system, read.count, TASK_SLICE, lambda i, j: system.ik(
-            read.tasks(i, j), start=_part(start, i, j), tolerance=errors, prefer=prefer,
-            budget=Budget(rng=rng),
-        ), deg, out, draw, json)  # fmt: skip
+        _answer(
+            system,
+            read.count,
+            TASK_SLICE,
+            lambda i, j: system.ik(
+                read.tasks(i, j),
+                start=_part(start, i, j),
+                tolerance=errors,
+                prefer=prefer,
+                budget=Budget(rng=rng),
+            ),
+            deg,
+            out,
+            draw,
+            json,
+        )
         return
     system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     X, position = rows.target(system, target, deg)
@@ -112,10 +152,23 @@ def ik(
     if all:
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, draw, json)
         return
-    wanted: dict[str, Any] = {"tolerance": errors, "budget": Budget(rng=rng),
-                              "task": task_argument(task, axis)}  # fmt: skip
-    _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
-        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, draw, json)  # fmt: skip
+    wanted: dict[str, Any] = {
+        "tolerance": errors,
+        "budget": Budget(rng=rng),
+        "task": task_argument(task, axis),
+    }
+    _answer(
+        system,
+        len(X) if X.ndim > 2 else None,
+        SLICE,
+        lambda i, j: system.ik(
+            X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted
+        ),
+        deg,
+        out,
+        draw,
+        json,
+    )
 
 
 def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
@@ -143,9 +196,15 @@ def _part(seed: Any, i: int, j: int | None) -> Any:
 
 
 def _answer(
-    system: System, count: int | None, size: int, solve: Callable[[int, int | None], Any], deg: bool, out: Path | None,
-    draw: Callable[[Any], list[Path]], json: bool,
-) -> None:  # fmt: skip
+    system: System,
+    count: int | None,
+    size: int,
+    solve: Callable[[int, int | None], Any],
+    deg: bool,
+    out: Path | None,
+    draw: Callable[[Any], list[Path]],
+    json: bool,
+) -> None:
     """Solve, for one target or `count` of them, and print or write the answer."""
     from kempe.views import facts, report, rows, slices
 
@@ -174,18 +233,35 @@ def _say_all(out: Path | None, pictures: list[Path]) -> None:
 @app.command(rich_help_panel=OPEN)
 @guarded
 def path(
-    file: File, frame: FrameOrTasks = None, target: PathTargets = None, tasks: Tasks = None, seed: Seed = None,
+    file: File,
+    frame: FrameOrTasks = None,
+    target: PathTargets = None,
+    tasks: Tasks = None,
+    seed: Seed = None,
     position_only: PositionOnly = False,
     max_step: Annotated[
-        float | None, option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X")
+        float | None,
+        option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X"),
     ] = None,
     restart: Annotated[bool, option("--restart", "Where the path stops, go on by a jump.")] = False,
-    branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
-    rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
-    plot: Picture = None, gif: Film = None, html: Page = None,
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    branches: Annotated[
+        bool, option("--branches", "Try several starts; the best path is the answer.")
+    ] = False,
+    rng: Rng = None,
+    tolerance: PathTolerance = None,
+    time_limit: TimeLimit = None,
+    deg: Deg = False,
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """Follow a sequence of targets without a jump, or say where and why that cannot be.
 
     Ctrl-C ends the work with what was done, as a time limit does (600 s, unless another is given).
@@ -240,15 +316,31 @@ def _task(task: str | None, position: bool) -> str | None:
 
 
 def _all(
-    system: System, X: Any, frame: str, task: str | None, axis: str | None, hold: list[str] | None, near: Any,
-    tolerance: str | None, deg: bool, out: Path | None, draw: Callable[[Any], list[Path]], json: bool,
-) -> None:  # fmt: skip
+    system: System,
+    X: Any,
+    frame: str,
+    task: str | None,
+    axis: str | None,
+    hold: list[str] | None,
+    near: Any,
+    tolerance: str | None,
+    deg: bool,
+    out: Path | None,
+    draw: Callable[[Any], list[Path]],
+    json: bool,
+) -> None:
     """Print, write or draw all solutions."""
     from kempe.solvers.modes.modes import Modes
     from kempe.views import ik_report
 
-    answer = system.ik_all(X, frame, near, task=task_argument(task, axis), fixed=_held(system, hold, deg),
-                           tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
+    answer = system.ik_all(
+        X,
+        frame,
+        near,
+        task=task_argument(task, axis),
+        fixed=_held(system, hold, deg),
+        tolerance=None if tolerance is None else ik_report.tolerance(tolerance),
+    )
     pictures = draw(answer)
     if isinstance(answer, Modes):
         _modes(answer, deg, out, pictures, json)
@@ -300,14 +392,21 @@ def task_argument(task: str | None, axis: str | None) -> Any:
 @app.command(rich_help_panel=OPEN)
 @guarded
 def plan(
-    file: File, frame: Annotated[str, option("--frame", "Body or frame that shall reach targets.", "NAME")],
-    task: Task = None, axis: Axis = None,
+    file: File,
+    frame: Annotated[str, option("--frame", "Body or frame that shall reach targets.", "NAME")],
+    task: Task = None,
+    axis: Axis = None,
     hold: Annotated[
-        list[str] | None, option("--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]")
+        list[str] | None,
+        option("--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]"),
     ] = None,
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """Say what a chain's axes have in common, and how all its configurations are found.
 
     Example: kempe plan panda.urdf --frame panda_hand_tcp

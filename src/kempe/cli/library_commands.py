@@ -16,7 +16,9 @@ from kempe.views.terminal import guarded, print_json, show
 @app.command(rich_help_panel=MODELS)
 @guarded
 def library(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Print this model's TOML.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Print this model's TOML.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """List the shipped models, or print one as TOML.
@@ -39,7 +41,8 @@ def library(
 @app.command(rich_help_panel=MODELS)
 @guarded
 def joints(plot: Picture = None, json: Json = False) -> None:
-    """List the joint types: letters, freedoms, constraints, what they are made of; or draw them all in one picture.
+    """List the joint types: letters, freedoms, constraints, what they are made of; or draw them all
+    in one picture.
 
     Example: kempe joints --plot joints.png
     """
@@ -55,7 +58,11 @@ def joints(plot: Picture = None, json: Json = False) -> None:
     heads = ("joint", "letter", ">freedoms", ">constraints", ">in the plane", "made of")
     show(
         report.table(
-            heads, [["-" if x is None else x for x in list(row.values())[:5]] + [row["made_of"]] for row in found]
+            heads,
+            [
+                ["-" if x is None else x for x in list(row.values())[:5]] + [row["made_of"]]
+                for row in found
+            ],
         )
     )
     if plot is not None:
@@ -65,12 +72,17 @@ def joints(plot: Picture = None, json: Json = False) -> None:
 @app.command(rich_help_panel=MODELS)
 @guarded
 def tour(
-    number: Annotated[int | None, option("--section", "Only the section of this number.", "N")] = None,
+    number: Annotated[
+        int | None, option("--section", "Only the section of this number.", "N")
+    ] = None,
     every: Annotated[bool, option("--all", "Print all sections without pauses.")] = False,
-    pictures: Annotated[Path | None, option("--pictures", "Draw the pictures into this folder.", "FOLDER")] = None,
+    pictures: Annotated[
+        Path | None, option("--pictures", "Draw the pictures into this folder.", "FOLDER")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q ends.
+    """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q
+    ends.
 
     Example: kempe tour --section 3
     """
@@ -79,12 +91,18 @@ def tour(
     found = lecture.chosen(number)
     if pictures is not None:
         if pictures.exists() and not pictures.is_dir():
-            raise InputError(f"{pictures}: this is no folder; --pictures names the folder of the pictures")
+            raise InputError(
+                f"{pictures}: this is no folder; --pictures names the folder of the pictures"
+            )
         pictures.mkdir(parents=True, exist_ok=True)
         drawable(pictures / "01.png")
     if json:
         parts = [
-            {"section": x.number, "title": x.title, "parts": [{k: v} for k, v in lecture.walk(x, pictures)]}
+            {
+                "section": x.number,
+                "title": x.title,
+                "parts": [{k: v} for k, v in lecture.walk(x, pictures)],
+            }
             for x in found
         ]
         print_json({"sections": parts})
@@ -98,7 +116,10 @@ def tour(
         code = False
         for kind, text in lecture.walk(x, pictures):
             said = {"code": lecture.prompted, "picture": "[picture: {}]".format}.get(kind, str)
-            print("\n" * (code and kind == "text") + said(text), end="\n" if kind == "code" else "\n\n")
+            print(
+                "\n" * (code and kind == "text") + said(text),
+                end="\n" if kind == "code" else "\n\n",
+            )
             code = kind == "code"
         if code:
             print()

@@ -57,24 +57,46 @@ Known = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="NAME=VALUE",
-        help="Known coordinates; or places of frames: tip=x,y[,z]; or a .csv file whose first line names coordinates.",
+        help=(
+            "Known coordinates; or places of frames: tip=x,y[,z]; or a .csv file whose first line "
+            "names coordinates."
+        ),
     ),
 ]
 At = Annotated[
     str | None,
-    option("--q", "name=value,... (the loops are closed around these), or all of q as a,b,c.", "VALUES"),
+    option(
+        "--q", "name=value,... (the loops are closed around these), or all of q as a,b,c.", "VALUES"
+    ),
 ]
 Where = Annotated[
     list[str] | None,
-    option("--where", "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.", "EQUATION"),
+    option(
+        "--where",
+        "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.",
+        "EQUATION",
+    ),
 ]
 Near = Annotated[
-    str | None, option("--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START")
+    str | None,
+    option(
+        "--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START"
+    ),
 ]
-Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
-Marks = Annotated[list[str] | None, option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME")]
+Curves = Annotated[
+    list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")
+]
+Marks = Annotated[
+    list[str] | None,
+    option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME"),
+]
 Tolerance = Annotated[
-    str | None, option("--tolerance", "What dimensions may be off by, in metres and radians, or 'measured'.", "NUMBER")
+    str | None,
+    option(
+        "--tolerance",
+        "What dimensions may be off by, in metres and radians, or 'measured'.",
+        "NUMBER",
+    ),
 ]
 NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
@@ -82,15 +104,29 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def dof(
-    file: File, q: At = None, posture: Posture = None,
+    file: File,
+    q: At = None,
+    posture: Posture = None,
     actuated: Annotated[
-        str | None, option("--actuated", "Driven joints: do they control it? Default: as FILE says.", "A,B,...")
+        str | None,
+        option(
+            "--actuated", "Driven joints: do they control it? Default: as FILE says.", "A,B,..."
+        ),
     ] = None,
-    fast: Annotated[bool, option("--fast", "Counting and rank only, not the true local dimension.")] = False,
-    plot: Picture = None, html: Page = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False, tolerance: Tolerance = None,
-) -> None:  # fmt: skip
+    fast: Annotated[
+        bool, option("--fast", "Counting and rank only, not the true local dimension.")
+    ] = False,
+    plot: Picture = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+    tolerance: Tolerance = None,
+) -> None:
     """Count the degrees of freedom: by formula, by rank and truly.
 
     Example: kempe dof bennett
@@ -107,7 +143,9 @@ def dof(
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.mobility(at, driven, local=not fast)
-    print_json(loop_report.report_facts(system, answer, deg)) if json else show(loop_report.mobility(answer))
+    print_json(loop_report.report_facts(system, answer, deg)) if json else show(
+        loop_report.mobility(answer)
+    )
     say_drawn(drawn(system, answer.q, plot, None, html, motion=True))
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
@@ -123,7 +161,9 @@ def _within(system: System, tolerance: str | None) -> System:
     try:
         mechanism.tolerance = tolerance if tolerance == MEASURED else float(tolerance)
     except ValueError:
-        raise InputError(f"--tolerance is {tolerance!r}; it must be a number or {MEASURED!r}") from None
+        raise InputError(
+            f"--tolerance is {tolerance!r}; it must be a number or {MEASURED!r}"
+        ) from None
     tolerance_of(system, mechanism.tolerance)
     return mechanism.build()
 
@@ -134,19 +174,32 @@ def _under(system: System, equations: list[str]) -> System:
         return system
     mechanism = system.mechanism.copy()
     for text in dict.fromkeys(equations):
-        mechanism.equation(text if "=" in text else f"{text} = 0", text)  # 'A' alone would be called as the joint
+        mechanism.equation(
+            text if "=" in text else f"{text} = 0", text
+        )  # 'A' alone would be called as the joint
     return mechanism.build()
 
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def classify(
-    file: File, q: At = None, posture: Posture = None,
-    project: Annotated[bool, option("--project", "Where q is not closed, take the nearest that is.")] = False,
-    plot: Picture = None, html: Page = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False, tolerance: Tolerance = None,
-) -> None:  # fmt: skip
+    file: File,
+    q: At = None,
+    posture: Posture = None,
+    project: Annotated[
+        bool, option("--project", "Where q is not closed, take the nearest that is.")
+    ] = False,
+    plot: Picture = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+    tolerance: Tolerance = None,
+) -> None:
     """Say which kind each constraint is, and how far motions reach.
 
     Example: kempe classify car
@@ -160,34 +213,60 @@ def classify(
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.classify(at, project=project)
-    print_json(loop_report.report_facts(system, answer, deg)) if json else show(loop_report.classify(answer))
+    print_json(loop_report.report_facts(system, answer, deg)) if json else show(
+        loop_report.classify(answer)
+    )
     say_drawn(drawn(system, answer.q, plot, None, html, motion=True))
 
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
 def assemble(
-    file: File, known: Known = None, near: Near = None, where: Where = None,
+    file: File,
+    known: Known = None,
+    near: Near = None,
+    where: Where = None,
     branch: Annotated[
-        str | None, option("--branch", "A branch by its signs (see --modes), or a posture.", "+-...")
+        str | None,
+        option("--branch", "A branch by its signs (see --modes), or a posture.", "+-..."),
     ] = None,
-    modes: Annotated[bool, option("--modes", "All assembly modes, not only the one near the start.")] = False,
-    nearest: Annotated[bool, option("--nearest", "Where freedoms are left: the nearest to the start.")] = False,
-    continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
-    no_limits: NoLimits = False, time_limit: TimeLimit = None, plot: Picture = None, gif: Film = None,
-    html: Page = None, out: Out = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False, tolerance: Tolerance = None,
-) -> None:  # fmt: skip
+    modes: Annotated[
+        bool, option("--modes", "All assembly modes, not only the one near the start.")
+    ] = False,
+    nearest: Annotated[
+        bool, option("--nearest", "Where freedoms are left: the nearest to the start.")
+    ] = False,
+    continuous: Annotated[
+        bool, option("--continuous", "Rows of a file: each starts where the last two lead.")
+    ] = False,
+    no_limits: NoLimits = False,
+    time_limit: TimeLimit = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    out: Out = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+    tolerance: Tolerance = None,
+) -> None:
     """Close all loops: known coordinates in, all others out; with --where, under further equations.
 
     Example: kempe assemble four_bar A=30 --deg
     """
     if modes and (branch is not None or nearest or continuous):
-        raise InputError("--modes gives all branches: leave --branch, --nearest and --continuous out")
+        raise InputError(
+            "--modes gives all branches: leave --branch, --nearest and --continuous out"
+        )
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = _under(_within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance), where or [])
+    system = _under(
+        _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance), where or []
+    )
     from kempe.views import facts, loop_report
     from kempe.views.input import given
 
@@ -198,28 +277,45 @@ def assemble(
     answer: Any
     if modes:
         answer = until_interrupt(
-            system.assembly_modes, values, start, limits=not no_limits, budget=Budget(time_limit=time_limit)
+            system.assembly_modes,
+            values,
+            start,
+            limits=not no_limits,
+            budget=Budget(time_limit=time_limit),
         )
     else:
         if nearest and continuous:
             raise InputError("--nearest and --continuous are two ways to choose; give one of them")
         answer = system.assemble(
-            values, start, branch=given.branch(system, values, branch), limits=not no_limits,
+            values,
+            start,
+            branch=given.branch(system, values, branch),
+            limits=not no_limits,
             prefer="nearest" if nearest else "continuous" if continuous else None,
-        )  # fmt: skip
+        )
         if plot is not None and np.ndim(answer.success):
-            raise InputError(f"{plot}: one configuration is drawn, and the file of known values has several")
-    written = drawn(system, answer, plot, gif, html, side_by_side=modes and 1 < len(answer) <= BESIDE)
+            raise InputError(
+                f"{plot}: one configuration is drawn, and the file of known values has several"
+            )
+    written = drawn(
+        system, answer, plot, gif, html, side_by_side=modes and 1 < len(answer) <= BESIDE
+    )
     if out is not None and (answer or np.any(getattr(answer, "success", False))):
         from kempe.views import rows
 
-        rows.write_configurations(out, system, answer.q if modes else loop_report.closed_only(answer), deg)
+        rows.write_configurations(
+            out, system, answer.q if modes else loop_report.closed_only(answer), deg
+        )
         written.append(out)
     if json:
         data = facts.answer_facts(answer, deg)
         _say(data, None, written)
     else:
-        _say(None, loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg, values), written)
+        _say(
+            None,
+            loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg, values),
+            written,
+        )
     _not_written(out, written)
     if modes and answer.late:
         raise typer.Exit(INCOMPLETE)
@@ -230,20 +326,41 @@ def assemble(
 @guarded
 def trace(
     file: File,
-    driver: Annotated[str | None, option("--driver", "Coordinate that counts as the input.", "NAME")] = None,
+    driver: Annotated[
+        str | None, option("--driver", "Coordinate that counts as the input.", "NAME")
+    ] = None,
     frame: Curves = None,
     start: Annotated[
-        str | None, option("--start,--near", "Where it starts: a posture, name=value,... or all of q.", "START")
+        str | None,
+        option(
+            "--start,--near", "Where it starts: a posture, name=value,... or all of q.", "START"
+        ),
     ] = None,
-    hold: Annotated[list[str] | None, option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")] = None,
-    branches: Annotated[bool, option("--branches", "Trace the branches met at bifurcations, too.")] = False,
+    hold: Annotated[
+        list[str] | None, option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")
+    ] = None,
+    branches: Annotated[
+        bool, option("--branches", "Trace the branches met at bifurcations, too.")
+    ] = False,
     points: Annotated[
-        int | None, option("--points", "Write this many points, at equal distances of arc length.", "N")
+        int | None,
+        option("--points", "Write this many points, at equal distances of arc length.", "N"),
     ] = None,
-    no_limits: NoLimits = False, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None,
-    gif: Film = None, html: Page = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
-) -> None:  # fmt: skip
+    no_limits: NoLimits = False,
+    time_limit: TimeLimit = None,
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+    tolerance: Tolerance = None,
+) -> None:
     """Follow a mechanism with one freedom through its whole motion.
 
     Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C ends
@@ -266,10 +383,17 @@ def trace(
         _open(closing, deg, json)
     with slices.progress(sys.stderr, None, "points traced") as said:
         path = until_interrupt(
-            system.trace, driver, begin, hold=held, limits=not no_limits, ways="branches" if branches else "both",
+            system.trace,
+            driver,
+            begin,
+            hold=held,
+            limits=not no_limits,
+            ways="branches" if branches else "both",
             budget=Budget(time_limit=time_limit, progress=said),
-        )  # fmt: skip
-    path = replace(path, frames=names, others=tuple(replace(other, frames=names) for other in path.others))
+        )
+    path = replace(
+        path, frames=names, others=tuple(replace(other, frames=names) for other in path.others)
+    )
     shown = path
     if points is not None:
         with slices.progress(sys.stderr, points, "points") as said:
@@ -278,7 +402,9 @@ def trace(
     if out is not None and (path or path.interrupted or path.late):
         loop_report.write_path(out, shown, deg, branches)
         written.append(out)
-    written += drawn(system, shown, plot, gif, html, draw=lambda: _drawing(system, shown, names), frames=names)
+    written += drawn(
+        system, shown, plot, gif, html, draw=lambda: _drawing(system, shown, names), frames=names
+    )
     if json:
         _say(loop_report.path_facts(shown, deg), None, written)
     else:
@@ -292,22 +418,39 @@ def trace(
 def plot(
     file: File,
     out: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE.")
+        Path | None,
+        typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE."),
     ] = None,
-    output: InPlace = None, q: At = None, posture: Posture = None, frame: Marks = None,
+    output: InPlace = None,
+    q: At = None,
+    posture: Posture = None,
+    frame: Marks = None,
     labels: Annotated[
-        str | None, option("--labels", "joints, frames, bodies, coordinates, parameters; or all.", "A,B,...")
+        str | None,
+        option("--labels", "joints, frames, bodies, coordinates, parameters; or all.", "A,B,..."),
     ] = None,
-    axes: Annotated[list[str] | None, option("--axes", "Draw and name its axes; or all; repeated.", "NAME")] = None,
-    angles: Annotated[bool, option("--angles", "Arcs of the coordinates, from where they are measured.")] = False,
+    axes: Annotated[
+        list[str] | None, option("--axes", "Draw and name its axes; or all; repeated.", "NAME")
+    ] = None,
+    angles: Annotated[
+        bool, option("--angles", "Arcs of the coordinates, from where they are measured.")
+    ] = False,
     dimensions: Annotated[bool, option("--dimensions", "Lengths of the links.")] = False,
     motion: Annotated[bool, option("--motion", "Arrows for the freedoms of the joints.")] = False,
-    workspace: Annotated[str | None, option("--workspace", "Shade what this frame reaches.", "NAME")] = None,
-    tree: Annotated[bool, option("--tree", "In place of that the tree of bodies and joints.")] = False,
-    deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    workspace: Annotated[
+        str | None, option("--workspace", "Shade what this frame reaches.", "NAME")
+    ] = None,
+    tree: Annotated[
+        bool, option("--tree", "In place of that the tree of bodies and joints.")
+    ] = False,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """Draw a system at a configuration, or its tree.
 
     Example: kempe plot two_link -o arm.png --q 30,50 --deg --axes all --angles --dimensions
@@ -319,11 +462,21 @@ def plot(
     names = [system.structure.frame_name(f) for f in frame or ()]
     drawable(out)
     at, closing = (None, None) if tree else given.configuration(system, q, posture, deg)
-    save_picture(system.plot_tree() if tree else system.plot(
-        at, frames=names, labels=True if labels is None else "all" if labels == "all" else labels.split(","),
-        axes="all" if axes == ["all"] else axes or (), angles=angles, dimensions=dimensions, motion=motion,
-        workspace=workspace,
-    ), out)  # fmt: skip
+    save_picture(
+        system.plot_tree()
+        if tree
+        else system.plot(
+            at,
+            frames=names,
+            labels=True if labels is None else "all" if labels == "all" else labels.split(","),
+            axes="all" if axes == ["all"] else axes or (),
+            angles=angles,
+            dimensions=dimensions,
+            motion=motion,
+            workspace=workspace,
+        ),
+        out,
+    )
     say_written(out, json)
     if closing is not None and not closing:
         remark(str(closing.status))
@@ -337,7 +490,9 @@ def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
     """Say that the loops do not close with what is given, and end the command."""
     from kempe.views import facts, loop_report
 
-    print_json(facts.answer_facts(closing, deg)) if json else show(loop_report.assembly(closing, deg))
+    print_json(facts.answer_facts(closing, deg)) if json else show(
+        loop_report.assembly(closing, deg)
+    )
     raise typer.Exit(INCOMPLETE)
 
 
@@ -352,7 +507,9 @@ def _resampled(path: Motion, points: int, budget: Budget) -> Motion:
 
 
 def _drawing(system: System, path: Motion, names: list[str]) -> Any:
-    """The drawing of a path, with the curves of its other branches: a row of NaN lifts the pen between them."""
+    """The drawing of a path, with the curves of its other branches: a row of NaN lifts the pen
+    between them.
+    """
     gap = np.full((1, system.nq), np.nan)
     parts = [path.q, *(part for other in path.others for part in (gap, other.q))]
     all_of_it = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)

@@ -54,20 +54,30 @@ if TYPE_CHECKING:
 
 SHOWN = 8
 """Rows that a remark lists."""
-Poses = Annotated[str, typer.Argument(metavar="POSES", help="A .csv or .npy file, a pose a row, as targets of ik.")]
+Poses = Annotated[
+    str,
+    typer.Argument(metavar="POSES", help="A .csv or .npy file, a pose a row, as targets of ik."),
+]
 Reaching = Annotated[str, option("--frame", "Body or frame that shall reach the poses.", "NAME")]
 Ranges = Annotated[
-    list[str], option("--box", "Where the base may be: x, y, z or yaw. Can be repeated.", "NAME=LOW,HIGH")
+    list[str],
+    option("--box", "Where the base may be: x, y, z or yaw. Can be repeated.", "NAME=LOW,HIGH"),
 ]
 Cells = Annotated[int, option("--cells", "Values that are tried along each range (11).", "N")]
 Frame = Annotated[str | None, option("--frame", "Body or frame that loses directions.", "NAME")]
 FrameTask = Annotated[
-    str | None, option("--task", "What counts: pose, position, orientation, xy, xz, yz or direction.", "TASK")
+    str | None,
+    option("--task", "What counts: pose, position, orientation, xy, xz, yz or direction.", "TASK"),
 ]
-Inputs = Annotated[str | None, option("--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B")]
+Inputs = Annotated[
+    str | None,
+    option("--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B"),
+]
 From = Annotated[
     list[str] | None,
-    option("--at", "Configuration from which the nearest is wanted; can be repeated.", "NAME=VALUE"),
+    option(
+        "--at", "Configuration from which the nearest is wanted; can be repeated.", "NAME=VALUE"
+    ),
 ]
 Starts = Annotated[int | None, option("--starts", "Random starts of the search (64).", "N")]
 NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
@@ -76,16 +86,32 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 @app.command(rich_help_panel=OPEN)
 @guarded
 def singularities(
-    file: File, frame: Frame = None, task: FrameTask = None, inputs: Inputs = None, at: From = None,
-    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, no_limits: NoLimits = False,
-    out: Out = None, plot: Picture = None, gif: Film = None, html: Page = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    file: File,
+    frame: Frame = None,
+    task: FrameTask = None,
+    inputs: Inputs = None,
+    at: From = None,
+    starts: Starts = None,
+    rng: Rng = None,
+    time_limit: TimeLimit = None,
+    no_limits: NoLimits = False,
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
 
-    --plot draws some, with the directions that the frame loses and gains there, and planar curves of them, as far as
-    these are followed within the time limit or until Ctrl-C; --gif and --html show one of each set; -o writes all.
+    --plot draws some, with the directions that the frame loses and gains there, and planar curves
+    of them, as far as these are followed within the time limit or until Ctrl-C; --gif and --html
+    show one of each set; -o writes all.
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
@@ -98,17 +124,23 @@ def singularities(
 
     results(out)
     drawable(plot, gif, html)
-    driving = None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
+    driving = (
+        None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
+    )
     if driving == []:
         raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
     q, closing = given.configuration(system, ",".join(at), None, deg) if at else (None, None)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
-        answer = until_interrupt(system.singularities, frame, task, inputs=driving, limits=not no_limits, budget=budget)
+        answer = until_interrupt(
+            system.singularities, frame, task, inputs=driving, limits=not no_limits, budget=budget
+        )
     nearest = None if q is None else answer.nearest(q)
     if out is not None:
-        rows.write_configurations(out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg)
+        rows.write_configurations(
+            out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg
+        )
     each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
 
     broken = list[str]()
@@ -138,11 +170,25 @@ def singularities(
 @app.command(rich_help_panel=OPEN)
 @guarded
 def reach(
-    file: File, poses: Poses, frame: Reaching, position_only: PositionOnly = False, starts: Starts = None,
-    rng: Rng = None, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None, gif: Film = None,
-    html: Page = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+    file: File,
+    poses: Poses,
+    frame: Reaching,
+    position_only: PositionOnly = False,
+    starts: Starts = None,
+    rng: Rng = None,
+    time_limit: TimeLimit = None,
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
     Example: kempe reach ur5 weld.csv --frame tool
@@ -160,8 +206,11 @@ def reach(
         rows.write_configurations(out, system, answer.q, deg)
         if missed := np.flatnonzero(~answer.reached).tolist():
             numbers = ", ".join(map(str, missed[:SHOWN])) + ", ..." * (len(missed) > SHOWN)
-            remark(f"{out}: {counted(len(missed), 'row')} {verb(len(missed), 'is', 'are')} not reached and "
-                   f"{verb(len(missed), 'holds', 'hold')} the nearest configuration: {numbers}, from 0")  # fmt: skip
+            remark(
+                f"{out}: {counted(len(missed), 'row')} {verb(len(missed), 'is', 'are')} not "
+                f"reached and {verb(len(missed), 'holds', 'hold')} the nearest configuration: "
+                f"{numbers}, from 0"
+            )
     drawing = drawn(system, answer.q[answer.reached], None, gif, html)
     _say(answer, plot, json, drawing if out is None else [out, *drawing])
 
@@ -169,11 +218,24 @@ def reach(
 @app.command(rich_help_panel=OPEN)
 @guarded
 def place(
-    file: File, poses: Poses, frame: Reaching, box: Ranges, cells: Cells = 11, position_only: PositionOnly = False,
-    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, plot: Picture = None, deg: Deg = False,
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    file: File,
+    poses: Poses,
+    frame: Reaching,
+    box: Ranges,
+    cells: Cells = 11,
+    position_only: PositionOnly = False,
+    starts: Starts = None,
+    rng: Rng = None,
+    time_limit: TimeLimit = None,
+    plot: Picture = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """Find where to put the base so that all poses of a list are reached.
 
     Example: kempe place ur5 weld.csv --frame tool --box x=-1,1 --box y=-1,1 --box z=0.2
@@ -184,11 +246,15 @@ def place(
     ranges = _box(box, deg)
     drawable(plot)
     with _paced(starts, rng, time_limit, "poses") as budget:
-        answer = until_interrupt(system.reach.place, X, frame, ranges, cells, task=task, budget=budget)
+        answer = until_interrupt(
+            system.reach.place, X, frame, ranges, cells, task=task, budget=budget
+        )
     _say(answer, plot, json, [])
 
 
-def _say(answer: ReachStudy | BasePlacement, plot: Path | None, json: bool, written: list[Path]) -> None:
+def _say(
+    answer: ReachStudy | BasePlacement, plot: Path | None, json: bool, written: list[Path]
+) -> None:
     """Print an answer, draw it, and leave with its exit code."""
     print_json(answer.data()) if json else show(str(answer))
     say_drawn(written)
@@ -199,7 +265,9 @@ def _say(answer: ReachStudy | BasePlacement, plot: Path | None, json: bool, writ
 
 
 @contextmanager
-def _paced(starts: int | None, rng: int | None, time_limit: float | None, of: str) -> Generator[Budget]:
+def _paced(
+    starts: int | None, rng: int | None, time_limit: float | None, of: str
+) -> Generator[Budget]:
     """The budget of a command, which shows how many of what are done where the terminal is one."""
     from kempe.views import slices
 
@@ -208,7 +276,9 @@ def _paced(starts: int | None, rng: int | None, time_limit: float | None, of: st
 
 
 def _poses(system: System, text: str, frame: str, deg: bool) -> tuple[Array, bool]:
-    """Poses (n, 4, 4) of a file, and whether only their position counts. Errors: `InputError`, `UnknownNameError`."""
+    """Poses (n, 4, 4) of a file, and whether only their position counts. Errors: `InputError`,
+    `UnknownNameError`.
+    """
     from kempe.views import rows
 
     system.structure.frame_name(frame)  # a wrong name is reported before any work

@@ -1,4 +1,6 @@
-"""The command about the spaces of a system: configuration space, its components and samples, task space, picture."""
+"""The command about the spaces of a system: configuration space, its components and samples, task
+space, picture.
+"""
 
 from __future__ import annotations
 
@@ -38,22 +40,38 @@ from kempe.views.terminal import INCOMPLETE, guarded, print_json
 @guarded
 def spaces(
     file: File,
-    frame: Annotated[str | None, option("--frame", "Frame whose task space is wanted.", "NAME")] = None,
-    task: Annotated[
-        str | None, option("--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME")
+    frame: Annotated[
+        str | None, option("--frame", "Frame whose task space is wanted.", "NAME")
     ] = None,
-    position_only: Annotated[bool, option("--position-only", "Only its position counts, not its pose.")] = False,
+    task: Annotated[
+        str | None,
+        option(
+            "--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME"
+        ),
+    ] = None,
+    position_only: Annotated[
+        bool, option("--position-only", "Only its position counts, not its pose.")
+    ] = False,
     sample: Annotated[
-        float | None, option("--sample", "So many random configurations, uniform in a stated measure.", "N")
+        float | None,
+        option("--sample", "So many random configurations, uniform in a stated measure.", "N"),
     ] = None,
     rng: Annotated[int, option("--rng", "Number that fixes what is random (0).", "N")] = 0,
-    time_limit: TimeLimit = None, plot: Picture = None, out: Out = None, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    time_limit: TimeLimit = None,
+    plot: Picture = None,
+    out: Out = None,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
-    """Say what the configuration space is: dimension, components, samples; and the task space of a frame.
+) -> None:
+    """Say what the configuration space is: dimension, components, samples; and the task space of a
+    frame.
 
-    With --plot both spaces of a system with two freedoms are drawn beside one another (--frame says of what).
+    With --plot both spaces of a system with two freedoms are drawn beside one another (--frame says
+    of what).
 
     Example: kempe spaces two_link --frame e --sample 1000 -o q.csv --plot spaces.png
     """
@@ -91,7 +109,9 @@ def spaces(
         rows.write_configurations(out, system, found["sample"].q)
         written.append(out)
     if json:
-        print_json({k: x.data() for k, x in found.items()} | {"written": [str(path) for path in written]})
+        print_json(
+            {k: x.data() for k, x in found.items()} | {"written": [str(path) for path in written]}
+        )
     else:
         for k, x in found.items():
             print(f"{k.replace('_', ' ')}: {x}")

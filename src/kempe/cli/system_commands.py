@@ -48,10 +48,19 @@ from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 @guarded
 def info(
     file: File,
-    tree: Annotated[bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")] = False,
-    plot: Picture = None, html: Page = None, deg: Deg = False, json: Json = False, base: Base = None,
-    root: Root = None, package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+    tree: Annotated[
+        bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")
+    ] = False,
+    plot: Picture = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:
     """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
 
     Example: kempe info panda.urdf
@@ -73,10 +82,16 @@ def info(
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def check(
-    files: Annotated[list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")],
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    files: Annotated[
+        list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")
+    ],
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """List all problems of files, each with its line.
 
     Example: kempe check robots/*.urdf
@@ -110,12 +125,17 @@ def check(
 def convert(
     file: File,
     out: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE.")
+        Path | None,
+        typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE."),
     ] = None,
     output: InPlace = None,
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+) -> None:
     """Write a system in another format, which the ending of OUT names.
 
     Example: kempe convert panda.urdf panda.toml
@@ -140,10 +160,21 @@ def convert(
 @guarded
 def fk(
     file: File,
-    frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
-    plot: Picture = None, gif: Film = None, html: Page = None, json: Json = False, base: Base = None,
-    root: Root = None, package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
+    frame: FrameOrAll = None,
+    q: Values = None,
+    posture: Posture = None,
+    deg: Deg = False,
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:
     """Say where a frame is, or all bodies are (forward model).
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg

@@ -25,25 +25,42 @@ from kempe.cli.app import (
     option,
     remark,
     say_written,
-)  # fmt: skip
+)
 from kempe.views.terminal import guarded, print_json
 
 DEMO = "panda"
 """The model that `kempe demo` shows."""
 
-Frame = Annotated[str | None, option("--frame", "Body or frame that is dragged (the last one declared).", "NAME")]
-Port = Annotated[int | None, option("--port", "Port of the page (8080, or the next that is free).", "N")]
+Frame = Annotated[
+    str | None, option("--frame", "Body or frame that is dragged (the last one declared).", "NAME")
+]
+Port = Annotated[
+    int | None, option("--port", "Port of the page (8080, or the next that is free).", "N")
+]
 NoBrowser = Annotated[bool, option("--no-browser", "Open no browser: only say where the page is.")]
-Html = Annotated[Path | None, option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE")]
+Html = Annotated[
+    Path | None, option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE")
+]
 
 
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def view(
-    file: File, frame: Frame = None, q: Values = None, posture: Posture = None, deg: Deg = False, html: Html = None,
-    port: Port = None, no_browser: NoBrowser = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False, json: Json = False,
-) -> None:  # fmt: skip
+    file: File,
+    frame: Frame = None,
+    q: Values = None,
+    posture: Posture = None,
+    deg: Deg = False,
+    html: Html = None,
+    port: Port = None,
+    no_browser: NoBrowser = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+    json: Json = False,
+) -> None:
     """Show a system in the browser: sliders, targets to drag, all solutions. Ctrl-C ends it.
 
     Example: kempe view panda.urdf --frame panda_hand_tcp
@@ -82,7 +99,9 @@ def view(
 
 @app.command(rich_help_panel=MODELS)
 @guarded
-def demo(html: Html = None, port: Port = None, no_browser: NoBrowser = False, json: Json = False) -> None:
+def demo(
+    html: Html = None, port: Port = None, no_browser: NoBrowser = False, json: Json = False
+) -> None:
     """Show a shipped arm in the browser.
 
     Example: kempe demo

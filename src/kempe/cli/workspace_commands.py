@@ -57,34 +57,59 @@ def _turned(text: str, what: str, deg: bool) -> Any:
 @app.command(rich_help_panel=OPEN)
 @guarded
 def workspace(
-    file: File, frame: Annotated[str, option("--frame", "Body or frame whose places are wanted.", "NAME")],
-    n: Annotated[float | None, option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")] = None,
+    file: File,
+    frame: Annotated[str, option("--frame", "Body or frame whose places are wanted.", "NAME")],
+    n: Annotated[
+        float | None, option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")
+    ] = None,
     cells: Annotated[
-        str | None, option("--cells", "Cells along the longest edge, or along each: 64 or 64,64,32.", "N")
+        str | None,
+        option("--cells", "Cells along the longest edge, or along each: 64 or 64,64,32.", "N"),
     ] = None,
     box: Annotated[
-        str | None, option("--box", "The box in metres: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS")
+        str | None,
+        option("--box", "The box in metres: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS"),
     ] = None,
     kind: Annotated[
         str | None,
-        option("--kind", "Which places: reachable, constant-orientation, dexterous; or orientation.", "KIND"),
+        option(
+            "--kind",
+            "Which places: reachable, constant-orientation, dexterous; or orientation.",
+            "KIND",
+        ),
     ] = None,
     orientation: Annotated[
         str | None,
-        option("--orientation", "The orientation that counts: roll,pitch,yaw; in the plane angles.", "ANGLES"),
+        option(
+            "--orientation",
+            "The orientation that counts: roll,pitch,yaw; in the plane angles.",
+            "ANGLES",
+        ),
     ] = None,
-    at: Annotated[str | None, option("--at", "The place x,y[,z] at which orientations are wanted.", "POINT")] = None,
-    out: Annotated[Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")] = None,
+    at: Annotated[
+        str | None, option("--at", "The place x,y[,z] at which orientations are wanted.", "POINT")
+    ] = None,
+    out: Annotated[
+        Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")
+    ] = None,
     plot: Picture = None,
     scheduler: Scheduler = None,
     rng: Annotated[int | None, option("--rng", "Number that fixes the samples (0).", "N")] = None,
-    threads: Threads = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    threads: Threads = None,
+    time_limit: TimeLimit = None,
+    deg: Deg = False,
+    json: Json = False,
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
     lenient_limits: Lenient = False,
-) -> None:  # fmt: skip
-    """Show what a frame reaches, by any number of random configurations, or in one orientation or all of them.
+) -> None:
+    """Show what a frame reaches, by any number of random configurations, or in one orientation or
+    all of them.
 
-    Ctrl-C or the time limit ends it with what was done; with -o the same command goes on from there.
+    Ctrl-C or the time limit ends it with what was done; with -o the same command goes on from
+    there.
 
     Example: kempe workspace panda --frame tool -n 1e8 -o map.zarr --plot map.png
     """
@@ -93,19 +118,28 @@ def workspace(
     from kempe.views import slices
 
     drawable(plot)
-    along: Any = None if cells is None else [int(x) if x == int(x) else x for x in _numbers(cells, "--cells")]
+    along: Any = (
+        None
+        if cells is None
+        else [int(x) if x == int(x) else x for x in _numbers(cells, "--cells")]
+    )
     ends = None if box is None else _numbers(box, "--box")
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
     with slices.paced(sys.stderr, "samples") as said:
         answer = until_interrupt(
-            system.workspace, frame, kind=kind,
+            system.workspace,
+            frame,
+            kind=kind,
             orientation=None if orientation is None else _turned(orientation, "--orientation", deg),
-            at=None if at is None else _numbers(at, "--at"), n=n,
+            at=None if at is None else _numbers(at, "--at"),
+            n=n,
             cells=along[0] if along is not None and len(along) == 1 else along,
-            box=None if ends is None else np.reshape(ends, (-1, 2)), client=scheduler, path=out,
+            box=None if ends is None else np.reshape(ends, (-1, 2)),
+            client=scheduler,
+            path=out,
             budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
-        )  # fmt: skip
+        )
     if plot is not None:
         save_picture(np.ravel(answer.plot())[0], plot)
     written = [str(p) for p in (out, plot) if p is not None and p.exists()]
@@ -121,16 +155,21 @@ def workspace(
 @app.command(rich_help_panel=OPEN, context_settings={"ignore_unknown_options": True})
 @guarded
 def query(
-    path: Annotated[Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")],
-    points: Annotated[
-        list[str], typer.Argument(metavar="POINT...", help="Points x,y[,z] in metres, in the ground frame.")
+    path: Annotated[
+        Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")
     ],
-    deg: Deg = False, json: Json = False,
-) -> None:  # fmt: skip
+    points: Annotated[
+        list[str],
+        typer.Argument(metavar="POINT...", help="Points x,y[,z] in metres, in the ground frame."),
+    ],
+    deg: Deg = False,
+    json: Json = False,
+) -> None:
     """Say whether points are reached, and how far they are from the boundary.
 
-    The exact boundary decides where it is known, else the map where all cells around have samples, else the inverse
-    model. Of a map of orientations points are orientations: angles of the plane, or roll,pitch,yaw.
+    The exact boundary decides where it is known, else the map where all cells around have samples,
+    else the inverse model. Of a map of orientations points are orientations: angles of the plane,
+    or roll,pitch,yaw.
 
     Example: kempe query map.zarr 0.3,0.2,0.5 0.9,0,0
     """
@@ -145,14 +184,19 @@ def query(
     if any(len(row) != wanted for row in rows):
         raise InputError(f"points must have {counted(wanted, 'number')}, separated by commas")
     if turned:
-        inside = [bool(space.contains(read_rotations(_turned(p, "a point", deg), dim))) for p in points]
+        inside = [
+            bool(space.contains(read_rotations(_turned(p, "a point", deg), dim))) for p in points
+        ]
         far: Any = [None] * len(rows)
     else:
         inside = space.contains(rows).tolist()
         far = space.distance(rows).tolist()
     off = 0.0 if space.exact is not None else space.resolution
     if json:
-        found = [{"point": p, "reached": i, "distance": f} for p, i, f in zip(rows, inside, far, strict=True)]
+        found = [
+            {"point": p, "reached": i, "distance": f}
+            for p, i, f in zip(rows, inside, far, strict=True)
+        ]
         print_json({"frame": space.frame, "kind": space.kind, "resolution": off, "points": found})
         return
     edge = "the exact boundary" if not off else f"the boundary of the map (+- {off:.2g} m)"

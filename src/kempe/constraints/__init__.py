@@ -1,7 +1,8 @@
-"""What may be required of a multibody system: every kind of constraint is one class, declared for all verbs alike.
+"""What may be required of a multibody system: every kind of constraint is one class, declared for
+all verbs alike.
 
-``from kempe import constraints``: `Mechanism.constrain` holds one always, `System.ik` asks for it in one call.
-`KINDS` is the table.
+``from kempe import constraints``: `Mechanism.constrain` holds one always, `System.ik` asks for it
+in one call. `KINDS` is the table.
 """
 
 from __future__ import annotations
@@ -36,11 +37,38 @@ if TYPE_CHECKING:
     from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Posture
 
 __all__ = [
-    "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Equation", "Function",
-    "HalfSpace", "InBox", "Inequality", "LookAt", "NoSideslip", "OnCurve", "OnLine", "OnPlane", "OnSphere",
-    "OnSurface", "Op", "Orientation", "Pointing", "Pose", "Position", "Posture", "RelativePose", "RelativePosition",
-    "Rolls", "Row", "VelocityEquation", "kind",
-]  # fmt: skip
+    "KINDS",
+    "CentreOfMass",
+    "CentreOfPoints",
+    "Constraint",
+    "Contact",
+    "Distance",
+    "End",
+    "Equation",
+    "Function",
+    "HalfSpace",
+    "InBox",
+    "Inequality",
+    "LookAt",
+    "NoSideslip",
+    "OnCurve",
+    "OnLine",
+    "OnPlane",
+    "OnSphere",
+    "OnSurface",
+    "Op",
+    "Orientation",
+    "Pointing",
+    "Pose",
+    "Position",
+    "Posture",
+    "RelativePose",
+    "RelativePosition",
+    "Rolls",
+    "Row",
+    "VelocityEquation",
+    "kind",
+]
 MODULES = ("contacts", "curves", "equations", "kinds", "whole")
 """Where kinds are declared; imported when the first one is used, for most systems have none."""
 
@@ -51,6 +79,10 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     for module in MODULES:
         import_module(f"{__name__}.{module}")
-    own = {cls.__name__: cls for cls in base.KINDS.values() if cls.__module__.startswith(f"{__name__}.")}
+    own = {
+        cls.__name__: cls
+        for cls in base.KINDS.values()
+        if cls.__module__.startswith(f"{__name__}.")
+    }
     globals().update(own, KINDS=base.KINDS, kind=base.kind)
     return globals()[name]

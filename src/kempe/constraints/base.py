@@ -1,8 +1,9 @@
 """What a constraint declares: its ends, its rows, its numbers. Nothing is computed here.
 
-A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and between which of its
-fields the value is held. Its fields hold the numbers. How rows become equations is in
-`kempe.model.closures.constraint_program`, how they are judged from poses alone in `kempe.kinematics.measure`.
+A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and
+between which of its fields the value is held. Its fields hold the numbers. How rows become
+equations is in `kempe.model.closures.constraint_program`, how they are judged from poses alone in
+`kempe.kinematics.measure`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ Frame: TypeAlias = "str | End"
 Number: TypeAlias = Any
 """A field of one number (...): in a description also an expression in parameters."""
 Point: TypeAlias = Any
-"""A field of a place, or of a number for each direction (..., 3), in planar systems also (..., 2)."""
+"""A field of a place, or of a number for each direction (..., 3), in planar systems also (...,
+2)."""
 Direction: TypeAlias = Any
 """A field of a direction (..., 3), or its name: "x", "-z"."""
 Matrix: TypeAlias = Any
@@ -42,7 +44,9 @@ Rotation: TypeAlias = Any
 
 
 class Op(IntEnum):
-    """What a row reads: of the pose of frame B seen from frame A, of coordinates, or of the twist of B against A."""
+    """What a row reads: of the pose of frame B seen from frame A, of coordinates, or of the twist
+    of B against A.
+    """
 
     POINT = auto()
     """The origin of B along the axis `args[0]` of A."""
@@ -51,7 +55,8 @@ class Op(IntEnum):
     TILT = auto()
     """The direction of z of B in A: two equations, in the plane one."""
     LOOK = auto()
-    """The direction of z of B against that from B to the origin of A: two equations, in the plane one."""
+    """The direction of z of B against that from B to the origin of A: two equations, in the plane
+    one."""
     DISTANCE = auto()
     """The distance of the origins."""
     COORDINATE = auto()
@@ -61,7 +66,8 @@ class Op(IntEnum):
     CALL = auto()
     """Values of a Python function of the configuration."""
     VELOCITY = auto()
-    """Output `args[1]` of the recorded expression `args[0]`, linear in velocities: the row A(q) v - b(q, t)."""
+    """Output `args[1]` of the recorded expression `args[0]`, linear in velocities: the row A(q) v -
+    b(q, t)."""
 
 
 COUNTS = {Op.ROTATION: {2: 1, 3: 3}, Op.TILT: {2: 1, 3: 2}, Op.LOOK: {2: 1, 3: 2}}
@@ -71,9 +77,9 @@ COUNTS = {Op.ROTATION: {2: 1, 3: 3}, Op.TILT: {2: 1, 3: 2}, Op.LOOK: {2: 1, 3: 2
 class Row(NamedTuple):
     """One equation, or a group that cannot be split: structure without numbers that may vary.
 
-    `equal`, `low` and `high` name fields of the constraint; without them the value is held at zero. Where the field of
-    `equal` is None, the value is held between the others, an infinity where these are None. `part` is its place in
-    fields that hold several numbers.
+    `equal`, `low` and `high` name fields of the constraint; without them the value is held at zero.
+    Where the field of `equal` is None, the value is held between the others, an infinity where
+    these are None. `part` is its place in fields that hold several numbers.
     """
 
     op: Op
@@ -118,11 +124,12 @@ class End:
 class Constraint(ABC):
     """Something required of a system; each kind is a subclass that declares its rows.
 
-    `Mechanism.constrain` holds it always, `System.ik` in one call. What only `ik` reads: without a `weight` it is hard,
-    it must hold. With one it is soft: the sum of weight times squared error, in radians and characteristic lengths of
-    the system, is made least. Those of a lower `priority` number come first: the others act only in what these leave
-    free. `tolerance` is the largest error of a hard one, a number or (metres, radians); default: that of the call.
-    `name` is how answers call it.
+    `Mechanism.constrain` holds it always, `System.ik` in one call. What only `ik` reads: without a
+    `weight` it is hard, it must hold. With one it is soft: the sum of weight times squared error,
+    in radians and characteristic lengths of the system, is made least. Those of a lower `priority`
+    number come first: the others act only in what these leave free. `tolerance` is the largest
+    error of a hard one, a number or (metres, radians); default: that of the call. `name` is how
+    answers call it.
     """
 
     weight: float | None = field(default=None, kw_only=True)
@@ -133,7 +140,8 @@ class Constraint(ABC):
     kind: ClassVar[str] = ""
     """Its name in files and tables."""
     symbol: ClassVar[str] = "mark"
-    """How it is drawn where its rows do not say it, as those of rods and slots do: "wheel", "contact", "mark"."""
+    """How it is drawn where its rows do not say it, as those of rods and slots do: "wheel",
+    "contact", "mark"."""
     says: ClassVar[str] = ""
     """What it asks, as a sentence over its fields; `sentence` has it filled in."""
     prevents: ClassVar[str] = "the velocity constraint {name!r} prevents the rest"
@@ -160,7 +168,9 @@ class Constraint(ABC):
 
     @property
     def ends(self) -> tuple[Any, Any]:
-        """Ends A and B: frames by name, `End`s, or None for the ground (A) and for what is no frame."""
+        """Ends A and B: frames by name, `End`s, or None for the ground (A) and for what is no
+        frame.
+        """
         return getattr(self, "other", None), getattr(self, "frame", None)
 
     @property
@@ -180,7 +190,9 @@ class Constraint(ABC):
         return EYE
 
     def tool(self, dim: int) -> tuple[float, ...]:
-        """Pose of frame B on its body as 16 numbers, the same in all calls. `dim` is 2 in the plane, 3 in space."""
+        """Pose of frame B on its body as 16 numbers, the same in all calls. `dim` is 2 in the
+        plane, 3 in space.
+        """
         return HERE
 
     def prefixed(self, prefix: str) -> Constraint:
@@ -227,11 +239,15 @@ class Constraint(ABC):
     # ---- what only `ik` reads
 
     def soft(self, weight: float = 1.0, **more: Any) -> Constraint:
-        """The same constraint as a soft one of `ik`, with a weight; `more` are `priority`, `tolerance`, `name`."""
+        """The same constraint as a soft one of `ik`, with a weight; `more` are `priority`,
+        `tolerance`, `name`.
+        """
         return replace(self, weight=weight, **more)
 
     def demand(self, **more: Any) -> Constraint:
-        """The same constraint with the settings that only `ik` reads: `weight`, `priority`, `tolerance`, `name`."""
+        """The same constraint with the settings that only `ik` reads: `weight`, `priority`,
+        `tolerance`, `name`.
+        """
         return replace(self, **more)
 
 
@@ -239,8 +255,8 @@ class Constraint(ABC):
 class Bounded(Constraint):
     """A kind that measures one number, or several alike.
 
-    With `at_least` (...) or `at_most` (...), or both, the number stays within these bounds, in place of being zero or
-    a value that the kind has.
+    With `at_least` (...) or `at_most` (...), or both, the number stays within these bounds, in
+    place of being zero or a value that the kind has.
     """
 
     at_least: Number = field(default=None, kw_only=True)
@@ -292,23 +308,30 @@ _Kind = TypeVar("_Kind", bound=type[Constraint])
 def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _Kind]:
     """A decorator that enters a class into the table of kinds, under `name`.
 
-    `says` is its sentence, with fields in braces: "{frame} and {other} are {value} apart". Errors: `InputError` for a
-    name that another kind has.
+    `says` is its sentence, with fields in braces: "{frame} and {other} are {value} apart". Errors:
+    `InputError` for a name that another kind has.
     """
 
     def enter(cls: _Kind) -> _Kind:
         made = dataclass(frozen=True, eq=False)(cls)
         if not all(isinstance(f.type, str) for f in fields(made)):
-            raise InputError(f"{made.__qualname__}: its module must begin with: from __future__ import annotations")
+            raise InputError(
+                f"{made.__qualname__}: its module must begin with: from __future__ import "
+                "annotations"
+            )
         taken = KINDS.get(name)
         if taken is not None and taken.__qualname__ != made.__qualname__:
-            raise InputError(f"the kind {name!r} of constraint exists already: {taken.__qualname__}")
+            raise InputError(
+                f"the kind {name!r} of constraint exists already: {taken.__qualname__}"
+            )
         made.kind = name
         made.symbol = symbol
         made.says = says
         explained_making(made)
         if not issubclass(made, Bounded):
-            INSTEAD.update({(made.__name__, word): made.unbounded for word in ("at_least", "at_most")})
+            INSTEAD.update(
+                {(made.__name__, word): made.unbounded for word in ("at_least", "at_most")}
+            )
         KINDS[name] = made
         return made
 
@@ -316,7 +339,9 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
 
 
 def held(constraint: Constraint, row: Row) -> str:
-    """Name of the field whose value a row is held at; '' for zero, and for rows held between two bounds."""
+    """Name of the field whose value a row is held at; '' for zero, and for rows held between two
+    bounds.
+    """
     return row.equal if row.equal and getattr(constraint, row.equal) is not None else ""
 
 
@@ -326,7 +351,9 @@ def one_sided(constraint: Constraint, row: Row) -> bool:
 
 
 def position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
-    """The equations f(q) = 0 of a constraint, each of which takes one freedom of position; `dim` is 2 or 3."""
+    """The equations f(q) = 0 of a constraint, each of which takes one freedom of position; `dim` is
+    2 or 3.
+    """
     return [r for r in constraint.rows(dim) if not r.velocity and not one_sided(constraint, r)]
 
 
@@ -365,8 +392,12 @@ def numbers_in(constraint: Constraint) -> dict[str, Any]:
 
 
 def with_numbers(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
-    """The constraint with expressions in its fields of numbers evaluated. Errors: `UnknownNameError`."""
-    given = {k: _evaluated(x, parameters) for k, x in numbers_in(constraint).items() if expressions_in(x)}
+    """The constraint with expressions in its fields of numbers evaluated. Errors:
+    `UnknownNameError`.
+    """
+    given = {
+        k: _evaluated(x, parameters) for k, x in numbers_in(constraint).items() if expressions_in(x)
+    }
     given |= {f.name: parameters for f in fields(constraint) if f.type == PARAMETERS}
     return replace(constraint, **given) if given else constraint
 
@@ -396,10 +427,16 @@ def plainly(x: Any) -> str:
 def fields_of(kind: type[Constraint]) -> dict[str, str]:
     """The fields of a kind that a description may give, with their annotations."""
     left_out = {f.name for f in fields(Constraint)}
-    return {f.name: str(f.type) for f in fields(kind) if f.init and f.name not in left_out and f.type != PARAMETERS}
+    return {
+        f.name: str(f.type)
+        for f in fields(kind)
+        if f.init and f.name not in left_out and f.type != PARAMETERS
+    }
 
 
 def needed_by(kind: type[Constraint]) -> list[str]:
     """The fields of a kind that must be given."""
-    own = (f for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING)
+    own = (
+        f for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING
+    )
     return [f.name for f in own]

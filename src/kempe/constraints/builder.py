@@ -1,6 +1,8 @@
-"""The making of tapes: nodes are shared where they are equal, constants folded, derivatives of functions added.
+"""The making of tapes: nodes are shared where they are equal, constants folded, derivatives of
+functions added.
 
-Every tape is finished in one order, that of a walk from its outputs, so that equal expressions give equal tapes.
+Every tape is finished in one order, that of a walk from its outputs, so that equal expressions give
+equal tapes.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ class Builder:
         key = (L.TABLE, numbers, -1)
         if key not in self._known:
             self._numbers += numbers
-            self._known[key] = self._append(L.TABLE, len(self._numbers) - len(numbers), len(numbers), False)
+            self._known[key] = self._append(
+                L.TABLE, len(self._numbers) - len(numbers), len(numbers), False
+            )
         return self._known[key]
 
     def _append(self, op: int, left: int, right: int, varies: bool) -> int:
@@ -68,7 +72,9 @@ class Builder:
             return self.number(float(function(*map(np.float64, found))))
 
     def binary(self, op: int, left: int, right: int) -> int:
-        """The place of left + right, left - right, left * right, left / right, left ** right, atan2 or hypot."""
+        """The place of left + right, left - right, left * right, left / right, left ** right, atan2
+        or hypot.
+        """
         folded = self._folded(BINARY[op], left, right)
         if folded is not None:
             return folded
@@ -140,7 +146,10 @@ class Builder:
             by = self.binary(L.DIV, left, place), self.binary(L.DIV, right, place)
         else:
             square = self.binary(L.ADD, self._square(right), self._square(left))
-            by = self.binary(L.DIV, right, square), self.unary(L.NEG, self.binary(L.DIV, left, square))
+            by = (
+                self.binary(L.DIV, right, square),
+                self.unary(L.NEG, self.binary(L.DIV, left, square)),
+            )
         return self._moves(place, *by)
 
     def _with_partials(self, op: int, left: int, right: int) -> int:
@@ -239,26 +248,41 @@ class Builder:
         return made[op]()
 
     def finish(self, outputs: Iterable[int]) -> Tape:
-        """The tape of these places: what they need and nothing else, in the order of a walk from them."""
+        """The tape of these places: what they need and nothing else, in the order of a walk from
+        them.
+        """
         outputs = list(outputs)
         n = len(self.inputs)
         used = [i for i in self._walk(outputs) if i < n]
         kept = sorted(used)
-        fresh = Builder([self.inputs[i] for i in kept], [self.inputs[i] for i in kept if not self._varies[i]])
+        fresh = Builder(
+            [self.inputs[i] for i in kept], [self.inputs[i] for i in kept if not self._varies[i]]
+        )
         place = {old: new for new, old in enumerate(kept)}
         for i in self._walk(outputs):
             if i >= n:
                 place[i] = fresh.again(self._nodes[i - n], self._numbers, place)
-        return Tape(fresh.inputs, tuple(fresh._nodes), tuple(fresh._numbers), tuple(place[i] for i in outputs))
+        return Tape(
+            fresh.inputs,
+            tuple(fresh._nodes),
+            tuple(fresh._numbers),
+            tuple(place[i] for i in outputs),
+        )
 
     def again(self, node: Node, numbers: Sequence[float], place: Mapping[int, int]) -> int:
-        """The place of a node of another tape with these numbers, whose operands are at `place` here."""
+        """The place of a node of another tape with these numbers, whose operands are at `place`
+        here.
+        """
         op, left, right = node
         if op == L.NUMBER:
             return self.number(numbers[left])
         if op == L.TABLE:
             return self.table(tuple(numbers[left : left + right]))
-        return self.binary(op, place[left], place[right]) if op in BINARY else self.unary(op, place[left])
+        return (
+            self.binary(op, place[left], place[right])
+            if op in BINARY
+            else self.unary(op, place[left])
+        )
 
     def _walk(self, outputs: list[int]) -> list[int]:
         """Places that the values at `outputs` need, operands before what is made of them."""
@@ -293,7 +317,8 @@ def renamed(tape: Tape, names: Mapping[str, str]) -> Tape:
 
 
 def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float]]) -> Tape:
-    """The tape where each of these inputs is multiplier * source + offset, or the offset where the source is None.
+    """The tape where each of these inputs is multiplier * source + offset, or the offset where the
+    source is None.
 
     Exponents are constants. Errors: `InputError` for numbers that are not finite.
     """
@@ -311,8 +336,12 @@ def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float
     return builder.finish(builder.replayed(tape, leaves))
 
 
-def on_pieces(build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]) -> tuple[list[int], list[int], int]:
-    """Places of a builder of tapes: of what leads from the point c(s) to p, of c'(s), and of c'.c' - (p - c).c''."""
+def on_pieces(
+    build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]
+) -> tuple[list[int], list[int], int]:
+    """Places of a builder of tapes: of what leads from the point c(s) to p, of c'(s), and of c'.c'
+    - (p - c).c''.
+    """
     b = build.binary
     entry: Callable[[np.ndarray], int] = lambda column: build.entry(s, column.tolist())  # noqa: E731
     u = b(L.SUB, s, entry(np.arange(len(pieces), dtype=float)))
@@ -338,7 +367,9 @@ def dot(build: Builder, a: Sequence[int], b: Sequence[int]) -> int:
 
 
 def nearest_rates(build: Builder, table: tuple[float, ...], s: int, p: Sequence[int]) -> list[int]:
-    """Places of the derivatives of the parameter of the nearest point by p: (p - c) . c' = 0, differentiated."""
+    """Places of the derivatives of the parameter of the nearest point by p: (p - c) . c' = 0,
+    differentiated.
+    """
     pieces = np.reshape(table[1:], (-1, L.PIECE))[:, :12].reshape(-1, 3, 4)
     _, first, bend = on_pieces(build, pieces, s, p)
     return [build.binary(L.DIV, x, bend) for x in first]

@@ -1,6 +1,8 @@
-"""Kinds of touching: a point or ball above a plane, wheels, discs and balls that roll without slipping.
+"""Kinds of touching: a point or ball above a plane, wheels, discs and balls that roll without
+slipping.
 
-A plane is the xy-plane of a frame `other`; in planar systems it is the line of its x axis, which y points away from.
+A plane is the xy-plane of a frame `other`; in planar systems it is the line of its x axis, which y
+points away from.
 """
 
 from __future__ import annotations
@@ -25,12 +27,16 @@ SPACE = {
         "wz",
     ),
 }
-"""Of each shape of the radius that touches the plane: the gap, the velocities of the point that touches, its spin.
+"""Of each shape of the radius that touches the plane: the gap, the velocities of the point that
+touches, its spin.
 
-The point of a disc whose axle is a, y of its frame, lies at c = -radius (n - (n.a) a) / |n - (n.a) a| from its centre,
-n being the normal; its velocity is v + w x c.
+The point of a disc whose axle is a, y of its frame, lies at c = -radius (n - (n.a) a) / |n - (n.a)
+a| from its centre, n being the normal; its velocity is v + w x c.
 """
-PLANE = {"ball": ("y - radius", ("vx + radius*wz",), ""), "disc": ("y - radius", ("vx + radius*wz",), "")}
+PLANE = {
+    "ball": ("y - radius", ("vx + radius*wz",), ""),
+    "disc": ("y - radius", ("vx + radius*wz",), ""),
+}
 
 
 def touching(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str]:
@@ -42,7 +48,9 @@ def touching(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str
 
 @kind("contact", "contact", "{frame} stays above the plane of {other}")
 class Contact(Constraint):
-    """A frame's point, or a ball or disc of the `radius` about it, does not enter the plane of `other`."""
+    """A frame's point, or a ball or disc of the `radius` about it, does not enter the plane of
+    `other`.
+    """
 
     frame: Frame
     other: Frame | None = None
@@ -63,7 +71,9 @@ class Contact(Constraint):
 
 @kind("no_sideslip", "wheel", "{frame} does not slip along its y")
 class NoSideslip(Constraint):
-    """The origin of a frame has no velocity along its y axis, as a wheel or a blade, or has the `speed` there."""
+    """The origin of a frame has no velocity along its y axis, as a wheel or a blade, or has the
+    `speed` there.
+    """
 
     frame: Frame
     other: Frame | None = None
@@ -74,15 +84,19 @@ class NoSideslip(Constraint):
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the velocity along y of the frame."""
         text = "xy*vx + yy*vy - speed" if dim == 2 else "xy*vx + yy*vy + zy*vz - speed"
-        return (Row(Op.VELOCITY, (from_text([text], (*POSE, *TWIST, "speed"), {}), 0), "sideslip", "m/s"),)
+        return (
+            Row(
+                Op.VELOCITY, (from_text([text], (*POSE, *TWIST, "speed"), {}), 0), "sideslip", "m/s"
+            ),
+        )
 
 
 @kind("rolls", "wheel", "{frame} rolls on the plane of {other}")
 class Rolls(Constraint):
     """A ball or disc about a frame's origin rolls on the plane of `other` without slipping.
 
-    The axle of a disc is y of its frame. Without `spin` a ball does not turn about the normal either. `one_sided`: it
-    may leave the plane.
+    The axle of a disc is y of its frame. Without `spin` a ball does not turn about the normal
+    either. `one_sided`: it may leave the plane.
     """
 
     frame: Frame
@@ -111,8 +125,15 @@ class Rolls(Constraint):
         inputs = (*POSE, *TWIST, "radius")
         tape = from_text([*slips, *more], inputs, {})
         own = from_text([gap], (*POSE, "radius"), {})
-        names = [*(f"slip {a}" for a, _ in zip("xy", slips, strict=False)), *(["spin"] if more else [])]
+        names = [
+            *(f"slip {a}" for a, _ in zip("xy", slips, strict=False)),
+            *(["spin"] if more else []),
+        ]
         low = "zero" if self.one_sided else ""
-        return (Row(Op.TAPE, (own, 0), "gap", "m", low=low), *(
-            Row(Op.VELOCITY, (tape, k), name, "rad/s" if name == "spin" else "m/s") for k, name in enumerate(names)
-        ))  # fmt: skip
+        return (
+            Row(Op.TAPE, (own, 0), "gap", "m", low=low),
+            *(
+                Row(Op.VELOCITY, (tape, k), name, "rad/s" if name == "spin" else "m/s")
+                for k, name in enumerate(names)
+            ),
+        )

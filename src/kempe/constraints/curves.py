@@ -1,4 +1,6 @@
-"""A kind that holds a point on a curve through given points, and cubic splines as polynomial pieces."""
+"""A kind that holds a point on a curve through given points, and cubic splines as polynomial
+pieces.
+"""
 
 from __future__ import annotations
 
@@ -36,9 +38,10 @@ Points: TypeAlias = Any
 class OnCurve(Measured):
     """A point of a frame on the curve through `points` (n, 3), in planar systems also (n, 2).
 
-    The curve is the cubic spline by the length of its chords. A `closed` one ends where it starts, and its first point
-    need not be repeated; an open one goes on straight beyond its ends. Its equations are the distances across the curve
-    from its nearest point. `at_least`, `at_most`: its distance from there.
+    The curve is the cubic spline by the length of its chords. A `closed` one ends where it starts,
+    and its first point need not be repeated; an open one goes on straight beyond its ends. Its
+    equations are the distances across the curve from its nearest point. `at_least`, `at_most`: its
+    distance from there.
     """
 
     frame: Frame
@@ -51,17 +54,23 @@ class OnCurve(Measured):
         flag(self.closed, f"closed of {self.label}")
         given = reals(self.points, what := f"points of {self.label}")
         if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given).all():
-            raise InputError(f"{what} have the shape {given.shape}; they must be (n, 2) or (n, 3), and finite")
+            raise InputError(
+                f"{what} have the shape {given.shape}; they must be (n, 2) or (n, 3), and finite"
+            )
         object.__setattr__(self, "points", tuple(tuple(p) for p in given.tolist()))
         across(self.points, self.closed, given.shape[1], what)
 
     def check(self, dim: int) -> None:
-        """Refuse points off the plane of a planar system, or of two numbers in space, and bounds that do not fit."""
+        """Refuse points off the plane of a planar system, or of two numbers in space, and bounds
+        that do not fit.
+        """
         super().check(dim)
         points_of(self.points, dim, f"points of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the distances across the curve (two directions, in the plane one), or of the whole distance."""
+        """Rows of the distances across the curve (two directions, in the plane one), or of the
+        whole distance.
+        """
         tape = across(self.points, self.closed, dim, f"points of {self.label}", self.bounded)
         if self.bounded:
             return self.between(Op.TAPE, tape, 0)
@@ -70,11 +79,14 @@ class OnCurve(Measured):
 
 
 @lru_cache(maxsize=256)
-def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, whole: bool = False) -> Tape:
-    """The distances of (x, y, z) from a curve across it, or the `whole` distance. Errors: `InputError`, see `spline`.
+def across(
+    points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, whole: bool = False
+) -> Tape:
+    """The distances of (x, y, z) from a curve across it, or the `whole` distance. Errors:
+    `InputError`, see `spline`.
 
-    In space the directions are the two of `frames_of`, turned as the smallest turn takes its third to the tangent t:
-    a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
+    In space the directions are the two of `frames_of`, turned as the smallest turn takes its third
+    to the tangent t: a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
     """
     pieces = spline(tuple((*p, 0.0)[:3] for p in points), closed, what)
     build = Builder("xyz"[:dim])
@@ -85,21 +97,26 @@ def across(points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: 
     speed = build.unary(L.SQRT, dot(build, first, first))
     t = [b(L.DIV, x, speed) for x in first]
     if whole:
-        return build.finish([build.unary(L.SQRT, b(L.ADD, dot(build, off, off), build.number(float(LEAST))))])
+        return build.finish(
+            [build.unary(L.SQRT, b(L.ADD, dot(build, off, off), build.number(float(LEAST))))]
+        )
     if dim == 2:
         return build.finish([b(L.SUB, b(L.MUL, t[0], off[1]), b(L.MUL, t[1], off[0]))])
     axes = frames_of(pieces)
     x, y, z = ([build.entry(s, axes[:, k, i].tolist()) for i in range(3)] for k in range(3))
     share = b(L.DIV, dot(build, off, z), b(L.ADD, build.number(1.0), dot(build, z, t)))
-    return build.finish([b(L.SUB, dot(build, off, a), b(L.MUL, dot(build, a, t), share)) for a in (x, y)])
+    return build.finish(
+        [b(L.SUB, dot(build, off, a), b(L.MUL, dot(build, a, t), share)) for a in (x, y)]
+    )
 
 
 @lru_cache(maxsize=256)
 def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Array:
-    """The pieces (n, 3, 4) of the cubic spline through points, by the length of its chords, for u from 0 to 1 each.
+    """The pieces (n, 3, 4) of the cubic spline through points, by the length of its chords, for u
+    from 0 to 1 each.
 
-    An open one goes on straight at both ends, in a first and a last piece. Errors: `InputError` for fewer than 4 points
-    (3 of a closed curve), neighbours that are equal, and cusps.
+    An open one goes on straight at both ends, in a first and a last piece. Errors: `InputError` for
+    fewer than 4 points (3 of a closed curve), neighbours that are equal, and cusps.
     """
     from scipy.interpolate import CubicSpline
 
@@ -115,12 +132,20 @@ def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Ar
     chords = np.linalg.norm(np.diff(given, axis=0), axis=1)
     if chords.min() <= same:
         i = int(np.argmin(chords))
-        raise InputError(f"{what}: the points {i} and {(i + 1) % len(points)} are equal; neighbours must differ")
+        raise InputError(
+            f"{what}: the points {i} and {(i + 1) % len(points)} are equal; neighbours must differ"
+        )
     size = float(chords.max())
-    found = CubicSpline(np.r_[0.0, np.cumsum(chords / size)], given, bc_type="periodic" if closed else "not-a-knot")
+    found = CubicSpline(
+        np.r_[0.0, np.cumsum(chords / size)], given, bc_type="periodic" if closed else "not-a-knot"
+    )
     powers = (chords / size)[:, None, None] ** np.arange(4)
     pieces = np.moveaxis(found.c[::-1], 0, -1) * powers  # (n, 3, 4)
-    made = [half for i, piece in enumerate(pieces) for half in _gentle(piece, HALVINGS, f"{what}: near point {i}")]
+    made = [
+        half
+        for i, piece in enumerate(pieces)
+        for half in _gentle(piece, HALVINGS, f"{what}: near point {i}")
+    ]
     if not closed:
         first = made[0]
         last = made[-1]
@@ -132,7 +157,9 @@ def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Ar
 
 
 def _gentle(piece: Array, left: int, what: str) -> list[Array]:
-    """A piece in parts of which none turns far: the directions of its derivative's control points are near."""
+    """A piece in parts of which none turns far: the directions of its derivative's control points
+    are near.
+    """
     a = piece[:, 1]
     b = 2.0 * piece[:, 2]
     c = 3.0 * piece[:, 3]
@@ -144,7 +171,9 @@ def _gentle(piece: Array, left: int, what: str) -> list[Array]:
     if not left:
         raise InputError(f"{what} the curve has a cusp; it must have a direction everywhere")
     half = 0.5 ** np.arange(4)
-    moved = np.array([[1, 1, 1, 1], [0, 1, 2, 3], [0, 0, 1, 3], [0, 0, 0, 1]]) * half  # p((1 + u) / 2)
+    moved = (
+        np.array([[1, 1, 1, 1], [0, 1, 2, 3], [0, 0, 1, 3], [0, 0, 0, 1]]) * half
+    )  # p((1 + u) / 2)
     return _gentle(piece * half, left - 1, what) + _gentle(piece @ moved.T, left - 1, what)
 
 
@@ -152,14 +181,17 @@ def table_of(pieces: Array, closed: bool) -> tuple[float, ...]:
     """Pieces as kernels read them (`tape_layout`)."""
     b = pieces[..., 1]
     c = pieces[..., 2]
-    control = np.stack([b / 3.0, (2.0 * b + c) / 3.0, pieces[..., 1:].sum(axis=-1)])  # Bezier's points less the first
+    control = np.stack(
+        [b / 3.0, (2.0 * b + c) / 3.0, pieces[..., 1:].sum(axis=-1)]
+    )  # Bezier's points less the first
     radius = np.linalg.norm(control, axis=-1).max(axis=0)
     rows = np.concatenate([pieces.reshape(len(pieces), 12), radius[:, None]], axis=1)
     return (float(not closed), *rows.ravel().tolist())
 
 
 def frames_of(pieces: Array) -> Array:
-    """Axes (n, 3, 3) of each piece: two across its middle, and its direction there; no turn about the curve is added.
+    """Axes (n, 3, 3) of each piece: two across its middle, and its direction there; no turn about
+    the curve is added.
 
     Where pieces meet, the smallest turns from both middles lead the axes across into the same.
     """

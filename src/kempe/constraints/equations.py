@@ -1,7 +1,8 @@
-"""Kinds that the user writes: equations, inequalities and velocity equations of coordinates, as text or as functions.
+"""Kinds that the user writes: equations, inequalities and velocity equations of coordinates, as
+text or as functions.
 
-A function is recorded once and kept as text, so that it can be written to files and compared. Where it branches on
-values it stays a function (`Call`): it can be called, but has no series.
+A function is recorded once and kept as text, so that it can be written to files and compared. Where
+it branches on values it stays a function (`Call`): it can be called, but has no series.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ Parameters: TypeAlias = "Mapping[str, float] | None"
 
 @dataclass(frozen=True)
 class Call:
-    """A Python function of named inputs that cannot be recorded, because of the `reason`; it gives `size` numbers.
+    """A Python function of named inputs that cannot be recorded, because of the `reason`; it gives
+    `size` numbers.
 
     It reads `inputs`, which are the coordinates and parameters `of` here.
     """
@@ -58,7 +60,10 @@ class Call:
             given[TIME] = float(values.get(TIME, 0.0))
         found, _ = called(self.function, given, self.time, self.what)
         if len(found) != self.size:
-            raise InputError(f"{self.what} gave {counted(self.size, 'number')}, and gives {len(found)} at {at(given)}")
+            raise InputError(
+                f"{self.what} gave {counted(self.size, 'number')}, and gives {len(found)} at "
+                f"{at(given)}"
+            )
         return found
 
     def __repr__(self) -> str:
@@ -68,9 +73,19 @@ class Call:
         try:
             pickle.dumps(self.function)
         except (pickle.PicklingError, AttributeError, TypeError):
-            raise InputError(f"{self.what} is {self!r}, which cannot be pickled, and cannot be recorded: "
-                             f"{self.reason}") from None  # fmt: skip
-        return Call, (self.function, self.inputs, self.of, self.time, self.size, self.reason, self.what)
+            raise InputError(
+                f"{self.what} is {self!r}, which cannot be pickled, and cannot be recorded: "
+                f"{self.reason}"
+            ) from None
+        return Call, (
+            self.function,
+            self.inputs,
+            self.of,
+            self.time,
+            self.size,
+            self.reason,
+            self.what,
+        )
 
 
 @lru_cache(maxsize=1024)
@@ -94,7 +109,9 @@ def as_text(x: Any, what: str) -> str:
             raise InputError(f"{what} is {shown(given)}; its size must be at most {LARGEST:g}")
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
     if not isinstance(x, str):
-        raise InputError(f"{what} is {shown(x)}; it must be text, a number, or a function of named coordinates")
+        raise InputError(
+            f"{what} is {shown(x)}; it must be text, a number, or a function of named coordinates"
+        )
     return x
 
 
@@ -114,7 +131,11 @@ class _WrittenKind(Constraint):
     @property
     def what(self) -> str:
         """Name of the constraint in messages."""
-        return f"{self.kind.replace('_', ' ')} {self.name!r}" if self.name else f"the {self.kind.replace('_', ' ')}"
+        return (
+            f"{self.kind.replace('_', ' ')} {self.name!r}"
+            if self.name
+            else f"the {self.kind.replace('_', ' ')}"
+        )
 
     @property
     def about(self) -> str:
@@ -128,14 +149,20 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.what} names the coordinate {twice[0]!r} twice")
         return names
 
-    def _recorded(self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]) -> tuple[Any, Any]:
-        """The texts of a function, or the tape where they would be too long, or a `Call`; and its shape."""
+    def _recorded(
+        self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]
+    ) -> tuple[Any, Any]:
+        """The texts of a function, or the tape where they would be too long, or a `Call`; and its
+        shape.
+        """
         from kempe.constraints.recording import NotRecorded, probe, record
 
         of = self.of
         time = self.time
         if not of:
-            raise InputError(f"{self.what} is given a function; name the coordinates that it reads: of=(...)")
+            raise InputError(
+                f"{self.what} is given a function; name the coordinates that it reads: of=(...)"
+            )
         try:
             tape, shape = record(function, of, time=time, what=self.what)
         except NotRecorded as error:
@@ -150,7 +177,9 @@ class _WrittenKind(Constraint):
             return tape, shape
 
     def _tape_of(self, written: Any) -> Tape:
-        """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`, `UnknownNameError`."""
+        """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`,
+        `UnknownNameError`.
+        """
         of = self.of
         time = self.time
         known = self.parameters
@@ -158,18 +187,24 @@ class _WrittenKind(Constraint):
             return written
         clock = (TIME,) if time else ()
         if time and TIME in of:
-            raise InputError(f"{self.what} has a coordinate {TIME!r} besides the time, which is called so")
+            raise InputError(
+                f"{self.what} has a coordinate {TIME!r} besides the time, which is called so"
+            )
         words = [w for w in words_of(written) if w not in clock]
         parameters = tuple(words if known is None else known)
         names: tuple[str, ...] = of or tuple(w for w in words if known is None or w not in known)
         try:
-            return from_text(written, (*names, *clock), tuple(p for p in parameters if p not in names))
+            return from_text(
+                written, (*names, *clock), tuple(p for p in parameters if p not in names)
+            )
         except UnknownNameError as error:
             more = "; for the time say time=True" if error.name == TIME and not time else ""
             raise InputError(f"{self.what}: {error}{more}") from None
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
-        """The same constraint where all names that are no parameters are coordinates, listed in `of`."""
+        """The same constraint where all names that are no parameters are coordinates, listed in
+        `of`.
+        """
         names = self.of or tuple(w for w in self.words if w != TIME or not self.time)
         return replace(self, of=tuple(n for n in names if n not in parameters))  # type: ignore[attr-defined]
 
@@ -180,7 +215,9 @@ class _WrittenKind(Constraint):
 
 
 class _Valued(_WrittenKind, Bounded):
-    """Base of constraints on values of an expression; bounds are for all n values alike, or (..., n)."""
+    """Base of constraints on values of an expression; bounds are for all n values alike, or (...,
+    n).
+    """
 
     sense: ClassVar[dict[str, Any]] = {}
     if TYPE_CHECKING:
@@ -209,12 +246,17 @@ class _Valued(_WrittenKind, Bounded):
         n = len(self.rows(dim))
         for name in ("at_least", "at_most"):
             if n > 1 and np.shape(x := getattr(self, name))[-1:] not in ((), (n,)):
-                raise InputError(f"{name} of {self.label} has shape {np.shape(x)}; it must be a number, or (..., {n})")
+                raise InputError(
+                    f"{name} of {self.label} has shape {np.shape(x)}; it must be a number, or "
+                    f"(..., {n})"
+                )
 
     def _fits(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no list of numbers."""
         if len(shape) > 1 or 0 in shape:
-            raise InputError(f"{self.what} returns numbers of the shape {shape}; it must return {self.needs}")
+            raise InputError(
+                f"{self.what} returns numbers of the shape {shape}; it must return {self.needs}"
+            )
 
     @property
     def _texts(self) -> Any:
@@ -253,8 +295,17 @@ class _Valued(_WrittenKind, Bounded):
             n = len(of.outputs)
         sense = {"low": "at_least", "high": "at_most"} if self.bounded else self.sense
         part = n > 1 and self.bounded
-        return tuple(Row(op, (of, k), "value" if n == 1 else f"value {k + 1}", "1", part=k if part else None, **sense)
-                     for k in range(n))  # fmt: skip
+        return tuple(
+            Row(
+                op,
+                (of, k),
+                "value" if n == 1 else f"value {k + 1}",
+                "1",
+                part=k if part else None,
+                **sense,
+            )
+            for k in range(n)
+        )
 
     def prefixed(self, prefix: str) -> Constraint:
         """The same constraint with a prefix before the names of its coordinates."""
@@ -273,9 +324,10 @@ class _Valued(_WrittenKind, Bounded):
 class Equation(_Valued):
     """An equation f = 0 over coordinates, or several: text such as ``"A = 2*B"``, or a function.
 
-    A function is called with a mapping from the names `of` to numbers, with `time` also with the time t, and gives a
-    number or a list. Text finds its coordinates itself; other names are parameters of the mechanism. `drive` and
-    `assemble` pass the time on; for all other verbs it is 0. `at_least`, `at_most`: f within bounds, not zero.
+    A function is called with a mapping from the names `of` to numbers, with `time` also with the
+    time t, and gives a number or a list. Text finds its coordinates itself; other names are
+    parameters of the mechanism. `drive` and `assemble` pass the time on; for all other verbs it is
+    0. `at_least`, `at_most`: f within bounds, not zero.
     """
 
     expression: Written
@@ -286,7 +338,8 @@ class Equation(_Valued):
 
 @kind("inequality", says="{expression}")
 class Inequality(_Valued):
-    """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign of equality.
+    """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign
+    of equality.
 
     `at_least`, `at_most`: f within these bounds, in place of 0 and above.
     """
@@ -301,9 +354,11 @@ class Inequality(_Valued):
 
 @kind("velocity_equation", says="the velocities v of {of} obey {matrix} v = {b}")
 class VelocityEquation(_WrittenKind):
-    """Rows A(q) v = b(q, t) over the velocities of the coordinates `of`: numbers, texts, or a function of these.
+    """Rows A(q) v = b(q, t) over the velocities of the coordinates `of`: numbers, texts, or a
+    function of these.
 
-    `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one for each row.
+    `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one
+    for each row.
     """
 
     matrix: Written
@@ -318,7 +373,9 @@ class VelocityEquation(_WrittenKind):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.of:
-            raise InputError(f"{self.what} needs the coordinates whose velocities it is about: of=(...)")
+            raise InputError(
+                f"{self.what} needs the coordinates whose velocities it is about: of=(...)"
+            )
         A = self._entries(self.matrix, self._fits)
         A = (A,) if A and not isinstance(A[0], tuple) else A
         self._fits((len(A), len(A[0])) if A else (0, 0))
@@ -334,8 +391,10 @@ class VelocityEquation(_WrittenKind):
             found, shape = self._recorded(written, fits)
             if not is_texts(found):
                 why = found.reason if isinstance(found, Call) else "as text it is too long"
-                raise InputError(f"{self.what} cannot be recorded: {why}; rows of velocities need derivatives of "
-                                 "their entries: write them as expressions")  # fmt: skip
+                raise InputError(
+                    f"{self.what} cannot be recorded: {why}; rows of velocities need derivatives "
+                    "of their entries: write them as expressions"
+                )
             n = shape[-1] if len(shape) == 2 else 0
             return tuple(found[i : i + n] for i in range(0, len(found), n)) if n else found
         rows: Any = written.tolist() if isinstance(written, np.ndarray) else written
@@ -350,25 +409,33 @@ class VelocityEquation(_WrittenKind):
     def _fits(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no matrix with a column for each coordinate."""
         if len(shape) not in (1, 2) or shape[-1] != len(self.of) or 0 in shape:
-            raise InputError(f"{self.what} has a matrix of the shape {shape}; each of its rows must have "
-                             f"{counted(len(self.of), 'entry')}, for {', '.join(self.of)}")  # fmt: skip
+            raise InputError(
+                f"{self.what} has a matrix of the shape {shape}; each of its rows must have "
+                f"{counted(len(self.of), 'entry')}, for {', '.join(self.of)}"
+            )
 
     def _as_many(self, shape: tuple[int, ...], rows: int) -> None:
         if shape not in ((), (1,), (rows,)):
-            raise InputError(f"b of {self.what} has the shape {shape}; it must be one number, or {rows}")
+            raise InputError(
+                f"b of {self.what} has the shape {shape}; it must be one number, or {rows}"
+            )
 
     def _row_texts(self) -> tuple[str, ...]:
         """Each row as an expression in velocities, A v - b."""
         b = self.b if is_texts(self.b) else (self.b,) * len(self.matrix)
         rates = [quoted(n + RATE) for n in self.of]
-        rows = [" + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in self.matrix]
+        rows = [
+            " + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in self.matrix
+        ]
         return tuple(row if y == "0" else f"{row} - ({y})" for row, y in zip(rows, b, strict=True))
 
     @property
     def words(self) -> tuple[str, ...]:
         """The names in its expressions, and its coordinates."""
         b = self.b if is_texts(self.b) else (self.b,)
-        return tuple(dict.fromkeys([*self.of, *words_of((*(x for row in self.matrix for x in row), *b))]))
+        return tuple(
+            dict.fromkeys([*self.of, *words_of((*(x for row in self.matrix for x in row), *b))])
+        )
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
         """The same constraint: its coordinates are named already."""
@@ -380,7 +447,8 @@ class VelocityEquation(_WrittenKind):
         tape = self.velocity_tape(rates)
         n = len(tape.outputs)
         return tuple(
-            Row(Op.VELOCITY, (tape, k), "velocity" if n == 1 else f"velocity {k + 1}", "1/s") for k in range(n)
+            Row(Op.VELOCITY, (tape, k), "velocity" if n == 1 else f"velocity {k + 1}", "1/s")
+            for k in range(n)
         )
 
     def velocity_tape(self, rates: tuple[str, ...]) -> Tape:

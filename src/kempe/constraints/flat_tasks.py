@@ -1,4 +1,6 @@
-"""Tasks with two numbers, of which a picture can be drawn: two coordinates of a frame's place, or its direction."""
+"""Tasks with two numbers, of which a picture can be drawn: two coordinates of a frame's place, or
+its direction.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,11 @@ DIRECTION = "direction"
 
 @dataclass(frozen=True)
 class FlatTask:
-    """Two numbers that say where a frame is: two coordinates of its place [m], or the direction of its z axis.
+    """Two numbers that say where a frame is: two coordinates of its place [m], or the direction of
+    its z axis.
 
-    `name` is "xy", "xz", "yz" or "direction"; a direction is seen as its azimuth about z and its elevation above the
-    xy-plane [rad].
+    `name` is "xy", "xz", "yz" or "direction"; a direction is seen as its azimuth about z and its
+    elevation above the xy-plane [rad].
     """
 
     name: str
@@ -57,7 +60,9 @@ class FlatTask:
         if not self.turns:
             return X[..., self.axes, 3]
         z = X[..., :3, 2]
-        return np.stack([np.arctan2(z[..., 1], z[..., 0]), np.arcsin(np.clip(z[..., 2], -1.0, 1.0))], axis=-1)
+        return np.stack(
+            [np.arctan2(z[..., 1], z[..., 0]), np.arcsin(np.clip(z[..., 2], -1.0, 1.0))], axis=-1
+        )
 
     def at(self, frame: str, p: Array) -> Constraint:
         """What is requested where the numbers shall be p (..., 2)."""
@@ -72,7 +77,9 @@ class FlatTask:
         return OnLine(frame, at, np.eye(3)[along])
 
     def area(self, X: Array, J: Array) -> Array:
-        """Area (...) that the rates of two coordinates span in the task, with its sign, of Jacobians (..., 6, 2)."""
+        """Area (...) that the rates of two coordinates span in the task, with its sign, of
+        Jacobians (..., 6, 2).
+        """
         if not self.turns:
             return np.asarray(np.linalg.det(J[..., self.axes, :]))
         return np.einsum("...i,...i", X[..., :3, 2], np.cross(J[..., 3:, 0], J[..., 3:, 1]))
@@ -97,4 +104,6 @@ def flat_task(name: object, dim: int) -> FlatTask:
 def _directions(p: Array) -> Array:
     """Unit vectors (..., 3) of azimuths and elevations (..., 2)."""
     level = np.cos(p[..., 1])
-    return np.stack([level * np.cos(p[..., 0]), level * np.sin(p[..., 0]), np.sin(p[..., 1])], axis=-1)
+    return np.stack(
+        [level * np.cos(p[..., 0]), level * np.sin(p[..., 0]), np.sin(p[..., 1])], axis=-1
+    )

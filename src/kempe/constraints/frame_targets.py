@@ -1,4 +1,6 @@
-"""What the target of one frame stands for: the constraints that `System.ik` holds by the name of a task."""
+"""What the target of one frame stands for: the constraints that `System.ik` holds by the name of a
+task.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,12 @@ AXIS_TASKS = ("direction", "position_axis")
 """Tasks on an axis of the tool."""
 
 
-def of_target(frame: str, task: str, axis: tuple[float, float, float], X: Array) -> list[Constraint]:
-    """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of `AXIS_TASKS`."""
+def of_target(
+    frame: str, task: str, axis: tuple[float, float, float], X: Array
+) -> list[Constraint]:
+    """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of
+    `AXIS_TASKS`.
+    """
     from kempe.constraints.kinds import Orientation, Pointing, Pose, Position
 
     out: list[Constraint] = []

@@ -1,7 +1,9 @@
-"""Kinds that hold a frame, or a point or an axis of it, in, on or near something; lengths in metres, angles in radians.
+"""Kinds that hold a frame, or a point or an axis of it, in, on or near something; lengths in
+metres, angles in radians.
 
-A frame is held against the ground, or against the frame `other`, in whose axes targets are then read. Targets may have
-leading axes where `System.ik` takes them: they make a batch. `point` is a point of the frame, in its axes.
+A frame is held against the ground, or against the frame `other`, in whose axes targets are then
+read. Targets may have leading axes where `System.ik` takes them: they make a batch. `point` is a
+point of the frame, in its axes.
 """
 
 from __future__ import annotations
@@ -74,7 +76,8 @@ class Pose(Placed):
 
 @kind("position", says="{frame} is at {target}")
 class Position(Measured):
-    """A point of a frame at a position `target` (..., 3), in planar systems also (..., 2), or near it.
+    """A point of a frame at a position `target` (..., 3), in planar systems also (..., 2), or near
+    it.
 
     `at_least`, `at_most`: its distance from the target.
     """
@@ -128,7 +131,8 @@ class _Axis(Measured):
 
 @kind("pointing", says="an axis of {frame} is along {direction}")
 class Pointing(_Axis):
-    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground, or of `other`.
+    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground,
+    or of `other`.
 
     `at_least`, `at_most`: the angle between them, as of a glass that must not spill.
     """
@@ -144,14 +148,18 @@ class Pointing(_Axis):
 
     def goal(self, dim: int) -> Array:
         """Poses (..., 4, 4) at the origin whose z is the direction."""
-        return spatial.pose(along(directions_of(self.direction, dim, f"direction of {self.label}"), dim))
+        return spatial.pose(
+            along(directions_of(self.direction, dim, f"direction of {self.label}"), dim)
+        )
 
 
 @kind("look_at", says="an axis of {frame} points at {target}")
 class LookAt(_Axis):
-    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a camera looks at it.
+    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a
+    camera looks at it.
 
-    `at_least`, `at_most`: the angle between the axis and the line of sight, as of what must stay in view.
+    `at_least`, `at_most`: the angle between the axis and the line of sight, as of what must stay in
+    view.
     """
 
     frame: Frame
@@ -182,8 +190,14 @@ class OnLine(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the coordinates across the line (in the plane one), or of the distance from the line."""
-        return self.between(Op.TAPE, OFF_LINE, 0) if self.bounded else points(3, "y" if dim == 2 else "xy")
+        """Rows of the coordinates across the line (in the plane one), or of the distance from the
+        line.
+        """
+        return (
+            self.between(Op.TAPE, OFF_LINE, 0)
+            if self.bounded
+            else points(3, "y" if dim == 2 else "xy")
+        )
 
     def goal(self, dim: int) -> Array:
         """Poses (..., 4, 4) at `origin` whose z is along the line."""
@@ -216,7 +230,9 @@ class OnPlane(Measured):
 
 @kind("half_space", "contact", "{frame} is on one side of a plane of {other}")
 class HalfSpace(Placed):
-    """A point of a frame on that side of a plane to which its `normal` points, at least `margin` (...) m from it."""
+    """A point of a frame on that side of a plane to which its `normal` points, at least `margin`
+    (...) m from it.
+    """
 
     frame: Frame
     origin: Point = ORIGIN
@@ -240,7 +256,8 @@ class HalfSpace(Placed):
 
 @kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
 class OnSphere(Measured):
-    """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the plane a circle.
+    """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the
+    plane a circle.
 
     `at_least`, `at_most`, in place of the radius: outside or inside a sphere.
     """
@@ -264,7 +281,9 @@ class OnSphere(Measured):
 
 @kind("in_box", "contact", "{frame} is in a box of {other}")
 class InBox(Placed):
-    """A point of a frame between the corners `low` and `high` (..., 3) of a box that is at `pose` (..., 4, 4)."""
+    """A point of a frame between the corners `low` and `high` (..., 3) of a box that is at `pose`
+    (..., 4, 4).
+    """
 
     frame: Frame
     low: Point
@@ -284,7 +303,9 @@ class InBox(Placed):
         return poses_of(self.pose, dim, f"pose of {self.label}")
 
     def check(self, dim: int) -> None:
-        """Refuse corners that leave nothing between them, and boxes that are off the plane, or flat in space."""
+        """Refuse corners that leave nothing between them, and boxes that are off the plane, or flat
+        in space.
+        """
         if dim == self._given:
             self._corners  # noqa: B018
         else:
@@ -328,7 +349,9 @@ class RelativePose(Placed):
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
 class RelativePosition(Measured):
-    """A point of a frame at a position `target` (..., 3) seen from the frame `other`, in its axes, or near it."""
+    """A point of a frame at a position `target` (..., 3) seen from the frame `other`, in its axes,
+    or near it.
+    """
 
     frame: Frame
     other: Frame
@@ -341,7 +364,8 @@ class RelativePosition(Measured):
 
 @kind("distance", says="{frame} and {other} are {value} m apart")
 class Distance(Measured):
-    """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between bounds (...).
+    """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between
+    bounds (...).
 
     A rod with a ball at each end has a `value`, a rope only `at_most`.
     """
@@ -369,7 +393,8 @@ class OnSurface(Measured):
 
     `at_least`, `at_most`: the value of f, as of what is outside or inside.
 
-    `surface` is text such as ``"x^2/4 + y^2 = 1"``, in metres along the axes of the ground or of `other`.
+    `surface` is text such as ``"x^2/4 + y^2 = 1"``, in metres along the axes of the ground or of
+    `other`.
     """
 
     frame: Frame
@@ -382,7 +407,11 @@ class OnSurface(Measured):
     def rows(self, dim: int) -> tuple[Row, ...]:
         """The equation of the surface."""
         tape = self._tape(dim)
-        return self.between(Op.TAPE, tape, 0) if self.bounded else (Row(Op.TAPE, (tape, 0), "surface", "1"),)
+        return (
+            self.between(Op.TAPE, tape, 0)
+            if self.bounded
+            else (Row(Op.TAPE, (tape, 0), "surface", "1"),)
+        )
 
     def _tape(self, dim: int) -> Tape:
         return from_text([self.surface], tuple("xyz"[:dim]), {})

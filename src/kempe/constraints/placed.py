@@ -1,4 +1,6 @@
-"""What kinds that hold a frame share: their rows, where they are held, and bounds on how far they are from there."""
+"""What kinds that hold a frame share: their rows, where they are held, and bounds on how far they
+are from there.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ Z = (0.0, 0.0, 1.0)
 def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
     """Rows that hold the origin of B along axes of A; `dim` is 2 in the plane, else 3."""
     return tuple(
-        Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held) for k, a in enumerate(axes[:dim])
+        Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held)
+        for k, a in enumerate(axes[:dim])
     )
 
 
@@ -44,7 +47,9 @@ def whole(dim: int) -> tuple[Row, ...]:
     return (*points(dim), ROTATION)
 
 
-ROTATION, TILT, LOOK = (Row(op, (), name, "rad") for op, name in ((Op.ROTATION, "r"), (Op.TILT, "r"), (Op.LOOK, "r")))
+ROTATION, TILT, LOOK = (
+    Row(op, (), name, "rad") for op, name in ((Op.ROTATION, "r"), (Op.TILT, "r"), (Op.LOOK, "r"))
+)
 
 
 class Placed(Constraint):
@@ -56,20 +61,25 @@ class Placed(Constraint):
         return HERE if point is ORIGIN else at_point(point, dim, f"point of {self.label}")
 
     def _at(self, dim: int, name: str) -> Array:
-        """Poses (..., 4, 4), without a rotation, at the point in the field `name`; `dim` is 2 in the plane, else 3."""
+        """Poses (..., 4, 4), without a rotation, at the point in the field `name`; `dim` is 2 in
+        the plane, else 3.
+        """
         return spatial.pose(p=points_of(getattr(self, name), dim, f"{name} of {self.label}"))
 
     def _along(self, dim: int, name: str) -> Array:
         """Poses (..., 4, 4) at `origin` whose z is along the direction in the field `name`.
 
-        In the plane (`dim` 2) their x is the normal of the plane; in space x is any direction across z.
+        In the plane (`dim` 2) their x is the normal of the plane; in space x is any direction
+        across z.
         """
         z = directions_of(getattr(self, name), dim, f"{name} of {self.label}")
         return spatial.pose(along(z, dim), points_of(self.origin, dim, f"origin of {self.label}"))  # type: ignore[attr-defined]
 
 
 class Measured(Placed, Bounded):
-    """Base of constraints on one number: a distance, a height or an angle, at a value or between bounds."""
+    """Base of constraints on one number: a distance, a height or an angle, at a value or between
+    bounds.
+    """
 
     measured: ClassVar[str] = "distance"
     instead: ClassVar[str] = ""
@@ -83,19 +93,29 @@ class Measured(Placed, Bounded):
         super().check(dim)
 
     def between(self, op: Op, *args: Any) -> tuple[Row, ...]:
-        """The row that holds the number between `at_least` and `at_most`; `op` is the operation that measures it."""
+        """The row that holds the number between `at_least` and `at_most`; `op` is the operation
+        that measures it.
+        """
         return (Row(op, args, self.measured, UNITS[self.measured], low="at_least", high="at_most"),)
 
     def apart(self) -> tuple[Row, ...]:
-        """The row of a distance that is the number of the field `instead`, or within bounds. Errors: `InputError`."""
+        """The row of a distance that is the number of the field `instead`, or within bounds.
+        Errors: `InputError`.
+        """
         value = getattr(self, self.instead)
         if (value is None) != self.bounded:
             raise InputError(f"{self.label} needs a {self.instead}, or at_least or at_most")
-        return (Row(Op.DISTANCE, (), "distance", equal=self.instead, low="at_least", high="at_most"),)
+        return (
+            Row(Op.DISTANCE, (), "distance", equal=self.instead, low="at_least", high="at_most"),
+        )
 
     def in_words(self, name: str) -> str:
         """The bounds, in place of the field that they replace, as `sentence` writes them."""
-        return self.bounds_in_words if name == self.instead and self.bounded else super().in_words(name)
+        return (
+            self.bounds_in_words
+            if name == self.instead and self.bounded
+            else super().in_words(name)
+        )
 
     @property
     def sentence(self) -> str:
@@ -110,12 +130,14 @@ class Measured(Placed, Bounded):
 LEAST = "1e-24"
 """Added to squares under a root, so that the root has derivatives at zero, too."""
 OFF_LINE, TILTED, AWAY, TURNED = (
-    from_text(text, POSE) for text in (
+    from_text(text, POSE)
+    for text in (
         f"sqrt(x^2 + y^2 + {LEAST})",
         f"atan2(sqrt(xz^2 + yz^2 + {LEAST}), zz)",
-        f"atan2(sqrt((yz*z - zz*y)^2 + (zz*x - xz*z)^2 + (xz*y - yz*x)^2 + {LEAST}), -(xz*x + yz*y + zz*z))",
+        f"atan2(sqrt((yz*z - zz*y)^2 + (zz*x - xz*z)^2 + (xz*y - yz*x)^2 + {LEAST}), -(xz*x + yz*y "
+        "+ zz*z))",
         f"atan2(sqrt((zy - yz)^2 + (xz - zx)^2 + (yx - xy)^2 + {LEAST}), xx + yy + zz - 1)",
     )
-)  # fmt: skip
-"""Distance from z of A; angles of z of B against z of A, of z of B against the direction from B to the origin of A, and
-of B against A."""
+)
+"""Distance from z of A; angles of z of B against z of A, of z of B against the direction from B to
+the origin of A, and of B against A."""

@@ -19,7 +19,9 @@ POINTS = 12
 
 
 class NotRecorded(KempeError):
-    """A function that cannot be recorded: it branches on values, or hands them to what takes plain numbers only."""
+    """A function that cannot be recorded: it branches on values, or hands them to what takes plain
+    numbers only.
+    """
 
 
 class Branches(KempeError):
@@ -27,7 +29,9 @@ class Branches(KempeError):
 
 
 class RecordedNumber:
-    """A number that notes what is done to it. It has no value: comparisons and float() raise `Branches`."""
+    """A number that notes what is done to it. It has no value: comparisons and float() raise
+    `Branches`.
+    """
 
     __slots__ = ("_builder", "place")
 
@@ -44,13 +48,17 @@ class RecordedNumber:
         if is_array(x) and x.ndim == 0:
             return self._of(x.item())
         number: Any = x
-        if isinstance(x, (bool, np.bool_)) or not isinstance(x, (int, float, np.integer, np.floating)):
+        if isinstance(x, (bool, np.bool_)) or not isinstance(
+            x, (int, float, np.integer, np.floating)
+        ):
             return None
         return self._builder.number(float(number))
 
     def _binary(self, op: int, left: object, right: object) -> Any:
         if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
-            a, b = np.broadcast_arrays(np.asarray(left, dtype=object), np.asarray(right, dtype=object))
+            a, b = np.broadcast_arrays(
+                np.asarray(left, dtype=object), np.asarray(right, dtype=object)
+            )
             if a.ndim:
                 out = np.empty(a.shape, dtype=object)
                 for i in np.ndindex(*a.shape):
@@ -130,7 +138,9 @@ class RecordedNumber:
         return self._raise("uses a value as a key")
 
     def __float__(self) -> float:
-        return self._raise("asks for a plain number (float(), or a function of math: use that of numpy)")
+        return self._raise(
+            "asks for a plain number (float(), or a function of math: use that of numpy)"
+        )
 
     __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
 
@@ -157,27 +167,56 @@ def _scaled(factor: float, op: int | None = None) -> Callable[[RecordedNumber], 
 
 
 _UFUNCS_2: dict[np.ufunc, int] = {
-    np.add: L.ADD, np.subtract: L.SUB, np.multiply: L.MUL, np.divide: L.DIV, np.power: L.POW, np.float_power: L.POW,
-    np.arctan2: L.ATAN2, np.hypot: L.HYPOT,
-}  # fmt: skip
+    np.add: L.ADD,
+    np.subtract: L.SUB,
+    np.multiply: L.MUL,
+    np.divide: L.DIV,
+    np.power: L.POW,
+    np.float_power: L.POW,
+    np.arctan2: L.ATAN2,
+    np.hypot: L.HYPOT,
+}
 _UFUNCS: dict[np.ufunc, Callable[[RecordedNumber], Any]] = {
     f: (lambda x, op=op: x._unary(op))
     for f, op in {
-        np.negative: L.NEG, np.exp: L.EXP, np.log: L.LOG, np.sqrt: L.SQRT, np.sin: L.SIN, np.cos: L.COS,
-        np.tan: L.TAN, np.arcsin: L.ASIN, np.arccos: L.ACOS, np.arctan: L.ATAN, np.sinh: L.SINH, np.cosh: L.COSH,
-        np.tanh: L.TANH, np.arcsinh: L.ASINH, np.arccosh: L.ACOSH, np.arctanh: L.ATANH,
+        np.negative: L.NEG,
+        np.exp: L.EXP,
+        np.log: L.LOG,
+        np.sqrt: L.SQRT,
+        np.sin: L.SIN,
+        np.cos: L.COS,
+        np.tan: L.TAN,
+        np.arcsin: L.ASIN,
+        np.arccos: L.ACOS,
+        np.arctan: L.ATAN,
+        np.sinh: L.SINH,
+        np.cosh: L.COSH,
+        np.tanh: L.TANH,
+        np.arcsinh: L.ASINH,
+        np.arccosh: L.ACOSH,
+        np.arctanh: L.ATANH,
     }.items()
-}  # fmt: skip
+}
 _UFUNCS |= {
-    np.positive: lambda x: x, np.conjugate: lambda x: x, np.square: lambda x: x * x, np.reciprocal: lambda x: 1.0 / x,
-    np.deg2rad: _scaled(np.pi / 180.0), np.radians: _scaled(np.pi / 180.0),
-    np.rad2deg: _scaled(180.0 / np.pi), np.degrees: _scaled(180.0 / np.pi),
-    np.log10: _scaled(float(1.0 / np.log(10.0)), L.LOG), np.log2: _scaled(float(1.0 / np.log(2.0)), L.LOG),
+    np.positive: lambda x: x,
+    np.conjugate: lambda x: x,
+    np.square: lambda x: x * x,
+    np.reciprocal: lambda x: 1.0 / x,
+    np.deg2rad: _scaled(np.pi / 180.0),
+    np.radians: _scaled(np.pi / 180.0),
+    np.rad2deg: _scaled(180.0 / np.pi),
+    np.degrees: _scaled(180.0 / np.pi),
+    np.log10: _scaled(float(1.0 / np.log(10.0)), L.LOG),
+    np.log2: _scaled(float(1.0 / np.log(2.0)), L.LOG),
     np.exp2: lambda x: (x * float(np.log(2.0)))._unary(L.EXP),
-    np.expm1: lambda x: x._unary(L.EXP) - 1.0, np.log1p: lambda x: (1.0 + x)._unary(L.LOG),
-}  # fmt: skip
+    np.expm1: lambda x: x._unary(L.EXP) - 1.0,
+    np.log1p: lambda x: (1.0 + x)._unary(L.LOG),
+}
 
-for _ufunc, _make in _UFUNCS.items():  # an array of objects calls the method of this name on each of them
+for (
+    _ufunc,
+    _make,
+) in _UFUNCS.items():  # an array of objects calls the method of this name on each of them
     if not hasattr(RecordedNumber, _ufunc.__name__):
         setattr(RecordedNumber, _ufunc.__name__, _make)
 for _ufunc, _op in _UFUNCS_2.items():
@@ -185,28 +224,38 @@ for _ufunc, _op in _UFUNCS_2.items():
 
 
 class _Named(dict[Any, Any]):
-    """The inputs of a function by name. Errors: `UnknownNameError` for a name that was not declared."""
+    """The inputs of a function by name. Errors: `UnknownNameError` for a name that was not
+    declared.
+    """
 
     def __missing__(self, name: object) -> Any:
         raise UnknownNameError("input", name, self, "the function asks for an undeclared name:")
 
 
 def record(
-    function: Callable[..., Any], inputs: Collection[str], *, time: bool = False, what: str = "the function"
+    function: Callable[..., Any],
+    inputs: Collection[str],
+    *,
+    time: bool = False,
+    what: str = "the function",
 ) -> tuple[Tape, tuple[int, ...]]:
-    """The tape of a Python function of named inputs, and the shape of what it returns; the tape has it row by row.
+    """The tape of a Python function of named inputs, and the shape of what it returns; the tape has
+    it row by row.
 
-    function: called with a mapping from names to numbers, with `time` also with the time t, which is then the tape's
-    input "t"; it returns a number, a list or array of numbers, or rows of equal length. numpy's functions are recorded.
-    The tape's inputs are those that the result depends on, in the order of `inputs`.
+    function: called with a mapping from names to numbers, with `time` also with the time t, which
+    is then the tape's input "t"; it returns a number, a list or array of numbers, or rows of equal
+    length. numpy's functions are recorded. The tape's inputs are those that the result depends on,
+    in the order of `inputs`.
 
-    Errors: `NotRecorded` with the reason, where a callback is what remains; `InputError` for functions that raise,
-    return anything else, or give different answers for the same numbers, with the call that showed it;
-    `UnknownNameError` for a name that is not among the inputs.
+    Errors: `NotRecorded` with the reason, where a callback is what remains; `InputError` for
+    functions that raise, return anything else, or give different answers for the same numbers, with
+    the call that showed it; `UnknownNameError` for a name that is not among the inputs.
     """
     names = list(inputs)
     if time and TIME in names:
-        raise InputError(f"{what} has an input {TIME!r} besides the time, which is called so; rename the input")
+        raise InputError(
+            f"{what} has an input {TIME!r} besides the time, which is called so; rename the input"
+        )
     names += [TIME] * time
     try:
         tape, shape = _once(function, names, time)
@@ -222,12 +271,16 @@ def record(
         probe(function, names, time, what)
         raise NotRecorded(f"{what} cannot be recorded: {type(error).__name__}: {error}") from None
     if again != (tape, shape):
-        raise InputError(f"{what} is not the same function when it is called again: it depends on hidden state")
+        raise InputError(
+            f"{what} is not the same function when it is called again: it depends on hidden state"
+        )
     _compared(function, tape, shape, names, time, what)
     return tape, shape
 
 
-def _once(function: Callable[..., Any], names: list[str], time: bool) -> tuple[Tape, tuple[int, ...]]:
+def _once(
+    function: Callable[..., Any], names: list[str], time: bool
+) -> tuple[Tape, tuple[int, ...]]:
     builder = Builder(names)
     recorded = _Named({name: RecordedNumber(builder, i) for i, name in enumerate(names)})
     found = function(recorded, recorded.pop(TIME)) if time else function(recorded)
@@ -253,20 +306,26 @@ def _entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
             raise InputError("it returns an empty list")
         shapes = {shape for _, shape in parts}
         if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
-            raise InputError("it returns lists of different lengths, or deeper than rows of numbers")
+            raise InputError(
+                "it returns lists of different lengths, or deeper than rows of numbers"
+            )
         return [x for entries, _ in parts for x in entries], (len(parts), *next(iter(shapes), ()))
     if isinstance(found, RecordedNumber):
         return [found], ()
     number: Any = found
     if isinstance(found, (int, float, np.integer, np.floating)) and not isinstance(found, bool):
         return [float(number)], ()
-    raise InputError(f"it returns {shown(found)}; it must return a number, a list of numbers, or rows of numbers")
+    raise InputError(
+        f"it returns {shown(found)}; it must return a number, a list of numbers, or rows of numbers"
+    )
 
 
 def called(
     function: Callable[..., Any], values: Mapping[str, float], time: bool, what: str
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """What a function returns for plain numbers, row by row, and its shape. Errors: `InputError` with the call."""
+    """What a function returns for plain numbers, row by row, and its shape. Errors: `InputError`
+    with the call.
+    """
     given = _Named({name: np.float64(x) for name, x in values.items()})
     try:
         with np.errstate(all="ignore"):
@@ -281,7 +340,9 @@ def called(
     except KempeError:
         raise
     except FOREIGN as error:
-        raise InputError(f"{what} raised {type(error).__name__} at {at(values)}: {error}") from error
+        raise InputError(
+            f"{what} raised {type(error).__name__} at {at(values)}: {error}"
+        ) from error
     return numbers, shape
 
 
@@ -297,11 +358,13 @@ def points(names: Collection[str]) -> list[dict[str, float]]:
     return [{name: float(rng.normal(0.0, spread[k % 4])) for name in names} for k in range(POINTS)]
 
 
-def probe(function: Callable[..., Any], names: Collection[str], time: bool, what: str) -> tuple[int, ...]:
+def probe(
+    function: Callable[..., Any], names: Collection[str], time: bool, what: str
+) -> tuple[int, ...]:
     """The shape of what a function returns for plain numbers.
 
-    Errors: `InputError` with the call, where it fails or gives NaN wherever it is tried, and where it answers the same
-    call in two ways.
+    Errors: `InputError` with the call, where it fails or gives NaN wherever it is tried, and where
+    it answers the same call in two ways.
     """
     failures: list[InputError] = []
     found: list[tuple[np.bool_, tuple[Any, ...], dict[str, float]]] = []
@@ -316,8 +379,8 @@ def probe(function: Callable[..., Any], names: Collection[str], time: bool, what
         again, _ = called(function, values, time, what)
         if not np.array_equal(entries, again, equal_nan=True):
             raise InputError(
-                f"{what} gives {entries.tolist()} at {at(values)}, and {again.tolist()} when it is called again: "
-                "it depends on hidden state"
+                f"{what} gives {entries.tolist()} at {at(values)}, and {again.tolist()} when it is "
+                "called again: it depends on hidden state"
             )
         found.append((np.isfinite(entries).all(), shape, values))
     if not found:
@@ -327,26 +390,41 @@ def probe(function: Callable[..., Any], names: Collection[str], time: bool, what
         raise InputError(f"{what} returns arrays of different shapes: {sorted(shapes)}")
     if not any(finite for finite, _, _ in found):
         where = at(found[0][2])
-        raise InputError(f"{what} gives numbers that are not finite wherever it was tried, such as at {where}")
+        raise InputError(
+            f"{what} gives numbers that are not finite wherever it was tried, such as at {where}"
+        )
     return shapes.pop()
 
 
 def _compared(
-    function: Callable[..., Any], tape: Tape, shape: tuple[int, ...], names: list[str], time: bool, what: str
+    function: Callable[..., Any],
+    tape: Tape,
+    shape: tuple[int, ...],
+    names: list[str],
+    time: bool,
+    what: str,
 ) -> None:
-    """Compare the tape with the function itself. Errors: `InputError` with the call where they differ."""
+    """Compare the tape with the function itself. Errors: `InputError` with the call where they
+    differ.
+    """
     for values in points(names):
         expected = tape.evaluate(values)
         try:
             found, size = called(function, values, time, what)
         except InputError as error:
-            if isinstance(error.__cause__, ArithmeticError):  # not defined there: the tape says NaN or infinity
+            if isinstance(
+                error.__cause__, ArithmeticError
+            ):  # not defined there: the tape says NaN or infinity
                 continue
             raise
-        known = np.isfinite(found) & np.isfinite(expected) if size == shape else np.zeros(1, dtype=bool)
+        known = (
+            np.isfinite(found) & np.isfinite(expected) if size == shape else np.zeros(1, dtype=bool)
+        )
         scale = 1e-6 * (1.0 + np.abs(found)) if size == shape else 1.0
-        if size != shape or np.any(np.abs(found - expected)[known] > np.broadcast_to(scale, known.shape)[known]):
+        if size != shape or np.any(
+            np.abs(found - expected)[known] > np.broadcast_to(scale, known.shape)[known]
+        ):
             raise InputError(
-                f"{what} gives {found.tolist()} at {at(values)}, and {expected.tolist()} when it was recorded: "
-                "it depends on hidden state"
+                f"{what} gives {found.tolist()} at {at(values)}, and {expected.tolist()} when it "
+                "was recorded: it depends on hidden state"
             )

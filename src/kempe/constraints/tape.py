@@ -1,7 +1,9 @@
-"""Tapes: recorded expressions as small programs, with exact values, gradients, Taylor series, text and pickle.
+"""Tapes: recorded expressions as small programs, with exact values, gradients, Taylor series, text
+and pickle.
 
-A tape is made of text (`kempe.constraints.text`) or of a Python function (`kempe.constraints.recording`). Kernels run
-it from its arrays (`kempe.kernels.constraints.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with
+A tape is made of text (`kempe.constraints.text`) or of a Python function
+(`kempe.constraints.recording`). Kernels run it from its arrays
+(`kempe.kernels.constraints.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with
 them.
 """
 
@@ -29,9 +31,11 @@ Node = tuple[int, int, int]
 TIME = "t"
 """The name of the time among the inputs."""
 POSE = ("x", "y", "z", "xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
-"""Inputs between frames: the place of frame B in A, and of its rotation the component by row, the axis by column."""
+"""Inputs between frames: the place of frame B in A, and of its rotation the component by row, the
+axis by column."""
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-"""Inputs of rows of velocities: the velocity of the origin of B against A and its angular velocity, in axes of A."""
+"""Inputs of rows of velocities: the velocity of the origin of B against A and its angular velocity,
+in axes of A."""
 RATE = "'"
 """What follows the name of a coordinate in the name of its velocity."""
 
@@ -39,7 +43,8 @@ TEXT_LIMIT = 20_000
 """Characters of the text of one output: shared parts are written out wherever they are used."""
 
 WHOLE_POWERS = 64
-"""Whole exponents up to this size become products, which are exact in every order of a series and at zero."""
+"""Whole exponents up to this size become products, which are exact in every order of a series and
+at zero."""
 
 
 def entries(s: Any, table: NDArray[Any]) -> NDArray[Any]:
@@ -48,7 +53,8 @@ def entries(s: Any, table: NDArray[Any]) -> NDArray[Any]:
 
 
 def nearest(way: Any, z: Any) -> NDArray[Any]:
-    """The parameters of the points of a curve nearest to places: all critical points of all pieces that may be it.
+    """The parameters of the points of a curve nearest to places: all critical points of all pieces
+    that may be it.
 
     `way` has the table of the curve, and x and y.
     """
@@ -63,7 +69,9 @@ def nearest(way: Any, z: Any) -> NDArray[Any]:
 
 
 def _nearest(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
-    """The nearest of one place: roots of the derivative of the squared distance, polynomials of degree 5."""
+    """The nearest of one place: roots of the derivative of the squared distance, polynomials of
+    degree 5.
+    """
     if not np.isfinite(p).all():
         return 0.0
     c = rows[:, :12].reshape(-1, 3, 4).copy()
@@ -95,22 +103,43 @@ def at_place(way: Any, x: Any) -> tuple[Any, ...]:
 
 
 BINARY: dict[int, Callable[..., Any]] = {
-    L.ADD: np.add, L.SUB: np.subtract, L.MUL: np.multiply, L.DIV: np.divide, L.POW: np.power,
-    L.ATAN2: np.arctan2, L.HYPOT: np.hypot, L.LOOKUP: entries, L.NEAREST: nearest,
+    L.ADD: np.add,
+    L.SUB: np.subtract,
+    L.MUL: np.multiply,
+    L.DIV: np.divide,
+    L.POW: np.power,
+    L.ATAN2: np.arctan2,
+    L.HYPOT: np.hypot,
+    L.LOOKUP: entries,
+    L.NEAREST: nearest,
     L.AT: at_place,
-}  # fmt: skip
+}
 UNARY: dict[int, Callable[..., Any]] = {
-    L.NEG: np.negative, L.EXP: np.exp, L.LOG: np.log, L.SQRT: np.sqrt, L.SIN: np.sin, L.COS: np.cos, L.TAN: np.tan,
-    L.ASIN: np.arcsin, L.ACOS: np.arccos, L.ATAN: np.arctan, L.SINH: np.sinh, L.COSH: np.cosh, L.TANH: np.tanh,
-    L.ASINH: np.arcsinh, L.ACOSH: np.arccosh, L.ATANH: np.arctanh,
-}  # fmt: skip
+    L.NEG: np.negative,
+    L.EXP: np.exp,
+    L.LOG: np.log,
+    L.SQRT: np.sqrt,
+    L.SIN: np.sin,
+    L.COS: np.cos,
+    L.TAN: np.tan,
+    L.ASIN: np.arcsin,
+    L.ACOS: np.arccos,
+    L.ATAN: np.arctan,
+    L.SINH: np.sinh,
+    L.COSH: np.cosh,
+    L.TANH: np.tanh,
+    L.ASINH: np.arcsinh,
+    L.ACOSH: np.arccosh,
+    L.ATANH: np.arctanh,
+}
 """Operations as functions of numpy."""
 
 NAMES = {op: name for name, f in FUNCTIONS.items() for op, g in (BINARY | UNARY).items() if f is g}
 """Names in text of operations that are functions."""
 
 SYMBOLS = {L.ADD: (" + ", 1), L.SUB: (" - ", 1), L.MUL: ("*", 2), L.DIV: ("/", 2), L.POW: ("**", 4)}
-"""Signs of operations, and how tightly they bind; a minus before a term binds with 3, a name or call with 5."""
+"""Signs of operations, and how tightly they bind; a minus before a term binds with 3, a name or
+call with 5."""
 SIGN = 3
 ATOM = 5
 
@@ -119,8 +148,8 @@ ATOM = 5
 class Tape:
     """Functions of named inputs as a program: hashable, comparable by content, picklable.
 
-    inputs: names, in the order of places 0 ... n_inputs - 1. nodes: what is computed, in order (`tape_layout`).
-    numbers: constants that nodes refer to. outputs: places of the results.
+    inputs: names, in the order of places 0 ... n_inputs - 1. nodes: what is computed, in order
+    (`tape_layout`). numbers: constants that nodes refer to. outputs: places of the results.
     """
 
     inputs: tuple[str, ...]
@@ -134,7 +163,9 @@ class Tape:
         return len(self.inputs) + len(self.nodes)
 
     def evaluate(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """The outputs (..., n_outputs) at inputs given by name, which broadcast; NaN or infinity where not defined."""
+        """The outputs (..., n_outputs) at inputs given by name, which broadcast; NaN or infinity
+        where not defined.
+        """
         for name in self.inputs:
             if name not in values:
                 raise UnknownNameError("input", name, values)
@@ -165,7 +196,9 @@ class Tape:
         return (left, right) if op in BINARY else (left,) if op in UNARY else ()
 
     def _needed(self) -> list[int]:
-        """Places, in order, of the nodes that are needed to compute the outputs; nodes of derivatives are left out."""
+        """Places, in order, of the nodes that are needed to compute the outputs; nodes of
+        derivatives are left out.
+        """
         needed = set(self.outputs)
         for place in range(self.size - 1, len(self.inputs) - 1, -1):
             if place in needed:
@@ -199,7 +232,8 @@ class Tape:
         numbers = tuple(float(values[self.inputs[i]]) for i in bound)
         return Tape(
             tuple(self.inputs[i] for i in kept),
-            tuple((L.NUMBER, k, -1) for k in range(len(bound))) + tuple(moved(node) for node in self.nodes),
+            tuple((L.NUMBER, k, -1) for k in range(len(bound)))
+            + tuple(moved(node) for node in self.nodes),
             numbers + self.numbers,
             tuple(place.get(i, i) for i in self.outputs),
         )
@@ -215,7 +249,9 @@ class Tape:
         return ints, np.array(self.numbers, dtype=np.float64)
 
     def degrees_in(self, names: Iterable[str]) -> tuple[int, ...]:
-        """Degree of each output in these inputs together, read off the program: 0, 1, or 2 for all that is more."""
+        """Degree of each output in these inputs together, read off the program: 0, 1, or 2 for all
+        that is more.
+        """
         requested = set(names)
         degree = [int(name in requested) for name in self.inputs] + [0] * len(self.nodes)
         for i in self._needed():
@@ -232,7 +268,9 @@ class Tape:
         return tuple(degree[i] for i in self.outputs)
 
     def linear_in(self, names: Iterable[str]) -> bool:
-        """Whether the program computes all outputs linearly (with a constant part) in these inputs together."""
+        """Whether the program computes all outputs linearly (with a constant part) in these inputs
+        together.
+        """
         return max(self.degrees_in(names), default=0) <= 1
 
     def support(self) -> tuple[frozenset[str], ...]:
@@ -243,11 +281,15 @@ class Tape:
         return tuple(found[i] for i in self.outputs)
 
     def texts(self) -> tuple[str, ...]:
-        """The outputs as expressions, which `kempe.constraints.text.from_text` reads to an equal tape.
+        """The outputs as expressions, which `kempe.constraints.text.from_text` reads to an equal
+        tape.
 
-        Names that are no plain words stand in backquotes. Errors: `InputError` where one is beyond `TEXT_LIMIT`.
+        Names that are no plain words stand in backquotes. Errors: `InputError` where one is beyond
+        `TEXT_LIMIT`.
         """
-        made: dict[int, tuple[str, int]] = {i: (quoted(name), ATOM) for i, name in enumerate(self.inputs)}
+        made: dict[int, tuple[str, int]] = {
+            i: (quoted(name), ATOM) for i, name in enumerate(self.inputs)
+        }
         powers = {i: (i, 1) for i in range(len(self.inputs))}
         for i in self._needed():
             made[i] = self._written(i, made, powers)
@@ -255,8 +297,12 @@ class Tape:
                 raise InputError(f"the expression has more than {TEXT_LIMIT} characters as text")
         return tuple(made[i][0] for i in self.outputs)
 
-    def _written(self, i: int, made: dict[int, tuple[str, int]], powers: dict[int, tuple[int, int]]) -> tuple[str, int]:
-        """Text of a node and how tightly it binds; `powers` keeps the base and the exponent of whole powers."""
+    def _written(
+        self, i: int, made: dict[int, tuple[str, int]], powers: dict[int, tuple[int, int]]
+    ) -> tuple[str, int]:
+        """Text of a node and how tightly it binds; `powers` keeps the base and the exponent of
+        whole powers.
+        """
         op, left, right = self.nodes[i - len(self.inputs)]
         powers[i] = (i, 1)
         if op == L.NUMBER:
@@ -273,7 +319,10 @@ class Tape:
         if op in SYMBOLS:
             sign, tight = SYMBOLS[op]
             first = _within(made[left], tight + (op == L.POW))
-            return f"{first}{sign}{_within(made[right], ATOM if made[right][1] == SIGN else tight + 1)}", tight
+            return (
+                f"{first}{sign}{_within(made[right], ATOM if made[right][1] == SIGN else tight + 1)}",
+                tight,
+            )
         arguments = ", ".join(made[k][0] for k in self._operands(i))
         return f"{NAMES[op]}({arguments})", ATOM
 
@@ -284,10 +333,15 @@ def _within(part: tuple[str, int], tight: int) -> str:
 
 
 def is_plain(name: str) -> bool:
-    """Whether a name stands in text as it is: words, also with dots between them, that are not taken."""
+    """Whether a name stands in text as it is: words, also with dots between them, that are not
+    taken.
+    """
     words = name.split(".")
     return (
-        all(re.fullmatch(r"[^\W\d]\w*", word) and unicodedata.normalize("NFKC", word) == word for word in words)
+        all(
+            re.fullmatch(r"[^\W\d]\w*", word) and unicodedata.normalize("NFKC", word) == word
+            for word in words
+        )
         and not any(keyword.iskeyword(word) for word in words)
         and name not in FUNCTIONS
         and name not in CONSTANTS

@@ -1,11 +1,12 @@
 """Constraint equations written as text, such as ``"A - 2*B"`` or ``"sin(A) = `rear axle` / 2"``.
 
-The language is that of `kempe.values.Expression` (a parser of its own rules, nothing is run), and besides:
+The language is that of `kempe.values.Expression` (a parser of its own rules, nothing is run), and
+besides:
 
 - ``left = right`` stands for ``left - (right)``;
 - ``^`` is a power, like ``**``;
-- names may have dots between words (``joint.x``); all other names that are no plain words, and those that are also the
-  names of functions, stand in backquotes: `` `rear axle` ``, `` `sin` ``.
+- names may have dots between words (``joint.x``); all other names that are no plain words, and
+  those that are also the names of functions, stand in backquotes: `` `rear axle` ``, `` `sin` ``.
 """
 
 from __future__ import annotations
@@ -27,10 +28,24 @@ _TOKENS = re.compile(
     r"|(?P<name>[^\W\d]\w*(?:\.[^\W\d]\w*)*)|(?P<sign>\*\*|[-+*/^(),=])"
 )
 _OPERATIONS = {
-    "sin": L.SIN, "cos": L.COS, "tan": L.TAN, "asin": L.ASIN, "acos": L.ACOS, "atan": L.ATAN, "sqrt": L.SQRT,
-    "exp": L.EXP, "log": L.LOG, "sinh": L.SINH, "cosh": L.COSH, "tanh": L.TANH, "asinh": L.ASINH, "acosh": L.ACOSH,
-    "atanh": L.ATANH, "atan2": L.ATAN2, "hypot": L.HYPOT,
-}  # fmt: skip
+    "sin": L.SIN,
+    "cos": L.COS,
+    "tan": L.TAN,
+    "asin": L.ASIN,
+    "acos": L.ACOS,
+    "atan": L.ATAN,
+    "sqrt": L.SQRT,
+    "exp": L.EXP,
+    "log": L.LOG,
+    "sinh": L.SINH,
+    "cosh": L.COSH,
+    "tanh": L.TANH,
+    "asinh": L.ASINH,
+    "acosh": L.ACOSH,
+    "atanh": L.ATANH,
+    "atan2": L.ATAN2,
+    "hypot": L.HYPOT,
+}
 
 
 @dataclass(frozen=True)
@@ -66,15 +81,17 @@ class TapePlace:
 
 
 def from_text(
-    texts: str | list[str] | tuple[str, ...], names: Collection[str], parameters: Collection[str] = ()
+    texts: str | list[str] | tuple[str, ...],
+    names: Collection[str],
+    parameters: Collection[str] = (),
 ) -> Tape:
     """The tape of expressions in the named inputs and parameters, an output for each text.
 
-    Its inputs are the names that occur, in the order of `names` and then of `parameters`. Exponents may depend on
-    parameters freely; along curves and in gradients they count as constant.
+    Its inputs are the names that occur, in the order of `names` and then of `parameters`. Exponents
+    may depend on parameters freely; along curves and in gradients they count as constant.
 
-    Errors: `InputError` for what is no expression, constants that are not finite, and a name that is both;
-    `UnknownNameError` for names that are neither, with near ones.
+    Errors: `InputError` for what is no expression, constants that are not finite, and a name that
+    is both; `UnknownNameError` for names that are neither, with near ones.
     """
     listed = tuple(texts) if isinstance(texts, (list, tuple)) else (texts,)
     for text in listed:
@@ -88,7 +105,9 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
     """The tape, made once: kinds ask for that of their text whenever they declare their rows."""
     for name in names:
         if name in parameters:
-            raise InputError(f"{name!r} is the name of a coordinate and of a parameter; rename one of them")
+            raise InputError(
+                f"{name!r} is the name of a coordinate and of a parameter; rename one of them"
+            )
     builder = Builder([*names, *parameters], parameters)
     place = {name: TapePlace(builder, i) for i, name in enumerate([*names, *parameters])}
     outputs: list[int] = []
@@ -96,9 +115,14 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
         expression, meant = read(text)
         for word in expression.names:
             if meant.get(word, word) not in place:
-                raise UnknownNameError("name", meant.get(word, word), place, f"expression {text!r}:")
+                raise UnknownNameError(
+                    "name", meant.get(word, word), place, f"expression {text!r}:"
+                )
         leaves = {word: place[meant.get(word, word)] for word in expression.names}
-        number: Callable[[float], TapePlace] = lambda x: TapePlace(builder, builder.number(float(x)))  # noqa: E731
+
+        def number(x: float) -> TapePlace:
+            return TapePlace(builder, builder.number(float(x)))
+
         leaves |= {word: number(x) for word, x in CONSTANTS.items()}
         try:
             outputs.append(expression.fold(leaves, _functions(number), number).place)
@@ -109,7 +133,9 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
 
 
 def _functions(number: Callable[[float], TapePlace]) -> dict[str, Callable[..., Any]]:
-    made: dict[str, Callable[..., Any]] = {name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()}
+    made: dict[str, Callable[..., Any]] = {
+        name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()
+    }
     factors = {name: float(FUNCTIONS[name](1.0)) for name in ("radians", "degrees")}
     return made | {name: _times(number, f) for name, f in factors.items()}
 
@@ -130,7 +156,8 @@ def is_texts(x: object) -> TypeGuard[tuple[str, ...]]:
 
 
 def read(text: str) -> tuple[Expression, dict[str, str]]:
-    """The expression, ``left = right`` as a difference, and a dict of names by the words that stand for them in it.
+    """The expression, ``left = right`` as a difference, and a dict of names by the words that stand
+    for them in it.
 
     Errors: `InputError`.
     """
@@ -144,19 +171,25 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
     while at < len(text):
         match = _TOKENS.match(text, at)
         if match is None:
-            raise InputError(f"{_short(text)} has {text[at]!r} at place {at + 1}, which no expression holds")
+            raise InputError(
+                f"{_short(text)} has {text[at]!r} at place {at + 1}, which no expression holds"
+            )
         at = match.end()
         kind = match.lastgroup
         token = match[match.lastgroup or 0]
         if token == "=":
             sides.append("")
             continue
-        if kind == "quoted" or (kind == "name" and token not in FUNCTIONS and token not in CONSTANTS):
+        if kind == "quoted" or (
+            kind == "name" and token not in FUNCTIONS and token not in CONSTANTS
+        ):
             name = token
             if not name.strip():
                 raise InputError(f"{_short(text)} has an empty name in backquotes")
             if kind == "quoted" or not is_plain(name) or not token.isascii() or "." in token:
-                token = next((word for word, known in meant.items() if known == name), f"name_{len(meant)}_")
+                token = next(
+                    (word for word, known in meant.items() if known == name), f"name_{len(meant)}_"
+                )
                 while token in text:
                     token += "_"
                 meant[token] = name

@@ -1,4 +1,6 @@
-"""Kinds that hold the whole configuration: coordinates, centres of mass and of points, Python functions of q."""
+"""Kinds that hold the whole configuration: coordinates, centres of mass and of points, Python
+functions of q.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import EYE, Bounded, Constraint, Mass, Names, Number, Op, Point, Row, kind
+from kempe.constraints.base import (
+    EYE,
+    Bounded,
+    Constraint,
+    Mass,
+    Names,
+    Number,
+    Op,
+    Point,
+    Row,
+    kind,
+)
 from kempe.constraints.reading import fixed, numbers_of, points_of
 from kempe.errors import InputError
 from kempe.reals import named
@@ -20,9 +33,11 @@ AXES = ("xyz", "xy", "xz", "yz", "x", "y", "z")
 
 @kind("posture", says="coordinates are near {q}")
 class Posture(Constraint):
-    """Coordinates near values: a configuration `q` (..., nq), or a dict by coordinate name of those that count.
+    """Coordinates near values: a configuration `q` (..., nq), or a dict by coordinate name of those
+    that count.
 
-    It is soft unless `weight` is None. A quaternion counts as a whole, by the angle between the two orientations.
+    It is soft unless `weight` is None. A quaternion counts as a whole, by the angle between the two
+    orientations.
     """
 
     q: Any
@@ -43,7 +58,9 @@ class Posture(Constraint):
 
 
 class _OfCentre(Bounded):
-    """Base of constraints on a centre of masses, along some of its axes; along a single axis it may have bounds."""
+    """Base of constraints on a centre of masses, along some of its axes; along a single axis it may
+    have bounds.
+    """
 
     @property
     def ends(self) -> tuple[Any, Any]:
@@ -57,7 +74,8 @@ class _OfCentre(Bounded):
         return f"{self.axes} {self.bounds_in_words}"  # type: ignore[attr-defined]
 
     def axis_numbers(self, dim: int) -> list[int]:
-        """Numbers (0 for x, 1 for y, 2 for z) of the axes that `axes` names; `dim` is 2 in the plane, else 3.
+        """Numbers (0 for x, 1 for y, 2 for z) of the axes that `axes` names; `dim` is 2 in the
+        plane, else 3.
 
         Errors: `InputError` for text that names none.
         """
@@ -73,13 +91,17 @@ class _OfCentre(Bounded):
         """One row for each axis that `axes` names, with the bounds where they are given."""
         n = len(self.axis_numbers(dim))
         if self.bounded != (self.target is None) or (self.bounded and n > 1):  # type: ignore[attr-defined]
-            raise InputError(f"{self.label} needs a target, or at_least or at_most along one of its axes")
+            raise InputError(
+                f"{self.label} needs a target, or at_least or at_most along one of its axes"
+            )
         if self.bounded:
             k = self.axis_numbers(dim)[0]
             return (Row(Op.POINT, (k,), "xyz"[k], low="at_least", high="at_most"),)
         w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         if w.shape[-1:] not in ((), (1,), (n,)) or not np.all(w >= 0.0):
-            raise InputError(f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})")  # type: ignore[attr-defined]
+            raise InputError(
+                f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})"
+            )  # type: ignore[attr-defined]
         ends = {"low": "below", "high": "above"} if np.any(w) else {}
         return tuple(
             Row(Op.POINT, (i,), "xyz"[i], part=k if ends else None, **ends)
@@ -99,7 +121,9 @@ class _OfCentre(Bounded):
         return -self.above
 
     def goal(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at the target, which has three numbers, or one for each axis that `axes` names."""
+        """Poses (..., 4, 4) at the target, which has three numbers, or one for each axis that
+        `axes` names.
+        """
         if self.bounded:
             return EYE
         what = f"target of {self.label}"
@@ -116,11 +140,12 @@ class _OfCentre(Bounded):
 
 @kind("centre_of_mass", says="the centre of mass is at {target}")
 class CentreOfMass(_OfCentre):
-    """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or `within` (m) of it.
+    """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or
+    `within` (m) of it.
 
     Where fewer axes count, `target` may have a number for each of these only.
-    `within` is one number, or (..., n) for the n axes, from target to target where it has leading axes.
-    Along one axis, `at_least` and `at_most` are bounds in place of a target.
+    `within` is one number, or (..., n) for the n axes, from target to target where it has leading
+    axes. Along one axis, `at_least` and `at_most` are bounds in place of a target.
     Masses and centres are those of the bodies, as files give them.
     """
 
@@ -137,7 +162,9 @@ class CentreOfMass(_OfCentre):
 
     def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
         """The masses of the bodies."""
-        heavy = [(n, tuple(b.center or (0.0, 0.0, 0.0)), float(b.mass or 0.0)) for n, b in bodies.items()]
+        heavy = [
+            (n, tuple(b.center or (0.0, 0.0, 0.0)), float(b.mass or 0.0)) for n, b in bodies.items()
+        ]
         total = sum(mass for _, _, mass in heavy)
         if not total > 0.0:
             raise InputError(f"{what} has no masses: it has no centre of mass")
@@ -146,7 +173,8 @@ class CentreOfMass(_OfCentre):
 
 @kind("centre_of_points", says="the mean of {frames} is at {target}")
 class CentreOfPoints(_OfCentre):
-    """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a dict of weights.
+    """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a
+    dict of weights.
 
     Along one axis, `at_least` and `at_most` are bounds in place of a target.
     """
@@ -166,10 +194,15 @@ class CentreOfPoints(_OfCentre):
     def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
         """The weights of the frames."""
         given = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
-        weights = {f: float(fixed(numbers_of(w, said := f"a weight of {self.label}"), said)) for f, w in given.items()}
+        weights = {
+            f: float(fixed(numbers_of(w, said := f"a weight of {self.label}"), said))
+            for f, w in given.items()
+        }
         total = sum(weights.values())
         if not weights or any(not w > 0.0 for w in weights.values()):
-            raise InputError(f"frames of {self.label} are {self.frames!r}; needed are some, with weights above 0")
+            raise InputError(
+                f"frames of {self.label} are {self.frames!r}; needed are some, with weights above 0"
+            )
         return [Mass(f, (0.0, 0.0, 0.0), w / total) for f, w in weights.items()]
 
 
@@ -177,9 +210,10 @@ class CentreOfPoints(_OfCentre):
 class Function(Constraint):
     """A function of q (nq,), a number or (m,), at zero, or between `low` and `high` (m,).
 
-    With `frames` it is called with their poses (4, 4) in the ground, one after the other, in place of q. `derivative`
-    gives its derivatives (m, nv) by the velocity coordinates, and is checked; else they are by complex steps or
-    differences. Its error is compared with the tolerance of angles.
+    With `frames` it is called with their poses (4, 4) in the ground, one after the other, in place
+    of q. `derivative` gives its derivatives (m, nv) by the velocity coordinates, and is checked;
+    else they are by complex steps or differences. Its error is compared with the tolerance of
+    angles.
     """
 
     function: Callable[..., Any]

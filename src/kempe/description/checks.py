@@ -1,4 +1,6 @@
-"""What a builder call may say: functions that return the checked value or raise a `DescriptionError`."""
+"""What a builder call may say: functions that return the checked value or raise a
+`DescriptionError`.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,13 @@ def numbers(given: object, what: str) -> dict[str, float]:
 
 
 def body(
-    given: str, particle: bool, mass: object, center: Any, visuals: Iterable[str], where: Where | None
-) -> Body:  # fmt: skip
+    given: str,
+    particle: bool,
+    mass: object,
+    center: Any,
+    visuals: Iterable[str],
+    where: Where | None,
+) -> Body:
     """A `Body` with its name, mass (kg, not negative) and centre of mass (2 or 3 lengths) checked."""
     subject = f"body {name(given, 'body')!r}"
     if mass is not None:
@@ -64,31 +71,59 @@ def body(
             refuse(subject, f"center is {center!r}", where, "it must have 2 or 3 numbers")
         lengths = [number(c, f"{subject}: center") for c in coordinates]
         if len(lengths) not in (2, 3):
-            refuse(subject, f"center has {counted(len(lengths), 'number')}", where, "it must have 2 or 3")
+            refuse(
+                subject,
+                f"center has {counted(len(lengths), 'number')}",
+                where,
+                "it must have 2 or 3",
+            )
         center = (*lengths, 0.0)[:3]
     return Body(given, particle, mass, center, tuple(visuals), where)  # type: ignore[arg-type]
 
 
-def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None) -> None:
-    """Refuse a joint type that cannot be used in the plane, or between these bodies. Errors: `DescriptionError`."""
+def kind(
+    dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None
+) -> None:
+    """Refuse a joint type that cannot be used in the plane, or between these bodies. Errors:
+    `DescriptionError`.
+    """
     if dim == 2 and not type_.planar:
-        refuse(subject, f"a {type_.type_name} joint does not exist in the plane", where,
-               "planar systems take revolute, prismatic, planar, translation, fixed and free")  # fmt: skip
+        refuse(
+            subject,
+            f"a {type_.type_name} joint does not exist in the plane",
+            where,
+            "planar systems take revolute, prismatic, planar, translation, fixed and free",
+        )
     if parent.particle:
-        refuse(subject, f"its parent {parent.name!r} is a particle, which has no orientation", where,
-               "make the particle the child")  # fmt: skip
+        refuse(
+            subject,
+            f"its parent {parent.name!r} is a particle, which has no orientation",
+            where,
+            "make the particle the child",
+        )
     fault = fault_of(type_, dim, child.particle)
     if fault:
         refuse(subject, f"joint type {type_.type_name!r} is not declared well: {fault}", where)
     primitives = type_.layout(dim, child.particle)[1]
     if child.particle and any(p.kind != P for p in primitives):
-        refuse(subject, f"a {type_.type_name} joint turns, but {child.name!r} is a particle", where,
-               "particles take prismatic, planar, translation, fixed, free, and products of slides")  # fmt: skip
+        refuse(
+            subject,
+            f"a {type_.type_name} joint turns, but {child.name!r} is a particle",
+            where,
+            "particles take prismatic, planar, translation, fixed, free, and products of slides",
+        )
     if dim == 2:
-        flat = all(p.kind == R and p.axis == "z" or p.kind == P and p.axis != "z" for p in primitives)
+        flat = all(
+            p.kind == R and p.axis == "z" or p.kind == P and p.axis != "z" for p in primitives
+        )
         if not flat and any(p.kind != P or p.axis != "z" for p in primitives):
-            refuse(subject, f"a {type_.type_name} joint leaves the plane", where,
-                   "in the plane a joint turns about z and slides along x and y, or slides along z only")  # fmt: skip
+            refuse(
+                subject,
+                f"a {type_.type_name} joint leaves the plane",
+                where,
+                "in the plane a joint turns about z and slides along x and y, or slides along z "
+                "only",
+            )
 
 
 def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]) -> str:
@@ -119,11 +154,16 @@ def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., J
 
 FOREIGN_KEYWORDS = {
     **dict.fromkeys(
-        ("origin", "xyz", "position", "pos", "offset", "translation"), "give the joint's place as at=(x, y, z)"
+        ("origin", "xyz", "position", "pos", "offset", "translation"),
+        "give the joint's place as at=(x, y, z)",
     ),
-    **dict.fromkeys(("lower", "upper", "limit", "range", "min", "max"), "give limits=(lower, upper)"),
+    **dict.fromkeys(
+        ("lower", "upper", "limit", "range", "min", "max"), "give limits=(lower, upper)"
+    ),
     "length": "a link's length is where its next joint sits: give at=(length, 0, 0) there",
-    **dict.fromkeys(("rotation", "R", "orientation"), "give rpy=(roll, pitch, yaw), quat_wxyz= or matrix="),
+    **dict.fromkeys(
+        ("rotation", "R", "orientation"), "give rpy=(roll, pitch, yaw), quat_wxyz= or matrix="
+    ),
     "theta": "give angle= in the plane, rpy= in space",
     "direction": "give axis=(x, y, z)",
 }
@@ -132,7 +172,9 @@ FOREIGN_KEYWORDS = {
 
 @lru_cache(maxsize=256)
 def fault_of(type_: JointType, dim: int, particle: bool) -> str:
-    """Fault of the coordinates and primitives that a joint type declares, as text; '' where there is none."""
+    """Fault of the coordinates and primitives that a joint type declares, as text; '' where there
+    is none.
+    """
     names, primitives = type_.layout(dim, particle)
     if len(set(names)) < len(names) or (len(names) > 1 and "" in names):
         return f"its coordinates are {names}; each needs a name of its own"
@@ -154,21 +196,36 @@ def fault_of(type_: JointType, dim: int, particle: bool) -> str:
     if any(len(own) > 1 for own in owners) or sum(p.kind == Q for p in primitives) > 1:
         return "a quaternion shares no coordinate, and there is at most one"
     given = type_.velocities(dim, particle)
-    return "" if len(set(given)) == len(given) else f"its velocities are {given}; each needs a name of its own"
+    return (
+        ""
+        if len(set(given)) == len(given)
+        else f"its velocities are {given}; each needs a name of its own"
+    )
 
 
 def ends(
-    dim: int, subject: str, type_: JointType, X_PF: Placement, X_CM: Placement, child: Body,
+    dim: int,
+    subject: str,
+    type_: JointType,
+    X_PF: Placement,
+    X_CM: Placement,
+    child: Body,
     where: Where | None,
-) -> None:  # fmt: skip
-    """Refuse the frames of a joint where they leave the plane, or where the joint is not at the origin of a particle.
+) -> None:
+    """Refuse the frames of a joint where they leave the plane, or where the joint is not at the
+    origin of a particle.
 
-    X_PF and X_CM are the placements of the frames F on the parent and M on the child. `subject` names the joint and
-    `where` its place in a file, for the message; `dim` is 2 in the plane, else 3. Errors: `DescriptionError`.
+    X_PF and X_CM are the placements of the frames F on the parent and M on the child. `subject`
+    names the joint and `where` its place in a file, for the message; `dim` is 2 in the plane, else
+    3. Errors: `DescriptionError`.
     """
     if child.particle and any(motion in ("x", "y", "z") for motion, _ in X_CM.steps):
-        refuse(subject, f"a particle ({child.name!r}) has no extent: the joint must sit on it", where,
-               "leave out child_at")  # fmt: skip
+        refuse(
+            subject,
+            f"a particle ({child.name!r}) has no extent: the joint must sit on it",
+            where,
+            "leave out child_at",
+        )
     if dim == 3:
         return
     if not any(p.kind == P and p.axis == "z" for p in type_.layout(dim, child.particle)[1]):
@@ -178,17 +235,29 @@ def ends(
     out_of_plane = f"a {type_.type_name} joint slides along z, out of the plane"
     directions = [axis_in_plane(subject, X, out_of_plane, where) for X in (X_PF, X_CM)]
     if np.abs(directions[1] - directions[0]).max() > SAME_DIRECTION:
-        refuse(subject, "its axis differs on the two bodies", where, "turn the child by child_angle instead")
+        refuse(
+            subject,
+            "its axis differs on the two bodies",
+            where,
+            "turn the child by child_angle instead",
+        )
 
 
-def axis_in_plane(subject: str, X: Placement, out_of_plane: str, where: Where | None) -> spatial.Array:
+def axis_in_plane(
+    subject: str, X: Placement, out_of_plane: str, where: Where | None
+) -> spatial.Array:
     """Direction of z of a placement whose last step turns z into the plane of a planar system."""
     if not X.steps or X.steps[-1][0] != "align":
         refuse(subject, out_of_plane, where, "give its axis=(x, y)")
     flat(subject, Placement(X.steps[:-1]), where)
     axis = spatial.unit([float(x) for x in X.steps[-1][1]])  # type: ignore[arg-type]
     if axis[2] != 0.0:
-        refuse(subject, f"its axis has z = {axis[2]:g}, out of the plane", where, "give its axis=(x, y)")
+        refuse(
+            subject,
+            f"its axis has z = {axis[2]:g}, out of the plane",
+            where,
+            "give its axis=(x, y)",
+        )
     return axis
 
 
@@ -196,13 +265,19 @@ def flat(subject: str, X: Placement, where: Where | None) -> None:
     """Refuse, with a `DescriptionError`, a placement of a planar system that leaves the xy-plane."""
     for motion, _ in X.steps:
         if motion not in ("x", "y", "rz"):
-            refuse(subject, f"{motion} leaves the plane", where, "planar systems take x, y and turns about z")
+            refuse(
+                subject,
+                f"{motion} leaves the plane",
+                where,
+                "planar systems take x, y and turns about z",
+            )
 
 
 def limits(
     subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
 ) -> dict[str, Limits]:
-    """Limits by coordinate: (lower, upper) with None where there is none, or a dict of such pairs by coordinate.
+    """Limits by coordinate: (lower, upper) with None where there is none, or a dict of such pairs
+    by coordinate.
 
     None is no limit on that side. A quaternion has no limits by coordinate.
     """
@@ -213,7 +288,10 @@ def limits(
         plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object
         numbers: tuple[Any, ...] = tuple(pair) if plain or is_sequence(pair) else ()
         if len(numbers) == 2:
-            numbers = tuple(end if x is None else x for x, end in zip(numbers, (-math.inf, math.inf), strict=True))
+            numbers = tuple(
+                end if x is None else x
+                for x, end in zip(numbers, (-math.inf, math.inf), strict=True)
+            )
         if len(numbers) != 2 or not all(is_real(x) for x in numbers):
             allowed = "they must be a pair (lower, upper), None where there is none"
             refuse(subject, f"limits are {shown(pair)}", where, allowed)
@@ -228,25 +306,33 @@ def limits(
     return out
 
 
-def bounds(subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None) -> dict[str, float]:
+def bounds(
+    subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
+) -> dict[str, float]:
     """Largest speeds or efforts by velocity coordinate: checked numbers >= 0, also infinite."""
     out: dict[str, float] = {}
     for key, bound in _by_name(subject, what, given, names, where):
         if not is_real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
-            refuse(subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative")
+            refuse(
+                subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative"
+            )
         out[key] = float(bound)  # type: ignore[arg-type]
     return out
 
 
 def _by_name(
     subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
-) -> list[tuple[str, Any]]:  # fmt: skip
+) -> list[tuple[str, Any]]:
     if given is None:
         return []
     if not is_mapping(given):
         if names != ("",):
-            refuse(subject, f"{what} given as {given!r}", where,
-                   f"this joint needs them by coordinate: {', '.join(names) or 'it has none'}")  # fmt: skip
+            refuse(
+                subject,
+                f"{what} given as {given!r}",
+                where,
+                f"this joint needs them by coordinate: {', '.join(names) or 'it has none'}",
+            )
         return [("", given)]
     for key in given:
         if key not in names:

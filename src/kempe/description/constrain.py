@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
 
 BETWEEN = {"distance": "distance", "point_on_line": "on_line", "point_on_plane": "on_plane"}
-"""Kinds that are placed on bodies, by their names as methods of `Mechanism` and in files of format 1."""
+"""Kinds that are placed on bodies, by their names as methods of `Mechanism` and in files of format
+1."""
 
 Placed = tuple[Any, object, Mapping[str, object]]
 """A body or frame, a place on it, and how it is turned there."""
@@ -48,10 +49,18 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
     subject = f"constraint {name!r}"
     mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
     names = ("weight", "priority", "tolerance")
-    demands = [f for f in names if getattr(given, f) not in (getattr(Constraint, f), getattr(type(given), f))]
+    demands = [
+        f
+        for f in names
+        if getattr(given, f) not in (getattr(Constraint, f), getattr(type(given), f))
+    ]
     if demands:
-        checks.refuse(subject, f"{demands[0]} is what ik reads of a wish", where,
-                      "a mechanism always holds it: leave it out")  # fmt: skip
+        checks.refuse(
+            subject,
+            f"{demands[0]} is what ik reads of a wish",
+            where,
+            "a mechanism always holds it: leave it out",
+        )
     made = _with_values(mechanism, given, subject, where).knowing(mechanism.parameters)
     made = replace(made, name="") if made.name else made
     if made.ends[1] is None:
@@ -65,8 +74,14 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
 
 
 def between(
-    mechanism: Mechanism, name: str, kind: str, parent: Placed, child: Placed, length: object, where: Where | None
-) -> Declared:  # fmt: skip
+    mechanism: Mechanism,
+    name: str,
+    kind: str,
+    parent: Placed,
+    child: Placed,
+    length: object,
+    where: Where | None,
+) -> Declared:
     """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.point_on_line`."""
     subject = f"constraint {name!r}"
     mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
@@ -75,10 +90,16 @@ def between(
     A, B = (_placed(mechanism, p, subject, where) for p in (parent, child))
     rod = BETWEEN[kind] == "distance"
     if A.body == B.body:
-        checks.refuse(subject, f"it ties body {A.body!r} to itself", where, "it must tie two bodies")
+        checks.refuse(
+            subject, f"it ties body {A.body!r} to itself", where, "it must tie two bodies"
+        )
     if mechanism.dim == 2 and BETWEEN[kind] == "on_plane":
-        checks.refuse(subject, f"{kind} does not exist in the plane", where,
-                      "planar systems take distance and point_on_line")  # fmt: skip
+        checks.refuse(
+            subject,
+            f"{kind} does not exist in the plane",
+            where,
+            "planar systems take distance and point_on_line",
+        )
     if rod and length is None:
         checks.refuse(subject, "it has no length", where, "give the length of the rod in metres")
     if not rod and length is not None:
@@ -108,14 +129,20 @@ def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | N
         on = mechanism._body(thing, subject, where)  # type: ignore[arg-type]
         return End(on.name, mechanism._place(at, turn, subject, where, on))
     if isinstance(at, (Frame, str)):
-        checks.refuse(subject, f"its point is given twice, by frames {frame.name!r} and {str(at)!r}", where,
-                      "name the frame once")  # fmt: skip
+        checks.refuse(
+            subject,
+            f"its point is given twice, by frames {frame.name!r} and {str(at)!r}",
+            where,
+            "name the frame once",
+        )
     on = mechanism.bodies[frame.body]
     return End(on.name, frame.X_BF @ mechanism._place(at, turn, subject, where, on))
 
 
 def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
-    """An end of a constraint as a placement on a body: None is the ground, text is a frame or a body."""
+    """An end of a constraint as a placement on a body: None is the ground, text is a frame or a
+    body.
+    """
     if end is None:
         return End(mechanism.ground.name)
     if isinstance(end, End):
@@ -128,10 +155,14 @@ def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -
     if isinstance(name, str) and name in mechanism.bodies:
         return End(name)
     known = [*mechanism.frames, *mechanism.bodies]
-    checks.refuse(subject, str(UnknownNameError("frame or body", name, known, mechanism.name)), where)
+    checks.refuse(
+        subject, str(UnknownNameError("frame or body", name, known, mechanism.name)), where
+    )
 
 
-def _with_values(mechanism: Mechanism, given: Constraint, subject: str, where: Where | None) -> Constraint:
+def _with_values(
+    mechanism: Mechanism, given: Constraint, subject: str, where: Where | None
+) -> Constraint:
     """The constraint with text in its fields of numbers as expressions in known parameters."""
     changed: dict[str, Any] = {}
     for key, x in numbers_in(given).items():
@@ -177,31 +208,49 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     where = made.where
     dim = mechanism.dim
     if made.parent and made.parent == made.child:
-        checks.refuse(subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies")
+        checks.refuse(
+            subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies"
+        )
     numbers = resolved(made, mechanism.parameters, dim)
     rows = numbers.rows(dim)
     tool = numbers.tool(dim)
     if not made.parent:
         if not made.of.reads:
-            checks.refuse(subject, f"{made.of.label} is requested in one call of ik, not held always", where,
-                          "hold coordinates by lock, couple or equation, frames by kinds that name them")  # fmt: skip
+            checks.refuse(
+                subject,
+                f"{made.of.label} is requested in one call of ik, not held always",
+                where,
+                "hold coordinates by lock, couple or equation, frames by kinds that name them",
+            )
         return
     a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):
-        checks.refuse(subject, f"its parent {a.name!r} is a particle, which has no axes", where,
-                      "make the particle the child")  # fmt: skip
+        checks.refuse(
+            subject,
+            f"its parent {a.name!r} is a particle, which has no axes",
+            where,
+            "make the particle the child",
+        )
     if b.particle and (any(map(reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
-        checks.refuse(subject, f"{b.name!r} is a particle, which has no axes and no extent", where, "")
+        checks.refuse(
+            subject, f"{b.name!r} is a particle, which has no axes and no extent", where, ""
+        )
     for on, X in ((a, made.X_PF), (b, made.X_CM)):
         if on.particle and X.steps:
-            checks.refuse(subject, f"a particle ({on.name!r}) has no extent: the point must sit on it", where,
-                          "leave out its at and its axis")  # fmt: skip
+            checks.refuse(
+                subject,
+                f"a particle ({on.name!r}) has no extent: the point must sit on it",
+                where,
+                "leave out its at and its axis",
+            )
         if dim == 2:
             checks.flat(subject, X, where)
 
 
 def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
-    """The constraint with its expressions evaluated at the parameters, checked. Errors: `DescriptionError`."""
+    """The constraint with its expressions evaluated at the parameters, checked. Errors:
+    `DescriptionError`.
+    """
     numbers = with_numbers(made.of, parameters)
     try:
         rows = numbers.rows(dim)
@@ -245,12 +294,23 @@ def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None
         if not 0.0 < float(length) < math.inf:  # not a number fails, too
             given = getattr(made.of, name)
             text = f" (length = {given})" if isinstance(given, Expression) else ""
-            allowed = "it must be above zero" + ("; points that coincide are a joint" if float(length) == 0.0 else "")
-            checks.refuse(f"constraint {made.name!r}", f"its length is {float(length):g}{text}", made.where, allowed)
+            allowed = "it must be above zero" + (
+                "; points that coincide are a joint" if float(length) == 0.0 else ""
+            )
+            checks.refuse(
+                f"constraint {made.name!r}",
+                f"its length is {float(length):g}{text}",
+                made.where,
+                allowed,
+            )
 
 
-def renamed(made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str) -> Declared:
-    """The same constraint with other names of bodies and frames, and a prefix for its own name and coordinates."""
+def renamed(
+    made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str
+) -> Declared:
+    """The same constraint with other names of bodies and frames, and a prefix for its own name and
+    coordinates.
+    """
     both = {**bodies, **frames}
 
     def other(x: Any) -> Any:
@@ -258,4 +318,6 @@ def renamed(made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str]
 
     of = replace(made.of, **{k: other(x) for k, x in frames_of(made.of).items()})
     own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
-    return replace(made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, ""))
+    return replace(
+        made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, "")
+    )

@@ -1,7 +1,8 @@
-"""The table of file formats: which are read and written, how they are known, and what they cannot say.
+"""The table of file formats: which are read and written, how they are known, and what they cannot
+say.
 
-Reading, writing, messages, the command line and the page of formats follow from it. A format of your own is a row:
-``FORMATS["x"] = Format(...)``.
+Reading, writing, messages, the command line and the page of formats follow from it. A format of
+your own is a row: ``FORMATS["x"] = Format(...)``.
 """
 
 from __future__ import annotations
@@ -15,16 +16,19 @@ from typing import Any
 
 from kempe.late import call_late
 
-_ROOT = re.compile(r"(?>[^<]*(?:<!--.*?-->|<\?.*?\?>|<![^->][^>]*>))*+[^<]*<([A-Za-z_][\w.:-]*)", re.DOTALL)
+_ROOT = re.compile(
+    r"(?>[^<]*(?:<!--.*?-->|<\?.*?\?>|<![^->][^>]*>))*+[^<]*<([A-Za-z_][\w.:-]*)", re.DOTALL
+)
 
 
 @dataclass(frozen=True)
 class Format:
     """A file format.
 
-    A reader is called as ``read(text, source, **options)`` with text or bytes (`kempe.description.source.decode` gives
-    text), the name of their source for messages, and those of `options` that were given. A writer takes the mechanism
-    and gives text. Both raise `DescriptionError` with all that is wrong.
+    A reader is called as ``read(text, source, **options)`` with text or bytes
+    (`kempe.description.source.decode` gives text), the name of their source for messages, and those
+    of `options` that were given. A writer takes the mechanism and gives text. Both raise
+    `DescriptionError` with all that is wrong.
     """
 
     title: str
@@ -36,13 +40,16 @@ class Format:
     write: Callable[[Any], str] | None = None
     """Mechanism -> text; None where it is not written."""
     recognises: Callable[[str], bool] = lambda start: False
-    """Whether a text that begins so, blanks left out, is in this format whatever its file is called."""
+    """Whether a text that begins so, blanks left out, is in this format whatever its file is
+    called."""
     options: tuple[str, ...] = ()
-    """Options of `kempe.load` that the reader takes; `beside` are the names of files in the same folder."""
+    """Options of `kempe.load` that the reader takes; `beside` are the names of files in the same
+    folder."""
     cannot: Mapping[str, str] = field(default_factory=dict[str, str])
     """What the format cannot say, and so the writer refuses, with what is allowed instead."""
     loses: tuple[str, ...] = ()
-    """What the writer leaves out or replaces without refusing it; with nothing here a file gives an equal mechanism."""
+    """What the writer leaves out or replaces without refusing it; with nothing here a file gives an
+    equal mechanism."""
 
 
 def root_element(text: str) -> str:
@@ -52,13 +59,20 @@ def root_element(text: str) -> str:
 
 
 URDF = Format(
-    "URDF", (".urdf",), partial(call_late, "read_urdf"), partial(call_late, "write_urdf"),
+    "URDF",
+    (".urdf",),
+    partial(call_late, "read_urdf"),
+    partial(call_late, "write_urdf"),
     recognises=lambda start: start.startswith("<"),
     options=("base", "root", "lenient_limits", "package_dirs", "beside"),
     cannot={
-        "loops, joints from child to parent": "in URDF one joint leads to each body, and none to the ground",
+        "loops, joints from child to parent": (
+            "in URDF one joint leads to each body, and none to the ground"
+        ),
         "bodies that no joint carries": "join them to the ground, by joints from parent to child",
-        "joints of other types": "URDF has revolute, prismatic, fixed, planar, and free and spherical by quaternion",
+        "joints of other types": (
+            "URDF has revolute, prismatic, fixed, planar, and free and spherical by quaternion"
+        ),
         "limits of joints with several coordinates": "remove them",
         "locks of a part of a joint": "lock all of them, or none",
         "locks of coordinates that follow others": "lock what it follows",
@@ -69,14 +83,23 @@ URDF = Format(
         "control characters in names": "rename it",
     },
     loses=(
-        "parameters (their values stay)", "the plane (bodies stay in it)", "locks (the joints become fixed)",
-        "frames (they become links)", "postures", "notes", "which joints are actuated or cut", "the tolerance",
+        "parameters (their values stay)",
+        "the plane (bodies stay in it)",
+        "locks (the joints become fixed)",
+        "frames (they become links)",
+        "postures",
+        "notes",
+        "which joints are actuated or cut",
+        "the tolerance",
     ),
-)  # fmt: skip
+)
 """The format of ROS; its links and joints form a tree."""
 
 TOML = Format(
-    "TOML", (".toml",), partial(call_late, "read_toml"), partial(call_late, "write_toml"),
+    "TOML",
+    (".toml",),
+    partial(call_late, "read_toml"),
+    partial(call_late, "write_toml"),
     recognises=lambda start: bool(re.match(r"format\s*=", start)),
     options=("package_dirs",),
     cannot={
@@ -84,14 +107,17 @@ TOML = Format(
         "Python functions that are no expression": "write it as text",
         "expressions that are too long": "split it into several",
     },
-)  # fmt: skip
+)
 """The format of our own, which holds any mechanism."""
 
 SDF = Format("SDF", (".sdf", ".world"), recognises=lambda start: root_element(start) == "sdf")
-MJCF = Format("MJCF (MuJoCo)", (".mjcf",), recognises=lambda start: root_element(start) in ("mujoco", "mjcf"))
+MJCF = Format(
+    "MJCF (MuJoCo)", (".mjcf",), recognises=lambda start: root_element(start) in ("mujoco", "mjcf")
+)
 
 FORMATS: dict[str, Format] = {"urdf": URDF, "toml": TOML, "sdf": SDF, "mjcf": MJCF}
-"""The formats by name. Where several rows fit a file, the last counts: special rows stand after general ones."""
+"""The formats by name. Where several rows fit a file, the last counts: special rows stand after
+general ones."""
 
 DEFAULT = TOML
 """Format of a text that no row recognises, in a file whose ending no row has."""
@@ -126,18 +152,38 @@ OTHER_KINDS = (
         rb"version https://(git-lfs|hawser)\.github\.com/spec/",
     ),
     OtherKind(
-        "a symbolic link that Git wrote as text", "load the file that it names", rb"(\.\.?/)+[^\s<>=\"'\\]+\s*\Z"
+        "a symbolic link that Git wrote as text",
+        "load the file that it names",
+        rb"(\.\.?/)+[^\s<>=\"'\\]+\s*\Z",
     ),
     OtherKind(
         "a web page (HTML)",
-        "get the file itself: the page that shows a file on GitHub or GitLab has a button Raw or Download",
+        "get the file itself: the page that shows a file on GitHub or GitLab has a button Raw or "
+        "Download",
         rb"(?i:<!doctype\s+html\b)",
         ("html", "head", "body"),
     ),
-    OtherKind("an error message of a web server", "check the address of the download", rb"[45]\d\d: [A-Z]", ("error",)),
-    OtherKind("a file compressed by gzip", "unpack it first: gunzip, or tar -xzf for an archive", rb"\x1f\x8b"),
-    OtherKind("a file compressed by bzip2", "unpack it first: bunzip2, or tar -xjf for an archive", rb"BZh[1-9]1AY&SY"),
-    OtherKind("a file compressed by xz", "unpack it first: unxz, or tar -xJf for an archive", rb"\xfd7zXZ\0"),
+    OtherKind(
+        "an error message of a web server",
+        "check the address of the download",
+        rb"[45]\d\d: [A-Z]",
+        ("error",),
+    ),
+    OtherKind(
+        "a file compressed by gzip",
+        "unpack it first: gunzip, or tar -xzf for an archive",
+        rb"\x1f\x8b",
+    ),
+    OtherKind(
+        "a file compressed by bzip2",
+        "unpack it first: bunzip2, or tar -xjf for an archive",
+        rb"BZh[1-9]1AY&SY",
+    ),
+    OtherKind(
+        "a file compressed by xz",
+        "unpack it first: unxz, or tar -xJf for an archive",
+        rb"\xfd7zXZ\0",
+    ),
     OtherKind("a file compressed by Zstandard", "unpack it first: unzstd", rb"\x28\xb5\x2f\xfd"),
     OtherKind("a ZIP archive", _ARCHIVE, rb"PK(\x03\x04|\x05\x06)"),
     OtherKind("a 7z archive", _ARCHIVE, rb"7z\xbc\xaf\x27\x1c"),
@@ -149,11 +195,17 @@ OTHER_KINDS = (
         rb"#usda\s+\d|PXR-USDC",
     ),
     OtherKind(
-        "a VRML file, as of a Webots world", "load the URDF that it was made from, or export one", rb"#VRML\w* V?R?\d"
+        "a VRML file, as of a Webots world",
+        "load the URDF that it was made from, or export one",
+        rb"#VRML\w* V?R?\d",
     ),
     OtherKind("a COLLADA mesh", _MESH, elements=("collada",)),
     OtherKind("an STL mesh", _MESH, rb"solid\b[^\n]*\s+facet\s+normal\b"),
-    OtherKind("an OBJ mesh", _MESH, rb"((#|(mtllib|o|g|s)\s)[^\n]*\n\s*)*v\s+[-+.\d]+\S*\s+[-+.\d]+\S*\s+[-+.\d]"),
+    OtherKind(
+        "an OBJ mesh",
+        _MESH,
+        rb"((#|(mtllib|o|g|s)\s)[^\n]*\n\s*)*v\s+[-+.\d]+\S*\s+[-+.\d]+\S*\s+[-+.\d]",
+    ),
     OtherKind("a PLY mesh", _MESH, rb"ply\s+format\s"),
     OtherKind("a glTF scene", _MESH, rb"glTF[\x01\x02]\0\0\0"),
     OtherKind("a STEP file of a CAD program", "export URDF from the CAD program", rb"ISO-10303-21"),
@@ -167,23 +219,40 @@ OTHER_KINDS = (
     OtherKind("an HDF5 file", "load the robot description", rb"\x89HDF\r\n\x1a\n"),
     OtherKind(
         "a JSON file",
-        "Kempe reads no JSON: load the robot description, or the file itself where this is the answer of a web service",
+        "Kempe reads no JSON: load the robot description, or the file itself where this is the "
+        "answer of a web service",
         rb"\{\s*(\"(\\.|[^\"\\])*\"\s*:|\}\s*\Z)",
     ),
-    OtherKind("a ROS launch file", "load the URDF that it names (often as robot_description)", elements=("launch",)),
-    OtherKind("a ROS package manifest", "load a robot description of the package", elements=("package",)),
+    OtherKind(
+        "a ROS launch file",
+        "load the URDF that it names (often as robot_description)",
+        elements=("launch",),
+    ),
+    OtherKind(
+        "a ROS package manifest", "load a robot description of the package", elements=("package",)
+    ),
 )
-"""Kinds of files that are no descriptions; none of the rows fits a text that a reader of Kempe takes."""
+"""Kinds of files that are no descriptions; none of the rows fits a text that a reader of Kempe
+takes."""
 
 
 def other_kind(data: str | bytes) -> OtherKind | None:
-    """The kind of a file that is no description, by its first bytes or characters; None where it may be one."""
+    """The kind of a file that is no description, by its first bytes or characters; None where it
+    may be one.
+    """
     text = data[:HEAD] if isinstance(data, str) else decoded_head(data)
     text = text.removeprefix("\ufeff").lstrip()
-    head = text.encode("utf-8", "replace") if isinstance(data, str) or data[:2] in UTF16_MARKS else data[:HEAD]
+    head = (
+        text.encode("utf-8", "replace")
+        if isinstance(data, str) or data[:2] in UTF16_MARKS
+        else data[:HEAD]
+    )
     head = head.removeprefix(codecs.BOM_UTF8).lstrip()
     element = root_element(text).lower()
-    return next((k for k in OTHER_KINDS if element in k.elements or re.match(k.signature, head, re.DOTALL)), None)
+    return next(
+        (k for k in OTHER_KINDS if element in k.elements or re.match(k.signature, head, re.DOTALL)),
+        None,
+    )
 
 
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -195,7 +264,9 @@ def decoded_head(data: bytes) -> str:
 
 
 def by_ending(name: str) -> Format | None:
-    """The format of a file with this name, by its ending; None where the ending is of no known format."""
+    """The format of a file with this name, by its ending; None where the ending is of no known
+    format.
+    """
     name = name.lower()
     return next((f for f in reversed(FORMATS.values()) if name.endswith(f.endings)), None)
 

@@ -1,4 +1,6 @@
-"""Python code for a file that is not trusted, run in a process with limits of time, memory and output."""
+"""Python code for a file that is not trusted, run in a process with limits of time, memory and
+output.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ for name, amount in s["limits"].items():
 
 
 class Ended(NamedTuple):
-    """How a process ended: `reason` is "" where it did what it should, else "time", "memory", "output" or "failed".
+    """How a process ended: `reason` is "" where it did what it should, else "time", "memory",
+    "output" or "failed".
 
     `output` and `said` are what it wrote, `code` is its exit code: None where it was stopped.
     """
@@ -57,15 +60,25 @@ class Ended(NamedTuple):
 
 
 def run_limited(
-    code: str, settings: dict[str, Any], *, seconds: float, memory: int, output: int, cpu: float | None = None
+    code: str,
+    settings: dict[str, Any],
+    *,
+    seconds: float,
+    memory: int,
+    output: int,
+    cpu: float | None = None,
 ) -> Ended:
-    """Run Python `code`, which has the `settings` as `s`, with little environment, and say how it ended.
+    """Run Python `code`, which has the `settings` as `s`, with little environment, and say how it
+    ended.
 
-    It may take `seconds` of waiting, and of processor time `cpu` (by default as many), `memory` bytes, and write files
-    of `output` bytes. Errors: `UnsupportedError` on systems where a process cannot be limited.
+    It may take `seconds` of waiting, and of processor time `cpu` (by default as many), `memory`
+    bytes, and write files of `output` bytes. Errors: `UnsupportedError` on systems where a process
+    cannot be limited.
     """
     if importlib.util.find_spec("resource") is None:
-        raise UnsupportedError("files are read in a process with limits, which Linux and macOS have")
+        raise UnsupportedError(
+            "files are read in a process with limits, which Linux and macOS have"
+        )
     limits = {
         "RLIMIT_CPU": math.ceil(seconds if cpu is None else cpu),
         "RLIMIT_AS": memory,
@@ -73,20 +86,33 @@ def run_limited(
         "RLIMIT_CORE": 0,
         "RLIMIT_NOFILE": 256,
     }
-    environment = {k: v for k, v in os.environ.items() if k in _KEPT} | {"OPENBLAS_NUM_THREADS": "1"}
-    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as complaints:
+    environment = {k: v for k, v in os.environ.items() if k in _KEPT} | {
+        "OPENBLAS_NUM_THREADS": "1"
+    }
+    with (
+        tempfile.TemporaryFile() as given,
+        tempfile.TemporaryFile() as out,
+        tempfile.TemporaryFile() as complaints,
+    ):
         given.write(json.dumps({**settings, "limits": limits}).encode())
         given.seek(0)
         command = [sys.executable, "-P", "-c", _LIMITED + code]
         with subprocess.Popen(
-            command, env=environment, stdin=given, stdout=out, stderr=complaints, start_new_session=True
+            command,
+            env=environment,
+            stdin=given,
+            stdout=out,
+            stderr=complaints,
+            start_new_session=True,
         ) as process:
             try:
                 ended = process.wait(timeout=seconds)
             except subprocess.TimeoutExpired:
                 ended = None
             finally:
-                if process.poll() is None:  # an interrupt, too, ends it: it is in a session of its own
+                if (
+                    process.poll() is None
+                ):  # an interrupt, too, ends it: it is in a session of its own
                     os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
         out.seek(0)
@@ -109,5 +135,7 @@ def _reason(code: int | None, said: str) -> str:
 def last_words(said: str) -> str:
     """The lines of a traceback that say what happened, in 300 letters."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
-    first = next((i for i in reversed(range(len(lines))) if _EXCEPTION.match(lines[i])), len(lines) - 1)
+    first = next(
+        (i for i in reversed(range(len(lines))) if _EXCEPTION.match(lines[i])), len(lines) - 1
+    )
     return " ".join(lines[first:])[:300] or "it says nothing"

@@ -28,8 +28,10 @@ class ReadOnlyDict(dict[Any, Any]):
     """A dict that can only be read, since it belongs to an immutable object."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError("this dict is read-only: nothing would change; change a Mechanism, or make another System "
-                        "by with_limits, with_parameters or lock")  # fmt: skip
+        raise TypeError(
+            "this dict is read-only: nothing would change; change a Mechanism, or make another "
+            "System by with_limits, with_parameters or lock"
+        )
 
     __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse  # type: ignore[assignment]
 
@@ -51,7 +53,9 @@ class InSentence:
 
 @dataclass(frozen=True)
 class Body(InSentence):
-    """A rigid body, or a particle: a body without orientation (3 degrees of freedom in space, 2 in the plane)."""
+    """A rigid body, or a particle: a body without orientation (3 degrees of freedom in space, 2 in
+    the plane).
+    """
 
     name: str
     particle: bool = False
@@ -65,7 +69,11 @@ class Body(InSentence):
         """The body in words: "forearm: a rigid body, 2 kg, centre of mass at (0.1, 0, 0) m"."""
         kind = "a particle, a body without orientation" if self.particle else "a rigid body"
         mass = "" if self.mass is None else f", {self.mass:.6g} kg"
-        at = "" if self.center is None else f", centre of mass at ({', '.join(f'{x:.6g}' for x in self.center)}) m"
+        at = (
+            ""
+            if self.center is None
+            else f", centre of mass at ({', '.join(f'{x:.6g}' for x in self.center)}) m"
+        )
         meshes = f", drawn with {joined(self.visuals)}" if self.visuals else ""
         return f"{self.name}: {kind}{mass}{at}{meshes}"
 
@@ -75,13 +83,15 @@ class Body(InSentence):
 
 @dataclass(frozen=True)
 class Joint(InSentence):
-    """A joint of any type between any two bodies: its frame F sits at `X_PF` on the parent, M at `X_CM` on the child.
+    """A joint of any type between any two bodies: its frame F sits at `X_PF` on the parent, M at
+    `X_CM` on the child.
 
-    `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names ('' where there is
-    one). `actuated` says that a motor drives it (True), that it is passive (False), or nothing (None); `cut` asks
-    that, in a loop, this joint be left out of the spanning tree, over which `fk` goes; no answer of solvers depends on
-    it. `unstated` marks limits that a file does not give, and that are zero by the rules of its format. `dim` is that
-    of its mechanism, and `of_particle` says that the child is a particle.
+    `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names (''
+    where there is one). `actuated` says that a motor drives it (True), that it is passive (False),
+    or nothing (None); `cut` asks that, in a loop, this joint be left out of the spanning tree, over
+    which `fk` goes; no answer of solvers depends on it. `unstated` marks limits that a file does
+    not give, and that are zero by the rules of its format. `dim` is that of its mechanism, and
+    `of_particle` says that the child is a particle.
     """
 
     name: str
@@ -102,20 +112,23 @@ class Joint(InSentence):
 
     @property
     def sentence(self) -> str:
-        """The joint in words: its type, the bodies, the axis, the limits, who drives it, and what it forbids."""
+        """The joint in words: its type, the bodies, the axis, the limits, who drives it, and what
+        it forbids.
+        """
         limits = "" if not self.type.dof(self.dim, self.of_particle) else f", {self._limits_said()}"
         driven = {True: ", driven by a motor", False: ", passive", None: ""}[self.actuated]
         return (
-            f"{self.name}: a {self.type.type_name} joint between {self.parent} and {self.child}{self._motion_said()}"
-            f"{limits}{driven}; {self.forbids()}"
+            f"{self.name}: a {self.type.type_name} joint between {self.parent} and "
+            f"{self.child}{self._motion_said()}{limits}{driven}; {self.forbids()}"
         )
 
     def forbids(self, dim: int | None = None, particle: bool | None = None) -> str:
-        """What the joint forbids in words: "B5 cannot slide along y or z, nor turn about x, y or z of B0: ...".
+        """What the joint forbids in words: "B5 cannot slide along y or z, nor turn about x, y or z
+        of B0: ...".
 
-        Axes are those of the parent where the joint is aligned with them, else those of the joint's frame F. `dim` is
-        2 in a planar system; `particle` says that the child is a particle; without them it is as in the joint's
-        mechanism. `JointType.forbids` has the names alone.
+        Axes are those of the parent where the joint is aligned with them, else those of the joint's
+        frame F. `dim` is 2 in a planar system; `particle` says that the child is a particle;
+        without them it is as in the joint's mechanism. `JointType.forbids` has the names alone.
         """
         dim = self.dim if dim is None else dim
         particle = self.of_particle if particle is None else particle
@@ -123,11 +136,17 @@ class Joint(InSentence):
         whole = dim if particle else 3 * (dim - 1)
         names = [name for name in self.type.forbids(dim) if not (particle and name[0] == "r")]
         axes, of = self._axes(dim)
-        groups = [sorted(axes[n[-1]] for n in names if (n[0] == "r") == turning) for turning in (False, True)]
+        groups = [
+            sorted(axes[n[-1]] for n in names if (n[0] == "r") == turning)
+            for turning in (False, True)
+        ]
         if all(len(group) in (0, 3) for group in groups):
             of = self.parent
-        parts = [f"{verb} {' or '.join(filter(None, (', '.join(group[:-1]), group[-1])))}"
-                 for verb, group in zip(("slide along", "turn about"), groups, strict=True) if group]  # fmt: skip
+        parts = [
+            f"{verb} {' or '.join(filter(None, (', '.join(group[:-1]), group[-1])))}"
+            for verb, group in zip(("slide along", "turn about"), groups, strict=True)
+            if group
+        ]
         said = f"cannot {', nor '.join(parts)} of {of}" if parts else "can move freely"
         total = f"{taken} of {whole} freedoms {verb(taken, 'is', 'are')} taken away"
         more = taken - len(names)
@@ -135,7 +154,8 @@ class Joint(InSentence):
         return f"{self.child} {said}: {total}{more_said}"
 
     def _axes(self, dim: int) -> tuple[dict[str, str], str]:
-        """For x, y, z of frame F the axis of the parent along which it lies, and the parent; F's own if oblique.
+        """For x, y, z of frame F the axis of the parent along which it lies, and the parent; F's
+        own if oblique.
 
         In the plane x of a joint that slides along z of F is its slide, as in `JointType.forbids`.
         """
@@ -147,10 +167,14 @@ class Joint(InSentence):
         nearest = np.abs(R)
         if turns.names or not np.allclose(nearest, np.rint(nearest), atol=1e-9):
             return {name: name for name in "xyz"}, f"the frame of {self.name}"
-        return {name: "xyz"[k] for name, k in zip("xyz", nearest.argmax(axis=0).tolist(), strict=True)}, self.parent
+        return {
+            name: "xyz"[k] for name, k in zip("xyz", nearest.argmax(axis=0).tolist(), strict=True)
+        }, self.parent
 
     def _motion_said(self) -> str:
-        """About or along which axis it moves: ", turns about -z of ground"; of several axes what they do."""
+        """About or along which axis it moves: ", turns about -z of ground"; of several axes what
+        they do.
+        """
         kinds = [p.kind for p in self.type.layout(self.dim, self.of_particle)[1]]
         axes = {p.axis for p in self.type.layout(self.dim, self.of_particle)[1]}
         if not kinds:
@@ -159,7 +183,9 @@ class Joint(InSentence):
             moves = self.type.summary
             if isinstance(self.type, Translation):
                 moves = "slide along x and y" if self.dim == 2 else "slide along x, y and z"
-            ends = f" (F is its frame on {self.parent}, M on {self.child})" if "of F" in moves else ""
+            ends = (
+                f" (F is its frame on {self.parent}, M on {self.child})" if "of F" in moves else ""
+            )
             frame = "" if ends or "any" in moves.split() else f" of its frame on {self.parent}"
             return f", which allows: {moves}{ends}{frame}"
         if isinstance(self.type, Helical):
@@ -175,7 +201,10 @@ class Joint(InSentence):
         k = int(np.abs(z).argmax())
         if abs(z[k]) > 1.0 - 1e-12:
             return f"{'-' if z[k] < 0 else ''}{'xyz'[k]} of {self.parent}"
-        return f"({', '.join(f'{x + 0.0:.4g}' for x in z[: self.dim].round(12).tolist())}) of {self.parent}"
+        return (
+            f"({', '.join(f'{x + 0.0:.4g}' for x in z[: self.dim].round(12).tolist())}) of "
+            f"{self.parent}"
+        )
 
     def _limits_said(self) -> str:
         """The limits: "from -1 to 1 rad", by coordinate where there are several; "without limits"."""
@@ -184,7 +213,9 @@ class Joint(InSentence):
         out: list[str] = []
         for name, (low, high) in self.limits.items():
             unit = "rad" if name in turning else "m"
-            ends = [f"{word} {x:.6g}" for word, x in (("from", low), ("to", high)) if math.isfinite(x)]
+            ends = [
+                f"{word} {x:.6g}" for word, x in (("from", low), ("to", high)) if math.isfinite(x)
+            ]
             out += [f"{name} {' '.join(ends)} {unit}".lstrip()] if ends else []
         return joined(out) if out else "without limits"
 
@@ -216,10 +247,11 @@ class Frame(InSentence):
 
 @dataclass(frozen=True)
 class Declared(InSentence):
-    """A constraint that a mechanism always holds: its kind with its numbers, `of`, and where its ends are.
+    """A constraint that a mechanism always holds: its kind with its numbers, `of`, and where its
+    ends are.
 
-    Frame A sits at `X_PF` on the body `parent`, frame B at `X_CM` on the body `child`; a constraint on coordinates has
-    no bodies, which are then ''.
+    Frame A sits at `X_PF` on the body `parent`, frame B at `X_CM` on the body `child`; a constraint
+    on coordinates has no bodies, which are then ''.
     """
 
     name: str
@@ -267,16 +299,24 @@ class Declared(InSentence):
 
     def bounds(self, dim: int) -> int:
         """Number of inequalities among the rows, in the plane (`dim` 2) or in space (3)."""
-        return sum(r.size(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r))
+        return sum(
+            r.size(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r)
+        )
 
     def of_pose(self, dim: int) -> int:
         """Number of equations on directions, rotations and distances, without those of expressions."""
-        return sum(r.size(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL))
+        return sum(
+            r.size(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL)
+        )
 
     @property
     def links(self) -> bool:
-        """Whether the constraint takes freedoms from the motion between two bodies, without expressions."""
-        return bool(self.parent) and any(r.op not in (Op.TAPE, Op.CALL) for r in position_rows(self.of, 3))
+        """Whether the constraint takes freedoms from the motion between two bodies, without
+        expressions.
+        """
+        return bool(self.parent) and any(
+            r.op not in (Op.TAPE, Op.CALL) for r in position_rows(self.of, 3)
+        )
 
     def key(self) -> tuple[Any, ...]:
         """All content of the constraint as a tuple that can be compared."""
@@ -294,7 +334,9 @@ class Declared(InSentence):
 
 @dataclass(frozen=True)
 class Coupling(InSentence):
-    """A linear relation of joint coordinates: coordinate `of` = sum of multiplier * source + `offset`."""
+    """A linear relation of joint coordinates: coordinate `of` = sum of multiplier * source +
+    `offset`.
+    """
 
     of: str
     sources: dict[str, Value]
@@ -306,10 +348,20 @@ class Coupling(InSentence):
         """The relation as an equation: "q2 = 2 q1 - 0.1"."""
         out: list[str] = []
         for name, x in [*self.sources.items(), ("", self.offset)]:
-            size = f"({x.text})" if isinstance(x, Expression) else "" if name and abs(x) == 1 else f"{abs(x):.6g}"
+            size = (
+                f"({x.text})"
+                if isinstance(x, Expression)
+                else ""
+                if name and abs(x) == 1
+                else f"{abs(x):.6g}"
+            )
             if name or x != 0:
                 minus = not isinstance(x, Expression) and x < 0
-                out += [("- " if minus else "+ ") * bool(out) + "-" * (minus and not out) + f"{size} {name}".strip()]
+                out += [
+                    ("- " if minus else "+ ") * bool(out)
+                    + "-" * (minus and not out)
+                    + f"{size} {name}".strip()
+                ]
         return f"{self.of} = {' '.join(out) or '0'}"
 
     def __hash__(self) -> int:

@@ -23,8 +23,23 @@ from kempe.description.formats import (
     read_by,
 )
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, folders_of, no_file, shorten
-from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, UnsupportedError, Where
+from kempe.description.source import (
+    SIZE_LIMIT,
+    collecting_later,
+    expanded,
+    fail,
+    folders_of,
+    no_file,
+    shorten,
+)
+from kempe.errors import (
+    DescriptionError,
+    Fault,
+    InputError,
+    UnknownNameError,
+    UnsupportedError,
+    Where,
+)
 from kempe.library import names as library_models
 from kempe.library import path as library_path
 
@@ -42,7 +57,9 @@ class _How(NamedTuple):
 
 
 class Check(NamedTuple):
-    """What `check` found: `problems`, which keep a description from being used, and `notes`, which do not."""
+    """What `check` found: `problems`, which keep a description from being used, and `notes`, which
+    do not.
+    """
 
     problems: tuple[Fault, ...]
     notes: tuple[str, ...]
@@ -61,16 +78,22 @@ def read(
 ) -> Mechanism:
     """Mechanism from a file (its path), from text, or from a model of the library (its name).
 
-    `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None. ``base="free"``,
-    `root` and `lenient_limits` are for URDF, see `read_urdf`. A path may begin with ``~``, the home folder. Meshes may
-    lie in the file's folder and in `package_dirs`. ``xacro=True`` expands a xacro file first, which is a program and
-    must be trusted. Errors: `DescriptionError` with file, line, what is wrong and what is allowed.
+    `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None.
+    ``base="free"``, `root` and `lenient_limits` are for URDF, see `read_urdf`. A path may begin
+    with ``~``, the home folder. Meshes may lie in the file's folder and in `package_dirs`.
+    ``xacro=True`` expands a xacro file first, which is a program and must be trusted. Errors:
+    `DescriptionError` with file, line, what is wrong and what is allowed.
     """
     allowed = [name for name, f in FORMATS.items() if f.read]
     if format is not None and format not in allowed:
         raise InputError(f"format is {format!r}; it must be {joined(map(repr, allowed))}")
     folders = folders_of(package_dirs)
-    options = {"base": base, "root": root, "lenient_limits": lenient_limits or None, "package_dirs": folders or None}
+    options = {
+        "base": base,
+        "root": root,
+        "lenient_limits": lenient_limits or None,
+        "package_dirs": folders or None,
+    }
     given = {name: value for name, value in options.items() if value is not None}
     how = _How(None if format is None else FORMATS[format], given, folders)
     if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
@@ -81,7 +104,9 @@ def read(
         raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
     path = expanded(source)
     if isinstance(source, str) and not os.path.exists(path) and source in library_models():
-        return _read_text(library_path(source).read_bytes(), f"{source}.toml", how._replace(format=TOML))
+        return _read_text(
+            library_path(source).read_bytes(), f"{source}.toml", how._replace(format=TOML)
+        )
     return _read_file(path, how, xacro)
 
 
@@ -98,21 +123,32 @@ def check(
     """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
     try:
         mechanism = read(
-            source, format=format, base=base, root=root, package_dirs=package_dirs, xacro=xacro,
+            source,
+            format=format,
+            base=base,
+            root=root,
+            package_dirs=package_dirs,
+            xacro=xacro,
             lenient_limits=lenient_limits,
-        )  # fmt: skip
+        )
         mechanism.build()
     except DescriptionError as error:
         return Check(error.problems, ())
     except (InputError, UnknownNameError, UnsupportedError) as error:
-        where = Where("<text>" if isinstance(source, bytes) or _is_text(str(source)) else str(source))
+        where = Where(
+            "<text>" if isinstance(source, bytes) or _is_text(str(source)) else str(source)
+        )
         return Check((Fault(_without_place(str(error), where), "", where),), ())
     return Check((), tuple(mechanism.notes))
 
 
 def _without_place(message: str, where: Where) -> str:
     """A message without the path at its start, which the place of a `Fault` says again."""
-    for path in (where.file, os.path.expanduser(where.file), os.path.normpath(os.path.expanduser(where.file))):
+    for path in (
+        where.file,
+        os.path.expanduser(where.file),
+        os.path.normpath(os.path.expanduser(where.file)),
+    ):
         for place in (f"{path}: ", f"{path} (expanded): "):
             if message.startswith(place):
                 return message.removeprefix(place)
@@ -130,7 +166,9 @@ def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
     if path.suffix == ".xacro" and not xacro:
         from kempe.description.urdf.xacro import XACRO_ADVICE
 
-        raise fail("this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE)
+        raise fail(
+            "this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE
+        )
     text = data
     name = str(path)
     if xacro:
@@ -139,7 +177,11 @@ def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
         text = expand_xacro(path, package_dirs=how.folders)
         name = f"{path} (expanded)"
         how = how._replace(format=URDF)
-    how = how._replace(format=how.format or by_ending(path.name), folders=(path.parent, *how.folders), home=path.parent)
+    how = how._replace(
+        format=how.format or by_ending(path.name),
+        folders=(path.parent, *how.folders),
+        home=path.parent,
+    )
     return _read_text(text, name, how)
 
 
@@ -148,7 +190,11 @@ def _bytes_of(path: Path) -> bytes:
     where = Where(str(path))
     if os.path.isdir(path):
         inside = _models_in(path)
-        shown = f"give one of its files: {', '.join(inside[:8])}" if inside else "give the path of a file"
+        shown = (
+            f"give one of its files: {', '.join(inside[:8])}"
+            if inside
+            else "give the path of a file"
+        )
         raise fail("this is a folder", where, shown)
     if what := no_file(path):
         raise fail(f"this is {what}", where, "give the path of a plain file")
@@ -160,7 +206,9 @@ def _bytes_of(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         where = Where(shorten(path, 200))
-        raise fail(f"the file cannot be read: {reason}", where, "check its name and permissions") from None
+        raise fail(
+            f"the file cannot be read: {reason}", where, "check its name and permissions"
+        ) from None
 
 
 def _models_in(folder: Path) -> list[str]:
@@ -176,35 +224,48 @@ def _near(path: Path) -> str:
     folder = path.parent
     if not os.path.isdir(folder):
         return f"there is no folder {str(folder)!r} either"
-    names = [*(library_models() if folder == Path(".") and not path.suffix else ()), *_models_in(folder)]
+    names = [
+        *(library_models() if folder == Path(".") and not path.suffix else ()),
+        *_models_in(folder),
+    ]
     near = difflib.get_close_matches(path.name, names, n=4, cutoff=0.5)
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"
     shown = ", ".join(names[:8])
     return (
-        f"there are: {shown}{', ...' if len(names) > 8 else ''}" if names else "there are no robot files in that folder"
+        f"there are: {shown}{', ...' if len(names) > 8 else ''}"
+        if names
+        else "there are no robot files in that folder"
     )
 
 
 def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
     format = _format_of(text, how.format)
     if format.read is None:
-        raise UnsupportedError(f"{name}: {format.title} files are not read; Kempe reads {named(read_by(), 'and')}")
+        raise UnsupportedError(
+            f"{name}: {format.title} files are not read; Kempe reads {named(read_by(), 'and')}"
+        )
     for option in how.options:
         if option not in format.options:
-            raise InputError(f"the option {option!r} is for {named(read_by(option))}, and this is {format.title}")
+            raise InputError(
+                f"the option {option!r} is for {named(read_by(option))}, and this is {format.title}"
+            )
     options = dict(how.options)
     if "package_dirs" in format.options:
         options["package_dirs"] = how.folders
     if "beside" in format.options and how.home:
         own = Path(name).name
-        options["beside"] = tuple(n for n in _models_in(how.home) if n.lower().endswith(format.endings) and n != own)
+        options["beside"] = tuple(
+            n for n in _models_in(how.home) if n.lower().endswith(format.endings) and n != own
+        )
     with collecting_later(len(text) >> 8):
         return format.read(text, name, **options)
 
 
 def _format_of(text: str | bytes, given: Format | None) -> Format:
-    """The format that is given, if it is read; else that of the contents, which also tell a format that is not read."""
+    """The format that is given, if it is read; else that of the contents, which also tell a format
+    that is not read.
+    """
     found = by_contents(text if isinstance(text, str) else decoded_head(text))
     if given and given.read and not (found and not found.read):
         return given

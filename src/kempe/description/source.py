@@ -1,4 +1,6 @@
-"""The text of a description: decoding, places in it, and the collection of all that is wrong with it."""
+"""The text of a description: decoding, places in it, and the collection of all that is wrong with
+it.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ _KINDS = (
 
 
 def no_file(path: str | Path) -> str:
-    """What a path is if not a plain file, such as a folder; '' for a plain file and where nothing exists."""
+    """What a path is if not a plain file, such as a folder; '' for a plain file and where nothing
+    exists.
+    """
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
@@ -68,10 +72,12 @@ def no_file(path: str | Path) -> str:
 
 @contextmanager
 def collecting_later(count: int = MANY_BODIES) -> Generator[None, None, None]:
-    """Switch the garbage collector of Python off while `count` bodies are made, and on again afterwards.
+    """Switch the garbage collector of Python off while `count` bodies are made, and on again
+    afterwards.
 
-    The bodies last, and each collection visits all objects that exist: that takes a third of the time. The collector's
-    generations stay as they are, so that cycles that the caller drops are collected in their turn.
+    The bodies last, and each collection visits all objects that exist: that takes a third of the
+    time. The collector's generations stay as they are, so that cycles that the caller drops are
+    collected in their turn.
     """
     if count < MANY_BODIES or not gc.isenabled():
         yield
@@ -121,7 +127,9 @@ class Findings:
         self.problems: list[Fault] = []
         self._notes: list[tuple[int, str]] = []
 
-    def add(self, message: str, subject: str = "", where: Where | None = None, allowed: str = "") -> None:
+    def add(
+        self, message: str, subject: str = "", where: Where | None = None, allowed: str = ""
+    ) -> None:
         """Record a problem; raise at once where there are many already."""
         self.problems.append(Fault(message, subject, where, allowed))
         if len(self.problems) >= MANY_PROBLEMS:
@@ -139,9 +147,14 @@ class Findings:
     def hint(self, name: str, allowed: Collection[str], but: str = "") -> str:
         """The tail of a message about an unknown name; `but` is never suggested.
 
-        Empty where it would not be shown, or cost too much: comparing with 5000 names takes some 50 ms.
+        Empty where it would not be shown, or cost too much: comparing with 5000 names takes some 50
+        ms.
         """
-        if len(self.problems) >= PROBLEM_LIMIT or len(name) > 200 or (self.problems and len(allowed) > 5000):
+        if (
+            len(self.problems) >= PROBLEM_LIMIT
+            or len(name) > 200
+            or (self.problems and len(allowed) > 5000)
+        ):
             return ""
         return hint(name, [n for n in allowed if n != but])
 
@@ -154,14 +167,18 @@ class Findings:
             if len(self.problems) >= MANY_PROBLEMS:
                 raise
             for p in error.problems:
-                self.problems.append(Fault(p.message, p.subject or subject, p.where or where, p.allowed))
+                self.problems.append(
+                    Fault(p.message, p.subject or subject, p.where or where, p.allowed)
+                )
         except (InputError, UnknownNameError) as error:
             self.add(str(error).removeprefix(f"{subject}: "), subject, where)
 
     def finish(self) -> None:
         """Raise `DescriptionError` with the problems in the order of the file, if there are any."""
         if self.problems:
-            raise DescriptionError(sorted(self.problems, key=lambda p: p.where.line if p.where else 0))
+            raise DescriptionError(
+                sorted(self.problems, key=lambda p: p.where.line if p.where else 0)
+            )
 
 
 def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> DescriptionError:
@@ -180,18 +197,29 @@ def folders_of(given: Any) -> tuple[Path, ...]:
 
 
 def expanded(path: str | Path) -> Path:
-    """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a URL."""
+    """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a
+    URL.
+    """
     given: object = path
     text: object = os.fspath(path) if isinstance(given, os.PathLike) else given
     if not isinstance(text, str):
-        raise InputError(f"path is {shown(given)}; it must be the path of a file, as text or a Path")
+        raise InputError(
+            f"path is {shown(given)}; it must be the path of a file, as text or a Path"
+        )
     if "\0" in text:
         raise InputError(f"{shown(text)} holds a zero byte, which no name of a file has")
     scheme = _SCHEME.match(text)
     if scheme:
-        url = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)  # a Path keeps one slash
-        advice = {"file": "give the path alone, without file://", "package": "give the path of the file"}
-        said = advice.get(text.partition(":")[0].lower(), "Kempe reads files of this machine: download it first")
+        url = shorten(
+            text if "://" in text else text.replace(":/", "://", 1), 200
+        )  # a Path keeps one slash
+        advice = {
+            "file": "give the path alone, without file://",
+            "package": "give the path of the file",
+        }
+        said = advice.get(
+            text.partition(":")[0].lower(), "Kempe reads files of this machine: download it first"
+        )
         raise InputError(f"{url} is a URL; {said}")
     try:
         return Path(text).expanduser()
@@ -217,7 +245,8 @@ def refuse_other_kinds(data: bytes | str, name: str) -> None:
 
 
 def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
-    """Text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or what the pattern `declared` finds.
+    """Text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or what the pattern `declared`
+    finds.
 
     Errors: `DescriptionError` for empty, oversized and wrongly encoded data, with line and column.
     """
@@ -228,12 +257,16 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
     text = text.removeprefix("\ufeff")
     if not text.strip():
         what = "empty" if not text else "nothing but blanks"
-        raise fail(f"the file is {what}", Where(name), f"it must hold a description ({named(read_by())})")
+        raise fail(
+            f"the file is {what}", Where(name), f"it must hold a description ({named(read_by())})"
+        )
     return text
 
 
 def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
-    first = Where(name, 1, 1, re.split(rb"[\r\n]", data[:200])[0].decode("ascii", "replace").replace("\0", ""))
+    first = Where(
+        name, 1, 1, re.split(rb"[\r\n]", data[:200])[0].decode("ascii", "replace").replace("\0", "")
+    )
     for mark, encoding, refused in _BYTE_ORDER_MARKS:
         if data.startswith(mark):
             if refused:
@@ -242,8 +275,14 @@ def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
             return _decode(data[len(mark) :], encoding, name, "the byte order mark at its start")
     if b"\0" in data:
         if [byte == 0 for byte in data[:4]] in ([False, True] * 2, [True, False] * 2):
-            raise fail("the file looks like UTF-16 without its byte order mark", first, "save it as UTF-8")
-        raise fail("the file is binary data and no text: it holds zero bytes", first, "load the robot description")
+            raise fail(
+                "the file looks like UTF-16 without its byte order mark", first, "save it as UTF-8"
+            )
+        raise fail(
+            "the file is binary data and no text: it holds zero bytes",
+            first,
+            "load the robot description",
+        )
     match = declared.match(data[:300]) if declared else None
     if match is None:
         return _decode(data, "utf-8", name, "")
@@ -251,19 +290,30 @@ def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
 
 
 _CODECS = {
-    "utf-8": "utf-8", "utf8": "utf-8", "us-ascii": "ascii", "ascii": "ascii", "iso-8859-1": "latin-1",
-    "latin-1": "latin-1", "latin1": "latin-1", "iso-8859-15": "iso-8859-15", "windows-1252": "cp1252",
-}  # fmt: skip
+    "utf-8": "utf-8",
+    "utf8": "utf-8",
+    "us-ascii": "ascii",
+    "ascii": "ascii",
+    "iso-8859-1": "latin-1",
+    "latin-1": "latin-1",
+    "latin1": "latin-1",
+    "iso-8859-15": "iso-8859-15",
+    "windows-1252": "cp1252",
+}
 _ADVICE = "save it as UTF-8 and declare that, or nothing"
 
 
-def _check_declared(data: bytes, encoding: str, first: Where, declared: re.Pattern[bytes] | None) -> None:
+def _check_declared(
+    data: bytes, encoding: str, first: Where, declared: re.Pattern[bytes] | None
+) -> None:
     head = data[:600].decode(encoding, "replace").encode("utf-8", "replace")
     match = declared.match(head) if declared else None
     given = match[1].decode("ascii") if match else encoding
     if not encoding.replace("-", "").startswith(given.lower().replace("-", "")):
         actual = encoding.upper().removesuffix("-LE").removesuffix("-BE")
-        said = f"its first line declares the encoding {given!r}, but its byte order mark says {actual}"
+        said = (
+            f"its first line declares the encoding {given!r}, but its byte order mark says {actual}"
+        )
         raise fail(said, first, "correct the declaration")
 
 
@@ -287,7 +337,8 @@ def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:
         said = f" (as {claim} says)" if claim else ""
         if error.end >= len(data) and "16" in encoding:
             raise fail(
-                f"the file ends inside a character of {encoding[:6].upper()}{said}: it is truncated",
+                f"the file ends inside a character of {encoding[:6].upper()}{said}: it is "
+                "truncated",
                 where,
                 "get the whole file",
             ) from None

@@ -13,13 +13,15 @@ from kempe.errors import InputError
 def write(mechanism: Mechanism, path: str | Path) -> Path:
     """The path written, in the format of `kempe.description.formats.FORMATS` that its ending names.
 
-    Errors: `InputError` for another ending, `DescriptionError` listing what the format cannot say; nothing is written
-    then.
+    Errors: `InputError` for another ending, `DescriptionError` listing what the format cannot say;
+    nothing is written then.
     """
     path = expanded(path)
     format = by_ending(path.name)
     if format is None or format.write is None:
-        raise InputError(f"{path}: the ending decides on the format; it must be {endings_written()}")
+        raise InputError(
+            f"{path}: the ending decides on the format; it must be {endings_written()}"
+        )
     if what := no_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     text = format.write(mechanism)

@@ -1,11 +1,13 @@
-"""The entry points of the kernels, as the library that was built with the package has them, or compiled here.
+"""The entry points of the kernels, as the library that was built with the package has them, or
+compiled here.
 
-``from kempe.kernels.compiled import table_sweep`` gives what `forward/table_sweep.py` declares with `@kernel`, and
-nothing else of it: the sources of kernels are for the compiler, no other module imports them. Names of modules are
-unique over all folders of kernels. The library carries the digest of the sources that it was built from. Where they
-were edited since, it is not used, and each module of kernels is compiled by Numba in the process that asks for it. The
-library has variants for processors of several levels; the best that runs here is taken, or what the environment
-variable KEMPE_KERNELS says: the name of a variant, or "jit" to compile.
+``from kempe.kernels.compiled import table_sweep`` gives what `forward/table_sweep.py` declares with
+`@kernel`, and nothing else of it: the sources of kernels are for the compiler, no other module
+imports them. Names of modules are unique over all folders of kernels. The library carries the
+digest of the sources that it was built from. Where they were edited since, it is not used, and each
+module of kernels is compiled by Numba in the process that asks for it. The library has variants for
+processors of several levels; the best that runs here is taken, or what the environment variable
+KEMPE_KERNELS says: the name of a variant, or "jit" to compile.
 """
 
 from __future__ import annotations
@@ -25,16 +27,20 @@ from kempe.kernels.digest import first_difference, source_digests, sources
 
 VARIABLE = "KEMPE_KERNELS"
 JIT = "jit"
-"""The environment variable that names a variant, and the name of what is compiled in this process."""
+"""The environment variable that names a variant, and the name of what is compiled in this
+process."""
 
 _HELP = (
-    "install a wheel of Kempe for this platform, or compile the kernels by installing from the sources once more "
-    "(`pip install .`, for a checkout `pip install -e .`), or install Numba (the extra 'jit')"
+    "install a wheel of Kempe for this platform, or compile the kernels by installing from the "
+    "sources once more (`pip install .`, for a checkout `pip install -e .`), or install Numba (the "
+    "extra 'jit')"
 )
 
 
 def _library() -> Any:
-    """The library of kernels, at the variant that is wanted; None where to compile. Errors: `KernelsError`."""
+    """The library of kernels, at the variant that is wanted; None where to compile. Errors:
+    `KernelsError`.
+    """
     wanted = os.environ.get(VARIABLE, "")
     guard = os.environ.get("KEMPE_GUARD", "")
     if guard not in ("", "after", "before"):
@@ -48,7 +54,9 @@ def _library() -> Any:
             from kempe.kernels import _native  # pyright: ignore
         except ImportError as error:
             how = f"{_HELP} and set {VARIABLE}={JIT}"
-            raise KernelsError(f"the library of kernels cannot be loaded: {error}; {how}") from error
+            raise KernelsError(
+                f"the library of kernels cannot be loaded: {error}; {how}"
+            ) from error
         sources = source_digests()
         if sources in (_native.SOURCES, ""):
             _native.use(_chosen(_native.VARIANTS, wanted))
@@ -58,17 +66,27 @@ def _library() -> Any:
     if wanted not in ("", JIT):
         raise KernelsError(f"{VARIABLE} is {wanted!r}, but {why}; {_HELP}")
     if importlib.util.find_spec("numba") is None:
-        raise KernelsError(f"{why}, but there is no Numba; {_HELP}" if wanted == JIT else f"{why}; {_HELP}")
+        raise KernelsError(
+            f"{why}, but there is no Numba; {_HELP}" if wanted == JIT else f"{why}; {_HELP}"
+        )
     if wanted != JIT and not os.environ.get("KEMPE_QUIET"):
-        print(f"kempe: {why}; compiling what is used in this process ...", file=sys.stderr, flush=True)
+        print(
+            f"kempe: {why}; compiling what is used in this process ...", file=sys.stderr, flush=True
+        )
     return None
 
 
 def _chosen(variants: dict[str, bool], wanted: str) -> str:
-    """The variant to take, of those that the library has, best first, with whether this processor runs them."""
+    """The variant to take, of those that the library has, best first, with whether this processor
+    runs them.
+    """
     running = [name for name, runs in variants.items() if runs]
     if wanted and wanted not in running:
-        what = "this processor does not run it" if wanted in variants else "this library does not have it"
+        what = (
+            "this processor does not run it"
+            if wanted in variants
+            else "this library does not have it"
+        )
         allowed = ", ".join(map(repr, [*running, JIT]))
         raise KernelsError(f"{VARIABLE} is {wanted!r}, but {what}; allowed here: {allowed}")
     return wanted or running[0]
@@ -100,5 +118,7 @@ def __getattr__(name: str) -> Any:
 
 
 def maker(*shape: int) -> Callable[[], np.ndarray]:
-    """A function that makes new float64 arrays (shape), their entries unset; faster than `numpy.empty`."""
+    """A function that makes new float64 arrays (shape), their entries unset; faster than
+    `numpy.empty`.
+    """
     return partial(np.empty, shape) if _native is None else _native.maker(shape)

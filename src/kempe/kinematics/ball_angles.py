@@ -1,7 +1,8 @@
 """The same mechanism in angles that are regular where those of its balls are not.
 
-Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90 degrees: there they
-have a velocity that moves nothing. That is no freedom of the mechanism. Three hinges in a row are: there bodies turn.
+Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90
+degrees: there they have a velocity that moves nothing. That is no freedom of the mechanism. Three
+hinges in a row are: there bodies turn.
 """
 
 from __future__ import annotations
@@ -30,11 +31,13 @@ NEAR = 0.1
 def regular_chart(
     system: SystemType, q: Array, held: Collection[str] = ()
 ) -> tuple[SystemType, Array, dict[str, Array]]:
-    """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
+    """The system and q (nq,), with the angles of balls near the singularity of their chart measured
+    from q.
 
-    The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names
-    nor numbers. Balls with an angle that is coupled, or one of `held`, stay, for it has a meaning of its own.
-    The third answer are the rotations (3, 3) by which frames were turned, by name of the joint.
+    The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else
+    changes, neither names nor numbers. Balls with an angle that is coupled, or one of `held`, stay,
+    for it has a meaning of its own. The third answer are the rotations (3, 3) by which frames were
+    turned, by name of the joint.
     """
     turned: dict[str, Array] = {}
     for name, at in _balls(system).items():
@@ -55,12 +58,16 @@ def regular_chart(
 
 
 def back(system: Compiled, q: Array, turned: dict[str, Array]) -> Array:
-    """The configuration (nq,) in coordinates of the system itself for `q` in the chart of `regular_chart`."""
+    """The configuration (nq,) in coordinates of the system itself for `q` in the chart of
+    `regular_chart`.
+    """
     q = np.array(q)
     for name, turn in turned.items():
         at = _balls(system)[name]
         z, y, x = q[at]
-        q[at] = spatial.matrix_to_rpy(spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ turn)[::-1]
+        q[at] = spatial.matrix_to_rpy(
+            spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ turn
+        )[::-1]
     return q
 
 
@@ -68,7 +75,9 @@ def back(system: Compiled, q: Array, turned: dict[str, Array]) -> Array:
 def _balls(system: Compiled) -> dict[str, list[int]]:
     """Indices in q of the three angles of each ball joint given by angles, by joint name."""
     names = {n: i for i, n in enumerate(system.coordinate_names)}
-    related = {f.source for f in system.structure.couplings.values()} | set(system.structure.couplings)
+    related = {f.source for f in system.structure.couplings.values()} | set(
+        system.structure.couplings
+    )
     related |= {n for r in system.structure.relations for n in (r.of, *r.sources)}
     found: dict[str, list[int]] = {}
     for joint in system.structure.joints.values():

@@ -1,4 +1,6 @@
-"""How far loops are open: the joints that the spanning tree left out, as residuals of a configuration."""
+"""How far loops are open: the joints that the spanning tree left out, as residuals of a
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def coordinate_value(system: Compiled, q: spatial.Array, name: str) -> spatial.A
     follower: Follower | None = system.structure.couplings.get(name)
     if follower is None:
         return q[..., system.coordinate_names.index(name)]
-    source = 0.0 if follower.source is None else q[..., system.coordinate_names.index(follower.source)]
+    source = (
+        0.0 if follower.source is None else q[..., system.coordinate_names.index(follower.source)]
+    )
     return np.broadcast_to(follower.multiplier * source + follower.offset, q.shape[:-1])
 
 
@@ -33,9 +37,9 @@ def coordinate_value(system: Compiled, q: spatial.Array, name: str) -> spatial.A
 def closure_error(system: Compiled, q: Any) -> spatial.Array:
     """How far each loop is open (..., len(closures), 6).
 
-    For each joint that the tree left out: the twist [v; w] in metres and radians, in axes of its frame M, that leads
-    from where its own coordinates put M to where the tree puts it. Zero where the loop is closed. The angular part
-    of a particle is zero.
+    For each joint that the tree left out: the twist [v; w] in metres and radians, in axes of its
+    frame M, that leads from where its own coordinates put M to where the tree puts it. Zero where
+    the loop is closed. The angular part of a particle is zero.
     """
     q = as_q(system, q)
     bodies = fk(system, q)
@@ -45,7 +49,11 @@ def closure_error(system: Compiled, q: Any) -> spatial.Array:
     for k, name in enumerate(system.structure.closures):
         joint = mechanism.joints[name]
         names = coordinate_names(mechanism, joint)
-        local = np.stack([coordinate_value(system, q, c) for c in names], axis=-1) if names else q[..., :0]
+        local = (
+            np.stack([coordinate_value(system, q, c) for c in names], axis=-1)
+            if names
+            else q[..., :0]
+        )
         X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
         X_FM = joint_pose(joint.type, local, system.dim, mechanism.bodies[joint.child].particle)
         X_WM = bodies[..., number[joint.parent], :, :] @ X_PF @ X_FM
@@ -57,10 +65,13 @@ def closure_error(system: Compiled, q: Any) -> spatial.Array:
     return out
 
 
-def joint_pose(kind: JointType, q: spatial.Array, dim: int = 3, particle: bool = False) -> spatial.Array:
+def joint_pose(
+    kind: JointType, q: spatial.Array, dim: int = 3, particle: bool = False
+) -> spatial.Array:
     """Pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., number of coordinates)."""
     mechanism = Mechanism("joint", dim)
     child = mechanism.particle("M") if particle else mechanism.body("M")
-    # not by `Mechanism.joint`: a slider of the plane slides along z of its frame F, which is not the plane's z
+    # not by `Mechanism.joint`: a slider of the plane slides along z of its frame F, which is not
+    # the plane's z
     mechanism.joints["joint"] = Joint("joint", kind, mechanism.ground.name, child.name)
     return fk(Compiled(mechanism), q, "M")

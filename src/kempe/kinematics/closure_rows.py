@@ -1,8 +1,10 @@
-"""All constraint equations of a system at once: residual and Jacobian over all velocity coordinates.
+"""All constraint equations of a system at once: residual and Jacobian over all velocity
+coordinates.
 
-*Full* form: each joint that the tree left out ties its frame M, led there through its own coordinates, to its child.
-The unknowns are all coordinates, those of cut joints included, so that nothing depends on where a loop was cut, and the
-nullity of the Jacobian is the number of freedoms that the rank sees.
+*Full* form: each joint that the tree left out ties its frame M, led there through its own
+coordinates, to its child. The unknowns are all coordinates, those of cut joints included, so that
+nothing depends on where a loop was cut, and the nullity of the Jacobian is the number of freedoms
+that the rank sees.
 """
 
 from __future__ import annotations
@@ -16,7 +18,12 @@ import numpy as np
 from kempe.calls import explained, flag
 from kempe.kernels.compiled import closure_batch
 from kempe.kinematics.configuration import as_q
-from kempe.model.closures.packed_loops import PackedLoops, characteristic_length, loops_of, must_be_explicit
+from kempe.model.closures.packed_loops import (
+    PackedLoops,
+    characteristic_length,
+    loops_of,
+    must_be_explicit,
+)
 from kempe.model.tree.own_tree import own_tree
 from kempe.singular_values import svd
 from kempe.spatial import Array
@@ -28,34 +35,50 @@ RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
 __all__ = [
-    "SystemConstraint", "characteristic_length", "evaluate", "freedoms_left", "jacobian", "of_system", "residual",
-    "row_names", "scales",
-]  # fmt: skip
+    "SystemConstraint",
+    "characteristic_length",
+    "evaluate",
+    "freedoms_left",
+    "jacobian",
+    "of_system",
+    "residual",
+    "row_names",
+    "scales",
+]
 
 
 def residual(system: Compiled, q: Any) -> Array:
-    """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero where all loops close.
+    """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero
+    where all loops close.
 
-    For each joint that the tree left out: position and rotation vector of its frame M on the child, in axes of the M
-    that its own coordinates predict (in planar systems two positions and an angle; for particles the position);
-    then the declared constraints and the relations between several coordinates. `row_names` says which row is which.
+    For each joint that the tree left out: position and rotation vector of its frame M on the child,
+    in axes of the M that its own coordinates predict (in planar systems two positions and an angle;
+    for particles the position); then the declared constraints and the relations between several
+    coordinates. `row_names` says which row is which.
     """
     return evaluate(system, q, False)[0]
 
 
 def jacobian(system: Compiled, q: Any) -> Array:
-    """Jacobian (..., m, nv) of `residual` by the velocity coordinates, exact at every q, closed or not."""
+    """Jacobian (..., m, nv) of `residual` by the velocity coordinates, exact at every q, closed or
+    not.
+    """
     return evaluate(system, q, True)[1]
 
 
 def evaluate(
-    system: Compiled, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: PackedLoops | None = None
-) -> tuple[Array, Array]:  # fmt: skip
-    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless requested.
+    system: Compiled,
+    q: Any,
+    with_jacobian: bool = True,
+    scaled: bool = False,
+    loops: PackedLoops | None = None,
+) -> tuple[Array, Array]:
+    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless
+    requested.
 
-    `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, and loops are cut
-    where solvers cut them (`own_tree`), so that nothing depends on the unit or on joints marked `cut`. `loops` are the
-    equations in another form than the full one.
+    `scaled`: lengths, those of sliding coordinates included, are measured in characteristic
+    lengths, and loops are cut where solvers cut them (`own_tree`), so that nothing depends on the
+    unit or on joints marked `cut`. `loops` are the equations in another form than the full one.
     """
     q = as_q(system, q)
     loops = loops or full(system, scaled)
@@ -72,7 +95,9 @@ def evaluate(
 
 
 def row_names(system: Compiled) -> list[tuple[str, str]]:
-    """For each equation the name of its joint, constraint or coupling, and the component: 'x', 'rz', 'distance', ..."""
+    """For each equation the name of its joint, constraint or coupling, and the component: 'x',
+    'rz', 'distance', ...
+    """
     return list(full(system, False).names)
 
 
@@ -83,7 +108,9 @@ def full(system: Compiled, scaled: bool) -> PackedLoops:
 
 
 def scales(system: Compiled) -> Array:
-    """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a prismatic one."""
+    """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a
+    prismatic one.
+    """
     return full(system, True).scale
 
 
@@ -119,11 +146,17 @@ class SystemConstraint:
 
 @explained
 def of_system(system: Compiled, own: bool = True) -> list[SystemConstraint]:
-    """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
+    """The constraints of a system: its closures, the declared ones, the relations of several
+    coordinates.
 
-    With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.
+    With `own=False` the coordinates of the joints that close loops are left out where nothing else
+    depends on them.
     """
-    loops = full(system, False) if flag(own, "own") else loops_of(system, must_be_explicit(system), length=1.0)
+    loops = (
+        full(system, False)
+        if flag(own, "own")
+        else loops_of(system, must_be_explicit(system), length=1.0)
+    )
     rows: dict[tuple[str, bool], list[int]] = {}
     for i, (name, what) in enumerate(loops.names):
         rows.setdefault((name, what == "relation"), []).append(i)
@@ -135,9 +168,12 @@ def of_system(system: Compiled, own: bool = True) -> list[SystemConstraint]:
 def freedoms_left(system: Compiled, q: Array, held: frozenset[str] = frozenset()) -> int:
     """Nullity of the constraint Jacobian at q over the coordinates that are not held.
 
-    The angles of a ball near their own singularity are measured from q, unless some of them are held.
+    The angles of a ball near their own singularity are measured from q, unless some of them are
+    held.
     """
-    from kempe.kinematics.ball_angles import regular_chart  # only here: to assemble needs none of it
+    from kempe.kinematics.ball_angles import (
+        regular_chart,
+    )  # only here: to assemble needs none of it
 
     system, q, _ = regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]

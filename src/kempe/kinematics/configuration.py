@@ -1,4 +1,6 @@
-"""The configuration space of a system: reading `q`, random and special configurations, distances, its shape."""
+"""The configuration space of a system: reading `q`, random and special configurations, distances,
+its shape.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +26,20 @@ if TYPE_CHECKING:
 
 
 MOST_WOUND = 1e8
-"""Largest angle in a motion, in radians: beyond it, floats are more than a hundred-millionth of a radian apart."""
+"""Largest angle in a motion, in radians: beyond it, floats are more than a hundred-millionth of a
+radian apart."""
 WANTED = "an array of real numbers or a dict by coordinate name"
 
 
 def as_q(system: Compiled, q: Any) -> Array:
-    """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations are read.
+    """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations
+    are read.
 
-    An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list of them) is read
-    by name; what is not named is neutral, and in a system with closed loops or relations follows from what is: the
-    configuration that `assemble` finds from home.
-    Errors: `InputError` for a wrong length or type, and for named values that close no loop; `UnknownNameError`.
+    An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list
+    of them) is read by name; what is not named is neutral, and in a system with closed loops or
+    relations follows from what is: the configuration that `assemble` finds from home.
+    Errors: `InputError` for a wrong length or type, and for named values that close no loop;
+    `UnknownNameError`.
     """
     return _read(system, q, closed_from)
 
@@ -42,14 +47,20 @@ def as_q(system: Compiled, q: Any) -> Array:
 def as_start(system: Compiled, q: Any) -> Array:
     """Start of a search (..., nq), read as by `as_q`.
 
-    Coordinates that are not named are as at home; no loop is closed. A text is the name of a posture.
+    Coordinates that are not named are as at home; no loop is closed. A text is the name of a
+    posture.
     """
     if isinstance(q, str):
         return q_from_dict(system, q, home_of(system))
     return _read(system, q, from_home, "start")
 
 
-def _read(system: Compiled, q: Any, complete: Callable[[Compiled, Mapping[str, Any]], Array], word: str = "q") -> Array:
+def _read(
+    system: Compiled,
+    q: Any,
+    complete: Callable[[Compiled, Mapping[str, Any]], Array],
+    word: str = "q",
+) -> Array:
     if is_plain(q):
         array = converted(q, word, WANTED)
     else:
@@ -70,13 +81,19 @@ def _read(system: Compiled, q: Any, complete: Callable[[Compiled, Mapping[str, A
 
 @kept
 def has_loops(system: Compiled) -> bool:
-    """Whether q has to fulfil equations: of loops, declared constraints, or relations of several coordinates."""
+    """Whether q has to fulfil equations: of loops, declared constraints, or relations of several
+    coordinates.
+    """
     tied = system.structure.closures or system.structure.relations
-    return bool(tied) or any(c.equations(system.dim) for c in system._mechanism.constraints.values())
+    return bool(tied) or any(
+        c.equations(system.dim) for c in system._mechanism.constraints.values()
+    )
 
 
 def home_of(system: Compiled) -> Array:
-    """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the limits."""
+    """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the
+    limits.
+    """
     if "closed" in system.structure.posture_names:
         return q_from_dict(system, "closed")
     return mid(system).copy()
@@ -93,8 +110,8 @@ def from_home(system: Compiled, coordinates: Mapping[str, Any]) -> Array:
 def closed_from(system: Compiled, coordinates: Mapping[str, Any], start: Any = None) -> Array:
     """Configuration (..., nq) with the named values; in a system with loops these are closed.
 
-    The search starts at `start`, else at home. Where all coordinates are named nothing is searched for. Errors:
-    `InputError` where no closed configuration was found, with the reason.
+    The search starts at `start`, else at home. Where all coordinates are named nothing is searched
+    for. Errors: `InputError` where no closed configuration was found, with the reason.
     """
     q = q_from_dict(system, coordinates, start)  # refuses names and numbers
     if not has_loops(system):
@@ -111,8 +128,11 @@ def closed_from(system: Compiled, coordinates: Mapping[str, Any], start: Any = N
         first = int(np.flatnonzero(~np.ravel(answer.success))[0])
         why = np.ravel(np.asarray(why, dtype=object))[first]
         where = f"row {first} of "
-    raise InputError(f"{where}q gives {', '.join(map(repr, given)) or 'nothing'} of a system with loops, and the other "
-                     f"coordinates must close them: {why} (an array of all {system.nq} is taken as it is)")  # fmt: skip
+    raise InputError(
+        f"{where}q gives {', '.join(map(repr, given)) or 'nothing'} of a system with loops, and "
+        f"the other coordinates must close them: {why} (an array of all {system.nq} is taken as it "
+        "is)"
+    )
 
 
 @kept
@@ -124,11 +144,17 @@ def _posture(system: Compiled, name: str) -> dict[str, float]:
     """Values of a named posture, of those coordinates that are in `q`. Errors: `UnknownNameError`."""
     postures = system._mechanism.postures
     index = _places(system)
-    return {n: x for n, x in postures[known("posture", name, postures, system.name)].items() if n in index}
+    return {
+        n: x
+        for n, x in postures[known("posture", name, postures, system.name)].items()
+        if n in index
+    }
 
 
 @explained
-def q_from_dict(system: Compiled, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None) -> Array:
+def q_from_dict(
+    system: Compiled, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None
+) -> Array:
     """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
 
     What is not named is neutral, or as in `base` (..., nq).
@@ -144,11 +170,19 @@ def q_from_dict(system: Compiled, coordinates: Mapping[str, Any] | str, base: Ar
         if name not in index:
             follower = system.structure.couplings.get(name)
             if follower is not None:
-                follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
+                follows = (
+                    f"it follows {follower.source!r}"
+                    if follower.source
+                    else f"it is held at {follower.offset:g}"
+                )
                 raise InputError(f"coordinate {name!r} is not part of q: {follows}")
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         plain = is_real(number)
-        values.append(number if plain else reals(number, f"coordinate {name!r}", "a number, or an array of them"))
+        values.append(
+            number
+            if plain
+            else reals(number, f"coordinate {name!r}", "a number, or an array of them")
+        )
         single = single and plain
     start = system.neutral if base is None else as_q(system, base)
     if single:
@@ -161,7 +195,9 @@ def q_from_dict(system: Compiled, coordinates: Mapping[str, Any] | str, base: Ar
         lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in arrays))
     except ValueError:
         shapes = ", ".join(f"{n!r} {x.shape}" for n, x in zip(given, arrays, strict=True))
-        raise InputError(f"the values of the coordinates have shapes that do not fit together: {shapes}") from None
+        raise InputError(
+            f"the values of the coordinates have shapes that do not fit together: {shapes}"
+        ) from None
     q = np.empty((*lead, system.nq))
     q[:] = start
     for name, x in zip(given, arrays, strict=True):
@@ -184,10 +220,14 @@ def one(system: Compiled, q: Any) -> Array:
 
 
 def one_finite(system: Compiled, q: Any, what: str = "q") -> Array:
-    """The argument as one configuration (nq,) of numbers that a search can begin with. Errors: `InputError`."""
+    """The argument as one configuration (nq,) of numbers that a search can begin with. Errors:
+    `InputError`.
+    """
     array = as_q(system, q)
     if array.shape != (system.nq,):
-        raise InputError(f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)")
+        raise InputError(
+            f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
+        )
     return refuse_far(system, array, what)
 
 
@@ -199,12 +239,17 @@ def refuse_far(system: Compiled, q: Array, what: str) -> Array:
     within_range(q, what, system.coordinate_names)
     for i in system.structure.layout.quaternion_q:
         if not np.all(np.any(q[..., i : i + 4], axis=-1)):
-            raise InputError(f"the quaternion at {what}[{system.coordinate_names[i]!r}] is zero; it has no rotation")
+            raise InputError(
+                f"the quaternion at {what}[{system.coordinate_names[i]!r}] is zero; it has no "
+                "rotation"
+            )
     return q
 
 
 def refuse_wound(system: Compiled, q: Array, what: str) -> Array:
-    """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below `MOST_WOUND`."""
+    """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below
+    `MOST_WOUND`.
+    """
     refuse_far(system, q, what)
     layout = system.structure.layout
     turning = system.structure.coordinates.turning
@@ -218,13 +263,14 @@ def refuse_wound_angle(angle: float, what: str) -> None:
     """Refuse, with an `InputError`, an angle in a motion whose steps would be lost in its rounding."""
     if not abs(angle) < MOST_WOUND:
         raise InputError(
-            f"{what} is {angle:g} rad; angles of a motion must be below {MOST_WOUND:g} rad in size, for larger floats "
-            "are too far apart: subtract whole turns"
+            f"{what} is {angle:g} rad; angles of a motion must be below {MOST_WOUND:g} rad in "
+            "size, for larger floats are too far apart: subtract whole turns"
         )
 
 
 def mid(system: Compiled) -> Array:
-    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing.
+    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a
+    limit is missing.
 
     It is read-only: `copy` gives one to change.
     """
@@ -240,16 +286,23 @@ def mid(system: Compiled) -> Array:
 
 
 @explained
-def random(system: Compiled, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
+def random(
+    system: Compiled, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()
+) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
 
-    Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within 1 rad; a
-    coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn in the order of the names,
-    so the order of declaration does not matter. Loop closures and relations of several coordinates are not imposed.
+    Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within
+    1 rad; a coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn
+    in the order of the names, so the order of declaration does not matter. Loop closures and
+    relations of several coordinates are not imposed.
     """
     sizes = shape if isinstance(shape, (tuple, list)) else (shape,)
-    if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes):
-        raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
+    if not all(
+        isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes
+    ):
+        raise InputError(
+            f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative"
+        )
     shape = tuple(int(n) for n in sizes)
     rng = generator(rng)
     layout = system.structure.layout
@@ -257,36 +310,52 @@ def random(system: Compiled, rng: np.random.Generator | int | None, shape: int |
     try:
         q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
     except (MemoryError, ValueError):
-        raise InputError(f"shape is {shape}; this memory does not hold so many configurations") from None
+        raise InputError(
+            f"shape is {shape}; this memory does not hold so many configurations"
+        ) from None
     low, high = sampling_box(system)
-    order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[int(layout.vector_v[i])]))
+    order = sorted(
+        range(len(layout.vector_v)), key=lambda i: natural(names[int(layout.vector_v[i])])
+    )
     for i in order:
         iv = layout.vector_v[i]
         u = rng.random(size=shape)
         q[..., layout.vector_q[i]] = np.clip((1.0 - u) * low[iv] + u * high[iv], low[iv], high[iv])
-    balls = sorted(range(len(layout.quaternion_v)), key=lambda i: natural(names[int(layout.quaternion_v[i])]))
+    balls = sorted(
+        range(len(layout.quaternion_v)), key=lambda i: natural(names[int(layout.quaternion_v[i])])
+    )
     layout.random_quaternions(q, rng, np.array(balls, dtype=np.int64))
     return q
 
 
 def sampling_box(system: Compiled) -> tuple[Array, Array]:
-    """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of 1 m on each side."""
+    """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of
+    1 m on each side.
+    """
     lower = system.lower
     upper = system.upper
     reach = np.where(system.structure.coordinates.turning, math.pi, 1.0)
     with np.errstate(invalid="ignore"):
-        low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * reach, -reach))
-        high = np.where(np.isfinite(upper), upper, np.where(np.isfinite(lower), lower + 2.0 * reach, reach))
+        low = np.where(
+            np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * reach, -reach)
+        )
+        high = np.where(
+            np.isfinite(upper), upper, np.where(np.isfinite(lower), lower + 2.0 * reach, reach)
+        )
     return low, high
 
 
 @explained
 def integrate(system: Compiled, q: Any, v: ArrayLike) -> Array:
-    """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
+    """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of
+    time.
+    """
     v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else counted(v.shape[-1], "coordinate")
-        raise InputError(f"v has {got}; {system.name} has {counted(system.nv, 'velocity coordinate')}")
+        raise InputError(
+            f"v has {got}; {system.name} has {counted(system.nv, 'velocity coordinate')}"
+        )
     q = as_q(system, q)
     if q.shape != v.shape and q.ndim + v.ndim > 2:
         together({"q": q.shape[:-1], "v": v.shape[:-1]})
@@ -295,10 +364,11 @@ def integrate(system: Compiled, q: Any, v: ArrayLike) -> Array:
 
 @explained
 def difference(system: Compiled, q0: Any, q1: Any) -> Array:
-    """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the short way.
+    """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the
+    short way.
 
-    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a constraint tells
-    apart count.
+    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a
+    constraint tells apart count.
     """
     a = as_q(system, q0)
     b = as_q(system, q1)
@@ -308,18 +378,24 @@ def difference(system: Compiled, q0: Any, q1: Any) -> Array:
 
 
 def by_short_turns(v: Array, circle: np.ndarray) -> Array:
-    """Tangent vectors `v` (..., nv), changed in place: where `circle` (nv,) says so, angles turn by at most pi."""
+    """Tangent vectors `v` (..., nv), changed in place: where `circle` (nv,) says so, angles turn by
+    at most pi.
+    """
     v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
 def circles(system: Compiled) -> np.ndarray:
-    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
+    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
+    nothing.
+    """
     return returning(system._mechanism, system.structure.coordinates)
 
 
 def winding_angles(system: Compiled) -> np.ndarray:
-    """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole turns apart."""
+    """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole
+    turns apart.
+    """
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
     return endless & distinct(system.mechanism, coordinates)
@@ -327,7 +403,9 @@ def winding_angles(system: Compiled) -> np.ndarray:
 
 @explained
 def interpolate(system: Compiled, q0: Any, q1: Any, t: ArrayLike) -> Array:
-    """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
+    """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go
+    the short way.
+    """
     t = numbers(t, "t")
     v = difference(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
@@ -336,5 +414,7 @@ def interpolate(system: Compiled, q0: Any, q1: Any, t: ArrayLike) -> Array:
 
 @explained
 def distance(system: Compiled, q0: Any, q1: Any) -> Array:
-    """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
+    """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in
+    metres.
+    """
     return np.linalg.norm(difference(system, q0, q1), axis=-1)

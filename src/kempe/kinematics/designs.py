@@ -21,8 +21,12 @@ from kempe.values import Expression
 
 
 @explained
-def with_parameters(system: SystemType, numbers: Mapping[str, Any]) -> SystemType | Designs[SystemType]:
-    """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
+def with_parameters(
+    system: SystemType, numbers: Mapping[str, Any]
+) -> SystemType | Designs[SystemType]:
+    """The system with other parameter values, or `Designs` where a value is an array (all of one
+    broadcast shape).
+    """
     arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
         if name not in system.structure.parameters:
@@ -54,14 +58,22 @@ class Designs(Generic[SystemType]):
             terms = (*coupling.sources.values(), coupling.offset)
             used = {n for v in terms if isinstance(v, Expression) for n in v.names if n in numbers}
             if used:
-                raise UnsupportedError(f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used))}: "
-                                       "a batch of designs must share its couplings")  # fmt: skip
-        self._table = lower(system.mechanism, system.structure.topology, system.structure.coordinates, self.parameters)
+                raise UnsupportedError(
+                    f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used))}: "
+                    "a batch of designs must share its couplings"
+                )
+        self._table = lower(
+            system.mechanism,
+            system.structure.topology,
+            system.structure.coordinates,
+            self.parameters,
+        )
 
     def fk(self, q: Any, frame: FrameLike) -> Array:
         """Poses (*shape, ..., 4, 4) of a frame: every design in every configuration.
 
-        `q` is (nq,) for one configuration of all designs, or (*shape, ..., nq) with configurations of each design.
+        `q` is (nq,) for one configuration of all designs, or (*shape, ..., nq) with configurations
+        of each design.
         """
         name = self.system.structure.frame_name(frame)
         ints, floats = self._table.pack([name])
@@ -70,12 +82,16 @@ class Designs(Generic[SystemType]):
         if q.ndim == 1:
             q = np.broadcast_to(q, (*self.shape, self.system.nq))
         if q.shape[:k] != self.shape:
-            raise InputError(f"q has shape {q.shape}; it must be ({self.system.nq},) or begin with {self.shape}")
+            raise InputError(
+                f"q has shape {q.shape}; it must be ({self.system.nq},) or begin with {self.shape}"
+            )
         inner = q.shape[k:-1]
         designs = math.prod(self.shape)
         each = math.prod(inner)
         flat_q = np.ascontiguousarray(q).reshape(designs, each, self.system.nq)
-        floats = np.broadcast_to(floats, (*self.shape, floats.shape[-1])).reshape(designs, floats.shape[-1])
+        floats = np.broadcast_to(floats, (*self.shape, floats.shape[-1])).reshape(
+            designs, floats.shape[-1]
+        )
         out = np.empty((designs, each, 1, 4, 4))
         for i in range(designs):
             table_sweep.poses(ints, floats[i], flat_q[i], out[i])

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 class _SingleJoint(NamedTuple):
-    """One turn or slide of a joint: its coordinate by its full name and within the joint, and the motion."""
+    """One turn or slide of a joint: its coordinate by its full name and within the joint, and the
+    motion.
+    """
 
     name: str
     key: str
@@ -28,12 +30,13 @@ class _SingleJoint(NamedTuple):
 
 @explained
 def expanded(system: SystemType) -> SystemType:
-    """The same system made of revolute and prismatic joints only, with links without size between them.
+    """The same system made of revolute and prismatic joints only, with links without size between
+    them.
 
-    A joint of one freedom stays as it is, one of several becomes a chain of joints that have the names of its
-    coordinates, so that `q` is the same; a screw becomes a turn and a slide that follows it. A ball becomes three turns
-    about z, y and x, with angles in place of its quaternion. Errors: `InputError` where a quaternion is coupled
-    or locked.
+    A joint of one freedom stays as it is, one of several becomes a chain of joints that have the
+    names of its coordinates, so that `q` is the same; a screw becomes a turn and a slide that
+    follows it. A ball becomes three turns about z, y and x, with angles in place of its quaternion.
+    Errors: `InputError` where a quaternion is coupled or locked.
     """
     m = system.mechanism.copy()
     joints = m.joints
@@ -60,9 +63,14 @@ def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
         four = names[p.coordinate : p.coordinate + 4]
         tied = {*m.locks, *m.couplings, *(s for c in m.couplings.values() for s in c.sources)}
         if tied & set(four):
-            raise InputError(f"joint {joint.name!r} has a quaternion that is locked or coupled, and no angles")
+            raise InputError(
+                f"joint {joint.name!r} has a quaternion that is locked or coupled, and no angles"
+            )
         angles, turns = Spherical(angles=True).layout()
-        out += [_SingleJoint(f"{joint.name}.{a}", a, turn) for a, turn in zip(angles, turns, strict=True)]
+        out += [
+            _SingleJoint(f"{joint.name}.{a}", a, turn)
+            for a, turn in zip(angles, turns, strict=True)
+        ]
         for posture in m.postures.values():
             if set(four) & set(posture):
                 q = [posture.pop(n, float(k == 0)) for k, n in enumerate(four)]
@@ -85,12 +93,27 @@ def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
         if follows:
             name, source = unused_name(m, f"{name} slide"), name
             m.couplings[name] = Coupling(name, {source: motion.multiplier})
-        tables: tuple[Mapping[str, Any], ...] = (joint.limits, joint.velocity_limits, joint.effort_limits)
-        own: list[Any] = [{"": table[key]} if key in table and not follows else {} for table in tables]
+        tables: tuple[Mapping[str, Any], ...] = (
+            joint.limits,
+            joint.velocity_limits,
+            joint.effort_limits,
+        )
+        own: list[Any] = [
+            {"": table[key]} if key in table and not follows else {} for table in tables
+        ]
         m.joints[name] = Joint(
-            name, Revolute() if motion.kind == R else Prismatic(), here, there, X @ axis,
-            (joint.X_CM if last else Placement()) @ axis, *own, actuated=None if follows else joint.actuated,
-            cut=joint.cut and last, where=joint.where, dim=joint.dim, of_particle=joint.of_particle and last,
-        )  # fmt: skip
+            name,
+            Revolute() if motion.kind == R else Prismatic(),
+            here,
+            there,
+            X @ axis,
+            (joint.X_CM if last else Placement()) @ axis,
+            *own,
+            actuated=None if follows else joint.actuated,
+            cut=joint.cut and last,
+            where=joint.where,
+            dim=joint.dim,
+            of_particle=joint.of_particle and last,
+        )
         here = there
         X = Placement()

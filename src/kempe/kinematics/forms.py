@@ -1,4 +1,6 @@
-"""Forms in which the forward model is written: whole poses, their upper three rows, positions, with quaternions."""
+"""Forms in which the forward model is written: whole poses, their upper three rows, positions, with
+quaternions.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled
 
 FEW = 2048
-"""Configurations whose poses, or numbers of another type, are held at once: a block that stays in the cache."""
+"""Configurations whose poses, or numbers of another type, are held at once: a block that stays in
+the cache."""
 CHUNK = 16384
 SERIAL_BELOW = 20_000
 
@@ -51,24 +54,34 @@ def _position_quat_wxyz(X: Array) -> Array:
 
 
 FORMS = {
-    "matrix": Form((4, 4), _pose), "3x4": Form((3, 4), _rows), "position": Form((3,), _position),
+    "matrix": Form((4, 4), _pose),
+    "3x4": Form((3, 4), _rows),
+    "position": Form((3,), _position),
     "position_quat_wxyz": Form((7,), _position_quat_wxyz),
-}  # fmt: skip
+}
 """The forms by their names."""
 TYPES = ("float64", "float32")
 
 
 @kept
 def chain_table(system: Compiled, frame: str) -> tuple[np.ndarray, Array]:
-    """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest form."""
+    """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest
+    form.
+    """
     return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
 
 
 @quiet
 def in_form(
-    system: Compiled, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any,
+    system: Compiled,
+    q: Any,
+    frame: Any,
+    out: Array | None,
+    threads: int | None,
+    form: str | None,
+    dtype: Any,
     relative_to: Any = None,
-) -> Array:  # fmt: skip
+) -> Array:
     """Poses of a frame in a chosen form and number type; arguments and errors as in `forward.fk`."""
     from kempe.kinematics.forward import fk
 
@@ -100,7 +113,11 @@ def in_form(
     rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
     if np.may_share_memory(q, out):
         flat = flat.copy()
-    table = None if several or base is not None else chain_table(system, system.structure.frame_name(one))
+    table = (
+        None
+        if several or base is not None
+        else chain_table(system, system.structure.frame_name(one))
+    )
     width = math.prod(wanted.shape)
 
     def some(start: int, stop: int) -> int:
@@ -126,7 +143,18 @@ def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
     """The array `out`, checked, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape, dtype=kind)
-    if isinstance(out, np.ndarray) and out.shape == shape and out.dtype == kind and out.flags.carray:
+    if (
+        isinstance(out, np.ndarray)
+        and out.shape == shape
+        and out.dtype == kind
+        and out.flags.carray
+    ):
         return out
-    given = f"{out.dtype} array of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-    raise InputError(f"out is a {given}; it must be a writable, C-contiguous {kind} array of shape {shape}")
+    given = (
+        f"{out.dtype} array of shape {out.shape}"
+        if isinstance(out, np.ndarray)
+        else type(out).__name__
+    )
+    raise InputError(
+        f"out is a {given}; it must be a writable, C-contiguous {kind} array of shape {shape}"
+    )

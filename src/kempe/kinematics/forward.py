@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 Verb = TypeVar("Verb", bound=Callable[..., Any])
 
 SERIAL_BELOW = 20_000
-"""Configurations below which a batch stays on one thread: starting others would cost more than it saves."""
+"""Configurations below which a batch stays on one thread: starting others would cost more than it
+saves."""
 ARRAY = np.ndarray
 """Looked up once: single calls take half a microsecond."""
 CHUNK = 16384
@@ -37,22 +38,32 @@ IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
 
 
 class Query(Protocol):
-    """Forward kinematics of one frame of one system, with names looked up and arrays packed only once."""
+    """Forward kinematics of one frame of one system, with names looked up and arrays packed only
+    once.
+    """
 
     frame: str
     system: Compiled
 
     def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
-        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq), or what the `form` of the query says.
+        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq), or what the `form` of
+        the query says.
 
-        `out`, where given, is a C-contiguous array of this shape and type; it is filled and returned.
+        `out`, where given, is a C-contiguous array of this shape and type; it is filled and
+        returned.
         """
         ...
 
     def jacobian(
-        self, q: ArrayLike, in_frame: str = "world_aligned", out: Array | None = None, threads: int | None = None
+        self,
+        q: ArrayLike,
+        in_frame: str = "world_aligned",
+        out: Array | None = None,
+        threads: int | None = None,
     ) -> Array:
-        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this module."""
+        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this
+        module.
+        """
         ...
 
     def pose_and_jacobian(
@@ -64,22 +75,27 @@ class Query(Protocol):
 
 @explained
 def query(system: Compiled, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
-    """A function that computes the forward kinematics of one frame, in a form and number type as of `fk`.
+    """A function that computes the forward kinematics of one frame, in a form and number type as of
+    `fk`.
 
     Errors: `UnknownNameError` for names, `InputError` for types.
     """
     if form is not None or dtype is not None:
         in_form(system, system.neutral, frame, None, 1, form, dtype)
     chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
-    bound_to: Any = MethodType(_model(chain_of), chain_of)  # a method, for it is pickled as an attribute of its object
+    bound_to: Any = MethodType(
+        _model(chain_of), chain_of
+    )  # a method, for it is pickled as an attribute of its object
     return bound_to
 
 
 def _model(chain_of: _ChainQuery) -> Any:
-    """The forward model of a chain, as a function of an object that is not read, q, out and threads.
+    """The forward model of a chain, as a function of an object that is not read, q, out and
+    threads.
 
-    A closure over the packed arrays, not an object: for one configuration the way into a method and back would cost
-    as much as the forward model itself. The kernels check shapes; whatever they refuse goes the general way.
+    A closure over the packed arrays, not an object: for one configuration the way into a method and
+    back would cost as much as the forward model itself. The kernels check shapes; whatever they
+    refuse goes the general way.
     """
     new_pose = maker(4, 4)
     new_columns = maker(6, chain_of.system.nv)
@@ -101,7 +117,9 @@ def _model(chain_of: _ChainQuery) -> Any:
             pass  # not float64, not contiguous, not a plain array
         return chain_of.pose(q, out, threads)
 
-    def jacobian(q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None) -> Array:
+    def jacobian(
+        q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None
+    ) -> Array:
         try:
             if q.ndim == 1:
                 J = new_columns() if out is None else out
@@ -111,7 +129,9 @@ def _model(chain_of: _ChainQuery) -> Any:
             pass
         return chain_of.jacobian(q, in_frame, out, threads)[1]
 
-    def pose_and_jacobian(q: Any, in_frame: str = "world_aligned", threads: int | None = None) -> tuple[Array, Array]:
+    def pose_and_jacobian(
+        q: Any, in_frame: str = "world_aligned", threads: int | None = None
+    ) -> tuple[Array, Array]:
         try:
             if q.ndim == 1:
                 X = new_pose()
@@ -137,13 +157,17 @@ def _model(chain_of: _ChainQuery) -> Any:
 
 
 class _ChainQuery:
-    """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
+    """The packed chain of one frame, and the general ways through it: conversions, batches,
+    threads, errors.
+    """
 
     def __init__(self, system: Compiled, name: str, form: str | None = None, dtype: Any = None):
         self.system = system
         self.name = name
         self.form = (form, dtype)
-        self.ints, self.floats = system.structure.table.pack([name], system.structure.table.path(name))
+        self.ints, self.floats = system.structure.table.pack(
+            [name], system.structure.table.path(name)
+        )
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = chain_table(system, name)
 
@@ -175,7 +199,9 @@ class _ChainQuery:
         over_chunks(work, len(flat_q), CHUNK, threads, SERIAL_BELOW)
         return out
 
-    def jacobian(self, q: Any, in_frame: str, out: Array | None, threads: int | None) -> tuple[Array, Array]:
+    def jacobian(
+        self, q: Any, in_frame: str, out: Array | None, threads: int | None
+    ) -> tuple[Array, Array]:
         kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
         if kind is None:
             raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
@@ -205,7 +231,9 @@ def _query(system: Compiled, frame: FrameLike) -> Any:
     except TypeError:  # nothing that could be a key is a name
         found = None
     if found is None:
-        found = system._queries[frame] = _model(_ChainQuery(system, system.structure.frame_name(frame)))
+        found = system._queries[frame] = _model(
+            _ChainQuery(system, system.structure.frame_name(frame))
+        )
     return found
 
 
@@ -237,7 +265,14 @@ def _columns_at_once(function: Verb) -> Verb:
     general = explained(function, fast=True)
 
     @wraps(function)
-    def call(system: Compiled, q: Any, frame: Any, in_frame: Any = "world_aligned", *args: Any, **options: Any) -> Any:
+    def call(
+        system: Compiled,
+        q: Any,
+        frame: Any,
+        in_frame: Any = "world_aligned",
+        *args: Any,
+        **options: Any,
+    ) -> Any:
         if frame.__class__ is str and q.__class__ is ARRAY and not args and not options:
             model = system._queries.get(frame)
             if model is not None:
@@ -260,17 +295,20 @@ def fk(
 ) -> Array:
     """Poses in the ground frame, or in the frame `relative_to` (the forward geometric model).
 
-    `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a body or frame:
-    then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their order; None gives all bodies by
-    number, (..., n_bodies + 1, 4, 4), the ground included. `out`, where given, must be a C-contiguous float64 array of
-    that shape. Large batches run in `threads` threads (default: as many as there are processors).
+    `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a
+    body or frame: then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their
+    order; None gives all bodies by number, (..., n_bodies + 1, 4, 4), the ground included. `out`,
+    where given, must be a C-contiguous float64 array of that shape. Large batches run in `threads`
+    threads (default: as many as there are processors).
 
-    `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three numbers,
-    "position_quat_wxyz" seven, "matrix" (the same as None) all. `dtype` float32 halves what is written, and what `out`
-    must be; it is computed in float64. "position" of one frame is less work than a pose, the others are less to write.
+    `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three
+    numbers, "position_quat_wxyz" seven, "matrix" (the same as None) all. `dtype` float32 halves
+    what is written, and what `out` must be; it is computed in float64. "position" of one frame is
+    less work than a pose, the others are less to write.
 
-    A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
-    of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
+    A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch
+    the first three rows of such a pose are NaN and all others are right. Errors: `UnknownNameError`
+    for names, `InputError` for shapes.
     """
     if form is not None or dtype is not None or relative_to is not None:
         return in_form(system, q, frame, out, threads, form, dtype, relative_to)
@@ -292,21 +330,31 @@ def fk(
         return table_sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
     over_chunks(
-        work, len(flat_q), max(1, min(CHUNK, 4 * CHUNK // max(k, 1))), threads, max(1, SERIAL_BELOW // max(k, 1))
+        work,
+        len(flat_q),
+        max(1, min(CHUNK, 4 * CHUNK // max(k, 1))),
+        threads,
+        max(1, SERIAL_BELOW // max(k, 1)),
     )
     return out
 
 
 @_columns_at_once
 def jacobian(
-    system: Compiled, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
+    system: Compiled,
+    q: Any,
+    frame: FrameLike,
+    in_frame: str = "world_aligned",
+    threads: int | None = None,
 ) -> Array:
-    """Jacobian (..., 6, nv) of a frame: twist [v; w] of the frame = J times the velocity coordinates.
+    """Jacobian (..., 6, nv) of a frame: twist [v; w] of the frame = J times the velocity
+    coordinates.
 
-    `in_frame` says where the twist is read: "world_aligned" (velocity of the frame's origin, axes of the ground),
-    "world" (velocity of the point that is at the ground's origin, axes of the ground) or "body" (velocity of the
-    frame's origin, axes of the frame). Velocity coordinates are time derivatives of `q`, and for a quaternion the
-    angular velocity in the turned axes. Source: Featherstone, 2008, section 2.8. Errors: as `fk`.
+    `in_frame` says where the twist is read: "world_aligned" (velocity of the frame's origin, axes
+    of the ground), "world" (velocity of the point that is at the ground's origin, axes of the
+    ground) or "body" (velocity of the frame's origin, axes of the frame). Velocity coordinates are
+    time derivatives of `q`, and for a quaternion the angular velocity in the turned axes. Source:
+    Featherstone, 2008, section 2.8. Errors: as `fk`.
     """
     return _query(system, frame).jacobian(q, in_frame, threads=threads)
 
@@ -319,13 +367,16 @@ def refuse_bad(system: Compiled, q: Array) -> None:
     for i in system.structure.layout.quaternion_q:
         if not np.any(q[i : i + 4]):
             raise InputError(
-                f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no rotation"
+                f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no "
+                "rotation"
             )
     raise InputError("q leads to poses that are not finite: a coordinate is too large")
 
 
 def _rows(x: Array, core: int) -> Array:
-    """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is empty."""
+    """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is
+    empty.
+    """
     return x.reshape(math.prod(x.shape[:-core]), *x.shape[-core:])
 
 
@@ -339,9 +390,16 @@ def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
     if out is None:
         return np.empty(shape)
     if not (
-        isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.float64 and out.flags.carray
-    ):  # fmt: skip
-        given = f"{out.dtype} array of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+        isinstance(out, np.ndarray)
+        and out.shape == shape
+        and out.dtype == np.float64
+        and out.flags.carray
+    ):
+        given = (
+            f"{out.dtype} array of shape {out.shape}"
+            if isinstance(out, np.ndarray)
+            else type(out).__name__
+        )
         needed = f"writable, C-contiguous float64 array of shape {shape}, aligned in memory"
         raise InputError(f"out is a {given}; it must be a {needed}")
     return out

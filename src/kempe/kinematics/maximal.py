@@ -1,7 +1,9 @@
-"""Maximal coordinates: every body on its own, as n_b pairs (r, R) that the joints hold together by m_c constraints.
+"""Maximal coordinates: every body on its own, as n_b pairs (r, R) that the joints hold together by
+m_c constraints.
 
-They are a system like any other: its tree is a free joint for each body, its loops are all the joints. So forward
-kinematics, closure errors, mobility and assembly of this system are the general ones: its count is
+They are a system like any other: its tree is a free joint for each body, its loops are all the
+joints. So forward kinematics, closure errors, mobility and assembly of this system are the general
+ones: its count is
 6 n_b - m_c, and to assemble it is to project bodies onto the constraints.
 """
 
@@ -30,13 +32,15 @@ if TYPE_CHECKING:
 @explained
 @kept
 def maximal(system: SystemType) -> SystemType:
-    """The system in maximal coordinates: each body hangs on a free joint from the ground, and all joints are cut.
+    """The system in maximal coordinates: each body hangs on a free joint from the ground, and all
+    joints are cut.
 
-    The free joints have the names of their bodies (with a number where a joint has that name) and come first; then
-    come the joints of the system, as they are: `q` is the pairs, then the q of the system. Particles have their
-    positions only; where the system stands far from the ground's origin, they are measured from a point in its midst.
-    Couplings, locks, limits, declared constraints and parameters are those of the system; so are the
-    postures, and where there is none 'closed' is home, bodies in place.
+    The free joints have the names of their bodies (with a number where a joint has that name) and
+    come first; then come the joints of the system, as they are: `q` is the pairs, then the q of the
+    system. Particles have their positions only; where the system stands far from the ground's
+    origin, they are measured from a point in its midst. Couplings, locks, limits, declared
+    constraints and parameters are those of the system; so are the postures, and where there is none
+    'closed' is home, bodies in place.
     """
     m = system.mechanism.copy()
     joints = m.joints
@@ -54,25 +58,33 @@ def maximal(system: SystemType) -> SystemType:
         m.free(name, m.ground, body, at=origin)
         taken.add(name)
     m.joints |= {name: replace(joint, cut=True) for name, joint in joints.items()}
-    at = {"closed": home_of(system)} | {name: q_from_dict(system, name) for name in system.structure.posture_names}
+    at = {"closed": home_of(system)} | {
+        name: q_from_dict(system, name) for name in system.structure.posture_names
+    }
     m.postures = {}
     names = type(system)(m).coordinate_names
     for name, q in at.items():
-        m.posture(name, dict(zip(names, _joined(system, q, to_maximal(system, q)).tolist(), strict=True)))
+        m.posture(
+            name, dict(zip(names, _joined(system, q, to_maximal(system, q)).tolist(), strict=True))
+        )
     return type(system)(m)
 
 
 @explained
 def to_maximal(system: Compiled, q: Any) -> Array:
-    """Poses (..., n_b, 4, 4) of all bodies but the ground; where loops are open, along the spanning tree."""
+    """Poses (..., n_b, 4, 4) of all bodies but the ground; where loops are open, along the spanning
+    tree.
+    """
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
 @explained
 def maximal_q(system: Compiled, q: Any = None, poses: ArrayLike | None = None) -> Array:
-    """Configuration (..., nq) of `maximal(system)`: the joints as at `q`, the bodies at `poses` (..., n_b, 4, 4).
+    """Configuration (..., nq) of `maximal(system)`: the joints as at `q`, the bodies at `poses`
+    (..., n_b, 4, 4).
 
-    Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing needs to be closed.
+    Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing
+    needs to be closed.
     """
     q = home_of(system) if q is None else as_q(system, q)
     return _joined(system, q, to_maximal(system, q) if poses is None else as_poses(system, poses))
@@ -81,7 +93,11 @@ def maximal_q(system: Compiled, q: Any = None, poses: ArrayLike | None = None) -
 def _joined(system: Compiled, q: Array, poses: Array) -> Array:
     points = [system.mechanism.bodies[b].particle for b in system.body_names[1:]]
     poses = poses - np.pad(origin_of(system)[:, None], ((0, 1), (3, 0)))
-    parts = [x for i, p in enumerate(points) for x in coordinates_of_pose(poses[..., i, :, :], system.dim, p)]
+    parts = [
+        x
+        for i, p in enumerate(points)
+        for x in coordinates_of_pose(poses[..., i, :, :], system.dim, p)
+    ]
     lead = np.broadcast_shapes(poses.shape[:-3], q.shape[:-1])
     return np.concatenate([np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*parts, q)], axis=-1)
 
@@ -92,7 +108,12 @@ def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
     R = X[..., :3, :3]
     if particle:
         return [p]
-    return [p, spatial.matrix_to_quat_wxyz(R) if dim == 3 else np.arctan2(R[..., 1, 0], R[..., 0, 0])[..., None]]
+    return [
+        p,
+        spatial.matrix_to_quat_wxyz(R)
+        if dim == 3
+        else np.arctan2(R[..., 1, 0], R[..., 0, 0])[..., None],
+    ]
 
 
 def as_poses(system: Compiled, poses: ArrayLike) -> Array:
@@ -101,6 +122,7 @@ def as_poses(system: Compiled, poses: ArrayLike) -> Array:
     n = len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
         raise InputError(
-            f"poses have shape {array.shape}; {system.name} needs (..., {n}, 4, 4): all bodies but the ground"
+            f"poses have shape {array.shape}; {system.name} needs (..., {n}, 4, 4): all bodies but "
+            "the ground"
         )
     return sound(array, "poses")

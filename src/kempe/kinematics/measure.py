@@ -1,8 +1,9 @@
-"""The judge: how far constraints are missed, by plain numpy from poses. It shares nothing with the kernels.
+"""The judge: how far constraints are missed, by plain numpy from poses. It shares nothing with the
+kernels.
 
-Each operation of a row has one measure here. Tasks of `ik` are judged by it at poses of the forward model; `judge`
-measures all that a system declares (joints that the tree left out, constraints, couplings) at poses that are multiplied
-out joint by joint.
+Each operation of a row has one measure here. Tasks of `ik` are judged by it at poses of the forward
+model; `judge` measures all that a system declares (joints that the tree left out, constraints,
+couplings) at poses that are multiplied out joint by joint.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled
 
 WITHIN = 1e-6
-"""Error in radians, or as a part of the characteristic length, up to which what is declared counts as held."""
+"""Error in radians, or as a part of the characteristic length, up to which what is declared counts
+as held."""
 ROUNDING = 1e-12
 """Error as a part of the largest coordinate of a point, that rounding alone may make."""
 SHOWN = 4
@@ -60,8 +62,11 @@ class RowShape(NamedTuple):
 def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
     """Which parts of the pose of frame B in A the rows hold; `dim` is 2 in the plane, 3 in space."""
     sorts = {
-        Op.ROTATION: L.ANGLE if dim == 2 else L.FULL, Op.TILT: L.ALIGN, Op.LOOK: L.LOOK, Op.DISTANCE: L.DISTANCE,
-    }  # fmt: skip
+        Op.ROTATION: L.ANGLE if dim == 2 else L.FULL,
+        Op.TILT: L.ALIGN,
+        Op.LOOK: L.LOOK,
+        Op.DISTANCE: L.DISTANCE,
+    }
     axes = tuple(r.args[0] for r in rows if r.op is Op.POINT)
     turns = next((sorts[r.op] for r in rows if r.op in sorts), L.NO_TURN)
     units = {r.unit for r in rows}
@@ -79,7 +84,9 @@ def size_of(p: Array) -> Array:
 
 
 def angle_between(R: Array, S: Array) -> Array:
-    """Angle (...) between two rotations, from the Frobenius norm of their difference: sqrt(8) sin(angle / 2)."""
+    """Angle (...) between two rotations, from the Frobenius norm of their difference: sqrt(8)
+    sin(angle / 2).
+    """
     d = R - S
     if d.ndim == 2:
         return 2.0 * math.asin(min(size_of(d.ravel()) / math.sqrt(8.0), 1.0))  # type: ignore[return-value]
@@ -88,13 +95,18 @@ def angle_between(R: Array, S: Array) -> Array:
 
 
 def apart(
-    A: Array, B: Array, shape: RowShape, whole: bool, number: Array | float | None = None,
+    A: Array,
+    B: Array,
+    shape: RowShape,
+    whole: bool,
+    number: Array | float | None = None,
     bounds: Sequence[tuple[float, float]] = (),
-) -> tuple[Array, Array]:  # fmt: skip
-    """How far (...) rows of a pose are missed by frame B (..., 4, 4) against A (..., 4, 4), in metres and in radians.
+) -> tuple[Array, Array]:
+    """How far (...) rows of a pose are missed by frame B (..., 4, 4) against A (..., 4, 4), in
+    metres and in radians.
 
-    `whole`: their directions are all there are. A distance is compared with `number`; with `bounds`, values between
-    these are no miss.
+    `whole`: their directions are all there are. A distance is compared with `number`; with
+    `bounds`, values between these are no miss.
     """
     turned = shape.turns in (L.FULL, L.ANGLE)
     if whole and turned:
@@ -106,7 +118,11 @@ def apart(
             return size, angle_between(B[..., :3, :3], A[..., :3, :3]) if turned else none
     if shape.turns in (L.ALIGN, L.LOOK):
         seen = spatial.inverse(A) @ B
-        look = np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3]) if shape.turns == L.LOOK else None
+        look = (
+            np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3])
+            if shape.turns == L.LOOK
+            else None
+        )
         return none, tilt_of(seen[..., :3, 2] if look is None else look)
     p = B[..., :3, 3] - A[..., :3, 3]
     if shape.turns == L.DISTANCE:
@@ -124,45 +140,71 @@ def apart(
 
 
 def pose_inputs(X: Array) -> dict[str, Array]:
-    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by row."""
+    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by
+    row.
+    """
     values = [X[..., i, 3] for i in range(3)] + [X[..., i, j] for i in range(3) for j in range(3)]
     return dict(zip(POSE, values, strict=True))
 
 
 def missed(
-    system: Compiled, made: Constraint, rows: Iterable[Row], q: Array, A: Array | None = None, B: Array | None = None,
-    given: Mapping[str, Array] | None = None, t: Array | float = 0.0,
-) -> tuple[Array, Array]:  # fmt: skip
-    """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain numbers.
+    system: Compiled,
+    made: Constraint,
+    rows: Iterable[Row],
+    q: Array,
+    A: Array | None = None,
+    B: Array | None = None,
+    given: Mapping[str, Array] | None = None,
+    t: Array | float = 0.0,
+) -> tuple[Array, Array]:
+    """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain
+    numbers.
 
-    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has any; t (...) are the
-    times of equations in time.
+    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has
+    any; t (...) are the times of equations in time.
     """
     total = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])]
     dim = system.dim
     X = None if A is None or B is None else spatial.inverse(A) @ B
-    known: dict[str, Any] = {TIME: t} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
+    known: dict[str, Any] = (
+        {TIME: t} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
+    )
     for row in rows:
         if row.op in TURNS:
             assert A is not None and B is not None
             size = apart(A, B, shape_of((row,), dim), False)
         else:
             value = _value(system, made, row, q, X, known)
-            low, high = between(made, row) if one_sided(made, row) else (number := value_of(made, row), number)
+            low, high = (
+                between(made, row)
+                if one_sided(made, row)
+                else (number := value_of(made, row), number)
+            )
             off = np.abs(value - np.clip(value, low, high))
             size = (off, 0.0) if row.unit == "m" else (0.0, off)
         total = [x + np.square(y) for x, y in zip(total, size, strict=True)]
     return np.sqrt(total[0]), np.sqrt(total[1])
 
 
-def _value(system: Compiled, made: Constraint, row: Row, q: Array, X: Array | None, known: Mapping[str, Any]) -> Array:
+def _value(
+    system: Compiled,
+    made: Constraint,
+    row: Row,
+    q: Array,
+    X: Array | None,
+    known: Mapping[str, Any],
+) -> Array:
     """The values (...) of a row that measures one number; X (..., 4, 4) is where frame B is in A."""
     if row.op in (Op.POINT, Op.DISTANCE):
         assert X is not None
         return size_of(X[..., :3, 3]) if row.op is Op.DISTANCE else X[..., row.args[0], 3]
     what, k = row.args
     if row.op is Op.TAPE:
-        own = {n: coordinate_value(system, q, n) for n in what.inputs if n not in known or n in made.reads}
+        own = {
+            n: coordinate_value(system, q, n)
+            for n in what.inputs
+            if n not in known or n in made.reads
+        }
         return what.evaluate({**known, **own})[..., k]
     whole = getattr(what, "at", None)  # a function of the whole configuration
     own = {n: coordinate_value(system, q, n) for n in made.reads}
@@ -170,7 +212,9 @@ def _value(system: Compiled, made: Constraint, row: Row, q: Array, X: Array | No
     if TIME in known:
         own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
     for index in np.ndindex(out.shape):
-        out[index] = (whole(q[index]) if whole else what({**known, **{n: x[index] for n, x in own.items()}}))[k]
+        out[index] = (
+            whole(q[index]) if whole else what({**known, **{n: x[index] for n, x in own.items()}})
+        )[k]
     return out
 
 
@@ -189,13 +233,16 @@ def motion(primitives: Sequence[Primitive], values: Array) -> Array:
             turn = (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)]
             step = spatial.pose(turn(p.multiplier * values[..., p.coordinate]))
         else:
-            step = spatial.pose(spatial.quat_wxyz_to_matrix(values[..., p.coordinate : p.coordinate + 4]))
+            step = spatial.pose(
+                spatial.quat_wxyz_to_matrix(values[..., p.coordinate : p.coordinate + 4])
+            )
         X = X @ step
     return X
 
 
 class Poses:
-    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along the tree.
+    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along
+    the tree.
 
     Equations in time are read at the times t (...).
     """
@@ -212,20 +259,28 @@ class Poses:
         ):
             F, M = self.frames(self.mechanism.joints[name])
             X = F @ spatial.inverse(M)
-            self.bodies[body] = self.bodies[tree.bodies[parent]] @ (spatial.inverse(X) if back else X)
+            self.bodies[body] = self.bodies[tree.bodies[parent]] @ (
+                spatial.inverse(X) if back else X
+            )
 
     def frames(self, joint: Joint) -> tuple[Array, Array]:
-        """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4, 4) on its child."""
+        """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4,
+        4) on its child.
+        """
         system = self.system
         m = self.mechanism
         names, primitives = joint.type.layout(m.dim, m.bodies[joint.child].particle)
         whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
         own = [coordinate_value(system, self.q, n) for n in whole]
         values = np.stack(own, axis=-1) if own else self.q[..., :0]
-        return joint.X_PF.evaluate(m.parameters) @ motion(primitives, values), joint.X_CM.evaluate(m.parameters)
+        return joint.X_PF.evaluate(m.parameters) @ motion(primitives, values), joint.X_CM.evaluate(
+            m.parameters
+        )
 
     def __call__(self, name: str | Sequence[str] | None) -> Array:
-        """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n, 4, 4)."""
+        """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n,
+        4, 4).
+        """
         if not isinstance(name, str):
             return np.stack([self(n) for n in (self.bodies if name is None else name)], axis=-3)
         frame = self.mechanism.frames.get(name)
@@ -234,7 +289,9 @@ class Poses:
         return self.bodies[frame.body] @ frame.X_BF.evaluate(self.mechanism.parameters)
 
     def joint(self, joint: Joint) -> tuple[Array, Array]:
-        """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a particle."""
+        """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a
+        particle.
+        """
         F, M = self.frames(joint)
         A = self.bodies[joint.parent] @ F
         B = self.bodies[joint.child] @ M
@@ -254,7 +311,9 @@ class Poses:
             F, M = declared.frames(m.parameters, dim)
             A = self.bodies[declared.parent] @ F
             B = self.bodies[declared.child] @ M
-        return missed(self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B, t=self.t)
+        return missed(
+            self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B, t=self.t
+        )
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
         """Error (...) of a relation of several coordinates, relative to its largest factor."""
@@ -262,7 +321,9 @@ class Poses:
         for name, factor in sources.items():
             off = off - factor * coordinate_value(self.system, self.q, name)
         off = np.abs(off) / max(1.0, *map(abs, sources.values()))
-        turning = self.system.structure.coordinates.turning[self.system.structure.coordinates.first[of][1]]
+        turning = self.system.structure.coordinates.turning[
+            self.system.structure.coordinates.first[of][1]
+        ]
         return (np.zeros_like(off), off) if turning else (off, np.zeros_like(off))
 
 
@@ -275,18 +336,25 @@ class MeasuredTask(Protocol):
     label: str
 
     def measure(
-        self, system: Compiled, q: Array, goals: Any = None, at: Callable[[Any], Array] | None = None
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Errors (...) of the task at q (..., nq), in metres and radians; `at` gives poses of frames."""
+        self,
+        system: Compiled,
+        q: Array,
+        goals: Any = None,
+        at: Callable[[Any], Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Errors (...) of the task at q (..., nq), in metres and radians; `at` gives poses of
+        frames.
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement(InWords):
-    """Errors of all constraints and tasks at configurations, from poses computed in numpy, and whether they hold.
+    """Errors of all constraints and tasks at configurations, from poses computed in numpy, and
+    whether they hold.
 
-    `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an equation); those above
-    `allowed` are violations.
+    `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an
+    equation); those above `allowed` are violations.
     """
 
     names: tuple[str, ...]
@@ -317,32 +385,51 @@ class Judgement(InWords):
             return "nothing is declared or requested that poses could miss"
         each = self.errors.reshape(n, -1, 2)
         if self:
-            names = ", ".join(map(repr, self.names[:SHOWN])) + (f", ... ({n} in all)" if n > SHOWN else "")
+            names = ", ".join(map(repr, self.names[:SHOWN])) + (
+                f", ... ({n} in all)" if n > SHOWN else ""
+            )
             most = "{:.1g} m and {:.1g} rad".format(*each.max(axis=(0, 1), initial=0.0))
-            return f"judged by poses multiplied out in numpy: {names} {'holds' if n == 1 else 'hold'} to {most}"
+            return (
+                f"judged by poses multiplied out in numpy: {names} {'holds' if n == 1 else 'hold'} "
+                f"to {most}"
+            )
         share = (each / self.allowed.reshape(n, -1, 2)).max(axis=-1)
-        k, row = np.unravel_index(int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape)
+        k, row = np.unravel_index(
+            int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape
+        )
         far = "{:.3g} m and {:.3g} rad".format(*each[k, row])
         return f"judged by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
 
     def data(self) -> dict[str, Any]:
         """The largest error by name, in metres and radians; whether all hold; and the sentence."""
-        worst = self.errors.reshape(len(self.names), -1, 2).max(axis=1, initial=0.0) if self.names else np.zeros((0, 2))
-        return {"holds": np.asarray(self.holds).tolist(), "errors": dict(zip(self.names, worst.tolist(), strict=True)),
-                "text": str(self)}  # fmt: skip
+        worst = (
+            self.errors.reshape(len(self.names), -1, 2).max(axis=1, initial=0.0)
+            if self.names
+            else np.zeros((0, 2))
+        )
+        return {
+            "holds": np.asarray(self.holds).tolist(),
+            "errors": dict(zip(self.names, worst.tolist(), strict=True)),
+            "text": str(self),
+        }
 
 
 def judge(
-    system: Compiled, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0,
-    t: Array | float = 0.0, closing: Compiled | None = None,
-) -> Judgement:  # fmt: skip
-    """The judgement of all that a system declares, and of what is required, at q (..., nq) and times t (...).
+    system: Compiled,
+    q: Any,
+    requested: Sequence[tuple[MeasuredTask, Any, Any]] = (),
+    more: Array | float = 0.0,
+    t: Array | float = 0.0,
+    closing: Compiled | None = None,
+) -> Judgement:
+    """The judgement of all that a system declares, and of what is required, at q (..., nq) and
+    times t (...).
 
-    That is: joints that the tree left out, rows of position of constraints, couplings with several sources. `requested`
-    has tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of
-    others, in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
-    Where another system is `closing`, what is declared is judged in its dimensions, and what is required in those of
-    `system`.
+    That is: joints that the tree left out, rows of position of constraints, couplings with several
+    sources. `requested` has tasks with their goals (or None) and what (2,) each may be missed by;
+    `more` (...) is what solvers left of others, in radians and characteristic lengths. Rows of
+    velocity are about motions, not about a configuration. Where another system is `closing`, what
+    is declared is judged in its dimensions, and what is required in those of `system`.
     """
     q = as_q(system, q)
     t = reals(t, "t")
@@ -354,13 +441,24 @@ def judge(
     found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
     found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
     found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.structure.relations]
-    far = max((float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0)
-    within = (WITHIN + 10.0 * np.asarray(more, dtype=float))[..., None] * [characteristic_length(system), 1.0]
+    far = max(
+        (float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0
+    )
+    within = (WITHIN + 10.0 * np.asarray(more, dtype=float))[..., None] * [
+        characteristic_length(system),
+        1.0,
+    ]
     within = within + ROUNDING * np.array([far, 1.0])
     lead = (*q.shape[:-1], 2)
     allowed = [np.broadcast_to(within, lead) for _ in found]
     for task, goals, most in requested:
         found.append((task.label, task.measure(drawn.system, q, goals, drawn)))
-        allowed.append(np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead))
-    errors = np.array([np.stack(np.broadcast_arrays(*e), axis=-1) for _, e in found]).reshape(len(found), *lead)
-    return Judgement(tuple(n for n, _ in found), errors, np.array(allowed).reshape(len(found), *lead))
+        allowed.append(
+            np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead)
+        )
+    errors = np.array([np.stack(np.broadcast_arrays(*e), axis=-1) for _, e in found]).reshape(
+        len(found), *lead
+    )
+    return Judgement(
+        tuple(n for n, _ in found), errors, np.array(allowed).reshape(len(found), *lead)
+    )

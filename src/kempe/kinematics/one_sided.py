@@ -1,6 +1,8 @@
-"""One-sided rows of a system, low <= f(q) <= high: declared constraints and limits of coordinates, as values and rates.
+"""One-sided rows of a system, low <= f(q) <= high: declared constraints and limits of coordinates,
+as values and rates.
 
-They are read before their bounds: whether a row is active, and how far it is from its bound, is for others to say.
+They are read before their bounds: whether a row is active, and how far it is from its bound, is for
+others to say.
 """
 
 from __future__ import annotations
@@ -23,13 +25,16 @@ if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled
 
 CLOSED = 1e-6
-"""Slack in radians, or as a part of the characteristic length, up to which a row counts as closed."""
+"""Slack in radians, or as a part of the characteristic length, up to which a row counts as
+closed."""
 ROUNDING = 1e-9
 """By how much more than a bound, of 1 or less, a value may be and still respect it."""
 
 
 class Violation(NamedTuple):
-    """A violated inequality `name`: outside its bounds by `far` in `unit`, or by `size` in characteristic lengths."""
+    """A violated inequality `name`: outside its bounds by `far` in `unit`, or by `size` in
+    characteristic lengths.
+    """
 
     name: str
     far: float
@@ -51,8 +56,8 @@ class Violation(NamedTuple):
 class OneSided:
     """The one-sided rows of a system: `declared` ones first, then the limited coordinates.
 
-    Row k is called `names[k]`, measured in `units[k]` ("m", "rad" or "1") and holds where its value is between `low[k]`
-    and `high[k]`.
+    Row k is called `names[k]`, measured in `units[k]` ("m", "rad" or "1") and holds where its value
+    is between `low[k]` and `high[k]`.
     """
 
     system: Compiled = field(repr=False)
@@ -74,7 +79,9 @@ class OneSided:
 
     @cached_property
     def scale(self) -> Array:
-        """Factors (k,) by which rows become comparable: 1 / characteristic length for rows in metres, else 1."""
+        """Factors (k,) by which rows become comparable: 1 / characteristic length for rows in
+        metres, else 1.
+        """
         return np.where(np.array(self.units) == "m", 1.0 / full(self.system, True).length, 1.0)
 
     @cached_property
@@ -89,15 +96,20 @@ class OneSided:
         return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
 
     def values(self, q: Any, declared: bool = False) -> Array:
-        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`, if so requested."""
+        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`,
+        if so requested.
+        """
         return self._read(q, False, declared)[0]
 
     def rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
-        """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at q (..., nq)."""
+        """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at
+        q (..., nq).
+        """
         return self._read(q, True, declared)
 
     def beyond(self, q: Any, declared: bool = False) -> Array:
-        """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0 where they hold.
+        """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0
+        where they hold.
 
         Only those that are `declared`, if so requested.
         """
@@ -107,27 +119,36 @@ class OneSided:
         return np.where(out <= self.slack[:k], 0.0, out)
 
     def violated(self, q: Array, allowed: Array) -> tuple[Array, Array]:
-        """How far (m,) the declared rows that are violated at q (nq,) are outside, by more than `allowed`, and rates.
+        """How far (m,) the declared rows that are violated at q (nq,) are outside, by more than
+        `allowed`, and rates.
 
         Both as `rates` has them, positive above an upper end.
         """
         k = self.declared
         x, J = self.rates(q, declared=True)
-        off = np.minimum(x - self.low[:k] + allowed, 0.0) + np.maximum(x - self.high[:k] - allowed, 0.0)
+        off = np.minimum(x - self.low[:k] + allowed, 0.0) + np.maximum(
+            x - self.high[:k] - allowed, 0.0
+        )
         out = np.flatnonzero(off)
         return (self.scale[:k] * off)[out], J[out]
 
     def violations(self, q: Array) -> list[Violation]:
         """The violations of declared rows at q (nq,)."""
         far = self.beyond(q, declared=True)
-        return [Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
-                for k in np.flatnonzero(far)]  # fmt: skip
+        return [
+            Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
+            for k in np.flatnonzero(far)
+        ]
 
     def left_out(self, beyond: np.ndarray) -> str:
-        """Sentence on configurations left out because they violate rows; `beyond` (n, k) is by how much."""
+        """Sentence on configurations left out because they violate rows; `beyond` (n, k) is by how
+        much.
+        """
         count = int(beyond.any(axis=1).sum())
         which = ", ".join(repr(self.names[k]) for k in np.flatnonzero(beyond.any(axis=0)))
-        those = "1 is left out that violates" if count == 1 else f"{count} are left out that violate"
+        those = (
+            "1 is left out that violates" if count == 1 else f"{count} are left out that violate"
+        )
         return f"; {those} {which}" if count else ""
 
     def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
@@ -174,18 +195,32 @@ def one_sided_rows(system: Compiled) -> OneSided:
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
     at = at[limited]
     v = v[limited]
-    names, units, bounds, chosen, loops = _declared(system) if system._mechanism.constraints else ([], [], [], [], None)
+    names, units, bounds, chosen, loops = (
+        _declared(system) if system._mechanism.constraints else ([], [], [], [], None)
+    )
     low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
     names += [system.structure.velocity_names[i] for i in v]
     units += ["rad" if system.structure.coordinates.turning[i] else "m" for i in v]
     return OneSided(
-        system, tuple(names), tuple(units), np.append(low, system.lower[v]), np.append(high, system.upper[v]),
-        len(bounds), loops if bounds else None, np.array(chosen, dtype=np.int64), at, v,
-    )  # fmt: skip
+        system,
+        tuple(names),
+        tuple(units),
+        np.append(low, system.lower[v]),
+        np.append(high, system.upper[v]),
+        len(bounds),
+        loops if bounds else None,
+        np.array(chosen, dtype=np.int64),
+        at,
+        v,
+    )
 
 
-def _declared(system: Compiled) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
-    """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
+def _declared(
+    system: Compiled,
+) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
+    """Names, units, bounds and places of the declared rows between bounds, and the ties that they
+    are among.
+    """
     loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
     at = 0

@@ -1,7 +1,8 @@
-"""The models that come with Kempe: the lecture's systems, one joint of each type, robots from published tables, and
-mechanisms with closed loops from the literature.
+"""The models that come with Kempe: the lecture's systems, one joint of each type, robots from
+published tables, and mechanisms with closed loops from the literature.
 
-``kempe.load("puma560")`` loads one by its name. Each is a TOML file whose first comment line says what it is.
+``kempe.load("puma560")`` loads one by its name. Each is a TOML file whose first comment line says
+what it is.
 """
 
 from __future__ import annotations

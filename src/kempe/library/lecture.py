@@ -1,4 +1,6 @@
-"""A walk through the lecture in the terminal: the sections of its page, their code run, and what comes out."""
+"""A walk through the lecture in the terminal: the sections of its page, their code run, and what
+comes out.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +23,37 @@ WIDTH = 100
 """Columns of the text."""
 
 MARKUP = (
-    (r"<!--.*?-->", ""), (r"<details><summary>(.*?)</summary>", r"\1:"), (r"</details>", ""),
-    (r"\[([^]]*)\]\([^)]*\)", r"\1"), (r"\*\*(.*?)\*\*|\*(\S.*?\S)\*", r"\1\2"), (r"`(.*?)`", r"\1"),
-)  # fmt: skip
+    (r"<!--.*?-->", ""),
+    (r"<details><summary>(.*?)</summary>", r"\1:"),
+    (r"</details>", ""),
+    (r"\[([^]]*)\]\([^)]*\)", r"\1"),
+    (r"\*\*(.*?)\*\*|\*(\S.*?\S)\*", r"\1\2"),
+    (r"`(.*?)`", r"\1"),
+)
 """What marks up the text of the page, and what stands in the terminal."""
 
 FORMULAS = (
-    (r"\{\}\^(\w)|\{\}\^\{([^{}]*)\}", r"\1\2"), (r"\\begin\{bmatrix\} *(.*?) *\\end\{bmatrix\}", r"[\1]"),
-    (r" *\\\\ *", "; "), (r" & ", ", "), (r"\\(?:mathbb|mathcal|mathrm)\{(\w+)\}", r"\1"), (r"\\dot (\w)", r"d\1/dt"),
-    (r"\\,|\\quad", " "), (r"\\times", "x"), (r"\\geq", ">="), (r"\\leq", "<="), (r"\\neq", "!="),
-    (r"\\notin", "not in"), (r"\\mapsto", "->"), (r"\\dots", "..."), (r"\\\|", "|"), (r"\\Sigma", "S"),
-    (r"\\Delta *", "d"), (r"\\([a-z]+)", r"\1"), (r"([_^])\{([^{}]*)\}", r"\1\2"), (r" +", " "),
-)  # fmt: skip
+    (r"\{\}\^(\w)|\{\}\^\{([^{}]*)\}", r"\1\2"),
+    (r"\\begin\{bmatrix\} *(.*?) *\\end\{bmatrix\}", r"[\1]"),
+    (r" *\\\\ *", "; "),
+    (r" & ", ", "),
+    (r"\\(?:mathbb|mathcal|mathrm)\{(\w+)\}", r"\1"),
+    (r"\\dot (\w)", r"d\1/dt"),
+    (r"\\,|\\quad", " "),
+    (r"\\times", "x"),
+    (r"\\geq", ">="),
+    (r"\\leq", "<="),
+    (r"\\neq", "!="),
+    (r"\\notin", "not in"),
+    (r"\\mapsto", "->"),
+    (r"\\dots", "..."),
+    (r"\\\|", "|"),
+    (r"\\Sigma", "S"),
+    (r"\\Delta *", "d"),
+    (r"\\([a-z]+)", r"\1"),
+    (r"([_^])\{([^{}]*)\}", r"\1\2"),
+    (r" +", " "),
+)
 """TeX of the page's formulas, and what stands for it, in this order."""
 
 
@@ -107,8 +128,8 @@ def plain(text: str) -> str:
 def walk(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, str]]:
     """The parts of a section as pairs: "text", "code" and its "output", what a "picture" is.
 
-    Pictures are drawn where there is a folder for them, which is made. Code that needs a package that is not
-    installed says so, and is left out with what depends on it.
+    Pictures are drawn where there is a folder for them, which is made. Code that needs a package
+    that is not installed says so, and is left out with what depends on it.
     """
     names: dict[str, Any] = {}
     drawn = 0
@@ -126,7 +147,9 @@ def walk(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, 
 
 
 def run(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
-    """What a cell prints, and the value of its last line; its picture goes to the file `picture` if there is one."""
+    """What a cell prints, and the value of its last line; its picture goes to the file `picture` if
+    there is one.
+    """
     tree = ast.parse(cell.code)
     last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
     printed = io.StringIO()
@@ -152,7 +175,10 @@ def run(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
 def prompted(code: str) -> str:
     """Code as one types it: `>>>` before each statement, `...` before its further lines."""
     begins = {node.lineno for node in ast.parse(code).body}
-    return "\n".join(f"{'>>>' if i in begins else '...'} {line}".rstrip() for i, line in enumerate(code.split("\n"), 1))
+    return "\n".join(
+        f"{'>>>' if i in begins else '...'} {line}".rstrip()
+        for i, line in enumerate(code.split("\n"), 1)
+    )
 
 
 def _save(axes: Any, path: Path) -> None:

@@ -1,4 +1,6 @@
-"""What a system is, without what one can ask it; its `Structure`: tree, coordinates, table, limits, identity."""
+"""What a system is, without what one can ask it; its `Structure`: tree, coordinates, table, limits,
+identity.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,11 @@ FrameLike = Body | Frame | str
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Structure:
-    """The parts of a system: the description, and the spanning tree, coordinates and primitive table made from it.
+    """The parts of a system: the description, and the spanning tree, coordinates and primitive
+    table made from it.
 
-    It is read-only. The names and sizes that every computation needs are attributes of the `System` itself.
+    It is read-only. The names and sizes that every computation needs are attributes of the `System`
+    itself.
     """
 
     _mechanism: Mechanism
@@ -63,7 +67,9 @@ class Structure:
 
     @property
     def tolerance(self) -> float | str | None:
-        """Tolerance of the dimensions in metres and radians, as described; None: the loops close up to rounding."""
+        """Tolerance of the dimensions in metres and radians, as described; None: the loops close up
+        to rounding.
+        """
         return self._mechanism.tolerance
 
     @property
@@ -87,7 +93,9 @@ class Structure:
 
     @property
     def velocity_names(self) -> tuple[str, ...]:
-        """A name for each velocity coordinate: as `System.coordinate_names`, but 'joint.wx', ... for quaternions."""
+        """A name for each velocity coordinate: as `System.coordinate_names`, but 'joint.wx', ...
+        for quaternions.
+        """
         return self.coordinates.velocity_names
 
     @property
@@ -97,26 +105,36 @@ class Structure:
 
     @property
     def couplings(self) -> dict[str, Any]:
-        """Coupled coordinates by name: each is a multiple of another plus an offset, or held; they are not in `q`."""
+        """Coupled coordinates by name: each is a multiple of another plus an offset, or held; they
+        are not in `q`.
+        """
         return ReadOnlyDict(self.coordinates.followers)
 
     @property
     def limits(self) -> Array:
-        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see `System.with_limits`."""
+        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see
+        `System.with_limits`.
+        """
         return self.coordinates.limits
 
     @property
     def velocity_limits(self) -> Array:
-        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only, as `limits`."""
+        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only, as
+        `limits`.
+        """
         return self.coordinates.velocity
 
     def coordinates_of_joint(self, name: str) -> list[str]:
-        """Names of all coordinates of a joint, also of those that are coupled or locked and not part of `q`."""
+        """Names of all coordinates of a joint, also of those that are coupled or locked and not
+        part of `q`.
+        """
         m = self._mechanism
         return coordinate_names(m, m.joints[known("joint", name, m.joints, m.name)])
 
     def frame_name(self, frame: FrameLike) -> str:
-        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the nearest names."""
+        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the
+        nearest names.
+        """
         name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
         if not isinstance(name, str) or name not in self.table.at:
             names = (*self.topology.bodies, *self._mechanism.frames)
@@ -127,26 +145,37 @@ class Structure:
 
     @cached_property
     def content_hash(self) -> str:
-        """Digest, as text, of all content of the system: equal systems have equal digests, in every process."""
+        """Digest, as text, of all content of the system: equal systems have equal digests, in every
+        process.
+        """
         return _digest(self._mechanism.content())
 
     @cached_property
     def hash(self) -> str:
-        """Digest, as text, of bodies, joints and tree without numbers: equal for all designs of one structure."""
+        """Digest, as text, of bodies, joints and tree without numbers: equal for all designs of one
+        structure.
+        """
         m = self._mechanism
         joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
         constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
-        return _digest((m.dim, self.topology, joints, constraints, self.coordinates.names, tuple(m.frames)))
+        return _digest(
+            (m.dim, self.topology, joints, constraints, self.coordinates.names, tuple(m.frames))
+        )
 
     def __repr__(self) -> str:
-        counts = f"{counted(len(self.topology.parent), 'body')}, {counted(len(self._mechanism.joints), 'joint')}"
+        counts = (
+            f"{counted(len(self.topology.parent), 'body')}, "
+            f"{counted(len(self._mechanism.joints), 'joint')}"
+        )
         cut = f", loops closed by {', '.join(map(repr, self.closures))}" if self.closures else ""
         tied = f", {counted(len(self.relations), 'relation')}" if self.relations else ""
         return f"Structure of {self._mechanism.name!r}: {counts}{cut}{tied}"
 
 
 class Compiled:
-    """A mechanism, compiled: spanning tree, loop closures, coordinates, primitive table; frozen. Base of `System`."""
+    """A mechanism, compiled: spanning tree, loop closures, coordinates, primitive table; frozen.
+    Base of `System`.
+    """
 
     _mechanism: Mechanism
     _topology: Topology
@@ -159,13 +188,17 @@ class Compiled:
     _kept: dict[Any, dict[Any, Any]]
     """Answers of functions that are `kempe.model.kept.kept`."""
 
-    def __init__(self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None):
+    def __init__(
+        self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None
+    ):
         own = vars(self)  # attributes cannot be set: the system is frozen
         own["_mechanism"] = mechanism = mechanism.copy()
         own["_topology"] = spanning_tree(mechanism) if topology is None else topology
         own["_coordinates"] = coordinates_of(mechanism)
         own["_table"] = (
-            lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
+            lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
+            if table is None
+            else table
         )
         own["_queries"] = {}
         own["_kept"] = {}
@@ -207,7 +240,9 @@ class Compiled:
 
     @cached_property
     def structure(self) -> Structure:
-        """The parts of the system: joints, frames, loop closures, couplings, limits, parameters, tree, table."""
+        """The parts of the system: joints, frames, loop closures, couplings, limits, parameters,
+        tree, table.
+        """
         m = self._mechanism
         coordinates = self._coordinates
         return Structure(m, self._topology, coordinates, self._table, coordinates.layout)
@@ -233,12 +268,16 @@ class Compiled:
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of all joints, fixed ones and loop closures included, in the order of the description."""
+        """Names of all joints, fixed ones and loop closures included, in the order of the
+        description.
+        """
         return tuple(self._mechanism.joints)
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Names of the nq entries of `q`: that of the joint if it has one coordinate, else 'joint.x', ..."""
+        """Names of the nq entries of `q`: that of the joint if it has one coordinate, else
+        'joint.x', ...
+        """
         return self._coordinates.names
 
     @property
@@ -253,24 +292,32 @@ class Compiled:
 
     @property
     def nv(self) -> int:
-        """Number of velocity coordinates: the freedoms of all joints in the tree. A quaternion has 3, and 4 in `nq`."""
+        """Number of velocity coordinates: the freedoms of all joints in the tree. A quaternion has
+        3, and 4 in `nq`.
+        """
         return self._coordinates.layout.nv
 
     # ---- limits
 
     @property
     def lower(self) -> Array:
-        """Lower limits (nv,) of the velocity coordinates, -inf where there is none; read-only: see `with_limits`."""
+        """Lower limits (nv,) of the velocity coordinates, -inf where there is none; read-only: see
+        `with_limits`.
+        """
         return self._coordinates.lower
 
     @property
     def upper(self) -> Array:
-        """Upper limits (nv,) of the velocity coordinates, inf where there is none; read-only: see `with_limits`."""
+        """Upper limits (nv,) of the velocity coordinates, inf where there is none; read-only: see
+        `with_limits`.
+        """
         return self._coordinates.upper
 
     @property
     def neutral(self) -> Array:
-        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the limits; read-only."""
+        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the
+        limits; read-only.
+        """
         return self._coordinates.layout.neutral
 
     # ---- identity
@@ -284,7 +331,11 @@ class Compiled:
         return hash(self.structure.content_hash)
 
     def __reduce__(self):
-        return (type(self), (self._mechanism,), None if self._ideal is None else {"_ideal": self._ideal})
+        return (
+            type(self),
+            (self._mechanism,),
+            None if self._ideal is None else {"_ideal": self._ideal},
+        )
 
     def __repr__(self) -> str:
         loops = f", loops={len(self._topology.closures)}" if self._topology.closures else ""

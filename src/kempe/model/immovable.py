@@ -1,4 +1,6 @@
-"""Coordinates that limits hold still, in a sentence: many files mean no limits where they give none."""
+"""Coordinates that limits hold still, in a sentence: many files mean no limits where they give
+none.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,14 @@ SHOWN = 6
 """Names that are listed."""
 
 
-def immovable(system: Compiled, coordinates: Iterable[int] | None = None, unstated: bool = False) -> str:
-    """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where there are none.
+def immovable(
+    system: Compiled, coordinates: Iterable[int] | None = None, unstated: bool = False
+) -> str:
+    """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where
+    there are none.
 
-    `coordinates` are their indices, all where None; `unstated` leaves out limits that the description gives.
+    `coordinates` are their indices, all where None; `unstated` leaves out limits that the
+    description gives.
     """
     low, high = system.structure.limits.T
     still = np.flatnonzero(low == high).tolist()
@@ -26,16 +32,26 @@ def immovable(system: Compiled, coordinates: Iterable[int] | None = None, unstat
     requested = set(still) if coordinates is None else {int(i) for i in coordinates}
     names = [system.structure.velocity_names[i] for i in still if i in requested]
     ours = {name for name, joint in system.structure.joints.items() if joint.unstated}
-    ours |= {f.source for of, f in system.structure.couplings.items() if of in ours and f.source is not None}
+    ours |= {
+        f.source
+        for of, f in system.structure.couplings.items()
+        if of in ours and f.source is not None
+    }
     reported = [n for n in names if n in ours]
     given = [n for n in names if n not in ours and not unstated]
     parts: list[str] = []
     for group, why in (
-        (reported, f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} as unlimited"),
+        (
+            reported,
+            f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} "
+            "as unlimited",
+        ),
         (given, f"lower and upper limit of {_them(given)} are the same"),
     ):
         if group:
-            shown = ", ".join(map(repr, group[:SHOWN])) + (f", ... ({len(group)} in all)" if group[SHOWN:] else "")
+            shown = ", ".join(map(repr, group[:SHOWN])) + (
+                f", ... ({len(group)} in all)" if group[SHOWN:] else ""
+            )
             parts.append(f"{shown} cannot move ({why})")
     return "; ".join(parts)
 

@@ -18,8 +18,11 @@ Keys = ParamSpec("Keys")
 T = TypeVar("T")
 
 
-def kept(function: Callable[Concatenate[SystemType, Keys], T]) -> Callable[Concatenate[SystemType, Keys], T]:
-    """A decorator for functions of a system and keys: an answer is kept, and returned again for equal arguments.
+def kept(
+    function: Callable[Concatenate[SystemType, Keys], T],
+) -> Callable[Concatenate[SystemType, Keys], T]:
+    """A decorator for functions of a system and keys: an answer is kept, and returned again for
+    equal arguments.
 
     Before an answer is worked out, the clock is looked at: of large systems it may take long.
     """
@@ -39,7 +42,9 @@ def kept(function: Callable[Concatenate[SystemType, Keys], T]) -> Callable[Conca
 
 
 def keep(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
-    """The answer, kept under `key` in a store of at most `most` answers, where it replaces the oldest."""
+    """The answer, kept under `key` in a store of at most `most` answers, where it replaces the
+    oldest.
+    """
     while len(answers) >= most:
         answers.pop(next(iter(list(answers)), None), None)
     answers[key] = answer

@@ -1,4 +1,6 @@
-"""Families of functions of a system, each under one name: `System.loops`, `System.inverse`, `System.reach`, ..."""
+"""Families of functions of a system, each under one name: `System.loops`, `System.inverse`,
+`System.reach`, ...
+"""
 
 from __future__ import annotations
 
@@ -50,54 +52,83 @@ class Symbolic(Namespace):
 
     @explained
     def fk(
-        self, frame: FrameLike, *, relative_to: FrameLike | None = None, symbols: Mapping[str, Any] | None = None,
-        snap: float = 0.0, short: bool = False,
-    ) -> Any:  # fmt: skip
+        self,
+        frame: FrameLike,
+        *,
+        relative_to: FrameLike | None = None,
+        symbols: Mapping[str, Any] | None = None,
+        snap: float = 0.0,
+        short: bool = False,
+    ) -> Any:
         """The forward model in symbols (sympy Matrix 4x4), in the ground frame or in another one.
 
-        With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see `kempe.kinematics.formulas.symbolic`.
+        With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see
+        `kempe.kinematics.formulas.symbolic`.
         """
         from kempe.kinematics.formulas.symbolic_steps import short_fk
 
-        return short_fk(self.system, frame, short, relative_to=relative_to, symbols=symbols, snap=snap)
+        return short_fk(
+            self.system, frame, short, relative_to=relative_to, symbols=symbols, snap=snap
+        )
 
     @explained
     def steps(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
-    ) -> SymbolicSteps:  # fmt: skip
-        """The matrices whose product is the forward model; see `kempe.kinematics.formulas.symbolic_steps`."""
+    ) -> SymbolicSteps:
+        """The matrices whose product is the forward model; see
+        `kempe.kinematics.formulas.symbolic_steps`.
+        """
         from kempe.kinematics.formulas.symbolic_steps import symbolic_steps
 
         return symbolic_steps(self.system, frame, symbols=symbols, snap=snap)
 
     @explained
-    def jacobian(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> Any:
-        """The Jacobian in symbols (sympy Matrix 6 x nv); see `kempe.kinematics.formulas.symbolic_steps`."""
+    def jacobian(
+        self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    ) -> Any:
+        """The Jacobian in symbols (sympy Matrix 6 x nv); see
+        `kempe.kinematics.formulas.symbolic_steps`.
+        """
         from kempe.kinematics.formulas.symbolic_steps import symbolic_jacobian
 
         return symbolic_jacobian(self.system, frame, symbols=symbols, snap=snap)
 
     @explained
-    def closure(self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> SymbolicClosure:
-        """The equations f(q) = 0 of all loops; see `kempe.kinematics.formulas.symbolic_closure.symbolic_closure`."""
+    def closure(
+        self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    ) -> SymbolicClosure:
+        """The equations f(q) = 0 of all loops; see
+        `kempe.kinematics.formulas.symbolic_closure.symbolic_closure`.
+        """
         from kempe.kinematics.formulas.symbolic_closure import symbolic_closure
 
         return symbolic_closure(self.system, symbols=symbols, snap=snap)
 
     @explained
     def to_dh(
-        self, frame: FrameLike, convention: str = "standard", *, symbols: Mapping[str, Any] | None = None,
+        self,
+        frame: FrameLike,
+        convention: str = "standard",
+        *,
+        symbols: Mapping[str, Any] | None = None,
         snap: float = 0.0,
-    ) -> DHTable:  # fmt: skip
-        """The Denavit-Hartenberg table of a frame's chain; see `kempe.kinematics.formulas.symbolic_dh.to_dh`."""
+    ) -> DHTable:
+        """The Denavit-Hartenberg table of a frame's chain; see
+        `kempe.kinematics.formulas.symbolic_dh.to_dh`.
+        """
         from kempe.kinematics.formulas.symbolic_dh import to_dh
 
         return to_dh(self.system, frame, convention, symbols=symbols, snap=snap)
 
     @explained
     def ik(
-        self, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
-    ) -> InverseFormulas:  # fmt: skip
+        self,
+        frame: FrameLike,
+        task: str | None = None,
+        *,
+        symbols: Mapping[str, Any] | None = None,
+        snap: float = 0.0,
+    ) -> InverseFormulas:
         """The inverse model of a planar arm, or of one in space that ends in a wrist, as formulas.
 
         See `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
@@ -108,7 +139,9 @@ class Symbolic(Namespace):
 
     @explained
     def short(self, formula: Any) -> ShortForm:
-        """A formula with c12 for cos(q1 + q2), and the legend; see `kempe.kinematics.formulas.symbolic_steps`."""
+        """A formula with c12 for cos(q1 + q2), and the legend; see
+        `kempe.kinematics.formulas.symbolic_steps`.
+        """
         from kempe.kinematics.formulas.symbolic_steps import short_form
 
         return short_form(self.system, formula)
@@ -116,13 +149,19 @@ class Symbolic(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class Inverse(Namespace):
-    """Methods about the inverse kinematics of a frame: how it is solved, and self-motions of redundant chains."""
+    """Methods about the inverse kinematics of a frame: how it is solved, and self-motions of
+    redundant chains.
+    """
 
     @explained
     def plan(
-        self, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None, fixed: Iterable[str] = ()
+        self,
+        frame: FrameLike,
+        task: str | tuple[str, ArrayLike] | None = None,
+        fixed: Iterable[str] = (),
     ) -> Recognised:
-        """The structure recognised in a frame's chain, and the closed form by which `ik_all` solves it.
+        """The structure recognised in a frame's chain, and the closed form by which `ik_all` solves
+        it.
 
         See `kempe.solvers.analytic.describe.describe`.
         """
@@ -132,30 +171,55 @@ class Inverse(Namespace):
 
     @explained
     def sweep(
-        self, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
-        n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
-        fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
-    ) -> Sweep:  # fmt: skip
+        self,
+        target: ArrayLike,
+        frame: FrameLike,
+        parameter: str | tuple[str, ArrayLike] | None = None,
+        *,
+        n: int | None = None,
+        task: str | tuple[str, ArrayLike] | None = None,
+        start: Any = None,
+        fixed: Mapping[str, Any] | None = None,
+        budget: Budget | None = None,
+    ) -> Sweep:
         """The solutions of a redundant chain along one parameter.
 
         See `kempe.solvers.analytic.redundant.redundancy.ik_sweep`.
         """
         from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
-        return ik_sweep(self.system, target, frame, parameter, n=n, task=task, start=start, fixed=fixed, budget=budget)
+        return ik_sweep(
+            self.system,
+            target,
+            frame,
+            parameter,
+            n=n,
+            task=task,
+            start=start,
+            fixed=fixed,
+            budget=budget,
+        )
 
     @explained
     def self_motion(
-        self, q: Any, tasks: Any, *, task: str | tuple[str, ArrayLike] | None = None, direction: Any = None,
+        self,
+        q: Any,
+        tasks: Any,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
+        direction: Any = None,
         budget: Budget | None = None,
-    ) -> SelfMotion:  # fmt: skip
-        """The motion from q that keeps a frame's pose or other tasks; see `kempe.solvers.paths.self_motion`."""
+    ) -> SelfMotion:
+        """The motion from q that keeps a frame's pose or other tasks; see
+        `kempe.solvers.paths.self_motion`.
+        """
         from kempe.solvers.paths.self_motion import self_motion
 
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) in radians of a seven-joint arm with spherical shoulder and wrist at q (..., nq).
+        """Arm angle (...) in radians of a seven-joint arm with spherical shoulder and wrist at q
+        (..., nq).
 
         See `kempe.solvers.analytic.redundant.arm_angle`.
         """
@@ -166,37 +230,52 @@ class Inverse(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class Loops(Namespace):
-    """Methods about closed loops: the constraints that close them, and velocities and forces through them."""
+    """Methods about closed loops: the constraints that close them, and velocities and forces
+    through them.
+    """
 
     def constraints(self) -> list[SystemConstraint]:
-        """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.closure_rows`."""
+        """The constraints of the system: closures, declared ones, relations; see
+        `kempe.kinematics.closure_rows`.
+        """
         from kempe.kinematics.closure_rows import of_system
 
         return of_system(self.system)
 
     def closure_error(self, q: Any) -> Array:
-        """Gap of each loop (..., number of closures, 6): the twist [m; rad] that is missing in its cut joint."""
+        """Gap of each loop (..., number of closures, 6): the twist [m; rad] that is missing in its
+        cut joint.
+        """
         from kempe.kinematics.closure_errors import closure_error
 
         return closure_error(self.system, q)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """A reusable `assemble` for these known names; see `kempe.solvers.assembly.assembler.Assembler`."""
+        """A reusable `assemble` for these known names; see
+        `kempe.solvers.assembly.assembler.Assembler`.
+        """
         from kempe.solvers.assembly.assembly import assembler
 
         return assembler(self.system, known)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
-        """The closed form of a planar system of dyads for these known coordinates; see `kempe.solvers.dyads.dyads`."""
+        """The closed form of a planar system of dyads for these known coordinates; see
+        `kempe.solvers.dyads.dyads`.
+        """
         from kempe.solvers.dyads.dyads import closed_form
 
         return closed_form(self.system, known)
 
     @explained
     def jacobian(
-        self, q: Any, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
+        self,
+        q: Any,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        in_frame: str = "world_aligned",
+        *,
         tolerance: float | str | None = None,
-    ) -> LoopJacobian:  # fmt: skip
+    ) -> LoopJacobian:
         """Matrix from velocities of inputs to those of joints or frames, with all loops closed.
 
         See `kempe.analysis.motion.transmission`.
@@ -207,21 +286,29 @@ class Loops(Namespace):
 
     @explained
     def mechanical_advantage(
-        self, q: Any, input: str, output: str, direction: ArrayLike | None = None, still: Sequence[str] = (), *,
+        self,
+        q: Any,
+        input: str,
+        output: str,
+        direction: ArrayLike | None = None,
+        still: Sequence[str] = (),
+        *,
         tolerance: float | str | None = None,
-    ) -> Any:  # fmt: skip
+    ) -> Any:
         """Force at the output per force at the input, at closed q (..., nq).
 
         See `kempe.analysis.motion.transmission`.
         """
         from kempe.analysis.motion.transmission import mechanical_advantage
 
-        return mechanical_advantage(self.system, q, input, output, direction, still, tolerance=tolerance)
+        return mechanical_advantage(
+            self.system, q, input, output, direction, still, tolerance=tolerance
+        )
 
     @explained
     def relative_motion(
         self, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
-    ) -> RelativeMotion:  # fmt: skip
+    ) -> RelativeMotion:
         """How a body can move relative to another one here: its DoF, twists and their words.
 
         See `kempe.analysis.motion.relative_motion`.
@@ -231,8 +318,12 @@ class Loops(Namespace):
         return relative_motion(self.system, q, body, to, tolerance=tolerance)
 
     @explained
-    def transmission_angle(self, q: Any, joint: str, coupler: str | None = None, output: str | None = None) -> Any:
-        """Angle (...) between coupler and output link at their joint; see `kempe.analysis.motion.transmission`."""
+    def transmission_angle(
+        self, q: Any, joint: str, coupler: str | None = None, output: str | None = None
+    ) -> Any:
+        """Angle (...) between coupler and output link at their joint; see
+        `kempe.analysis.motion.transmission`.
+        """
         from kempe.analysis.motion.transmission import transmission_angle
 
         return transmission_angle(self.system, q, joint, coupler, output)
@@ -240,14 +331,21 @@ class Loops(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class ReachStudies(Namespace):
-    """Methods about the reach of a frame: listed poses, places of the base, cells of a box, planar workspaces."""
+    """Methods about the reach of a frame: listed poses, places of the base, cells of a box, planar
+    workspaces.
+    """
 
     @explained
     def poses(
-        self, targets: ArrayLike, frame: FrameLike, *, task: str | tuple[str, ArrayLike] | None = None,
+        self,
+        targets: ArrayLike,
+        frame: FrameLike,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
-    ) -> ReachStudy:  # fmt: skip
-        """For a list of poses: which are reached, how far from singularities and limits, and what blocks the others.
+    ) -> ReachStudy:
+        """For a list of poses: which are reached, how far from singularities and limits, and what
+        blocks the others.
 
         See `kempe.analysis.spaces.reach.reached_poses`.
         """
@@ -257,9 +355,15 @@ class ReachStudies(Namespace):
 
     @explained
     def place(
-        self, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11, *,
-        task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
-    ) -> BasePlacement:  # fmt: skip
+        self,
+        targets: ArrayLike,
+        frame: FrameLike,
+        box: Mapping[str, Any],
+        cells: int | Mapping[str, int] = 11,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
+        budget: Budget | None = None,
+    ) -> BasePlacement:
         """A map of places for the base from which all of a list of poses are reached.
 
         See `kempe.analysis.spaces.reach.base_placement`.
@@ -270,10 +374,17 @@ class ReachStudies(Namespace):
 
     @explained
     def capability(
-        self, frame: FrameLike, box: ArrayLike, cells: int | tuple[int, ...] = 10, directions: int | ArrayLike = 32,
-        rolls: int | None = None, *, budget: Budget | None = None,
-    ) -> CapabilityMap:  # fmt: skip
-        """A map of a box: in how many directions each cell is reached, and how far from singularities.
+        self,
+        frame: FrameLike,
+        box: ArrayLike,
+        cells: int | tuple[int, ...] = 10,
+        directions: int | ArrayLike = 32,
+        rolls: int | None = None,
+        *,
+        budget: Budget | None = None,
+    ) -> CapabilityMap:
+        """A map of a box: in how many directions each cell is reached, and how far from
+        singularities.
 
         See `kempe.analysis.spaces.reach.capability`.
         """
@@ -282,8 +393,12 @@ class ReachStudies(Namespace):
         return capability_map(self.system, frame, box, cells, directions, rolls, budget=budget)
 
     @explained
-    def planar(self, frame: FrameLike, kind: str | None = None, orientation: Any = None) -> PlanarWorkspace:
-        """The exact workspace of a planar system; see `kempe.analysis.spaces.planar.planar_workspace`."""
+    def planar(
+        self, frame: FrameLike, kind: str | None = None, orientation: Any = None
+    ) -> PlanarWorkspace:
+        """The exact workspace of a planar system; see
+        `kempe.analysis.spaces.planar.planar_workspace`.
+        """
         from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
 
         return planar_workspace(self.system, frame, kind, orientation)

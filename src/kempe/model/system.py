@@ -1,4 +1,6 @@
-"""`System`: what is computed with, and the map of the library: its methods call the functions of later layers."""
+"""`System`: what is computed with, and the map of the library: its methods call the functions of
+later layers.
+"""
 
 from __future__ import annotations
 
@@ -47,23 +49,26 @@ ARRAY = np.ndarray
 
 
 class System(Compiled, Pictured):
-    """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
+    """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates,
+    primitive table.
 
-    Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
-    the order of `coordinate_names`, in radians and metres; a dict by coordinate name is accepted in its place, of a
-    system with loops as what `assemble` closes. Poses are relative to body 0, the ground. What the methods take is
-    explained at the functions that they name.
+    Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an
+    array (..., nq) in the order of `coordinate_names`, in radians and metres; a dict by coordinate
+    name is accepted in its place, of a system with loops as what `assemble` closes. Poses are
+    relative to body 0, the ground. What the methods take is explained at the functions that they
+    name.
 
-    What is needed daily has a name here. Families have one name together: `structure` (what it is made of),
-    `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description says, and writes, is the
-    `mechanism`.
+    What is needed daily has a name here. Families have one name together: `structure` (what it is
+    made of), `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description
+    says, and writes, is the `mechanism`.
     """
 
     # ---- configurations
 
     @property
     def mid(self) -> Array:
-        """A configuration (nq,) inside the limits: the middle of both limits, or the allowed value nearest to neutral.
+        """A configuration (nq,) inside the limits: the middle of both limits, or the allowed value
+        nearest to neutral.
 
         It is read-only: `mid.copy()` is one to change.
         """
@@ -71,8 +76,12 @@ class System(Compiled, Pictured):
 
         return mid(self)
 
-    def random(self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()) -> Array:
-        """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free lengths in (-1, 1)."""
+    def random(
+        self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
+    ) -> Array:
+        """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free
+        lengths in (-1, 1).
+        """
         from kempe.kinematics.configuration import random
 
         return random(self, rng, shape)
@@ -80,8 +89,8 @@ class System(Compiled, Pictured):
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
         """Configuration (..., nq) from values by coordinate name, or of a named posture.
 
-        Coordinates that are not named are neutral, or as in `base` (..., nq). Numbers are only written down: no loop is
-        closed (`assemble` closes them).
+        Coordinates that are not named are neutral, or as in `base` (..., nq). Numbers are only
+        written down: no loop is closed (`assemble` closes them).
         """
         from kempe.kinematics.configuration import q_from_dict
 
@@ -97,7 +106,9 @@ class System(Compiled, Pictured):
 
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
-        """The configuration space: its dimension and its shape, such as T^2 x R, within the space of all `q`."""
+        """The configuration space: its dimension and its shape, such as T^2 x R, within the space
+        of all `q`.
+        """
         from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 
         return configuration_space(self)
@@ -105,47 +116,86 @@ class System(Compiled, Pictured):
     @explained
     def task_space(
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
-    ) -> TaskSpace:  # fmt: skip
-        """The task space of a frame or tasks: which freedoms of `q` move it; see `analysis.spaces.configuration`."""
+    ) -> TaskSpace:
+        """The task space of a frame or tasks: which freedoms of `q` move it; see
+        `analysis.spaces.configuration`.
+        """
         from kempe.analysis.spaces.configuration.task_space import task_space
 
         return task_space(self, tasks, q, task=task, budget=budget)
 
     @explained
     def workspace(
-        self, frame: FrameLike, *, kind: str | None = None, orientation: Any = None, at: ArrayLike | None = None,
-        n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
-        path: str | FilePath | None = None, budget: Budget | None = None,
-    ) -> Workspace:  # fmt: skip
+        self,
+        frame: FrameLike,
+        *,
+        kind: str | None = None,
+        orientation: Any = None,
+        at: ArrayLike | None = None,
+        n: float | None = None,
+        cells: Any = None,
+        box: Any = None,
+        client: Any = None,
+        path: str | FilePath | None = None,
+        budget: Budget | None = None,
+    ) -> Workspace:
         """The workspace of a frame, of whatever `kind`, as a sampled map.
 
         See `kempe.analysis.spaces.workspace.mapping`.
         """
         from kempe.analysis.spaces.workspace.mapping import workspace
 
-        return workspace(self, frame, kind=kind, orientation=orientation, at=at, n=n, cells=cells, box=box,
-                         client=client, path=path, budget=budget)  # fmt: skip
+        return workspace(
+            self,
+            frame,
+            kind=kind,
+            orientation=orientation,
+            at=at,
+            n=n,
+            cells=cells,
+            box=box,
+            client=client,
+            path=path,
+            budget=budget,
+        )
 
     # ---- where everything is
 
     def fk(
-        self, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
-        threads: int | None = None, form: str | None = None, dtype: Any = None, relative_to: FrameLike | None = None,
-    ) -> Array:  # fmt: skip
-        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).
+        self,
+        q: Any,
+        frame: FrameLike | list[Any] | tuple[Any, ...] | None = None,
+        out: Array | None = None,
+        threads: int | None = None,
+        form: str | None = None,
+        dtype: Any = None,
+        relative_to: FrameLike | None = None,
+    ) -> Array:
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all
+        bodies (None).
 
-        `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another frame in place of the
-        ground; see `kempe.kinematics.forward.fk`.
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another
+        frame in place of the ground; see `kempe.kinematics.forward.fk`.
         """
-        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is relative_to is None else None
-        if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
+        query = (
+            self._queries.get(frame)
+            if frame.__class__ is str and form is dtype is relative_to is None
+            else None
+        )
+        if (
+            query is not None and q.__class__ is np.ndarray
+        ):  # the import below alone would double the time
             return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
         return fk(self, q, frame, out, threads, form, dtype, relative_to)
 
-    def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
-        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
+    def jacobian(
+        self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
+    ) -> Array:
+        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see
+        `kempe.kinematics.forward.jacobian`.
+        """
         query = self._queries.get(frame) if frame.__class__ is str else None
         if query is not None and q.__class__ is np.ndarray:
             return query.jacobian(q, in_frame, None, threads)
@@ -154,7 +204,8 @@ class System(Compiled, Pictured):
         return jacobian(self, q, frame, in_frame, threads)
 
     def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
-        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and ``f.jacobian(q)``.
+        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and
+        ``f.jacobian(q)``.
 
         In a `form` and type of numbers as of `fk`.
         """
@@ -171,11 +222,21 @@ class System(Compiled, Pictured):
 
     @partial(explained, fast=True)
     def ik(
-        self, target: Any, frame: FrameLike | None = None, start: Any = None, *,
-        task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
-        tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None, history: bool = False,
-    ) -> Solution:  # fmt: skip
-        """A configuration that reaches a target or holds tasks; see `kempe.solvers.one_frame.inverse.ik`."""
+        self,
+        target: Any,
+        frame: FrameLike | None = None,
+        start: Any = None,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
+        prefer: Any = None,
+        method: str | None = None,
+        tolerance: float | tuple[float, float] | None = None,
+        budget: Budget | None = None,
+        history: bool = False,
+    ) -> Solution:
+        """A configuration that reaches a target or holds tasks; see
+        `kempe.solvers.one_frame.inverse.ik`.
+        """
         if (
             frame.__class__ is str
             and prefer is method is tolerance is budget
@@ -183,66 +244,147 @@ class System(Compiled, Pictured):
             and not history
         ):
             bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
-            if bound is not None and budget is None and (answer := bound(target, start)) is not None:
+            if (
+                bound is not None
+                and budget is None
+                and (answer := bound(target, start)) is not None
+            ):
                 return answer
         from kempe.solvers.one_frame.inverse import ik
 
-        return ik(self, target, frame, start, task=task, prefer=prefer, method=method, tolerance=tolerance,
-                  budget=budget, history=history)  # fmt: skip
+        return ik(
+            self,
+            target,
+            frame,
+            start,
+            task=task,
+            prefer=prefer,
+            method=method,
+            tolerance=tolerance,
+            budget=budget,
+            history=history,
+        )
 
     @partial(explained, fast=True)
     def ik_all(
-        self, target: Any, frame: FrameLike, start: Any = None, *, task: str | tuple[str, ArrayLike] | None = None,
-        fixed: Mapping[str, Any] | None = None, limits: bool | str = False, tolerance: float | None = None,
+        self,
+        target: Any,
+        frame: FrameLike,
+        start: Any = None,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
+        fixed: Mapping[str, Any] | None = None,
+        limits: bool | str = False,
+        tolerance: float | None = None,
         budget: Budget | None = None,
-    ) -> Solutions | Modes:  # fmt: skip
-        """Every configuration in which the frame reaches the target; see `kempe.solvers.analytic.ik_all.ik_all`."""
-        plain = frame.__class__ is str and start is task is fixed is tolerance is budget is None and not limits
+    ) -> Solutions | Modes:
+        """Every configuration in which the frame reaches the target; see
+        `kempe.solvers.analytic.ik_all.ik_all`.
+        """
+        plain = (
+            frame.__class__ is str
+            and start is task is fixed is tolerance is budget is None
+            and not limits
+        )
         if plain and target.__class__ is np.ndarray and target.shape == (4, 4):
             bound = self._queries.get((frame,))
             if bound is not None and (answer := bound(target)) is not None:
                 return answer
         from kempe.solvers.analytic.ik_all import ik_all
 
-        return ik_all(self, target, frame, start, task=task, fixed=fixed, limits=limits, tolerance=tolerance,
-                      budget=budget)  # fmt: skip
+        return ik_all(
+            self,
+            target,
+            frame,
+            start,
+            task=task,
+            fixed=fixed,
+            limits=limits,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     @explained
     def ik_path(
-        self, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
-        restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
+        self,
+        targets: Any,
+        frame: FrameLike | None = None,
+        start: Any = None,
+        *,
+        max_step: float = 0.5,
+        restart: bool = False,
+        branches: bool = False,
+        tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
-    ) -> IkPath:  # fmt: skip
-        """Configurations that follow a sequence of targets without a jump; see `solvers.paths.following.ik_path`."""
+    ) -> IkPath:
+        """Configurations that follow a sequence of targets without a jump; see
+        `solvers.paths.following.ik_path`.
+        """
         from kempe.solvers.paths.following import ik_path
 
-        return ik_path(self, targets, frame, start, max_step=max_step, restart=restart, branches=branches,
-                       tolerance=tolerance, budget=budget)  # fmt: skip
+        return ik_path(
+            self,
+            targets,
+            frame,
+            start,
+            max_step=max_step,
+            restart=restart,
+            branches=branches,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     @explained
     def ik_step(
-        self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *, velocity_limits: Any = None,
-        damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
-    ) -> IkStep:  # fmt: skip
-        """Velocities for a frame's twist or for tasks, within all limits; see `solvers.velocity.servo.ik_step`."""
+        self,
+        q: Any,
+        wanted: Any,
+        frame: FrameLike | None = None,
+        dt: float = 0.0,
+        *,
+        velocity_limits: Any = None,
+        damping: float = 0.05,
+        keep_direction: bool = False,
+        weights: Any = None,
+    ) -> IkStep:
+        """Velocities for a frame's twist or for tasks, within all limits; see
+        `solvers.velocity.servo.ik_step`.
+        """
         from kempe.solvers.velocity.servo import ik_step
 
-        return ik_step(self, q, wanted, frame, dt, velocity_limits=velocity_limits, damping=damping,
-                       keep_direction=keep_direction, weights=weights)  # fmt: skip
+        return ik_step(
+            self,
+            q,
+            wanted,
+            frame,
+            dt,
+            velocity_limits=velocity_limits,
+            damping=damping,
+            keep_direction=keep_direction,
+            weights=weights,
+        )
 
     @cached_property
     def inverse(self) -> Inverse:
-        """Methods about the inverse kinematics of a frame: `plan`, `sweep`, `arm_angle`, `self_motion`."""
+        """Methods about the inverse kinematics of a frame: `plan`, `sweep`, `arm_angle`,
+        `self_motion`.
+        """
         from kempe.model.namespaces import Inverse
 
         return Inverse(self)
 
     @explained
     def singularities(
-        self, frame: FrameLike | None = None, task: str | None = None, *, inputs: Iterable[str] | None = None,
-        limits: bool = True, budget: Budget | None = None,
-    ) -> Singularities:  # fmt: skip
-        """Singular configurations of a frame or of closed loops: their kinds, and how far away the nearest is.
+        self,
+        frame: FrameLike | None = None,
+        task: str | None = None,
+        *,
+        inputs: Iterable[str] | None = None,
+        limits: bool = True,
+        budget: Budget | None = None,
+    ) -> Singularities:
+        """Singular configurations of a frame or of closed loops: their kinds, and how far away the
+        nearest is.
 
         See `kempe.analysis.spaces.singular.singularities`.
         """
@@ -252,7 +394,9 @@ class System(Compiled, Pictured):
 
     @cached_property
     def reach(self) -> ReachStudies:
-        """Methods about the reach of a frame: `poses`, `place`, `capability`, and `planar`, exact in the plane."""
+        """Methods about the reach of a frame: `poses`, `place`, `capability`, and `planar`, exact
+        in the plane.
+        """
         from kempe.model.namespaces import ReachStudies
 
         return ReachStudies(self)
@@ -261,39 +405,71 @@ class System(Compiled, Pictured):
 
     @explained
     def assemble(
-        self, known: Mapping[str, Any] | None = None, start: Any = None, *, branch: str | None = None,
-        prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
+        self,
+        known: Mapping[str, Any] | None = None,
+        start: Any = None,
+        *,
+        branch: str | None = None,
+        prefer: str | None = None,
+        limits: bool = True,
+        also: Any = (),
+        tolerance: float | str | None = None,
         budget: Budget | None = None,
-    ) -> Assembly:  # fmt: skip
-        """A configuration that closes all loops, with the `known` given; see `solvers.assembly.assembly.assemble`."""
+    ) -> Assembly:
+        """A configuration that closes all loops, with the `known` given; see
+        `solvers.assembly.assembly.assemble`.
+        """
         from kempe.solvers.assembly.assembly import assemble
 
-        return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
-                        budget=budget)  # fmt: skip
+        return assemble(
+            self,
+            known,
+            start,
+            branch=branch,
+            prefer=prefer,
+            limits=limits,
+            also=also,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     def idealised(
         self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
-    ) -> Idealised | None:  # fmt: skip
-        """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.assembly.ideal`."""
+    ) -> Idealised | None:
+        """The nearest system that closes exactly and moves, with what differs; see
+        `kempe.solvers.assembly.ideal`.
+        """
         from kempe.solvers.assembly.ideal import idealised
 
         return idealised(self, tolerance, budget=budget)
 
     @explained
     def assembly_modes(
-        self, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
-        frame: FrameLike | None = None, tolerance: float | str | None = None, budget: Budget | None = None,
-    ) -> Modes:  # fmt: skip
-        """All configurations found that close the loops with the `known` given; see `kempe.solvers.modes.modes`."""
+        self,
+        known: Mapping[str, Any] | None = None,
+        start: Any = None,
+        *,
+        limits: bool = True,
+        frame: FrameLike | None = None,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Modes:
+        """All configurations found that close the loops with the `known` given; see
+        `kempe.solvers.modes.modes`.
+        """
         from kempe.solvers.modes.modes import assembly_modes
 
-        return assembly_modes(self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget)
+        return assembly_modes(
+            self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget
+        )
 
     @explained
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
-    ) -> Chart:  # fmt: skip
-        """Independent coordinates at a closed q, which determine all others; see `kempe.solvers.assembly.charts`."""
+    ) -> Chart:
+        """Independent coordinates at a closed q, which determine all others; see
+        `kempe.solvers.assembly.charts`.
+        """
         from kempe.solvers.assembly.charts import independent
 
         return independent(self, q, prefer, tolerance=tolerance)
@@ -309,9 +485,15 @@ class System(Compiled, Pictured):
 
     @explained
     def mobility(
-        self, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
-        rng: np.random.Generator | int = 0, tolerance: float | str | None = None, budget: Budget | None = None,
-    ) -> Mobility:  # fmt: skip
+        self,
+        q: Any = None,
+        actuated: Iterable[str] | None = None,
+        *,
+        local: bool = True,
+        rng: np.random.Generator | int = 0,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Mobility:
         """Degrees of freedom by the Gruebler count, by rank, and locally exact, with the reasoning.
 
         See `kempe.analysis.mobility.mobility`.
@@ -321,10 +503,17 @@ class System(Compiled, Pictured):
         return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance, budget=budget)
 
     def classify(
-        self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
-        tolerance: float | str | None = None, budget: Budget | None = None,
-    ) -> Classification:  # fmt: skip
-        """Kind of each constraint (holonomic or not, redundant), and the freedoms of configuration and velocity.
+        self,
+        q: Any = None,
+        *,
+        t: float = 0.0,
+        project: bool = False,
+        rng: np.random.Generator | int = 0,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Classification:
+        """Kind of each constraint (holonomic or not, redundant), and the freedoms of configuration
+        and velocity.
 
         See `kempe.analysis.mobility.classify`.
         """
@@ -334,49 +523,110 @@ class System(Compiled, Pictured):
 
     @explained
     def trace(
-        self, driver: str | None = None, start: Any = None, *, hold: Mapping[str, float] | None = None,
-        toward: Mapping[str, float] | None = None, ways: str = "both", limits: bool = True,
-        tolerance: float | str | None = None, budget: Budget | None = None,
-    ) -> Motion:  # fmt: skip
-        """The whole branch of a mechanism with one freedom, as a `Path`; see `kempe.analysis.motion.motion.trace`."""
+        self,
+        driver: str | None = None,
+        start: Any = None,
+        *,
+        hold: Mapping[str, float] | None = None,
+        toward: Mapping[str, float] | None = None,
+        ways: str = "both",
+        limits: bool = True,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Motion:
+        """The whole branch of a mechanism with one freedom, as a `Path`; see
+        `kempe.analysis.motion.motion.trace`.
+        """
         from kempe.analysis.motion.motion import trace
 
-        return trace(self, driver, start, hold=hold, toward=toward, ways=ways, limits=limits, tolerance=tolerance,
-                     budget=budget)  # fmt: skip
+        return trace(
+            self,
+            driver,
+            start,
+            hold=hold,
+            toward=toward,
+            ways=ways,
+            limits=limits,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     @explained
     def drive(
-        self, inputs: Mapping[str, Any], times: Any = None, start: Any = None, *,
-        hold: Mapping[str, float] | None = None, toward: Mapping[str, float] | None = None, limits: bool = True,
-        tolerance: float | str | None = None, budget: Budget | None = None,
-    ) -> Drive:  # fmt: skip
-        """The continuous motion that follows prescribed inputs; see `kempe.analysis.motion.drive.drive`."""
+        self,
+        inputs: Mapping[str, Any],
+        times: Any = None,
+        start: Any = None,
+        *,
+        hold: Mapping[str, float] | None = None,
+        toward: Mapping[str, float] | None = None,
+        limits: bool = True,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Drive:
+        """The continuous motion that follows prescribed inputs; see
+        `kempe.analysis.motion.drive.drive`.
+        """
         from kempe.analysis.motion.drive import drive
 
-        return drive(self, inputs, times, start, hold=hold, toward=toward, limits=limits, tolerance=tolerance,
-                     budget=budget)  # fmt: skip
+        return drive(
+            self,
+            inputs,
+            times,
+            start,
+            hold=hold,
+            toward=toward,
+            limits=limits,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     @explained
     def manoeuvre(
-        self, start: Any, goal: Any, *, radius: float | None = None, free: Iterable[str] = (),
+        self,
+        start: Any,
+        goal: Any,
+        *,
+        radius: float | None = None,
+        free: Iterable[str] = (),
         budget: Budget | None = None,
-    ) -> Manoeuvre:  # fmt: skip
-        """A motion of a rolling system between configurations, without slip; see `analysis.manoeuvre.manoeuvre`."""
+    ) -> Manoeuvre:
+        """A motion of a rolling system between configurations, without slip; see
+        `analysis.manoeuvre.manoeuvre`.
+        """
         from kempe.analysis.manoeuvre.manoeuvre import manoeuvre
 
         return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
 
     @explained
     def simulate(
-        self, duration: float, start: Any = None, *, inputs: Mapping[str, Any] | None = None, velocity: Any = None,
-        acceleration: Any = None, restitution: float = 1.0, tolerance: float | None = None,
+        self,
+        duration: float,
+        start: Any = None,
+        *,
+        inputs: Mapping[str, Any] | None = None,
+        velocity: Any = None,
+        acceleration: Any = None,
+        restitution: float = 1.0,
+        tolerance: float | None = None,
         budget: Budget | None = None,
-    ) -> Simulation:  # fmt: skip
-        """The motion under given velocities, or of a ball that falls and bounces; see `kempe.analysis.simulation`."""
+    ) -> Simulation:
+        """The motion under given velocities, or of a ball that falls and bounces; see
+        `kempe.analysis.simulation`.
+        """
         from kempe.analysis.simulation.simulate import simulate
 
-        return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,
-                        restitution=restitution, tolerance=tolerance, budget=budget)  # fmt: skip
+        return simulate(
+            self,
+            duration,
+            start,
+            inputs=inputs,
+            velocity=velocity,
+            acceleration=acceleration,
+            restitution=restitution,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     # ---- other systems from this one
 
@@ -387,13 +637,17 @@ class System(Compiled, Pictured):
         return with_parameters(self, numbers)
 
     def opened(self, joints: str | Iterable[str] | None = None) -> System:
-        """The system without these joints: the open chain or tree that a loop is made of; see `kempe.model.opened`."""
+        """The system without these joints: the open chain or tree that a loop is made of; see
+        `kempe.model.opened`.
+        """
         from kempe.model.opened import opened
 
         return opened(self, joints)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
-        """A copy of the system with other limits, by coordinate name; see `kempe.kinematics.limits.with_limits`."""
+        """A copy of the system with other limits, by coordinate name; see
+        `kempe.kinematics.limits.with_limits`.
+        """
         from kempe.kinematics.limits import with_limits
 
         return with_limits(self, limits, velocity)

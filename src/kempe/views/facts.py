@@ -24,11 +24,16 @@ if TYPE_CHECKING:
 
 DEGREE = math.pi / 180.0
 CLOSED = 1e-5
-"""Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals count as closed."""
+"""Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals
+count as closed."""
 
 
-def in_degrees(values: Any, names: Iterable[str], unit: dict[str, str], degrees: bool) -> spatial.Array:
-    """Values (..., k) of the named coordinates, the angles among them in degrees if `degrees` asks for it."""
+def in_degrees(
+    values: Any, names: Iterable[str], unit: dict[str, str], degrees: bool
+) -> spatial.Array:
+    """Values (..., k) of the named coordinates, the angles among them in degrees if `degrees` asks
+    for it.
+    """
     factors = [1.0 / DEGREE if degrees and unit[n] == "rad" else 1.0 for n in names]
     return np.asarray(values, dtype=float) * factors
 
@@ -42,18 +47,24 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
     closures = set(system.structure.closures)
     return {
         "name": system.name,
-        "dim": system.dim, "kind": system.kind,
+        "dim": system.dim,
+        "kind": system.kind,
         "angle_unit": "deg" if degrees else "rad",
         "parent": list(system.parent),
         "nq": system.nq,
         "nv": system.nv,
         "dof_of_tree": _dof_of_tree(system),
         "configuration_space": {
-            "shape": space.shape, "ambient_dimension": space.ambient_dimension, "limited": space.limited,
-            "constraints": space.constraints, "text": space.within,
+            "shape": space.shape,
+            "ambient_dimension": space.ambient_dimension,
+            "limited": space.limited,
+            "constraints": space.constraints,
+            "text": space.within,
         },
         "bodies": _bodies(system),
-        "joints": [_joint(system, j, j.name not in closures) for j in system.structure.joints.values()],
+        "joints": [
+            _joint(system, j, j.name not in closures) for j in system.structure.joints.values()
+        ],
         "coordinates": coordinates(system, degrees),
         "closures": list(system.structure.closures),
         "frames": [{"name": f.name, "body": f.body} for f in system.structure.frames.values()],
@@ -63,35 +74,57 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
         "postures": list(system.structure.posture_names),
         "parameters": system.structure.parameters,
         "notes": list(system.structure.notes),
-    }  # fmt: skip
+    }
 
 
 def _dof_of_tree(system: System) -> int:
-    """Degrees of freedom of the tree: those of all joints without those of the joints that it left out."""
+    """Degrees of freedom of the tree: those of all joints without those of the joints that it left
+    out.
+    """
     bodies = system.mechanism.bodies
     joints = system.structure.joints
     known = set(system.structure.velocity_names)
     cut = [joints[name] for name in system.structure.closures]
-    names = (coordinate_name(j.name, v) for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle))
+    names = (
+        coordinate_name(j.name, v)
+        for j in cut
+        for v in j.type.velocities(system.dim, bodies[j.child].particle)
+    )
     return system.nv - sum(name in known for name in names)
 
 
 def _bodies(system: System) -> list[dict[str, Any]]:
     names = system.body_names
     records = system.mechanism.bodies
-    out: list[dict[str, Any]] = [{"number": 0, "name": names[0], "parent": None, "joint": None, "particle": False}]
-    for i, (parent, joint) in enumerate(zip(system.parent, system.structure.parent_joints, strict=True), start=1):
-        out.append({"number": i, "name": names[i], "parent": parent, "joint": joint,
-                    "particle": records[names[i]].particle})  # fmt: skip
+    out: list[dict[str, Any]] = [
+        {"number": 0, "name": names[0], "parent": None, "joint": None, "particle": False}
+    ]
+    for i, (parent, joint) in enumerate(
+        zip(system.parent, system.structure.parent_joints, strict=True), start=1
+    ):
+        out.append(
+            {
+                "number": i,
+                "name": names[i],
+                "parent": parent,
+                "joint": joint,
+                "particle": records[names[i]].particle,
+            }
+        )
     return out
 
 
 def _joint(system: System, joint: Joint, in_tree: bool) -> dict[str, Any]:
     return {
-        "name": joint.name, "type": joint.type.type_name, "options": joint.type.options,
-        "parent": joint.parent, "child": joint.child, "in_tree": in_tree,
-        "coordinates": system.structure.coordinates_of_joint(joint.name), "actuated": joint.actuated,
-    }  # fmt: skip
+        "name": joint.name,
+        "type": joint.type.type_name,
+        "options": joint.type.options,
+        "parent": joint.parent,
+        "child": joint.child,
+        "in_tree": in_tree,
+        "coordinates": system.structure.coordinates_of_joint(joint.name),
+        "actuated": joint.actuated,
+    }
 
 
 def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
@@ -103,31 +136,55 @@ def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
     for i, name in enumerate(system.coordinate_names):
         lower, upper = of.get(name, (-math.inf, math.inf))
         shown = "deg" if degrees and unit[name] == "rad" else unit[name]
-        out.append({"index": i, "name": name, "unit": shown, "lower": _number(lower), "upper": _number(upper)})
+        out.append(
+            {
+                "index": i,
+                "name": name,
+                "unit": shown,
+                "lower": _number(lower),
+                "upper": _number(upper),
+            }
+        )
     return out
 
 
 def _coupling(of: str, follower: Follower) -> dict[str, Any]:
-    return {"of": of, "source": follower.source, "multiplier": follower.multiplier, "offset": follower.offset}
+    return {
+        "of": of,
+        "source": follower.source,
+        "multiplier": follower.multiplier,
+        "offset": follower.offset,
+    }
 
 
 def _constraint(system: System, c: Declared) -> dict[str, Any]:
-    """A declared constraint with the freedoms of position that it takes away, and its number of one-sided rows."""
+    """A declared constraint with the freedoms of position that it takes away, and its number of
+    one-sided rows.
+    """
     length = c.length(system.structure.parameters) if c.rod else None
     return {
-        "name": c.name, "type": c.kind, "parent": c.parent, "child": c.child, "length": length,
-        "equations": c.equations(system.dim), "one_sided": c.bounds(system.dim),
+        "name": c.name,
+        "type": c.kind,
+        "parent": c.parent,
+        "child": c.child,
+        "length": length,
+        "equations": c.equations(system.dim),
+        "one_sided": c.bounds(system.dim),
         "says": with_numbers(c.of, system.structure.parameters).sentence,
-    } | ({"of": list(reads)} if (reads := c.of.reads) else {})  # fmt: skip
+    } | ({"of": list(reads)} if (reads := c.of.reads) else {})
 
 
 def largest_gap(system: System, q: Any) -> str:
-    """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is closed."""
+    """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is
+    closed.
+    """
     if not has_loops(system):
         return ""
     from kempe.kinematics import closure_rows
 
-    error = np.abs(closure_rows.residual(system, q)).reshape(-1, len(closure_rows.row_names(system)))
+    error = np.abs(closure_rows.residual(system, q)).reshape(
+        -1, len(closure_rows.row_names(system))
+    )
     error = np.where(np.isfinite(error), error, 0.0).max(axis=0, initial=0.0)
     worst = int(np.argmax(error))
     if error[worst] <= CLOSED:
@@ -138,7 +195,9 @@ def largest_gap(system: System, q: Any) -> str:
 
 
 def pose_rows(X: spatial.Array, degrees: bool = False) -> spatial.Array:
-    """Poses (..., 4, 4) as rows (..., 6): x, y, z in metres, roll, pitch, yaw in radians or degrees."""
+    """Poses (..., 4, 4) as rows (..., 6): x, y, z in metres, roll, pitch, yaw in radians or
+    degrees.
+    """
     out = spatial.xyz_rpy_from_pose(X)
     out[np.isnan(X).any(axis=(-2, -1))] = np.nan
     if degrees:
@@ -147,13 +206,24 @@ def pose_rows(X: spatial.Array, degrees: bool = False) -> spatial.Array:
 
 
 def pose_facts(X: spatial.Array, frame: str, degrees: bool = False) -> dict[str, Any]:
-    """A pose (4, 4) as matrix, position [m] and fixed-axis angles roll, pitch, yaw [rad, or degrees]."""
+    """A pose (4, 4) as matrix, position [m] and fixed-axis angles roll, pitch, yaw [rad, or
+    degrees].
+    """
     numbers = pose_rows(X, degrees)
-    return {"frame": frame, "xyz": jsonable(numbers[:3]), "rpy": jsonable(numbers[3:]), "matrix": jsonable(X)}
+    return {
+        "frame": frame,
+        "xyz": jsonable(numbers[:3]),
+        "rpy": jsonable(numbers[3:]),
+        "matrix": jsonable(X),
+    }
 
 
-def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bool = False) -> dict[str, Any]:
-    """Poses as `System.fk` gives them: of a frame, or of all bodies where `frame` is None; one or many q."""
+def poses_facts(
+    system: System, frame: str | None, X: spatial.Array, degrees: bool = False
+) -> dict[str, Any]:
+    """Poses as `System.fk` gives them: of a frame, or of all bodies where `frame` is None; one or
+    many q.
+    """
     unit = {
         "system": system.name,
         "seen_from": system.body_names[0],
@@ -180,7 +250,9 @@ def answer_facts(answer: Answer, degrees: bool = False) -> dict[str, Any]:
 
 
 def judged(answer: Answer | Path) -> dict[str, Any]:
-    """What the judge says of the configurations of an answer, under "judged"; empty where there are too many."""
+    """What the judge says of the configurations of an answer, under "judged"; empty where there are
+    too many.
+    """
     return {"judged": jsonable(answer.judged.data())} if answer.q.size <= MOST_JUDGED else {}
 
 
@@ -198,10 +270,14 @@ def problem_facts(problem: Fault) -> dict[str, Any]:
     """A finding about a file: its place, what it is about, what is wrong, what is allowed."""
     where = problem.where
     return {
-        "file": where.file if where else None, "line": where.line or None if where else None,
-        "column": where.column or None if where else None, "subject": problem.subject,
-        "message": problem.message, "allowed": problem.allowed, "text": str(problem),
-    }  # fmt: skip
+        "file": where.file if where else None,
+        "line": where.line or None if where else None,
+        "column": where.column or None if where else None,
+        "subject": problem.subject,
+        "message": problem.message,
+        "allowed": problem.allowed,
+        "text": str(problem),
+    }
 
 
 def error_facts(error: BaseException | str) -> dict[str, Any]:

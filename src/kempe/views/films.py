@@ -1,4 +1,6 @@
-"""Motions as moving pictures: GIF, MP4 (with ffmpeg) or an HTML page with a player, all frames on one scale."""
+"""Motions as moving pictures: GIF, MP4 (with ffmpeg) or an HTML page with a player, all frames on
+one scale.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ MOST = 600
 
 
 def film_file(file: str | Path) -> Path:
-    """The path of a film. Errors: `InputError` for other endings, `UnsupportedError` where its writer is missing."""
+    """The path of a film. Errors: `InputError` for other endings, `UnsupportedError` where its
+    writer is missing.
+    """
     from matplotlib import animation
 
     path = expanded(file)
@@ -38,14 +42,18 @@ def film_file(file: str | Path) -> Path:
     if writer is None:
         raise InputError(f"{path}: moving pictures are {', '.join(ENDINGS)} files")
     if not animation.writers.is_available(writer) and not _packed_ffmpeg():
-        raise UnsupportedError(f"{path}: the program {writer} is needed to write it, and is not installed: pip install "
-                               "imageio-ffmpeg, or the system's package manager, brings it; .gif and .html need "
-                               "nothing")  # fmt: skip
+        raise UnsupportedError(
+            f"{path}: the program {writer} is needed to write it, and is not installed: pip "
+            "install imageio-ffmpeg, or the system's package manager, brings it; .gif and .html "
+            "need nothing"
+        )
     return path
 
 
 def _packed_ffmpeg() -> bool:
-    """Whether the package imageio-ffmpeg is installed; its program is then the one that matplotlib runs."""
+    """Whether the package imageio-ffmpeg is installed; its program is then the one that matplotlib
+    runs.
+    """
     import matplotlib
 
     try:
@@ -58,22 +66,34 @@ def _packed_ffmpeg() -> bool:
 
 @explained
 def animate(
-    system: System, path: Any, file: str | Path, *, frames: Any = (), labels: Any = False, seconds: float = 4.0,
+    system: System,
+    path: Any,
+    file: str | Path,
+    *,
+    frames: Any = (),
+    labels: Any = False,
+    seconds: float = 4.0,
     fps: float = 15.0,
-) -> Path:  # fmt: skip
-    """Write a motion as a moving picture; the path of the file comes back, whose ending says what it is.
+) -> Path:
+    """Write a motion as a moving picture; the path of the file comes back, whose ending says what
+    it is.
 
-    `path`: an answer with a motion or several configurations, or configurations (n, nq), passed at equal times in
-    `seconds`, `fps` pictures each second; without loops it is interpolated between few. `frames` are those whose
-    curves are drawn, `labels` as for `System.plot`.
-    Errors: `InputError` for shapes and endings (.gif, .mp4, .html), `UnsupportedError` for .mp4 without the program
-    ffmpeg.
+    `path`: an answer with a motion or several configurations, or configurations (n, nq), passed at
+    equal times in `seconds`, `fps` pictures each second; without loops it is interpolated between
+    few. `frames` are those whose curves are drawn, `labels` as for `System.plot`.
+    Errors: `InputError` for shapes and endings (.gif, .mp4, .html), `UnsupportedError` for .mp4
+    without the program ffmpeg.
     """
     if not seconds > 0.0 or not 0.0 < fps <= 60.0:
-        raise InputError(f"seconds is {shown(seconds)} and fps {shown(fps)}; both must be positive, fps at most 60")
+        raise InputError(
+            f"seconds is {shown(seconds)} and fps {shown(fps)}; both must be positive, fps at most "
+            "60"
+        )
     count = round(seconds * fps)
     if not 2 <= count <= MOST:
-        raise InputError(f"seconds * fps is {counted(count, 'picture')}; they must be from 2 to {MOST}")
+        raise InputError(
+            f"seconds * fps is {counted(count, 'picture')}; they must be from 2 to {MOST}"
+        )
     out = film_file(file)
     way, drivers = motion_of(system, path)
     if way is None:
@@ -82,13 +102,18 @@ def animate(
     steps = _evenly(system, way[np.isfinite(way).all(axis=1)], count)
     drawing = drawing_of(system)
     radius = drawing.usual_radius(look(system, steps[0]))
-    subjects = [replace(subject_of(system, q[None], way, path, drivers, options, ()), radius=radius) for q in steps]
+    subjects = [
+        replace(subject_of(system, q[None], way, path, drivers, options, ()), radius=radius)
+        for q in steps
+    ]
     _write(drawing, subjects, out, fps)
     return out
 
 
 def _evenly(system: System, q: Array, count: int) -> Array:
-    """Configurations (count, nq) at equal steps along rows (n, nq), where loops are closed the nearest of these."""
+    """Configurations (count, nq) at equal steps along rows (n, nq), where loops are closed the
+    nearest of these.
+    """
     at = np.linspace(0.0, len(q) - 1.0, count)
     if len(q) >= count or len(q) < 2 or has_loops(system):
         return q[at.round().astype(int)]

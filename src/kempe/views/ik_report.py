@@ -1,4 +1,6 @@
-"""All solutions of inverse models, how they are found, and paths that follow targets: as tables and data."""
+"""All solutions of inverse models, how they are found, and paths that follow targets: as tables and
+data.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ if TYPE_CHECKING:
     from kempe.solvers.paths.following import IkPath
 
 NARROW = 7
-"""Coordinates up to which solutions are lines of a table; of more of them, each solution is a column."""
+"""Coordinates up to which solutions are lines of a table; of more of them, each solution is a
+column."""
 
 BLOCK = 8
 """Solutions beside each other, at most."""
@@ -42,7 +45,10 @@ def axis(text: str) -> spatial.Array:
         return np.array(AXES[text.strip().lower()])
     values = rows.numbers(text, "axis")
     if len(values) != 3:
-        raise InputError(f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's frame")
+        raise InputError(
+            f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's "
+            "frame"
+        )
     return np.array(values)
 
 
@@ -50,7 +56,10 @@ def tolerance(text: str) -> float:
     """The largest error of a solution, in metres and radians. Errors: `InputError`."""
     values = rows.numbers(text, "tolerance")
     if len(values) != 1 or not values[0] > 0.0:
-        raise InputError(f"tolerance is {text!r}; for --all it must be one positive number, for metres and radians")
+        raise InputError(
+            f"tolerance is {text!r}; for --all it must be one positive number, for metres and "
+            "radians"
+        )
     return values[0]
 
 
@@ -58,20 +67,32 @@ def tolerance(text: str) -> float:
 
 
 def solutions(answer: Solutions, degrees: bool = False) -> RenderableType:
-    """All configurations that reach a target: the sentence, a table, the families; of a batch a line for each."""
+    """All configurations that reach a target: the sentence, a table, the families; of a batch a
+    line for each.
+    """
     if not answer.single:
         return _batch(answer, degrees)
     system = answer.system
-    shown: list[RenderableType] = [Text(report.clean(answer.status), style=_style(bool(answer), answer.complete))]
+    shown: list[RenderableType] = [
+        Text(report.clean(answer.status), style=_style(bool(answer), answer.complete))
+    ]
     if len(answer):
         q = _in_units(system, answer.q, degrees)
-        shown += ["", *(_lines(answer, q, degrees) if system.nq <= NARROW else _columns(answer, q, degrees))]
+        shown += [
+            "",
+            *(_lines(answer, q, degrees) if system.nq <= NARROW else _columns(answer, q, degrees)),
+        ]
     if answer.families:
         shown.append("")
-    shown += [Text(f"family: {report.clean(family.describe())}", style="yellow") for family in answer.families]
+    shown += [
+        Text(f"family: {report.clean(family.describe())}", style="yellow")
+        for family in answer.families
+    ]
     if answer and answer.inside[0]:
         first = _in_units(system, answer.q[0], degrees)
-        copy = f"--q {','.join(report.number(x, 9).rstrip('0').rstrip('.') for x in first.tolist())}"
+        copy = (
+            f"--q {','.join(report.number(x, 9).rstrip('0').rstrip('.') for x in first.tolist())}"
+        )
         shown += ["", Text(copy, style="dim", no_wrap=True, overflow="ignore")]
     return Group(*shown)
 
@@ -82,12 +103,23 @@ def _lines(answer: Solutions, q: spatial.Array, degrees: bool) -> list[Renderabl
     several = bool(np.any(answer.multiplicity != 1))
     named = any(answer.names)
     cells = [
-        (k + 1, _inside(answer, k), *([_times(answer.multiplicity[k])] if several else []),
-         f"{answer.residual[k]:.1e}", *(_number(x, h) for x, h in zip(row, heads, strict=True)),
-         *([answer.names[k]] if named else []))
+        (
+            k + 1,
+            _inside(answer, k),
+            *([_times(answer.multiplicity[k])] if several else []),
+            f"{answer.residual[k]:.1e}",
+            *(_number(x, h) for x, h in zip(row, heads, strict=True)),
+            *([answer.names[k]] if named else []),
+        )
         for k, row in enumerate(q.tolist())
-    ]  # fmt: skip
-    heads = ["inside", *(["times"] if several else []), ">residual", *heads, *(["branch"] if named else [])]
+    ]
+    heads = [
+        "inside",
+        *(["times"] if several else []),
+        ">residual",
+        *heads,
+        *(["branch"] if named else []),
+    ]
     return [report.table((">#", *heads), cells)]
 
 
@@ -105,14 +137,21 @@ def _columns(answer: Solutions, q: spatial.Array, degrees: bool) -> list[Rendera
         if any(answer.names):
             words = list(zip(*(answer.names[i].split(", ") for i in part), strict=True))
             heads_of = ("branch",) if len(words) == 1 else ("shoulder", "elbow", "wrist")
-            lines += [(h, *(w.removeprefix(f"{h} ") for w in row)) for h, row in zip(heads_of, words, strict=True)]
-        lines += [(h, *(_number(x, h) for x in q[list(part), i].tolist())) for i, h in enumerate(heads)]
+            lines += [
+                (h, *(w.removeprefix(f"{h} ") for w in row))
+                for h, row in zip(heads_of, words, strict=True)
+            ]
+        lines += [
+            (h, *(_number(x, h) for x in q[list(part), i].tolist())) for i, h in enumerate(heads)
+        ]
         shown += ["", report.table(("", *(f">{i + 1}" for i in part)), lines)]
     return shown[1:]
 
 
 def _batch(answer: Solutions, degrees: bool) -> RenderableType:
-    """How many targets are reached, why others are not, and every solution with the number of its target."""
+    """How many targets are reached, why others are not, and every solution with the number of its
+    target.
+    """
     system = answer.system
     mask = answer.mask.reshape(-1, answer.mask.shape[-1])
     inside = answer.inside.reshape(mask.shape)
@@ -162,9 +201,11 @@ def solutions_facts(answer: Solutions, degrees: bool = False) -> dict[str, Any]:
     system = answer.system
     question = answer.question
     head = {
-        "system": system.name, "frame": question.frame, "task": question.task,
+        "system": system.name,
+        "frame": question.frame,
+        "task": question.task,
         "angle_unit": "deg" if degrees else "rad",
-    }  # fmt: skip
+    }
     if answer.single:
         families = [_family(system, family, degrees) for family in answer.families]
         return head | _one(answer, slice(None), degrees) | {"families": families}
@@ -178,43 +219,61 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
 
     def picked(values: Any, core: int = 0) -> Any:
         values = np.asarray(values)
-        return values if answer.single else values.reshape(-1, *values.shape[values.ndim - 1 - core :])[which]
+        return (
+            values
+            if answer.single
+            else values.reshape(-1, *values.shape[values.ndim - 1 - core :])[which]
+        )
 
     def of_target(values: Any) -> Any:
         return values if answer.single else np.asarray(values, dtype=object).reshape(-1)[which[0]]
 
     q = jsonable(_in_units(system, picked(answer.q, 1), degrees))
-    fields = {name: jsonable(picked(getattr(answer, name))) for name in
-              ("inside", "residual", "multiplicity", "branch", "condition")}  # fmt: skip
+    fields = {
+        name: jsonable(picked(getattr(answer, name)))
+        for name in ("inside", "residual", "multiplicity", "branch", "condition")
+    }
     fields["name"] = [str(name) for name in picked(answer.names)]
     found = [
-        {"q": dict(zip(system.coordinate_names, row, strict=True)), **{n: v[k] for n, v in fields.items()}}
+        {
+            "q": dict(zip(system.coordinate_names, row, strict=True)),
+            **{n: v[k] for n, v in fields.items()},
+        }
         for k, row in enumerate(q)
     ]
     unit = units(system)
-    held = {n: facts.in_degrees([of_target(v)], [n], unit, degrees).item() for n, v in answer.held.items()}
+    held = {
+        n: facts.in_degrees([of_target(v)], [n], unit, degrees).item()
+        for n, v in answer.held.items()
+    }
     return {
-        "success": bool(picked(answer.inside).any()), "code": named(of_target(answer.code)),
+        "success": bool(picked(answer.inside).any()),
+        "code": named(of_target(answer.code)),
         "status": str(of_target(answer.status)),
-        "complete": bool(of_target(answer.complete)), "solutions": found,
+        "complete": bool(of_target(answer.complete)),
+        "solutions": found,
         "held": jsonable(held),
-        "spare": list(answer.spare), "tried": int(of_target(answer.tried)),
-    }  # fmt: skip
+        "spare": list(answer.spare),
+        "tried": int(of_target(answer.tried)),
+    }
 
 
 def _family(system: System, family: Any, degrees: bool) -> dict[str, Any]:
     return {
-        "dimension": family.dimension, "joints": list(family.joints), "closed": bool(family.closed),
-        "parameter": family.parameter, "text": family.describe(),
+        "dimension": family.dimension,
+        "joints": list(family.joints),
+        "closed": bool(family.closed),
+        "parameter": family.parameter,
+        "text": family.describe(),
         "q": jsonable(_in_units(system, family.q, degrees)),
-    }  # fmt: skip
+    }
 
 
 def write(path: Path, answer: Solutions, degrees: bool = False) -> None:
     """Write all solutions, a line each, as `kempe fk --q` reads them.
 
-    Of a batch, lines of a .csv begin with the number of the target, and a .npy has the shape (targets, rows, nq), with
-    NaN in rows not in use.
+    Of a batch, lines of a .csv begin with the number of the target, and a .npy has the shape
+    (targets, rows, nq), with NaN in rows not in use.
     """
     system = answer.system
     if answer.single:
@@ -242,7 +301,9 @@ def plan(answer: Recognised) -> RenderableType:
 
 
 def path(answer: IkPath, degrees: bool = False) -> RenderableType:
-    """The sentence of a path, and the range of each coordinate on it, with the largest step between two targets."""
+    """The sentence of a path, and the range of each coordinate on it, with the largest step between
+    two targets.
+    """
     system = answer.system
     style = "bold green" if answer else "bold yellow" if answer.success.all() else "bold red"
     shown: list[RenderableType] = [Text(report.clean(answer.status), style=style)]
@@ -253,6 +314,15 @@ def path(answer: IkPath, degrees: bool = False) -> RenderableType:
         for i, c in enumerate(facts.coordinates(system, degrees)):
             most = np.nanmax(steps[:, i]) if np.isfinite(steps[:, i]).any() else 0.0
             values = (np.nanmin(q[:, i]), np.nanmax(q[:, i]), most)
-            lines.append((c["name"], *(report.number(x, 4 if c["unit"] == "deg" else 6) for x in values), c["unit"]))
-        shown += ["", report.table(("coordinate", ">least", ">largest", ">largest step", "=unit"), lines)]
+            lines.append(
+                (
+                    c["name"],
+                    *(report.number(x, 4 if c["unit"] == "deg" else 6) for x in values),
+                    c["unit"],
+                )
+            )
+        shown += [
+            "",
+            report.table(("coordinate", ">least", ">largest", ">largest step", "=unit"), lines),
+        ]
     return Group(*shown)

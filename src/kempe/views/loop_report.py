@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 EVENT_LIMIT = 24
 """Points where coordinates turn back that are listed; the data have all."""
 NARROW = 7
-"""Coordinates up to which assembly modes are lines of a table; of more of them, each mode is a column."""
+"""Coordinates up to which assembly modes are lines of a table; of more of them, each mode is a
+column."""
 
 
 # ---- degrees of freedom
@@ -39,7 +40,13 @@ NARROW = 7
 
 def mobility(answer: Mobility) -> RenderableType:
     """Degrees of freedom: the sentence, and the reasoning by topic."""
-    style = "bold green" if answer.closed and answer.certain else "bold red" if not answer.closed else "bold yellow"
+    style = (
+        "bold green"
+        if answer.closed and answer.certain
+        else "bold red"
+        if not answer.closed
+        else "bold yellow"
+    )
     return _by_topic(str(answer._headline()), answer.topics(), style)
 
 
@@ -59,23 +66,39 @@ def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) ->
     return Group(Text(report.clean(headline), style=style), "", grid)
 
 
-def report_facts(system: System, answer: Mobility | Classification, degrees: bool = False) -> dict[str, Any]:
+def report_facts(
+    system: System, answer: Mobility | Classification, degrees: bool = False
+) -> dict[str, Any]:
     """Degrees of freedom, or what constraints are, as plain data."""
     data = answer.data()
-    sides: list[dict[str, Any]] = data["one_sided"]["sides"] if data["one_sided"] and degrees else []
+    sides: list[dict[str, Any]] = (
+        data["one_sided"]["sides"] if data["one_sided"] and degrees else []
+    )
     for side in sides:
         if side["unit"] == "rad":
-            side |= {"unit": "deg", **{k: side[k] / facts.DEGREE for k in ("value", "bound", "slack")}}
-    return {"system": data.pop("name"), "angle_unit": _angle(degrees), **data, "q": by_name(system, answer.q, degrees)}
+            side |= {
+                "unit": "deg",
+                **{k: side[k] / facts.DEGREE for k in ("value", "bound", "slack")},
+            }
+    return {
+        "system": data.pop("name"),
+        "angle_unit": _angle(degrees),
+        **data,
+        "q": by_name(system, answer.q, degrees),
+    }
 
 
 # ---- assemblies
 
 
-def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] | None = None) -> RenderableType:
-    """An answer of `assemble`: its sentence, and the configuration by name; a line for each row of a batch.
+def assembly(
+    answer: Assembly, degrees: bool = False, given: Mapping[str, Any] | None = None
+) -> RenderableType:
+    """An answer of `assemble`: its sentence, and the configuration by name; a line for each row of
+    a batch.
 
-    `given` are the known values: of frames among them it is said where they are, and by how much they miss.
+    `given` are the known values: of frames among them it is said where they are, and by how much
+    they miss.
     """
     system = answer.system
     if np.ndim(answer.success):
@@ -85,9 +108,20 @@ def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] |
     q = _shown(system, answer.q, degrees)
     sources = set(answer.assembler.sources)
     for c, x in zip(facts.coordinates(system, degrees), q.tolist(), strict=True):
-        cut = any(c["name"] == j or c["name"].startswith(f"{j}.") for j in system.structure.closures)
-        lines.append((c["name"], report.number(x, 9), c["unit"], "known" if c["name"] in sources else "cut" * cut))
-    shown.append(report.table(("coordinate" if answer else "nearest found", ">value", "=unit", ""), lines))
+        cut = any(
+            c["name"] == j or c["name"].startswith(f"{j}.") for j in system.structure.closures
+        )
+        lines.append(
+            (
+                c["name"],
+                report.number(x, 9),
+                c["unit"],
+                "known" if c["name"] in sources else "cut" * cut,
+            )
+        )
+    shown.append(
+        report.table(("coordinate" if answer else "nearest found", ">value", "=unit", ""), lines)
+    )
     for name in answer.assembler.frames:
         at = fk(system, answer.q, name)[: system.dim, 3]
         text = f"{name} is at {', '.join(report.number(x) for x in at.tolist())}"
@@ -115,21 +149,29 @@ def _assemblies(answer: Assembly, degrees: bool) -> RenderableType:
     if len(missed) > report.REASON_LIMIT:
         head.append(f"\nand {report.rows_text(missed[report.REASON_LIMIT :])}", "red")
     q = _shown(answer.system, answer.q, degrees)
-    cells = [(i, "yes" if good else "no", *map(report.number, row))
-             for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))]  # fmt: skip
+    cells = [
+        (i, "yes" if good else "no", *map(report.number, row))
+        for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))
+    ]
     heads = (">row", "closed", *_heads(answer.system, degrees))
     return Group(head, *report.verdict(answer), "", report.table(heads, cells))
 
 
 def closed_only(answer: Assembly) -> spatial.Array:
-    """Configurations (nq,) or (n, nq) of an assembly, those that are not closed as NaN: fit for a file."""
+    """Configurations (nq,) or (n, nq) of an assembly, those that are not closed as NaN: fit for a
+    file.
+    """
     return np.where(np.asarray(answer.success)[..., None], answer.q, np.nan)
 
 
 def modes(answer: Modes, degrees: bool = False) -> RenderableType:
-    """All assembly modes: a line for each, or a column where there are many coordinates; and what signs mean."""
+    """All assembly modes: a line for each, or a column where there are many coordinates; and what
+    signs mean.
+    """
     system = answer.system
-    count = report.count(len(answer), "configuration" if np.any(answer.freedoms) else "assembly mode")
+    count = report.count(
+        len(answer), "configuration" if np.any(answer.freedoms) else "assembly mode"
+    )
     head = Text(f"{count}: {report.clean(answer.status)}", style=_style(answer))
     at = [i for i, n in enumerate(system.coordinate_names) if n not in answer.known]
     q = _shown(system, answer.q, degrees)[:, at]
@@ -137,12 +179,17 @@ def modes(answer: Modes, degrees: bool = False) -> RenderableType:
     names = [_mode(answer, k) for k in range(len(q))]
     shown: list[RenderableType] = [head]
     if len(q) and len(at) <= NARROW:
-        lines = [(name, *map(report.number, row)) for name, row in zip(names, q.tolist(), strict=True)]
+        lines = [
+            (name, *map(report.number, row)) for name, row in zip(names, q.tolist(), strict=True)
+        ]
         shown += ["", report.table(("branch", *heads), lines)]
     blocks = math.ceil(len(q) / NARROW) if len(at) > NARROW else 0
     for k in range(blocks):
         part = slice(k * len(q) // blocks, (k + 1) * len(q) // blocks)
-        lines = [(h.lstrip(">"), *map(report.number, row)) for h, row in zip(heads, q[part].T.tolist(), strict=True)]
+        lines = [
+            (h.lstrip(">"), *map(report.number, row))
+            for h, row in zip(heads, q[part].T.tolist(), strict=True)
+        ]
         shown += ["", report.table(("branch", *(f">{n}" for n in names[part])), lines)]
     if any(answer.branches):
         from kempe.solvers.dyads.dyads import closed_form
@@ -178,8 +225,10 @@ def path(answer: Path, degrees: bool = False) -> RenderableType:
     if len(answer) > 1:
         all_q = np.vstack([answer.q, *(e.q for e in answer.extremes)])
         q = _shown(system, all_q, degrees)
-        lines = [(c["name"], report.number(x.min()), report.number(x.max()), c["unit"])
-                 for c, x in zip(facts.coordinates(system, degrees), q.T, strict=True)]  # fmt: skip
+        lines = [
+            (c["name"], report.number(x.min()), report.number(x.max()), c["unit"])
+            for c, x in zip(facts.coordinates(system, degrees), q.T, strict=True)
+        ]
         shown += ["", report.table(("coordinate", ">least", ">largest", "=unit"), lines)]
     return Group(*shown, *report.verdict(answer))
 
@@ -199,25 +248,42 @@ def _in_unit(event: Event, unit: dict[str, str], degrees: bool) -> tuple[float, 
 
 
 def path_facts(answer: Path, degrees: bool = False) -> dict[str, Any]:
-    """A traced motion as plain data: all configurations, curves of its frames, special points, other branches."""
+    """A traced motion as plain data: all configurations, curves of its frames, special points,
+    other branches.
+    """
     names, columns = path_table(answer, degrees)
     return {
-        "system": answer.system.name, "angle_unit": _angle(degrees), "driver": answer.driver,
-        "held": list(answer.held), **_motion(answer, degrees), **facts.judged(answer), "columns": names,
+        "system": answer.system.name,
+        "angle_unit": _angle(degrees),
+        "driver": answer.driver,
+        "held": list(answer.held),
+        **_motion(answer, degrees),
+        **facts.judged(answer),
+        "columns": names,
         "rows": jsonable(columns),
-        "others": [{**_motion(o, degrees), "rows": jsonable(path_table(o, degrees)[1])} for o in answer.others],
-    }  # fmt: skip
+        "others": [
+            {**_motion(o, degrees), "rows": jsonable(path_table(o, degrees)[1])}
+            for o in answer.others
+        ],
+    }
 
 
 def _motion(answer: Path, degrees: bool) -> dict[str, Any]:
     return {
-        "success": bool(answer), "code": named(answer.code), "status": answer.status,
-        "interrupted": answer.interrupted, "late": answer.late,
+        "success": bool(answer),
+        "code": named(answer.code),
+        "status": answer.status,
+        "interrupted": answer.interrupted,
+        "late": answer.late,
         "closed": answer.closed,
-        "ends": list(answer.ends), "length": answer.length, "turns": answer.turns,
+        "ends": list(answer.ends),
+        "length": answer.length,
+        "turns": answer.turns,
         "turning_points": [_event_facts(answer.system, e, degrees) for e in answer.turning_points],
-        "singular_points": [_event_facts(answer.system, e, degrees) for e in answer.singular_points],
-    }  # fmt: skip
+        "singular_points": [
+            _event_facts(answer.system, e, degrees) for e in answer.singular_points
+        ],
+    }
 
 
 def _event_facts(system: System, event: Event, degrees: bool) -> dict[str, Any]:
@@ -226,7 +292,10 @@ def _event_facts(system: System, event: Event, degrees: bool) -> dict[str, Any]:
         value, unit = _in_unit(event, units(system), degrees)
         out |= {"coordinate": event.coordinate, "value": value, "unit": unit}
     else:
-        out |= {"branches": 0 if event.directions is None else len(event.directions), "nullity": event.nullity}
+        out |= {
+            "branches": 0 if event.directions is None else len(event.directions),
+            "nullity": event.nullity,
+        }
     return out | {"q": by_name(system, event.q, degrees)}
 
 
@@ -241,7 +310,9 @@ def path_table(answer: Path, degrees: bool = False) -> tuple[list[str], spatial.
 
 
 def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bool = False) -> None:
-    """Write a path to a .csv (with names) or .npy file; with `branches` the others too, numbered in column 0."""
+    """Write a path to a .csv (with names) or .npy file; with `branches` the others too, numbered in
+    column 0.
+    """
     names, columns = path_table(answer, degrees)
     if branches:
         tables = [columns, *(path_table(other, degrees)[1] for other in answer.others)]
@@ -267,7 +338,10 @@ def _shown(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
 
 def _heads(system: System, degrees: bool) -> list[str]:
     """Heads of columns of numbers: each coordinate with its unit."""
-    return [f">{c['name']} [{c['unit']}]" if c["unit"] else f">{c['name']}" for c in facts.coordinates(system, degrees)]
+    return [
+        f">{c['name']} [{c['unit']}]" if c["unit"] else f">{c['name']}"
+        for c in facts.coordinates(system, degrees)
+    ]
 
 
 def _style(answer: Any) -> str:

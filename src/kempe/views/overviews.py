@@ -1,4 +1,6 @@
-"""The tree of a system as text, as a picture and in notebooks; all joint types in one picture and one table."""
+"""The tree of a system as text, as a picture and in notebooks; all joint types in one picture and
+one table.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ MOST_DRAWN = 60
 """Lines of a tree that a notebook shows, and bodies up to which it shows a picture."""
 INCHES = 0.8
 BELOW = 0.58
-"""Inches of one unit of a drawn tree, and the part of a line at which its joint is named: there siblings are apart."""
+"""Inches of one unit of a drawn tree, and the part of a line at which its joint is named: there
+siblings are apart."""
 
 
 # ---- the tree
@@ -43,7 +46,9 @@ def children(system: System) -> list[list[int]]:
 
 
 def tree_lines(system: System) -> list[str]:
-    """The tree as text: for each body its joint, with the type, its number and its name; then what closes loops."""
+    """The tree as text: for each body its joint, with the type, its number and its name; then what
+    closes loops.
+    """
     below = children(system)
     names = system.body_names
     joints = system.structure.joints
@@ -52,12 +57,17 @@ def tree_lines(system: System) -> list[str]:
     while waiting:
         body, indent, last = waiting.pop()
         joint = joints[system.structure.parent_joints[body - 1]]
-        out.append(f"{indent}{'└─' if last else '├─'} {joint.name} ({joint.type.type_name}) ─ {body} {names[body]}")
+        out.append(
+            f"{indent}{'└─' if last else '├─'} {joint.name} ({joint.type.type_name}) ─ {body} "
+            f"{names[body]}"
+        )
         indent += "   " if last else "│  "
         waiting += [(b, indent, b == below[body][-1]) for b in reversed(below[body])]
     for name in system.structure.closures:
         joint = joints[name]
-        out.append(f"╌╌ {name} ({joint.type.type_name}) closes a loop: {joint.parent} ╌ {joint.child}")
+        out.append(
+            f"╌╌ {name} ({joint.type.type_name}) closes a loop: {joint.parent} ╌ {joint.child}"
+        )
     return [*out, connectivity(system)]
 
 
@@ -67,7 +77,9 @@ def connectivity(system: System) -> str:
 
 
 def _places(system: System) -> np.ndarray:
-    """Where bodies (n + 1, 2) are drawn: leaves beside one another, each parent over the middle of its children."""
+    """Where bodies (n + 1, 2) are drawn: leaves beside one another, each parent over the middle of
+    its children.
+    """
     below = children(system)
     at = np.zeros((len(below), 2))
     for body, parent in enumerate(system.parent, 1):  # parents come first
@@ -89,9 +101,9 @@ def _places(system: System) -> np.ndarray:
 def plot_tree(system: System, ax: Axes | None = None) -> Axes:
     """Axes with the tree: bodies as circles by depth, joints as lines with their letters, C below.
 
-    Joints that close loops, which the tree leaves out, are dashed red lines. Letters: R revolute, P prismatic,
-    H helical, C cylindrical, U universal, E planar, T translation, S spherical, F free; products have those of their
-    factors.
+    Joints that close loops, which the tree leaves out, are dashed red lines. Letters: R revolute, P
+    prismatic, H helical, C cylindrical, U universal, E planar, T translation, S spherical, F free;
+    products have those of their factors.
     """
     from kempe.views.drawing import page, style
     from kempe.views.drawing.labels import shortened
@@ -102,11 +114,19 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
     span = np.ptp(at, axis=0)
     if ax is None:
         wide = INCHES * (max(1.0, _beyond(system)) + max(1.0, 0.5 * _widest(system) + 0.1))
-        ax = page.new_figure(*np.clip(INCHES * span + (wide, 1.4), (3.2, 2.4), (16.0, 14.0))).add_axes((0, 0, 1, 1))
+        ax = page.new_figure(
+            *np.clip(INCHES * span + (wide, 1.4), (3.2, 2.4), (16.0, 14.0))
+        ).add_axes((0, 0, 1, 1))
     ax = page.axes_given(ax)[0]
     for body, parent in enumerate(system.parent, 1):
         joint = joints[system.structure.parent_joints[body - 1]]
-        ax.plot(*at[[parent, body]].T, color=style.INK, lw=1.3, zorder=style.BARS, gid=f"edge:{joint.name}")
+        ax.plot(
+            *at[[parent, body]].T,
+            color=style.INK,
+            lw=1.3,
+            zorder=style.BARS,
+            gid=f"edge:{joint.name}",
+        )
         _edge_text(ax, joint, at[parent], at[body], style.INK, BELOW)
     number = {name: k for k, name in enumerate(names)}
     lowest = float(at[:, 1].min())
@@ -118,13 +138,33 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
         t = np.linspace(0.0, 1.0, 40)[:, None]
         line = (1 - t) ** 2 * a + 2 * t * (1 - t) * (0.5 * (a + b) + 2.0 * side) + t**2 * b
         lowest = min(lowest, float(line[:, 1].min()))
-        ax.plot(*line.T, color=style.OPEN, lw=1.3, ls=(0, (4, 3)), zorder=style.RAILS, gid=f"cut:{name}")
+        ax.plot(
+            *line.T, color=style.OPEN, lw=1.3, ls=(0, (4, 3)), zorder=style.RAILS, gid=f"cut:{name}"
+        )
         _edge_text(ax, joint, line[20], line[20], style.OPEN)
     for k, (p, name) in enumerate(zip(at, names, strict=True)):
         short = name if len(name) <= 3 and name.endswith(str(k)) else str(k)
         colour = style.mix(style.link_colour(k), style.PAPER, 0.55)
-        ax.plot(*p, "o", ms=25, mfc=colour, mec=style.INK, mew=1.2, zorder=style.PINS, gid=f"body:{name}")
-        ax.text(p[0], p[1], short, ha="center", va="center", size=style.FONT, zorder=style.TEXT, gid=f"label:{name}")
+        ax.plot(
+            *p,
+            "o",
+            ms=25,
+            mfc=colour,
+            mec=style.INK,
+            mew=1.2,
+            zorder=style.PINS,
+            gid=f"body:{name}",
+        )
+        ax.text(
+            p[0],
+            p[1],
+            short,
+            ha="center",
+            va="center",
+            size=style.FONT,
+            zorder=style.TEXT,
+            gid=f"label:{name}",
+        )
         if short != name:
             ax.text(
                 p[0] + 0.34,
@@ -136,9 +176,18 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
                 color=style.GROUND,
                 bbox={"fc": style.PAPER, "ec": "none", "pad": 0.5},
             )
-    ax.set_xlim(at[:, 0].min() - max(1.0, 0.5 * _widest(system) + 0.1), at[:, 0].max() + max(1.0, _beyond(system)))
+    ax.set_xlim(
+        at[:, 0].min() - max(1.0, 0.5 * _widest(system) + 0.1),
+        at[:, 0].max() + max(1.0, _beyond(system)),
+    )
     ax.set_ylim(lowest - 1.2, at[:, 1].max() + 0.6)
-    ax.text(at[:, 0].min() - 0.7, lowest - 0.9, connectivity(system), size=style.FONT, gid="connectivity")
+    ax.text(
+        at[:, 0].min() - 0.7,
+        lowest - 0.9,
+        connectivity(system),
+        size=style.FONT,
+        gid="connectivity",
+    )
     ax.set_axis_off()
     return ax
 
@@ -151,7 +200,9 @@ def _edge_said(joint: Any) -> str:
 
 
 def _beyond(system: System) -> float:
-    """The room of the widest name of a body from the middle of its circle on, in the units of the tree."""
+    """The room of the widest name of a body from the middle of its circle on, in the units of the
+    tree.
+    """
     from kempe.views.drawing import style
     from kempe.views.drawing.labels import extent, shortened
 
@@ -160,7 +211,9 @@ def _beyond(system: System) -> float:
 
 
 def _apart(system: System) -> float:
-    """How far leaves are from one another: no name of a body or joint reaches the next one, where there is room."""
+    """How far leaves are from one another: no name of a body or joint reaches the next one, where
+    there is room.
+    """
     if len(system.parent) < 2 or max(map(len, children(system))) < 2:
         return 1.4
     return float(np.clip(max(_beyond(system) + 0.36, (_widest(system) + 0.15) / BELOW), 1.4, 4.0))
@@ -175,36 +228,61 @@ def _widest(system: System) -> float:
     return max((extent(text, style.FONT - 1)[0] for text in said), default=0.0) / 72.0 / INCHES
 
 
-def _edge_text(ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str, part: float = 0.5) -> None:
+def _edge_text(
+    ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str, part: float = 0.5
+) -> None:
     """Write the name and the letter of a joint on its line, at some part of the way."""
     from kempe.views.drawing import style
 
     x, y = a + part * (b - a)
-    ax.text(x, y, _edge_said(joint), ha="center", va="center", size=style.FONT - 1, color=colour, zorder=style.TEXT,
-            bbox={"fc": style.PAPER, "ec": "none", "pad": 1.0}, gid=f"label:{joint.name}")  # fmt: skip
+    ax.text(
+        x,
+        y,
+        _edge_said(joint),
+        ha="center",
+        va="center",
+        size=style.FONT - 1,
+        color=colour,
+        zorder=style.TEXT,
+        bbox={"fc": style.PAPER, "ec": "none", "pad": 1.0},
+        gid=f"label:{joint.name}",
+    )
 
 
 # ---- joint types
 
 
 def joint_rows() -> list[dict[str, Any]]:
-    """All joint types: name, letter, freedoms and constraints in space and in the plane, what they are made of."""
+    """All joint types: name, letter, freedoms and constraints in space and in the plane, what they
+    are made of.
+    """
     out: list[dict[str, str | int | None]] = []
     for name, kind in TYPES.items():
         joint = kind()
         plane = (joint.dof(2), joint.constraints(2)) if joint.planar else (None, None)
-        made = joint.decomposition.replace(", 0 q", ", pitch q")  # a screw without a pitch of its own
-        out.append({
-            "type": name, "letter": joint.letter, "dof": joint.dof(), "constraints": joint.constraints(),
-            "dof_in_the_plane": plane[0], "constraints_in_the_plane": plane[1], "made_of": made,
-            "says": joint.summary,
-        })  # fmt: skip
+        made = joint.decomposition.replace(
+            ", 0 q", ", pitch q"
+        )  # a screw without a pitch of its own
+        out.append(
+            {
+                "type": name,
+                "letter": joint.letter,
+                "dof": joint.dof(),
+                "constraints": joint.constraints(),
+                "dof_in_the_plane": plane[0],
+                "constraints_in_the_plane": plane[1],
+                "made_of": made,
+                "says": joint.summary,
+            }
+        )
     return out
 
 
 @explained
 def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
-    """Axes with all joint types, or those that are named: both bodies, an arrow for each freedom, and neighbours."""
+    """Axes with all joint types, or those that are named: both bodies, an arrow for each freedom,
+    and neighbours.
+    """
     from kempe.views.drawing import page, style
     from kempe.views.plots import plot
 
@@ -219,9 +297,16 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
         ax: Any = figure.add_subplot(rows, columns, k + 1, projection="3d")
         system = read(f"joint_{name}").build()
         plot(system, motion=True, labels=False, ax=ax)
-        ax.set_box_aspect([np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25)
+        ax.set_box_aspect(
+            [np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25
+        )
         ax.set_axis_off()
-        ax.set_title(f"{name}, {counted(TYPES[name]().dof(), 'freedom')}", size=style.FONT + 1, color=style.INK, y=0.97)
+        ax.set_title(
+            f"{name}, {counted(TYPES[name]().dof(), 'freedom')}",
+            size=style.FONT + 1,
+            color=style.INK,
+            y=0.97,
+        )
         axes.append(ax)
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.95, wspace=0.0, hspace=0.06)
     return tuple(axes)
@@ -242,7 +327,9 @@ def notebook_page(system: System) -> str:
 
 
 def _freedoms(system: System) -> str:
-    """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by rank."""
+    """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by
+    rank.
+    """
     if not has_loops(system):
         from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 
@@ -274,7 +361,9 @@ def _of_velocity(system: System) -> str:
 
 
 def _picture(system: System) -> str:
-    """An `img` with the picture, '' where there is none: without matplotlib, and of what is large or not drawn."""
+    """An `img` with the picture, '' where there is none: without matplotlib, and of what is large
+    or not drawn.
+    """
     if len(system.parent) > MOST_DRAWN:
         return ""
     try:

@@ -1,7 +1,8 @@
-"""Pictures of systems and of motions with matplotlib, without any global state: PNG, SVG or PDF by `savefig`.
+"""Pictures of systems and of motions with matplotlib, without any global state: PNG, SVG or PDF by
+`savefig`.
 
-A planar system is drawn as a textbook's kinematic diagram, a system in space as solids. Importing this module needs
-the extra [view]. Errors: `MissingExtraError` without matplotlib.
+A planar system is drawn as a textbook's kinematic diagram, a system in space as solids. Importing
+this module needs the extra [view]. Errors: `MissingExtraError` without matplotlib.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ MOST_NAMED = 16
 FEW = 3
 TURN = 0.35
 SLIDE = 0.08
-"""Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
+"""Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size
+of the drawing."""
 
 
 @explained
@@ -62,24 +64,26 @@ SLIDE = 0.08
 def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> Any:
     """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
-    `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that has them (`Solution`,
-    `Solutions`, `Modes`, ...; a target that it misses is shown with its distance), which are drawn one over the other
-    with their names, or `side_by_side` (then a tuple of axes comes back); or a motion, as `path`. Without it: the
-    posture 'closed' if there is one, else `mid`, brought to where loops are closed and constraints hold if that can
-    be; with a `path` its configuration nearest to home. `path`: configurations (n, nq), or an answer that has them as
-    `.q`; the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all
-    named frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
-    path's `.driver`) are marked, and loops that are not closed are shown in red. All `options` are those of
-    `kempe.model.plot_options.PlotOptions`.
-    Errors: `InputError` for shapes and values, `UnknownNameError` for frames, `UnsupportedError` for a workspace that
-    is not drawn, `CallError` for unknown options.
+    `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that
+    has them (`Solution`, `Solutions`, `Modes`, ...; a target that it misses is shown with its
+    distance), which are drawn one over the other with their names, or `side_by_side` (then a tuple
+    of axes comes back); or a motion, as `path`. Without it: the posture 'closed' if there is one,
+    else `mid`, brought to where loops are closed and constraints hold if that can be; with a `path`
+    its configuration nearest to home. `path`: configurations (n, nq), or an answer that has them as
+    `.q`; the curves of the named `frames` are drawn over it (without names: those of the path's
+    `.frames`, else all named frames of moving bodies), and `ghosts` earlier positions, evenly
+    spread. Driven joints (`actuated`, or the path's `.driver`) are marked, and loops that are not
+    closed are shown in red. All `options` are those of `kempe.model.plot_options.PlotOptions`.
+    Errors: `InputError` for shapes and values, `UnknownNameError` for frames, `UnsupportedError`
+    for a workspace that is not drawn, `CallError` for unknown options.
     """
     chosen = PlotOptions(**options)
     if not isinstance(chosen.angles, bool):
         name = system.structure.frame_name(chosen.angles)
         if system.dim == 3:
             raise UnsupportedError(
-                f"angles to frame {name!r} are drawn of planar systems; in space there is angles=True"
+                f"angles to frame {name!r} are drawn of planar systems; in space there is "
+                "angles=True"
             )
     if path is None and getattr(q, "is_motion", False):
         q, path = None, q
@@ -87,29 +91,42 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     several, titles = _configurations(system, q, way)
     given = tuple(listed(chosen.titles, "titles"))
     if given and len(given) != len(several):
-        raise InputError(f"titles has {counted(len(given), 'name')}, and {counted(len(several), 'configuration')} "
-                         f"{'is' if len(several) == 1 else 'are'} drawn")  # fmt: skip
+        raise InputError(
+            f"titles has {counted(len(given), 'name')}, and "
+            f"{counted(len(several), 'configuration')} {'is' if len(several) == 1 else 'are'} drawn"
+        )
     if chosen.ghosts and way is None:
         raise InputError(f"ghosts is {chosen.ghosts}, and there is no motion: path gives one")
     titles = given or titles
-    subjects = [replace(subject_of(system, several[:1], way, path, drivers, chosen, titles), missed=_missed(system, q))]
+    subjects = [
+        replace(
+            subject_of(system, several[:1], way, path, drivers, chosen, titles),
+            missed=_missed(system, q),
+        )
+    ]
     if len(several) > 1 and chosen.side_by_side:
-        subjects = [subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
-                    for k, x in enumerate(several)]  # fmt: skip
+        subjects = [
+            subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
+            for k, x in enumerate(several)
+        ]
     elif len(several) > 1:
         subjects = [subject_of(system, several, way, path, drivers, chosen, titles)]
     drawing = drawing_of(system)
     if not chosen.side_by_side:
         ax = drawing.picture(subjects[0], chosen.ax)
         if len(given) == 1:
-            inside = {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}  # an own figure has no room above
+            inside = (
+                {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}
+            )  # an own figure has no room above
             ax.set_title(given[0], size=style.FONT + 1, color=style.INK, **inside)
         return ax
     return _side_by_side(drawing, subjects)
 
 
 def _missed(system: System, answer: Any) -> Array | None:
-    """Where the frame of an answer to one target is, and the place that it does not reach (2, 3); else None."""
+    """Where the frame of an answer to one target is, and the place that it does not reach (2, 3);
+    else None.
+    """
     problem: Any = getattr(answer, "problem", None)
     targets: Any = getattr(problem, "targets", None)
     name: Any = getattr(problem, "frame", None)
@@ -120,7 +137,9 @@ def _missed(system: System, answer: Any) -> Array | None:
 
 
 def bare(system: System) -> Axes:
-    """Axes with the system as it is drawn by default, in a figure of their own that nothing else knows of."""
+    """Axes with the system as it is drawn by default, in a figure of their own that nothing else
+    knows of.
+    """
     subject = subject_of(system, _usual(system, None)[None], None, None, (), PlotOptions(), ())
     return drawing_of(system).picture(subject, None, make=page.bare_figure)
 
@@ -133,17 +152,27 @@ def drawing_of(system: System) -> Any:
 
 
 def subject_of(
-    system: System, several: Array, way: Array | None, path: Any, drivers: tuple[str, ...], options: PlotOptions,
+    system: System,
+    several: Array,
+    way: Array | None,
+    path: Any,
+    drivers: tuple[str, ...],
+    options: PlotOptions,
     titles: tuple[str, ...],
-) -> Subject:  # fmt: skip
+) -> Subject:
     """What one picture is of, with the first of several configurations in full."""
     q = several[0]
     names = names_of(system, options.frames)
     scene = look(system, q, drivers)
     if not all(np.all(np.abs(scene.points(link)) < FARTHEST) for link in scene.links):
-        raise InputError(f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is drawn")
+        raise InputError(
+            f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is "
+            "drawn"
+        )
     if way is not None and not names:
-        names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
+        names = list(
+            getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames)
+        )
     curves = {n: fk(system, way, n)[:, :3, 3] for n in names} if way is not None else {}
     moving = [f for link in scene.links[1:] for f in (*link.bodies, *link.frames)]
     every = isinstance(options.axes, str) and options.axes == "all"
@@ -151,10 +180,19 @@ def subject_of(
     earlier = [] if way is None else list(_spread(way, options.ghosts))
     earlier += list(_neighbours(system, q)) if options.motion else []
     return Subject(
-        system, scene, options, tuple(look(system, x, drivers) for x in several[1:]), titles,
-        tuple(look(system, x) for x in earlier), way, curves, {n: fk(system, q, n) for n in names},
-        {n: fk(system, q, n) for n in axes}, _workspace(system, options), units=units(system),
-    )  # fmt: skip
+        system,
+        scene,
+        options,
+        tuple(look(system, x, drivers) for x in several[1:]),
+        titles,
+        tuple(look(system, x) for x in earlier),
+        way,
+        curves,
+        {n: fk(system, q, n) for n in names},
+        {n: fk(system, q, n) for n in axes},
+        _workspace(system, options),
+        units=units(system),
+    )
 
 
 def _workspace(system: System, options: PlotOptions) -> Any:
@@ -162,7 +200,9 @@ def _workspace(system: System, options: PlotOptions) -> Any:
     if options.workspace is None:
         return None
     if system.dim == 3:
-        raise UnsupportedError("a workspace is shaded in pictures of planar systems; in space see workspace(frame)")
+        raise UnsupportedError(
+            "a workspace is shaded in pictures of planar systems; in space see workspace(frame)"
+        )
     from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
 
     return planar_workspace(system, options.workspace)
@@ -177,16 +217,25 @@ def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
         own = page.axes_given(own, len(subjects))
     if drawing.__name__.endswith("space"):
         figure = None if own is not None else page.new_figure(4.2 * across, 4.2 * rows)
-        axes = own if figure is None else [
-            figure.add_subplot(rows, across, k + 1, projection="3d") for k in range(len(subjects))]  # fmt: skip
+        axes = (
+            own
+            if figure is None
+            else [
+                figure.add_subplot(rows, across, k + 1, projection="3d")
+                for k in range(len(subjects))
+            ]
+        )
         bounds: Any = [()] * len(subjects)
     else:
         bounds = [(drawing.bounds_of(subjects),)] * len(subjects)
         span = bounds[0][0][1] - bounds[0][0][0]
         height = float(np.clip(4.2 * span[1] / span[0], 1.8, 5.0))
         figure = None if own is not None else page.new_figure(4.2 * across, (height + 0.5) * rows)
-        axes = own if figure is None else [
-            figure.add_subplot(rows, across, k + 1) for k in range(len(subjects))]  # fmt: skip
+        axes = (
+            own
+            if figure is None
+            else [figure.add_subplot(rows, across, k + 1) for k in range(len(subjects))]
+        )
     axes = tuple(np.ravel(np.array(axes, dtype=object)))
     for subject, ax, known in zip(subjects, axes, bounds, strict=True):
         drawing.picture(subject, ax, *known)
@@ -205,20 +254,25 @@ def names_of(system: System, frames: Any) -> list[str]:
 
 def plot_path(
     path: Any, *, names: Iterable[str] = (), system: System | None = None, ax: Axes | None = None
-) -> Axes:  # fmt: skip
-    """Axes with coordinates over the arc length of a path: angles in radians, slides in metres (dashed).
+) -> Axes:
+    """Axes with coordinates over the arc length of a path: angles in radians, slides in metres
+    (dashed).
 
-    `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,), else times `.t` [s], else they are
-    numbered; its singular points are ringed, its turning points dotted. `names`: the coordinates to draw, all by
-    default. `system` is that of the path, where the path has no `.system`. Errors: `InputError` for shapes,
-    `UnknownNameError` for names.
+    `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,), else times `.t`
+    [s], else they are numbered; its singular points are ringed, its turning points dotted. `names`:
+    the coordinates to draw, all by default. `system` is that of the path, where the path has no
+    `.system`. Errors: `InputError` for shapes, `UnknownNameError` for names.
     """
     system = getattr(path, "system", None) if system is None else system
     if system is None:
         raise InputError("the path does not say which system it belongs to; give it as `system`")
     over, along = next(((n, a) for n, a in ALONG.items() if hasattr(path, a)), ("row", ""))
     q = as_q(system, path.q)
-    s = reals(getattr(path, along), "the arc length of the path") if along else np.arange(float(len(q)))
+    s = (
+        reals(getattr(path, along), "the arc length of the path")
+        if along
+        else np.arange(float(len(q)))
+    )
     if q.ndim != 2 or s.shape != q.shape[:1]:
         need = f"they must be (n, {system.nq}) and (n,)"
         raise InputError(f"path has q of shape {q.shape} and s of shape {s.shape}; {need}")
@@ -227,23 +281,49 @@ def plot_path(
     for name in chosen:
         if name not in known:
             raise UnknownNameError("coordinate", name, known, system.name)
-    ax = page.new_figure(7.0, 4.2).add_axes((0.085, 0.12, 0.72, 0.84)) if ax is None else page.axes_given(ax)[0]
+    ax = (
+        page.new_figure(7.0, 4.2).add_axes((0.085, 0.12, 0.72, 0.84))
+        if ax is None
+        else page.axes_given(ax)[0]
+    )
     unit = units(system)
     for k, name in enumerate(chosen):
         i = known.index(name)
-        how: dict[str, Any] = {"color": style.link_colour(k + 1), "lw": 1.7, "ls": "--" if unit[name] == "m" else "-"}
-        how |= {"marker": MARKERS[k % len(MARKERS)], "ms": 5, "mfc": "white", "markevery": _apart(len(s), k)}
+        how: dict[str, Any] = {
+            "color": style.link_colour(k + 1),
+            "lw": 1.7,
+            "ls": "--" if unit[name] == "m" else "-",
+        }
+        how |= {
+            "marker": MARKERS[k % len(MARKERS)],
+            "ms": 5,
+            "mfc": "white",
+            "markevery": _apart(len(s), k),
+        }
         ax.plot(s, q[:, i], gid=f"coordinate:{name}", label=name, **how)
     index = [known.index(n) for n in chosen]
     for kind, colour, line in (("turning", style.GROUND, ":"), ("singular", style.OPEN, "-")):
         for k, event in enumerate(getattr(path, f"{kind}_points", ())):
-            ax.axvline(event.s, color=colour, lw=0.8, ls=line, alpha=0.6, zorder=0.5, gid=f"{kind}:{k}")
+            ax.axvline(
+                event.s, color=colour, lw=0.8, ls=line, alpha=0.6, zorder=0.5, gid=f"{kind}:{k}"
+            )
             if kind == "singular":
                 values = np.asarray(event.q, dtype=float)[index]
-                ax.plot(np.full((len(index),), float(event.s)), values, "o", mfc="none", mec=colour, ms=6,
-                        gid=f"{kind}:{k}:values")  # fmt: skip
+                ax.plot(
+                    np.full((len(index),), float(event.s)),
+                    values,
+                    "o",
+                    mfc="none",
+                    mec=colour,
+                    ms=6,
+                    gid=f"{kind}:{k}:values",
+                )
     page.light_axes(ax)
-    kinds = [text for u, text in (("rad", "angles [rad]"), ("m", "slides [m]")) if u in {unit[n] for n in chosen}]
+    kinds = [
+        text
+        for u, text in (("rad", "angles [rad]"), ("m", "slides [m]"))
+        if u in {unit[n] for n in chosen}
+    ]
     ax.set_ylabel(", ".join(kinds) or "coordinates", size=style.FONT, color=style.INK)
     ax.set_xlabel(over, size=style.FONT, color=style.INK)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False)
@@ -274,59 +354,100 @@ def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, t
     found = given.reshape(math.prod(given.shape[:-1]), system.nq)
     good = (np.abs(found) < FARTHEST).all(axis=1)
     if not good.all() and (np.ndim(q) == 1 or not good.any()):
-        raise InputError(f"q holds numbers that are not finite, or beyond {FARTHEST:g}: there is nothing to draw")
+        raise InputError(
+            f"q holds numbers that are not finite, or beyond {FARTHEST:g}: there is nothing to draw"
+        )
     if not len(found):
         raise InputError("q holds no configuration: there is nothing to draw")
     if good.sum() > MOST:
-        raise InputError(f"q holds {good.sum()} configurations; at most {MOST} are drawn, more of a motion as `path`")
+        raise InputError(
+            f"q holds {good.sum()} configurations; at most {MOST} are drawn, more of a motion as "
+            "`path`"
+        )
     return found[good], tuple(t for t, ok in zip(titles, np.ravel(good), strict=False) if ok)
 
 
 def _neighbours(system: System, q: Array) -> Array:
-    """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no loops."""
+    """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no
+    loops.
+    """
     if has_loops(system) or not 0 < system.nv <= FEW:
         return np.zeros((0, system.nq))
-    slides = [unit == "m" for unit in (units(system).get(n, "") for n in system.structure.velocity_names)]
+    slides = [
+        unit == "m" for unit in (units(system).get(n, "") for n in system.structure.velocity_names)
+    ]
     steps = np.diag([SLIDE * look(system, q).size if slide else TURN for slide in slides])
     return np.concatenate([integrate(system, q, sign * steps) for sign in (-1.0, 1.0)])
 
 
 def plot_history(history: Any, ax: Axes | None = None) -> Axes:
-    """Axes with the errors of an `IkHistory` over its steps, on a logarithmic scale: a line for each start.
+    """Axes with the errors of an `IkHistory` over its steps, on a logarithmic scale: a line for
+    each start.
 
-    Starts differ in their marks, open ones from the `len(MARKERS)`-th on, and the one that came nearest is drawn thick;
-    position errors [m] are solid lines, orientation errors [rad] dashed.
+    Starts differ in their marks, open ones from the `len(MARKERS)`-th on, and the one that came
+    nearest is drawn thick; position errors [m] are solid lines, orientation errors [rad] dashed.
     """
     from matplotlib.ticker import MaxNLocator
 
-    ax = page.new_figure(7.0, 4.2).add_axes((0.11, 0.12, 0.68, 0.84)) if ax is None else page.axes_given(ax)[0]
+    ax = (
+        page.new_figure(7.0, 4.2).add_axes((0.11, 0.12, 0.68, 0.84))
+        if ax is None
+        else page.axes_given(ax)[0]
+    )
     least = 1e-17
     units = {"position": "m", "orientation": "rad"}
     kinds = {"position": "-", "orientation": (0, (5, 2))}
     errors = {name: np.asarray(getattr(history, f"{name}_error")) for name in units}
     errors = {name: values for name, values in errors.items() if values.any()}
     starts = np.unique(history.start)
-    best = history.start[int(np.argmin(sum(errors.values(), np.zeros(len(history.start)))))] if len(starts) else -1
+    best = (
+        history.start[int(np.argmin(sum(errors.values(), np.zeros(len(history.start)))))]
+        if len(starts)
+        else -1
+    )
     for k, start in enumerate(starts):
         rows = history.start == start
         colour = style.INK if start == best else style.link_colour(k + 1)
-        how: dict[str, Any] = {"color": colour, "lw": 2.6 if start == best else 1.2, "zorder": 2.0 + (start == best)}
-        how |= {"marker": MARKERS[k % len(MARKERS)], "ms": 5, "mfc": "white" if k // len(MARKERS) % 2 else colour}
+        how: dict[str, Any] = {
+            "color": colour,
+            "lw": 2.6 if start == best else 1.2,
+            "zorder": 2.0 + (start == best),
+        }
+        how |= {
+            "marker": MARKERS[k % len(MARKERS)],
+            "ms": 5,
+            "mfc": "white" if k // len(MARKERS) % 2 else colour,
+        }
         for name, values in errors.items():
             named = (k < MOST_NAMED or start == best) and name == next(iter(errors))
             label = f"start {start}" if named else "_"
-            ax.plot(history.step[rows], np.maximum(values[rows], least), ls=kinds[name], gid=f"{name}:{start}",
-                    label=label, **how)  # fmt: skip
+            ax.plot(
+                history.step[rows],
+                np.maximum(values[rows], least),
+                ls=kinds[name],
+                gid=f"{name}:{start}",
+                label=label,
+                **how,
+            )
     ax.set_yscale("log")
     page.light_axes(ax)
-    ax.tick_params(which="minor", labelsize=style.FONT - 2, labelcolor=style.GROUND, color=style.FAINT)
+    ax.tick_params(
+        which="minor", labelsize=style.FONT - 2, labelcolor=style.GROUND, color=style.FAINT
+    )
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel("step", size=style.FONT, color=style.INK)
     dashed = " (dashed)" * (len(errors) > 1)
     said = [f"{name} [{units[name]}]" + dashed * (name == "orientation") for name in errors]
-    ax.set_ylabel(f"error: {', '.join(said)}" if said else "error", size=style.FONT, color=style.INK)
-    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False,
-              title=f"of {counted(len(starts), 'start')}" if len(starts) > MOST_NAMED else None)  # fmt: skip
+    ax.set_ylabel(
+        f"error: {', '.join(said)}" if said else "error", size=style.FONT, color=style.INK
+    )
+    ax.legend(
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1.0),
+        fontsize=style.FONT - 1,
+        frameon=False,
+        title=f"of {counted(len(starts), 'start')}" if len(starts) > MOST_NAMED else None,
+    )
     return ax
 
 
@@ -347,17 +468,23 @@ def _usual(system: System, configurations: Array | None) -> Array:
 def motion_of(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
     """Configurations (n, nq) of a path, and names of the joints that drive it.
 
-    `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None gives (None, ()).
-    Errors: `InputError` for other shapes.
+    `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None
+    gives (None, ()). Errors: `InputError` for other shapes.
     """
     if path is None:
         return None, ()
     way: Any = path
-    configurations = as_q(system, path if isinstance(path, np.ndarray) else getattr(path, "q", path))
+    configurations = as_q(
+        system, path if isinstance(path, np.ndarray) else getattr(path, "q", path)
+    )
     if configurations.ndim != 2 or not np.isfinite(configurations).all(axis=1).any():
-        raise InputError(f"path has shape {configurations.shape}; it must be (n, {system.nq}), not all of it NaN")
+        raise InputError(
+            f"path has shape {configurations.shape}; it must be (n, {system.nq}), not all of it NaN"
+        )
     driver: Any = getattr(way, "driver", None)
-    names: list[Any] = [driver] if isinstance(driver, str) else list(driver) if is_sequence(driver) else []
+    names: list[Any] = (
+        [driver] if isinstance(driver, str) else list(driver) if is_sequence(driver) else []
+    )
     joints = {c: j for j in system.joint_names for c in system.structure.coordinates_of_joint(j)}
     return configurations, tuple(joints.get(n, n) for n in names if isinstance(n, str))
 

@@ -52,16 +52,27 @@ _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in
 
 
 def console(file: TextIO | None = None) -> Console:
-    """A rich console that takes text literally, colours terminals only, and wraps nothing elsewhere."""
+    """A rich console that takes text literally, colours terminals only, and wraps nothing
+    elsewhere.
+    """
     target: TextIO = file or sys.stdout
     width = None if target.isatty() else WIDE
-    return Console(file=target, width=width, markup=False, emoji=False, highlight=False, soft_wrap=width is not None)
+    return Console(
+        file=target,
+        width=width,
+        markup=False,
+        emoji=False,
+        highlight=False,
+        soft_wrap=width is not None,
+    )
 
 
 def show(renderable: RenderableType, file: TextIO | None = None) -> None:
-    """Print a report to `file` (standard output unless given), without trailing blanks outside a terminal.
+    """Print a report to `file` (standard output unless given), without trailing blanks outside a
+    terminal.
 
-    A table that a narrow terminal has no place for is printed wider and wrapped there: no digit is cut off.
+    A table that a narrow terminal has no place for is printed wider and wrapped there: no digit is
+    cut off.
     """
     printer = console(file)
     if printer.is_terminal:
@@ -84,13 +95,18 @@ def _parts(renderable: RenderableType) -> Iterator[RenderableType]:
 
 
 def _needed(renderable: RenderableType) -> int:
-    """Columns of the output that a table cannot do without: those of its numbers, and some of each text."""
+    """Columns of the output that a table cannot do without: those of its numbers, and some of each
+    text.
+    """
     if not isinstance(renderable, Table):
         return 0
     total = 0
     for column in renderable.columns:
         texts = [str(cell) for cell in (column.header, *column.cells)]
-        longest = max((cell_len(t) for text in texts for t in ([text] if column.no_wrap else text.split())), default=0)
+        longest = max(
+            (cell_len(t) for text in texts for t in ([text] if column.no_wrap else text.split())),
+            default=0,
+        )
         total += (longest if column.no_wrap else min(longest, WORD)) + 2
     return total
 
@@ -116,8 +132,11 @@ def clean(text: object) -> str:
     return in_options(str(text)).translate(_CONTROL)
 
 
-def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = "") -> Table | Text:
-    """A light table; columns named with a leading '>' hold numbers (right, not wrapped), with '=' are not wrapped.
+def table(
+    columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = ""
+) -> Table | Text:
+    """A light table; columns named with a leading '>' hold numbers (right, not wrapped), with '='
+    are not wrapped.
 
     Of many lines it is plain text of the same look, for rich takes a millisecond a line.
     """
@@ -125,14 +144,22 @@ def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str 
     if len(lines) > LONG:
         return _long_table(columns, lines, title)
     out = Table(
-        box=None, pad_edge=False, padding=(0, 2, 0, 0), title=title or None, title_justify="left",
-        header_style="bold", title_style="bold",
-    )  # fmt: skip
+        box=None,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
+        title=title or None,
+        title_justify="left",
+        header_style="bold",
+        title_style="bold",
+    )
     for name in columns:
         numeric = name.startswith(">")
         justify = "right" if numeric else "left"
         out.add_column(
-            clean(name.lstrip(">=")), justify=justify, overflow="fold", no_wrap=numeric or name.startswith("=")
+            clean(name.lstrip(">=")),
+            justify=justify,
+            overflow="fold",
+            no_wrap=numeric or name.startswith("="),
         )
     for line in lines:
         out.add_row(*(cell if isinstance(cell, Text) else clean(cell) for cell in line))
@@ -147,8 +174,10 @@ def _long_table(columns: Sequence[str], lines: Sequence[Sequence[object]], title
     right = [name.startswith(">") for name in columns]
     out = [title] * bool(title)
     for line in cells:
-        padded = (" " * (w - cell_len(x)) + x if r else x + " " * (w - cell_len(x))
-                  for x, w, r in zip(line, wide, right, strict=True))  # fmt: skip
+        padded = (
+            " " * (w - cell_len(x)) + x if r else x + " " * (w - cell_len(x))
+            for x, w, r in zip(line, wide, right, strict=True)
+        )
         out.append("  ".join(padded).rstrip())
     return Text("\n".join(out), no_wrap=True, overflow="ignore")
 
@@ -163,17 +192,27 @@ def number(x: float, digits: int = 6) -> str:
 
 
 def info(system: System, degrees: bool = False) -> RenderableType:
-    """A system: sizes, connectivity vector, freedoms, configuration space, bodies, joints, limits, ..."""
+    """A system: sizes, connectivity vector, freedoms, configuration space, bodies, joints, limits,
+    ...
+    """
     data = facts.system_facts(system, degrees)
     blocks: list[RenderableType] = [_headline(data), "", _overview(data), "", _bodies(data)]
-    for block in (_loops(data), _constraints(data), _couplings(data), _frames(data), _lines("Notes", data["notes"])):
+    for block in (
+        _loops(data),
+        _constraints(data),
+        _couplings(data),
+        _frames(data),
+        _lines("Notes", data["notes"]),
+    ):
         if block is not None:
             blocks += ["", block]
     return Group(*blocks)
 
 
 def tree(system: System) -> RenderableType:
-    """The tree of bodies and joints in box characters, what closes loops, and the connectivity vector."""
+    """The tree of bodies and joints in box characters, what closes loops, and the connectivity
+    vector.
+    """
     from kempe.views.overviews import tree_lines
 
     return Text("\n".join(clean(line) for line in tree_lines(system)))
@@ -181,8 +220,12 @@ def tree(system: System) -> RenderableType:
 
 def _headline(data: dict[str, Any]) -> Text:
     place = "in the plane" if data["dim"] == 2 else "in space"
-    counts = f"{count(len(data['bodies']) - 1, 'body', 'bodies')}, {count(len(data['joints']), 'joint')}"
-    return Text.assemble((clean(data["name"]), "bold green"), f": {counts}, {place}; {data['kind']}")
+    counts = (
+        f"{count(len(data['bodies']) - 1, 'body', 'bodies')}, {count(len(data['joints']), 'joint')}"
+    )
+    return Text.assemble(
+        (clean(data["name"]), "bold green"), f": {counts}, {place}; {data['kind']}"
+    )
 
 
 def _overview(data: dict[str, Any]) -> Table | Text:
@@ -196,21 +239,28 @@ def _overview(data: dict[str, Any]) -> Table | Text:
         what += [count(declared, "constraint")] if declared else []
         of = " and ".join(what) or "coordinates that follow several others"
         left = max(data["nv"] - equations, 0)
-        dof += f" of the tree; {data['nv']} of all joints less {count(equations, 'equation')} of {of}: at least {left}"
+        dof += (
+            f" of the tree; {data['nv']} of all joints less {count(equations, 'equation')} of "
+            f"{of}: at least {left}"
+        )
         dof += "; kempe dof counts them truly"
     elif not loops:
         dof += " (a tree, no loops)"
     lines: list[tuple[str, str]] = [
         (
             "connectivity",
-            "C = {" + ", ".join(map(str, data["parent"])) + "}  (parent of each body, 0 is the ground)",
+            "C = {"
+            + ", ".join(map(str, data["parent"]))
+            + "}  (parent of each body, 0 is the ground)",
         ),
         ("degrees of freedom", dof),
         ("configuration space", space["text"]),
         ("coordinates", f"q has {count(data['nq'], 'number')}"),
     ]
     if data["parameters"]:
-        lines.append(("parameters", ", ".join(f"{k} = {v:g}" for k, v in data["parameters"].items())))
+        lines.append(
+            ("parameters", ", ".join(f"{k} = {v:g}" for k, v in data["parameters"].items()))
+        )
     if data["postures"]:
         lines.append(("postures", ", ".join(data["postures"])))
     grid = Table.grid(padding=(0, 2, 0, 0))
@@ -230,14 +280,17 @@ def _bodies(data: dict[str, Any]) -> Table | Text:
         joint = joints[body["joint"]]
         kind = _kind(joint) + (" (walked backwards)" if joint["child"] != body["name"] else "")
         name = body["name"] + (" (particle)" if body["particle"] else "")
-        lines.append((body["number"], name, body["parent"], joint["name"], kind, *_of_joint(joint, by_name)))
+        lines.append(
+            (body["number"], name, body["parent"], joint["name"], kind, *_of_joint(joint, by_name))
+        )
     return table((">#", "body", ">parent", "joint", "=type", "=q", "=limits"), lines)
 
 
 def _kind(joint: dict[str, Any]) -> str:
     units = {"pitch": " m/rad"}
     options = ", ".join(
-        f"{k} {v:g}{units.get(k, '')}" if isinstance(v, float) else k for k, v in joint["options"].items()
+        f"{k} {v:g}{units.get(k, '')}" if isinstance(v, float) else k
+        for k, v in joint["options"].items()
     )
     return joint["type"] + (f", {options}" if options else "")
 
@@ -253,8 +306,12 @@ def _of_joint(joint: dict[str, Any], by_name: dict[str, dict[str, Any]]) -> tupl
     parts: list[str] = []
     for c in own:
         if c["lower"] is not None or c["upper"] is not None:
-            label = f"{c['name'][len(joint['name']) + 1 :]} " if len(joint["coordinates"]) > 1 else ""
-            parts.append(f"{label}[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}] {c['unit']}")
+            label = (
+                f"{c['name'][len(joint['name']) + 1 :]} " if len(joint["coordinates"]) > 1 else ""
+            )
+            parts.append(
+                f"{label}[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}] {c['unit']}"
+            )
     return where, ", ".join(parts)
 
 
@@ -265,10 +322,16 @@ def _bound(x: float | None, missing: str) -> str:
 def _loops(data: dict[str, Any]) -> Table | Text | None:
     joints = {j["name"]: j for j in data["joints"]}
     by_name = {c["name"]: c for c in data["coordinates"]}
-    lines = [(j["name"], _kind(j), f"{j['parent']} - {j['child']}", *_of_joint(j, by_name))
-            for j in (joints[n] for n in data["closures"])]  # fmt: skip
+    lines = [
+        (j["name"], _kind(j), f"{j['parent']} - {j['child']}", *_of_joint(j, by_name))
+        for j in (joints[n] for n in data["closures"])
+    ]
     columns = ("joint", "=type", "bodies", "=q", "=limits")
-    return table(columns, lines, "Loops, closed by the joints that the tree leaves out") if lines else None
+    return (
+        table(columns, lines, "Loops, closed by the joints that the tree leaves out")
+        if lines
+        else None
+    )
 
 
 def _constraints(data: dict[str, Any]) -> Table | Text | None:
@@ -276,8 +339,14 @@ def _constraints(data: dict[str, Any]) -> Table | Text | None:
     for c in data["constraints"]:
         sided = ", one-sided" if c["one_sided"] else ""
         what = [f"{c['parent']} - {c['child']}"] if c["parent"] else []
-        lines.append((c["name"], f"{c['type']}{sided}", ", ".join([*what, *c.get("of", [])]), c["says"]))
-    return table(("constraint", "=type", "of", "what it asks"), lines, "Declared constraints") if lines else None
+        lines.append(
+            (c["name"], f"{c['type']}{sided}", ", ".join([*what, *c.get("of", [])]), c["says"])
+        )
+    return (
+        table(("constraint", "=type", "of", "what it asks"), lines, "Declared constraints")
+        if lines
+        else None
+    )
 
 
 def _couplings(data: dict[str, Any]) -> RenderableType | None:
@@ -288,7 +357,13 @@ def _couplings(data: dict[str, Any]) -> RenderableType | None:
 def _coupling(c: dict[str, Any]) -> str:
     if c["source"] is None:
         return f"{c['of']} = {c['offset']:g} (held)"
-    factor = "" if c["multiplier"] == 1.0 else "-" if c["multiplier"] == -1.0 else f"{c['multiplier']:g} "
+    factor = (
+        ""
+        if c["multiplier"] == 1.0
+        else "-"
+        if c["multiplier"] == -1.0
+        else f"{c['multiplier']:g} "
+    )
     offset = f" {'-' if c['offset'] < 0 else '+'} {abs(c['offset']):g}" if c["offset"] else ""
     return f"{c['of']} = {factor}{c['source']}{offset}"
 
@@ -310,7 +385,9 @@ def findings(file: str, problems: Sequence[Fault], notes: Sequence[str] = ()) ->
     """What is wrong with a file: each problem with its place and a caret under it; then the notes."""
     found = count(len(problems), "problem") if problems else "no problems"
     noted = f", {count(len(notes), 'note')}" if notes else ""
-    head = Text.assemble(clean(file), ": ", (found, "bold red" if problems else "bold green"), noted)
+    head = Text.assemble(
+        clean(file), ": ", (found, "bold red" if problems else "bold green"), noted
+    )
     shown = [_problem(p) for p in problems[:PROBLEM_LIMIT]]
     if len(problems) > PROBLEM_LIMIT:
         shown.append(Text(f"... and {len(problems) - PROBLEM_LIMIT} more"))
@@ -345,7 +422,9 @@ def error(problem: BaseException | str) -> RenderableType:
 # ---- poses and configurations
 
 
-def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = False) -> RenderableType:
+def poses(
+    system: System, frame: str | None, X: spatial.Array, degrees: bool = False
+) -> RenderableType:
     """Where a frame is, or all bodies are (`frame` None); of many configurations a line for each.
 
     X is what `System.fk` gives: (4, 4), (n, 4, 4), or for all bodies (k, 4, 4), (n, k, 4, 4).
@@ -381,7 +460,9 @@ def matrix(X: spatial.Array) -> str:
 
 
 def solution(system: System, answer: Answer, degrees: bool = False) -> RenderableType:
-    """An answer of `ik`: its sentence, and the configuration by name; of many targets a line for each."""
+    """An answer of `ik`: its sentence, and the configuration by name; of many targets a line for
+    each.
+    """
     coordinates = facts.coordinates(system, degrees)
     q = facts.in_degrees(answer.q, system.coordinate_names, units(system), degrees)
     if np.ndim(answer.success):
@@ -389,9 +470,15 @@ def solution(system: System, answer: Answer, degrees: bool = False) -> Renderabl
     lines: list[tuple[Any, str, Any, str]] = []
     for c, x in zip(coordinates, q.tolist(), strict=True):
         limits = f"[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}]"
-        lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))
+        lines.append(
+            (c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits)
+        )
     title = "coordinate" if answer.success else "nearest found"
-    shown: list[RenderableType] = [outcome(answer), "", table((title, ">value", "=unit", "=limits"), lines)]
+    shown: list[RenderableType] = [
+        outcome(answer),
+        "",
+        table((title, ">value", "=unit", "=limits"), lines),
+    ]
     shown += verdict(answer)
     if answer.success and lines:
         copy = f"--q {','.join(number(x, 9).rstrip('0').rstrip('.') for x in q.tolist())}"
@@ -400,7 +487,9 @@ def solution(system: System, answer: Answer, degrees: bool = False) -> Renderabl
 
 
 def verdict(answer: Answer | Path) -> list[Text]:
-    """What the judge says of configurations that were found, as a line; none where there are too many to look at."""
+    """What the judge says of configurations that were found, as a line; none where there are too
+    many to look at.
+    """
     if answer.q.size > facts.MOST_JUDGED or not (said := answer.verdict):
         return []
     bad = np.any(np.asarray(getattr(answer, "success", True)) & ~np.asarray(answer.judged.holds))
@@ -408,7 +497,9 @@ def verdict(answer: Answer | Path) -> list[Text]:
 
 
 def outcome(answer: Answer) -> Text:
-    """The sentence of an answer of `ik`, or how many of a batch of targets are reached and which are not."""
+    """The sentence of an answer of `ik`, or how many of a batch of targets are reached and which
+    are not.
+    """
     if np.ndim(answer.success) == 0:
         return Text(clean(answer.status), style="bold green" if answer.success else "bold red")
     missed = np.flatnonzero(~np.asarray(answer.success)).tolist()
@@ -426,14 +517,18 @@ def rows_text(numbers: Sequence[int]) -> str:
     return f"row{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:12]))}{more}"
 
 
-def _configurations(coordinates: list[dict[str, Any]], q: spatial.Array, answer: Answer) -> Table | Text:
+def _configurations(
+    coordinates: list[dict[str, Any]], q: spatial.Array, answer: Answer
+) -> Table | Text:
     columns = (
         ">target",
         "reached",
         *(f">{c['name']} [{c['unit']}]" if c["unit"] else f">{c['name']}" for c in coordinates),
     )
-    cells = [(i, "yes" if good else "no", *(_value(x, c) for x, c in zip(row, coordinates, strict=True)))
-             for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))]  # fmt: skip
+    cells = [
+        (i, "yes" if good else "no", *(_value(x, c) for x, c in zip(row, coordinates, strict=True)))
+        for i, (good, row) in enumerate(zip(answer.success, q.tolist(), strict=True))
+    ]
     return table(columns, cells)
 
 

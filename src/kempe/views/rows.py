@@ -10,7 +10,14 @@ import numpy as np
 from kempe import spatial
 from kempe.description.source import expanded, no_file
 from kempe.errors import UNREADABLE, InputError, UnknownNameError
-from kempe.kinematics.common.tabular import SUFFIXES, as_numbers, header_of, rows_of_text, table_file, write_table
+from kempe.kinematics.common.tabular import (
+    SUFFIXES,
+    as_numbers,
+    header_of,
+    rows_of_text,
+    table_file,
+    write_table,
+)
 from kempe.kinematics.configuration import as_q, closed_from, from_home, mid, q_from_dict
 from kempe.model.tree.coordinates import units
 from kempe.reals import reals
@@ -34,13 +41,17 @@ def numbers(text: str, what: str) -> list[float]:
 
 
 def configuration(
-    system: System, text: str | None, posture: str | None = None, degrees: bool = False, start: bool = False
+    system: System,
+    text: str | None,
+    posture: str | None = None,
+    degrees: bool = False,
+    start: bool = False,
 ) -> spatial.Array:
     """Configurations from the command line: (nq,), or (n, nq) where `text` names a file.
 
-    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture; in a system with
-    loops, what closes these), or a .csv or .npy file. `posture` names a posture of the system, or is 'neutral' or
-    'mid'. Of a `start` no loop is closed.
+    `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture;
+    in a system with loops, what closes these), or a .csv or .npy file. `posture` names a posture of
+    the system, or is 'neutral' or 'mid'. Of a `start` no loop is closed.
     Errors: `InputError`, `UnknownNameError`.
     """
     base = None if posture is None else _posture(system, posture)
@@ -65,7 +76,9 @@ def _posture(system: System, name: str | None) -> spatial.Array:
     if name not in system.structure.posture_names and name in special:
         return special[name]
     if name not in system.structure.posture_names:
-        raise UnknownNameError("posture", name, (*system.structure.posture_names, *special), system.name)
+        raise UnknownNameError(
+            "posture", name, (*system.structure.posture_names, *special), system.name
+        )
     return q_from_dict(system, name)
 
 
@@ -76,7 +89,10 @@ def _named(system: System, text: str, degrees: bool) -> dict[str, float]:
         name, sign, value = part.partition("=")
         name = name.strip()
         if not sign:
-            raise InputError(f"q: {part.strip()!r} has no '='; write name=value,name=value or all {system.nq} numbers")
+            raise InputError(
+                f"q: {part.strip()!r} has no '='; write name=value,name=value or all {system.nq} "
+                "numbers"
+            )
         if name in out:
             raise InputError(f"q: {name!r} is given twice")
         (x,) = numbers(value, f"q: {name}")
@@ -90,7 +106,9 @@ def _radians(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
 
 
 def _configurations(system: System, path: Path, degrees: bool, start: bool) -> spatial.Array:
-    """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are as where values are named."""
+    """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are as where
+    values are named.
+    """
     names, rows = read(path)
     if names is None:
         return _radians(system, as_q(system, rows), degrees)
@@ -98,15 +116,18 @@ def _configurations(system: System, path: Path, degrees: bool, start: bool) -> s
         raise InputError(f"{path}: a column appears twice")
     unit = units(system)
     factors = [DEGREE if degrees and unit.get(name) == "rad" else 1.0 for name in names]
-    coordinates = {name: column * factor for name, column, factor in zip(names, rows.T, factors, strict=True)}
+    coordinates = {
+        name: column * factor for name, column, factor in zip(names, rows.T, factors, strict=True)
+    }
     return (from_home if start else closed_from)(system, coordinates)
 
 
 def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
     """Target poses (..., 4, 4) from the command line, and whether only their position counts.
 
-    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF), 'x,y,z,qw,qx,qy,qz' or 'x,y,z'; of planar systems 'x,y,angle' and
-    'x,y' in place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
+    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF), 'x,y,z,qw,qx,qy,qz' or 'x,y,z'; of planar
+    systems 'x,y,angle' and 'x,y' in place of 'x,y,z'; or a file of such rows, where a .npy may also
+    hold (n, 4, 4) matrices.
     """
     if is_file(text):
         names, rows = read(expanded(text), matrices=True)
@@ -121,7 +142,8 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
 def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.Array]:
     """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
 
-    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file and the line.
+    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file
+    and the line.
     """
     if what := no_file(path):
         raise InputError(f"{path}: this is {what}; give the path of a plain file")
@@ -140,7 +162,9 @@ def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
         raise InputError(f"{path}: this memory does not hold the array in it") from None
     if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
         return None, array
-    wanted = "a row for each target, or (n, 4, 4) poses" if matrices else "a row for each configuration"
+    wanted = (
+        "a row for each target, or (n, 4, 4) poses" if matrices else "a row for each configuration"
+    )
     raise InputError(f"{path}: it holds an array of shape {array.shape}; needed is {wanted}")
 
 
@@ -155,7 +179,9 @@ def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
         del table[0]
     if not table:
         raise InputError(f"{path}: it holds no rows of numbers")
-    return names, rows_of_text(path, table, len(table[0][1].split(",")) if names is None else len(names))
+    return names, rows_of_text(
+        path, table, len(table[0][1].split(",")) if names is None else len(names)
+    )
 
 
 def output(path: Path | None) -> Path | None:
@@ -172,15 +198,18 @@ def tolerance(text: str) -> tuple[float, float]:
     """Largest errors in metres and radians, from 'm' (for both) or 'm,rad'."""
     values = numbers(text, "tolerance")
     if len(values) not in (1, 2) or not all(v > 0.0 for v in values):
-        raise InputError(f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians")
+        raise InputError(
+            f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians"
+        )
     return values[0], values[-1]
 
 
 def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = False) -> None:
-    """Write poses: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each line.
+    """Write poses: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each
+    line.
 
-    X is (4, 4) or (n, 4, 4); of all `bodies` it is (k, 4, 4) or (n, k, 4, 4), and lines of the .csv begin
-    with the number of the configuration and of the body.
+    X is (4, 4) or (n, 4, 4); of all `bodies` it is (k, 4, 4) or (n, k, 4, 4), and lines of the .csv
+    begin with the number of the configuration and of the body.
     """
     lines = pose_rows(X, degrees).reshape(-1, 6)
     columns: tuple[str, ...] = POSE_COLUMNS
@@ -191,8 +220,12 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
     write_table(path, columns, lines, X)
 
 
-def write_configurations(path: Path, system: System, q: spatial.Array, degrees: bool = False) -> None:
-    """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them back."""
+def write_configurations(
+    path: Path, system: System, q: spatial.Array, degrees: bool = False
+) -> None:
+    """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them
+    back.
+    """
     names = system.coordinate_names
     shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
     write_table(path, names, shown)

@@ -1,4 +1,5 @@
-"""Pictures of singular configurations, with the directions lost and gained there, and of their curves.
+"""Pictures of singular configurations, with the directions lost and gained there, and of their
+curves.
 
 Importing this module needs the extra [view].
 """
@@ -26,31 +27,45 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.singular.singularities import Singularities
     from kempe.budget import Budget
 
-LINES: dict[tuple[str, ...], Any] = {(TYPE_1,): "-", (TYPE_2,): (0, (4, 1.6)), (TYPE_1, TYPE_2): "-.", ("serial",): "-"}
+LINES: dict[tuple[str, ...], Any] = {
+    (TYPE_1,): "-",
+    (TYPE_2,): (0, (4, 1.6)),
+    (TYPE_1, TYPE_2): "-.",
+    ("serial",): "-",
+}
 """How curves of the kinds of singular configurations are drawn; others are dotted."""
 MOST = 4
 EACH = 2
 """Configurations that a picture shows at most, in all and of each set."""
 ARROW = 0.2
 NEAR = 0.6
-"""Length of an arrow, and how far from the frame a centre of rotation is still drawn, as parts of the drawing."""
+"""Length of an arrow, and how far from the frame a centre of rotation is still drawn, as parts of
+the drawing."""
 COLOURS = {"lost": style.OPEN, "gained": style.MOTION}
 STILL = 1e-7
 """Part of a twist that counts as none."""
 
 
 def curves_shown(found: Singularities, budget: Budget | None = None) -> SingularCurves | None:
-    """The singular curves that a picture shows; None where it has none: those of a frame in the plane, if sets are."""
+    """The singular curves that a picture shows; None where it has none: those of a frame in the
+    plane, if sets are.
+    """
     flat = found.system.dim == 2 and found.frame is not None and found.sets
-    return found.curves(budget=budget) if flat and max(s.dimension for s in found.sets) <= 1 else None
+    return (
+        found.curves(budget=budget) if flat and max(s.dimension for s in found.sets) <= 1 else None
+    )
 
 
 def plot_singularities(
     found: Singularities, curves: SingularCurves | None, *, ax: Any = None, **options: Any
-) -> tuple[Axes, ...]:  # fmt: skip
-    """Axes with singular configurations beside one another, and with the singular curves; see `Singularities.plot`."""
+) -> tuple[Axes, ...]:
+    """Axes with singular configurations beside one another, and with the singular curves; see
+    `Singularities.plot`.
+    """
     rows = [_picks(s) for s in found.sets]
-    shown = sorted((k, i) for i, own in enumerate(rows) for k in range(len(own)))[:MOST]  # of each set first one
+    shown = sorted((k, i) for i, own in enumerate(rows) for k in range(len(own)))[
+        :MOST
+    ]  # of each set first one
     picks = [rows[i][k] for i, k in sorted((i, k) for k, i in shown)]
     if not picks:
         raise InputError(f"{found.status}: there is nothing to draw")
@@ -63,8 +78,15 @@ def plot_singularities(
     if own is None and flat:
         own = np.ravel(np.array(page.new_figure(4.2 * count, 4.4).subplots(1, count), dtype=object))
     titles = [title for title, _, _ in picks]
-    marked = [found.frame] if found.frame in system.body_names else []  # frames of their own are drawn anyway
-    show: dict[str, Any] = {"labels": False, "side_by_side": True, "titles": titles, "frames": marked} | options
+    marked = (
+        [found.frame] if found.frame in system.body_names else []
+    )  # frames of their own are drawn anyway
+    show: dict[str, Any] = {
+        "labels": False,
+        "side_by_side": True,
+        "titles": titles,
+        "frames": marked,
+    } | options
     axes = plot(system, q, ax=None if own is None else own[: len(q)], **show)
     if found.frame is not None:
         for one, (_, x, local) in zip(axes, picks, strict=True):
@@ -78,7 +100,10 @@ def plot_singularities(
 def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
     """Axes with the places of the frame along singular curves, a style of line for each kind."""
     if not any(len(c.p) for c in curves) and not (curves.frame and curves.broken):
-        raise InputError(f"{curves.status}: there is nothing to draw" + ("" if curves.frame else ", without a frame"))
+        raise InputError(
+            f"{curves.status}: there is nothing to draw"
+            + ("" if curves.frame else ", without a frame")
+        )
     if curves.system.dim != 2 and ax is None:
         ax = page.new_figure(5.0, 5.0).add_subplot(projection="3d")
     given: Any = page.new_figure(5.0, 4.4).add_subplot() if ax is None else page.axes_given(ax)[0]
@@ -86,8 +111,14 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
     named = set[str]()
     for k, c in enumerate(curves):
         word = c.name or " and ".join(c.kinds)
-        given.plot(*c.p[:, :d].T, color=style.OPEN, lw=1.5, ls=LINES.get(c.kinds, ":"), gid=f"singular:{k}",
-                   label=word if word not in named else None)  # fmt: skip
+        given.plot(
+            *c.p[:, :d].T,
+            color=style.OPEN,
+            lw=1.5,
+            ls=LINES.get(c.kinds, ":"),
+            gid=f"singular:{k}",
+            label=word if word not in named else None,
+        )
         named.add(word)
     given.set_aspect("equal", adjustable="box" if d == 2 else None)
     if d == 2:
@@ -96,14 +127,24 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
         getattr(given, f"set_{name}label")(f"{name} [m]", size=style.FONT, color=style.INK)
     said = partial(curves.broken is Status.INTERRUPTED, curves.broken is Status.OUT_OF_TIME)
     said = said.replace(" (", "\n(").replace(": ", ":\n")
-    given.set_title(f"singular places of {curves.frame!r}{said}", size=style.FONT + 1, color=style.INK)
+    given.set_title(
+        f"singular places of {curves.frame!r}{said}", size=style.FONT + 1, color=style.INK
+    )
     if named:
-        given.legend(fontsize=style.FONT - 1, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
+        given.legend(
+            fontsize=style.FONT - 1,
+            frameon=False,
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.14),
+            ncols=2,
+        )
     return given
 
 
 def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
-    """Titles, configurations and what is lost there, of a set: one for each of the first of its values."""
+    """Titles, configurations and what is lost there, of a set: one for each of the first of its
+    values.
+    """
     head = s.name or " and ".join(s.kinds)
     if not len(s.values):
         return [(f"{head}\n{changes(s.local[0].lost, s.local[0].gained)}", s.q[0], s.local[0])]
@@ -113,12 +154,16 @@ def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
         off = [np.abs(np.sin(0.5 * (q[list(s.places)] - value))).max() for q in s.q]
         k = int(np.argmin(off))
         said = ", ".join(f"{n} = {x + 0.0:.3g}" for n, x in zip(names, value, strict=True))
-        rows.append((f"{head}, {said}\n{changes(s.local[k].lost, s.local[k].gained)}", s.q[k], s.local[k]))
+        rows.append(
+            (f"{head}, {said}\n{changes(s.local[k].lost, s.local[k].gained)}", s.q[k], s.local[k])
+        )
     return rows
 
 
 def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> None:
-    """Draw twists at a frame's place (3,): arrows along slides, centres with an arc, or axes in space, of turns."""
+    """Draw twists at a frame's place (3,): arrows along slides, centres with an arc, or axes in
+    space, of turns.
+    """
     length = ARROW * float(np.ptp(ax.get_xlim()))
     for word, colour in COLOURS.items():
         for k, twist in enumerate(getattr(local, word)):
@@ -127,17 +172,44 @@ def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> Non
             if not flat:
                 for x, line in ((v, "-"), (w, ":")):
                     if np.linalg.norm(x) > STILL * max(np.linalg.norm(twist), STILL):
-                        ax.quiver(*p, *(length * x / np.linalg.norm(x)), color=colour, lw=1.8, ls=line, gid=gid)
+                        ax.quiver(
+                            *p,
+                            *(length * x / np.linalg.norm(x)),
+                            color=colour,
+                            lw=1.8,
+                            ls=line,
+                            gid=gid,
+                        )
                 continue
-            centre = p[:2] + np.array([-v[1], v[0]]) / w[2] if abs(w[2]) > STILL else np.full(2, np.inf)
-            how: dict[str, Any] = {"arrowstyle": "<|-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-            ends = p[:2] + length * np.outer([-1.0, 1.0], v[:2] / max(float(np.linalg.norm(v[:2])), 1e-300))
+            centre = (
+                p[:2] + np.array([-v[1], v[0]]) / w[2] if abs(w[2]) > STILL else np.full(2, np.inf)
+            )
+            how: dict[str, Any] = {
+                "arrowstyle": "<|-|>",
+                "color": colour,
+                "lw": 1.6,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            }
+            ends = p[:2] + length * np.outer(
+                [-1.0, 1.0], v[:2] / max(float(np.linalg.norm(v[:2])), 1e-300)
+            )
             if np.linalg.norm(centre - p[:2]) < NEAR * length / ARROW:
-                ax.plot(*np.stack([centre, p[:2]]).T, ls=":", lw=1.0, color=colour, zorder=style.ARROWS)
+                ax.plot(
+                    *np.stack([centre, p[:2]]).T, ls=":", lw=1.0, color=colour, zorder=style.ARROWS
+                )
                 ax.plot(*centre, "o", ms=5, color=colour, gid=f"{gid}:centre", zorder=style.TEXT)
                 ends = centre + 0.5 * length * np.array([[0.8, -0.6], [0.8, 0.6]])
                 how["connectionstyle"] = "arc3,rad=0.45"
-            ax.annotate("", ends[1], xytext=ends[0], arrowprops=how, gid=gid, zorder=style.TEXT, annotation_clip=False)
+            ax.annotate(
+                "",
+                ends[1],
+                xytext=ends[0],
+                arrowprops=how,
+                gid=gid,
+                zorder=style.TEXT,
+                annotation_clip=False,
+            )
 
 
 def _legend(ax: Any, picks: list[tuple[str, Array, LostAndGained]]) -> None:
@@ -146,5 +218,11 @@ def _legend(ax: Any, picks: list[tuple[str, Array, LostAndGained]]) -> None:
     words = [w for w in COLOURS if any(len(getattr(local, w)) for _, _, local in picks)]
     entries = [Line2D([], [], color=COLOURS[w], lw=1.8, label=f"direction {w}") for w in words]
     if entries:
-        ax.legend(handles=entries, fontsize=style.FONT - 1, frameon=False, loc="upper center", ncols=2,
-                  bbox_to_anchor=(0.5, -0.1))  # fmt: skip
+        ax.legend(
+            handles=entries,
+            fontsize=style.FONT - 1,
+            frameon=False,
+            loc="upper center",
+            ncols=2,
+            bbox_to_anchor=(0.5, -0.1),
+        )

@@ -1,4 +1,6 @@
-"""Batches of targets in slices: so that the work shows how far it is, and can be stopped with what was done."""
+"""Batches of targets in slices: so that the work shows how far it is, and can be stopped with what
+was done.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,16 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.one_frame.solution import Solution
 
-FIELDS = ("q", "success", "code", "position_error", "orientation_error", "residual", "iterations", "starts")
+FIELDS = (
+    "q",
+    "success",
+    "code",
+    "position_error",
+    "orientation_error",
+    "residual",
+    "iterations",
+    "starts",
+)
 
 
 class Slices(Answer):
@@ -38,8 +49,14 @@ class Slices(Answer):
         self._system = system
         self.first = np.cumsum([0, *(len(a) for a in answers)])
         for name in FIELDS:
-            empty = np.zeros((0, system.nq) if name == "q" else 0, dtype=bool if name == "success" else float)
-            setattr(self, name, np.concatenate([getattr(a, name) for a in answers]) if answers else empty)
+            empty = np.zeros(
+                (0, system.nq) if name == "q" else 0, dtype=bool if name == "success" else float
+            )
+            setattr(
+                self,
+                name,
+                np.concatenate([getattr(a, name) for a in answers]) if answers else empty,
+            )
 
     @property
     def interrupted(self) -> bool:
@@ -55,7 +72,9 @@ class Slices(Answer):
     def judged(self) -> Judgement:
         """The judgements of all slices."""
         parts = [a.judged for a in self.answers] or [judge(self.system, self.q)]
-        errors, allowed = (np.concatenate([getattr(p, n) for p in parts], axis=1) for n in ("errors", "allowed"))
+        errors, allowed = (
+            np.concatenate([getattr(p, n) for p in parts], axis=1) for n in ("errors", "allowed")
+        )
         return Judgement(parts[0].names, errors, allowed)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
@@ -73,10 +92,14 @@ class Slices(Answer):
 
 
 def in_slices(
-    system: System, count: int, size: int, solve: Callable[[int, int], Solution],
+    system: System,
+    count: int,
+    size: int,
+    solve: Callable[[int, int], Solution],
     said: Callable[[int], None] | None = None,
-) -> Slices:  # fmt: skip
-    """The answers of `count` targets, `size` at a time; an interrupt (Ctrl-C) ends it with what was done.
+) -> Slices:
+    """The answers of `count` targets, `size` at a time; an interrupt (Ctrl-C) ends it with what was
+    done.
 
     solve: answers targets from a first to before a last. said: receives how many are done.
     """
@@ -94,7 +117,8 @@ def in_slices(
 def progress(
     file: TextIO, count: int | None, what: str = "targets"
 ) -> Generator[Callable[..., None] | None, None, None]:
-    """What long work calls with what is done, and perhaps an arc length; nothing where `file` is no terminal.
+    """What long work calls with what is done, and perhaps an arc length; nothing where `file` is no
+    terminal.
 
     A bar where it is known of how many, else a line that counts.
     """
@@ -112,7 +136,12 @@ def progress(
         TimeRemainingColumn,
     )
 
-    columns: Any = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns: Any = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     if count is None:
         columns = (SpinnerColumn("line"), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=Console(file=file), transient=True) as bar:
@@ -127,7 +156,8 @@ def progress(
 
 @contextlib.contextmanager
 def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None, None]:
-    """What work calls with how much is done, and of how much: a bar with how much a second, and the time left.
+    """What work calls with how much is done, and of how much: a bar with how much a second, and the
+    time left.
 
     Nothing where `file` is no terminal.
     """
@@ -144,9 +174,17 @@ def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None
 
         def said(done: int, total: int) -> None:
             nonlocal first
-            first = first or (done, time.monotonic())  # what an earlier call did is not of this pace
+            first = first or (
+                done,
+                time.monotonic(),
+            )  # what an earlier call did is not of this pace
             rate = (done - first[0]) / max(time.monotonic() - first[1], 1e-9)
             left = str(timedelta(seconds=round((total - done) / rate))) if rate > 0.0 else "?"
-            bar.update(task, completed=done, total=total, pace=f"{done:.4g} of {total:.4g}, {rate:.3g}/s, {left} left")
+            bar.update(
+                task,
+                completed=done,
+                total=total,
+                pace=f"{done:.4g} of {total:.4g}, {rate:.3g}/s, {left} left",
+            )
 
         yield said

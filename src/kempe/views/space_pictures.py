@@ -1,7 +1,9 @@
-"""Configuration space and task space of a system with two freedoms, beside one another, with matplotlib.
+"""Configuration space and task space of a system with two freedoms, beside one another, with
+matplotlib.
 
-Left is the configuration space, right what a frame's origin sees of it. Both are coloured by numbers of configurations
-within the limits: none, one, two, and so on. Importing this module needs the extra [view].
+Left is the configuration space, right what a frame's origin sees of it. Both are coloured by
+numbers of configurations within the limits: none, one, two, and so on. Importing this module needs
+the extra [view].
 """
 
 from __future__ import annotations
@@ -35,20 +37,22 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 SHADES = ("#ffffff", "#d3e3f2", "#8db8dc", "#4c7fb0", "#2f5d8a", "#1b3d63")
-"""Colours of places with no, one, two, three, four and more configurations: from light to dark, to read in grey."""
+"""Colours of places with no, one, two, three, four and more configurations: from light to dark, to
+read in grey."""
 FINEST = 1000
 COARSEST = 8
 FINE = 145
 STEP = 12
-"""Points of a line of the grid, and how many lie between two lines: those are 1/12 of a side apart."""
+"""Points of a line of the grid, and how many lie between two lines: those are 1/12 of a side
+apart."""
 FEW = 0.005
 """Part of a space from which the legend names its shade."""
 ROOM = 0.06
 """Room around the task space, as a part of its width."""
 APART = 0.5
 CLOSED = 1e-6
-"""How far apart configurations of one line are at most, in radians and characteristic lengths; how far loops may be
-open."""
+"""How far apart configurations of one line are at most, in radians and characteristic lengths; how
+far loops may be open."""
 DIRECTIONS = np.array([np.pi, 0.5 * np.pi])
 """The largest azimuth and elevation."""
 LINES_OF_LIMIT = 12
@@ -60,38 +64,53 @@ USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT, progress=None)
 
 @explained
 def plot_spaces(
-    system: System, frame: FrameLike, *, points: ArrayLike = (), task: str | None = None, grid: bool = False,
-    ax: Any = None, resolution: int = 240, budget: Budget | None = None,
-) -> tuple[Axes, Axes]:  # fmt: skip
-    """Axes with the configuration space and with the task space of a frame, of a system with two freedoms.
+    system: System,
+    frame: FrameLike,
+    *,
+    points: ArrayLike = (),
+    task: str | None = None,
+    grid: bool = False,
+    ax: Any = None,
+    resolution: int = 240,
+    budget: Budget | None = None,
+) -> tuple[Axes, Axes]:
+    """Axes with the configuration space and with the task space of a frame, of a system with two
+    freedoms.
 
-    Limits are a rectangle on the left, and their image on the right (solid; the edges of a full turn, which are one
-    line, are dotted). Red lines are singular: there the frame's velocity has lost a direction. Shades say how many
-    configurations within the limits reach the place. `task` says which two numbers of the frame the places are: "xy",
-    "xz" or "yz", its position along two axes of the ground [m], or "direction", the azimuth and elevation of its z axis
-    [rad]. `points` (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or, where
-    there is none, the nearest place found, with the distance. `grid` draws lines on which one coordinate is constant,
-    and their images. `ax` is a pair of axes to draw on; `resolution` the number of places along each axis (8 to 1000).
+    Limits are a rectangle on the left, and their image on the right (solid; the edges of a full
+    turn, which are one line, are dotted). Red lines are singular: there the frame's velocity has
+    lost a direction. Shades say how many configurations within the limits reach the place. `task`
+    says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
+    axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
+    (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
+    where there is none, the nearest place found, with the distance. `grid` draws lines on which one
+    coordinate is constant, and their images. `ax` is a pair of axes to draw on; `resolution` the
+    number of places along each axis (8 to 1000).
 
-    With closed loops the left has the two actuated coordinates, or others that place the mechanism, and shades there
-    count the assembly modes at these values; what spins idly does not count. Right are all modes. Singular lines are
-    those that `singularities` finds: of type 1, where the frame has lost a direction, and, dashed, of type 2, where it
-    moves though both coordinates are held and where modes meet. Limits of other coordinates are lines, too. Numbers are
-    those of closed forms where there are such (planar chains and dyads); else each configuration that is found is
-    followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s) and progress(places,
-    all), for each of the two sides; after the limit the picture shows what was done, and says so;
+    With closed loops the left has the two actuated coordinates, or others that place the mechanism,
+    and shades there count the assembly modes at these values; what spins idly does not count. Right
+    are all modes. Singular lines are those that `singularities` finds: of type 1, where the frame
+    has lost a direction, and, dashed, of type 2, where it moves though both coordinates are held
+    and where modes meet. Limits of other coordinates are lines, too. Numbers are those of closed
+    forms where there are such (planar chains and dyads); else each configuration that is found is
+    followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s)
+    and progress(places, all), for each of the two sides; after the limit the picture shows what was
+    done, and says so;
     Ctrl-C raises `Interrupted`, whose `answer` are the axes with what was done.
-    Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a curve only;
-    `InputError`; `UnknownNameError`.
+    Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a
+    curve only; `InputError`; `UnknownNameError`.
 
-    ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the picture.
+    ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the
+    picture.
     """
     name = system.structure.frame_name(frame)
     seen = flat_task(task, system.dim)
     spend = USUAL.of(budget)
     targets = _targets(points, seen)
     if not is_whole(resolution) or not COARSEST <= resolution <= FINEST:
-        raise InputError(f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}")
+        raise InputError(
+            f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}"
+        )
     lines = flag(grid, "grid")
     own = None if ax is None else page.axes_given(ax, 2)
     space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
@@ -105,7 +124,9 @@ def plot_spaces(
     q, mask = space.over_grid(int(resolution))
     p = space.places(q, mask)
     if not mask.any():
-        raise UnsupportedError(f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}")
+        raise UnsupportedError(
+            f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}"
+        )
     _shade_task_space(space, right, p, targets, int(resolution))
     _shaded(left, every[:, 0, 0], every[0, :, 1], space.shades(q, mask))
     _draw_limits(space, left, right)
@@ -130,16 +151,21 @@ def _targets(points: ArrayLike, seen: FlatTask) -> Array:
     targets = numbers(points, "points")
     targets = targets.reshape(0, 2) if not targets.size else targets
     if targets.ndim != 2 or targets.shape[1] != 2 or not np.isfinite(targets).all():
-        unit = "azimuths and elevations in radians" if seen.turns else f"places {', '.join(seen.name)} in metres"
+        unit = (
+            "azimuths and elevations in radians"
+            if seen.turns
+            else f"places {', '.join(seen.name)} in metres"
+        )
         raise InputError(f"points has shape {targets.shape}; it must be (k, 2), {unit}")
     return targets
 
 
 def nearest(
     system: System, frame: str, task: FlatTask, target: Array, q: Array, p: Array
-) -> tuple[Array, Array, float]:  # fmt: skip
-    """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one: that which is
-    nearest to a place (2,), where it is, and how far away."""  # fmt: skip
+) -> tuple[Array, Array, float]:
+    """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one:
+    that which is nearest to a place (2,), where it is, and how far away.
+    """
     from kempe.solvers.one_frame.inverse import ik
 
     start = q.reshape(-1, system.nq)[int(np.argmin(task.apart(p.reshape(-1, 2), target)))]
@@ -162,7 +188,10 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     system = space.system
     name = space.frame
     task = space.task
-    on_curve = f"{NEEDED} and of a frame that moves in both: {task.said(name)} of {system.name} moves on a curve"
+    on_curve = (
+        f"{NEEDED} and of a frame that moves in both: {task.said(name)} of {system.name} moves on "
+        "a curve"
+    )
     hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
     if not has_loops(system):
         if np.abs(_area(space, space.grid(COARSEST))).max() < FLAT:
@@ -178,11 +207,15 @@ def _singular_curves(space: TwoFreedoms) -> Any:
         raise TimeLimitError(USUAL.verb, space.clock.limit) from None
     if found.questions.frame_rank < 2:
         raise UnsupportedError(on_curve + hint)
-    if min((s.dimension for s in found.sets), default=0) > 1:  # where all is singular there are no lines
+    if (
+        min((s.dimension for s in found.sets), default=0) > 1
+    ):  # where all is singular there are no lines
         return ()
     curves = until_interrupt(found.curves, budget=Budget(time_limit=space.clock.left))
     if curves.broken is Status.INTERRUPTED:
-        space.clock.end = space.clock.soon = -np.inf  # what follows ends at once, with what there is
+        space.clock.end = (
+            space.clock.soon
+        ) = -np.inf  # what follows ends at once, with what there is
         space.clock.limit = space.clock.limit or 0.0
     return curves
 
@@ -213,8 +246,18 @@ def _shaded(ax: Any, x: Array, y: Array, count: np.ndarray) -> None:
     from matplotlib.colors import ListedColormap
 
     most = len(SHADES) - 1
-    ax.pcolormesh(x, y, np.minimum(count, most).T, cmap=ListedColormap(SHADES), vmin=-0.5, vmax=most + 0.5,
-                  shading="nearest", gid="preimages", zorder=style.GHOSTS, rasterized=True)  # fmt: skip
+    ax.pcolormesh(
+        x,
+        y,
+        np.minimum(count, most).T,
+        cmap=ListedColormap(SHADES),
+        vmin=-0.5,
+        vmax=most + 0.5,
+        shading="nearest",
+        gid="preimages",
+        zorder=style.GHOSTS,
+        rasterized=True,
+    )
 
 
 def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
@@ -225,7 +268,14 @@ def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
             values = space.low + (space.high - space.low) * t[:, None]
             values[:, i] = end
             gid = f"limit:{space.names[i]}:{k}"
-            left.plot(*values.T, color=style.INK, lw=1.4, ls=":" if turns else "-", gid=gid, zorder=style.CURVE)
+            left.plot(
+                *values.T,
+                color=style.INK,
+                lw=1.4,
+                ls=":" if turns else "-",
+                gid=gid,
+                zorder=style.CURVE,
+            )
             for image in () if turns else _images(space, values):
                 right.plot(*image.T, color=style.INK, lw=1.4, gid=gid, zorder=style.CURVE)
 
@@ -243,7 +293,9 @@ def _torn(space: TwoFreedoms, line: Array) -> Array:
 
 
 def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> None:
-    """Draw where coordinates that are not on the axes are at a limit, and the image of that; q (k, nq) are inside."""
+    """Draw where coordinates that are not on the axes are at a limit, and the image of that; q (k,
+    nq) are inside.
+    """
     system = space.system
     layout = space.system.structure.layout
     solver = space.solver
@@ -258,16 +310,31 @@ def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> N
             for _ in range(LINES_OF_LIMIT):
                 if not len(near):
                     break
-                path = trace(system, start=near[0], hold={name: float(end)}, budget=Budget(time_limit=space.clock.left))
+                path = trace(
+                    system,
+                    start=near[0],
+                    hold={name: float(end)},
+                    budget=Budget(time_limit=space.clock.left),
+                )
                 line = np.concatenate([near[:1], path.q])
                 near = near[[solver.apart(x[None], line).min() > APART for x in near]]
                 if len(path.q) > 1:
-                    _draw_line(space, left, right, path.q, f"limit:{name}:{k}", color=style.INK, lw=1.4,
-                               zorder=style.CURVE)  # fmt: skip
+                    _draw_line(
+                        space,
+                        left,
+                        right,
+                        path.q,
+                        f"limit:{name}:{k}",
+                        color=style.INK,
+                        lw=1.4,
+                        zorder=style.CURVE,
+                    )
                     k += 1
 
 
-def _draw_line(space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, marker: str = "", **look: Any) -> None:
+def _draw_line(
+    space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, marker: str = "", **look: Any
+) -> None:
     """Draw a line of configurations (n, nq) on both sides; a `marker` on the left only."""
     turned = _values(space, q)
     jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
@@ -276,64 +343,141 @@ def _draw_line(space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, ma
 
 
 def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
-    """Draw lines on which one coordinate is constant, a colour for each coordinate, and their images."""
+    """Draw lines on which one coordinate is constant, a colour for each coordinate, and their
+    images.
+    """
     fine = space.grid(FINE)
     for i in range(2):
         for k, at in enumerate(range(STEP, FINE - 1, STEP)):
             values = np.take(fine, at, axis=i)
             images = _images(space, values)
             for ax, line in ((left, values), *((right, p) for p in images)):
-                ax.plot(*line.T, color=style.link_colour(i + 1), lw=0.8, gid=f"grid:{space.names[i]}:{k}",
-                        zorder=style.CURVE)  # fmt: skip
+                ax.plot(
+                    *line.T,
+                    color=style.link_colour(i + 1),
+                    lw=0.8,
+                    gid=f"grid:{space.names[i]}:{k}",
+                    zorder=style.CURVE,
+                )
 
 
 def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     """Draw singular curves, and their images, in the line style of their kind."""
     for k, curve in enumerate(curves):
-        still = np.ptp(curve.q[:, space.columns], axis=0).max() < CLOSED  # a part turns while both are held
-        _draw_line(space, left, right, curve.q, f"singular:{k}", "o" if still else "", color=style.OPEN, lw=1.6,
-                   ls=LINES.get(curve.kinds, ":"), zorder=style.PINS)  # fmt: skip
+        still = (
+            np.ptp(curve.q[:, space.columns], axis=0).max() < CLOSED
+        )  # a part turns while both are held
+        _draw_line(
+            space,
+            left,
+            right,
+            curve.q,
+            f"singular:{k}",
+            "o" if still else "",
+            color=style.OPEN,
+            lw=1.6,
+            ls=LINES.get(curve.kinds, ":"),
+            zorder=style.PINS,
+        )
 
 
 def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
     """Draw where the velocity of a chain's frame loses a direction, and the image of that."""
     size = _area(space, grid)
     scale = float(np.abs(size).max())
-    size = np.where(np.abs(size) < 1e-9 * scale, 1e-9 * scale, size)  # a line through nodes of the grid is one, too
-    lines = left.contour(grid[:, 0, 0], grid[0, :, 1], size.T, levels=[0.0], colors=[style.OPEN], linewidths=1.6,
-                         zorder=style.PINS)  # fmt: skip
+    size = np.where(
+        np.abs(size) < 1e-9 * scale, 1e-9 * scale, size
+    )  # a line through nodes of the grid is one, too
+    lines = left.contour(
+        grid[:, 0, 0],
+        grid[0, :, 1],
+        size.T,
+        levels=[0.0],
+        colors=[style.OPEN],
+        linewidths=1.6,
+        zorder=style.PINS,
+    )
     for k, line in enumerate(np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1):
         p = space.task.of(fk(space.system, line, space.frame))
-        right.plot(*_torn(space, p).T, color=style.OPEN, lw=1.6, gid=f"singular:{k}", zorder=style.PINS)
+        right.plot(
+            *_torn(space, p).T, color=style.OPEN, lw=1.6, gid=f"singular:{k}", zorder=style.PINS
+        )
 
 
 def _draw_point(
     space: TwoFreedoms, left: Any, right: Any, target: Array, k: int, every: Array, p: Array
-) -> None:  # fmt: skip
+) -> None:
     """Draw a place that shall be reached: its solutions, or the nearest place that is reached."""
     colour = style.curve_colour(k + 1)
     number = str(k + 1)
     found = space.solutions(target)
-    right.plot(*target, "*" if len(found) else "X", ms=11, color=colour, mec="white", mew=0.7, gid=f"point:{k}",
-               zorder=style.TEXT)  # fmt: skip
-    right.annotate(number, target, xytext=(7, 5), textcoords="offset points", size=style.FONT, color=colour)
+    right.plot(
+        *target,
+        "*" if len(found) else "X",
+        ms=11,
+        color=colour,
+        mec="white",
+        mew=0.7,
+        gid=f"point:{k}",
+        zorder=style.TEXT,
+    )
+    right.annotate(
+        number, target, xytext=(7, 5), textcoords="offset points", size=style.FONT, color=colour
+    )
     for j, q in enumerate(found):
         at = _values(space, q)
-        left.plot(*at, "o", ms=7, color=colour, mec="white", mew=0.8, gid=f"solution:{k}:{j}", zorder=style.TEXT)
+        left.plot(
+            *at,
+            "o",
+            ms=7,
+            color=colour,
+            mec="white",
+            mew=0.8,
+            gid=f"solution:{k}:{j}",
+            zorder=style.TEXT,
+        )
         letter = f"{number}{'abcdefgh'[j]}" if len(found) > 1 and j < 8 else number
-        left.annotate(letter, at, xytext=(6, 5), textcoords="offset points", size=style.FONT, color=colour)
+        left.annotate(
+            letter, at, xytext=(6, 5), textcoords="offset points", size=style.FONT, color=colour
+        )
         _draw_arm(space, right, q, colour, f"arm:{k}:{j}", "-" if j == 0 else "--")
     if not len(found):
         q, at, far = nearest(space.system, space.frame, space.task, target, every, p)
-        said = f"{np.degrees(far):.3g}°" if space.task.turns else page.length_text(float(f"{far:.3g}"))
+        said = (
+            f"{np.degrees(far):.3g}°" if space.task.turns else page.length_text(float(f"{far:.3g}"))
+        )
         left.plot(
-            *_values(space, q), "X", ms=8, color=colour, mec="white", mew=0.7, gid=f"nearest:{k}", zorder=style.TEXT
+            *_values(space, q),
+            "X",
+            ms=8,
+            color=colour,
+            mec="white",
+            mew=0.7,
+            gid=f"nearest:{k}",
+            zorder=style.TEXT,
         )
         _draw_arm(space, right, q, colour, f"arm:{k}:0", "-")
-        right.plot(*np.stack([at, target]).T, color=colour, lw=1.2, ls=":", gid=f"distance:{k}", zorder=style.TEXT)
-        side = -1 if target[0] > np.mean(right.get_xlim()) else 1  # towards the middle, below the number
-        right.annotate(f"{said} away", target, xytext=(11 * side, -13), textcoords="offset points", size=style.FONT,
-                       color=colour, ha={1: "left", -1: "right"}[side], gid=f"distance:{k}:text")  # fmt: skip
+        right.plot(
+            *np.stack([at, target]).T,
+            color=colour,
+            lw=1.2,
+            ls=":",
+            gid=f"distance:{k}",
+            zorder=style.TEXT,
+        )
+        side = (
+            -1 if target[0] > np.mean(right.get_xlim()) else 1
+        )  # towards the middle, below the number
+        right.annotate(
+            f"{said} away",
+            target,
+            xytext=(11 * side, -13),
+            textcoords="offset points",
+            size=style.FONT,
+            color=colour,
+            ha={1: "left", -1: "right"}[side],
+            gid=f"distance:{k}:text",
+        )
 
 
 def _values(space: TwoFreedoms, q: Array) -> Array:
@@ -343,7 +487,9 @@ def _values(space: TwoFreedoms, q: Array) -> Array:
 
 
 def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line: str) -> None:
-    """Draw the bodies from the ground to the frame as a line through their joints; of loops each body as a line."""
+    """Draw the bodies from the ground to the frame as a line through their joints; of loops each
+    body as a line.
+    """
     system = space.system
     name = space.frame
     axes = space.task.axes
@@ -352,10 +498,23 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
     if space.modes:
         scene = look(system, q)
         bars = {link.name: scene.points(link) for link in scene.links[1:]}
-        bars |= {j.name: np.array([j.F[:3, 3], j.M[:3, 3]]) for j in scene.joints if j.kind == "prismatic"}
+        bars |= {
+            j.name: np.array([j.F[:3, 3], j.M[:3, 3]])
+            for j in scene.joints
+            if j.kind == "prismatic"
+        }
         for bar, points in bars.items():
-            ax.plot(*points[:, axes].T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8,
-                    gid=f"{gid}:{bar}", zorder=style.POINTS)  # fmt: skip
+            ax.plot(
+                *points[:, axes].T,
+                color=colour,
+                lw=1.5,
+                ls=line,
+                marker="o",
+                ms=3.5,
+                alpha=0.8,
+                gid=f"{gid}:{bar}",
+                zorder=style.POINTS,
+            )
         corners = np.concatenate([*bars.values()])[:, axes]
         low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
         room = 0.02 * (high - low)
@@ -375,8 +534,17 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
         own = joint.X_CM if joint.child == body else joint.X_PF
         ends.append((fk(system, q, body) @ own.evaluate(m.parameters))[:3, 3])
         body = system.body_names[system.parent[at]]
-    ax.plot(*np.array(ends)[:, axes].T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8, gid=gid,
-            zorder=style.POINTS)  # fmt: skip
+    ax.plot(
+        *np.array(ends)[:, axes].T,
+        color=colour,
+        lw=1.5,
+        ls=line,
+        marker="o",
+        ms=3.5,
+        alpha=0.8,
+        gid=gid,
+        zorder=style.POINTS,
+    )
 
 
 def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
@@ -385,7 +553,9 @@ def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     for ax in (left, right):
         page.light_axes(ax)
         ax.ticklabel_format(style="sci", scilimits=(-3, 4))
-    for i, (limits, label) in enumerate(((left.set_xlim, left.set_xlabel), (left.set_ylim, left.set_ylabel))):
+    for i, (limits, label) in enumerate(
+        ((left.set_xlim, left.set_xlabel), (left.set_ylim, left.set_ylabel))
+    ):
         room = 0.04 * (space.high[i] - space.low[i])
         limits(space.low[i] - room, space.high[i] + room)
         label(f"{space.names[i]} [{unit[space.names[i]]}]", size=style.FONT, color=style.INK)
@@ -397,10 +567,21 @@ def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     right.set_title(said, size=style.FONT + 1, color=style.INK)
     if said := _partly(space.broken, getattr(curves, "broken", None)):
         left.text(
-            0.0, -0.14, said.strip(), transform=left.transAxes, size=style.FONT - 1, color=style.OPEN, gid="partial"
+            0.0,
+            -0.14,
+            said.strip(),
+            transform=left.transAxes,
+            size=style.FONT - 1,
+            color=style.OPEN,
+            gid="partial",
         )
-    right.legend(handles=[*_shade_entries(space, left, right), *_line_entries(space, curves)], loc="upper left",
-                 bbox_to_anchor=(1.03, 1.0), fontsize=style.FONT - 1, frameon=False)  # fmt: skip
+    right.legend(
+        handles=[*_shade_entries(space, left, right), *_line_entries(space, curves)],
+        loc="upper left",
+        bbox_to_anchor=(1.03, 1.0),
+        fontsize=style.FONT - 1,
+        frameon=False,
+    )
 
 
 def _partly(*broken: Status | None) -> str:
@@ -412,11 +593,20 @@ def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
     """Entries of the legend about the shades that are seen."""
     from matplotlib.patches import Patch
 
-    seen: list[np.ndarray] = [np.asarray(mesh.get_array()) for ax in (left, right) for mesh in ax.collections
-            if mesh.get_gid() == "preimages"]  # fmt: skip
+    seen: list[np.ndarray] = [
+        np.asarray(mesh.get_array())
+        for ax in (left, right)
+        for mesh in ax.collections
+        if mesh.get_gid() == "preimages"
+    ]
     count = [k for k in range(len(SHADES)) if any(float((x == k).mean()) > FEW for x in seen)]
     more = range(2, len(SHADES) - 1)
-    words = ["not reached", "reached in 1 way", *(f"reached in {k} ways" for k in more), "in more ways"]
+    words = [
+        "not reached",
+        "reached in 1 way",
+        *(f"reached in {k} ways" for k in more),
+        "in more ways",
+    ]
     if space.modes:
         words = ["none", "1 mode, or 1 way", *(f"{k} modes, or {k} ways" for k in more), "more"]
     return [Patch(fc=SHADES[k], ec=style.FAINT, label=words[k]) for k in count]
@@ -429,7 +619,9 @@ def _line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
     kinds = sorted({c.kinds for c in curves or ()})
     styles = [(f"singular, {' and '.join(k)}", LINES.get(k, ":")) for k in kinds]
     styles = [("singular", "-")] if curves is None else styles
-    entries = [Line2D([], [], color=style.OPEN, lw=1.6, ls=line, label=label) for label, line in styles]
+    entries = [
+        Line2D([], [], color=style.OPEN, lw=1.6, ls=line, label=label) for label, line in styles
+    ]
     limited = np.isfinite(space.system.lower) | np.isfinite(space.system.upper)
     if not space.turns.all() or (space.modes and limited.any()):
         entries.append(Line2D([], [], color=style.INK, lw=1.4, label="limits"))

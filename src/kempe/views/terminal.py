@@ -18,7 +18,8 @@ COMPLETE = 0
 INCOMPLETE = 1
 REFUSED = 2
 INTERRUPTED = 130
-"""Exit codes: complete answer; no solution or problems found; question that could not be posed; Ctrl-C."""
+"""Exit codes: complete answer; no solution or problems found; question that could not be posed;
+Ctrl-C."""
 
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 """Base of the errors for wrong usage, which has moved between versions of typer."""
@@ -28,13 +29,19 @@ class Commands(TyperGroup):
     """A group of commands in which wrong usage is one sentence, or JSON where that was requested."""
 
     def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
-        """Run the command line `args`; ends the process with an exit code unless `standalone_mode` is off."""
+        """Run the command line `args`; ends the process with an exit code unless `standalone_mode`
+        is off.
+        """
         args = [at_home(arg) for arg in (sys.argv[1:] if args is None else args)]
         try:
             code = super().main(args, *rest, standalone_mode=False, **extra)
         except UsageError as error:
             context = getattr(error, "ctx", None)
-            words = context.command_path.split()[1:] if context else [arg for arg in args[:1] if arg in self.commands]
+            words = (
+                context.command_path.split()[1:]
+                if context
+                else [arg for arg in args[:1] if arg in self.commands]
+            )
             path = " ".join(["kempe", *words])
             message = getattr(error, "format_message", error.__str__)()
             say_error(f"{message} (see '{path} --help')", "--json" in args)
@@ -58,17 +65,23 @@ def at_home(argument: str) -> str:
 
 
 def leave(answer: Any) -> None:
-    """End the command where its answer is not complete: by the code for Ctrl-C where that broke it off."""
+    """End the command where its answer is not complete: by the code for Ctrl-C where that broke it
+    off.
+    """
     from kempe.status import Status  # which loads numpy
 
-    if getattr(answer, "interrupted", False) or getattr(answer, "broken", None) is Status.INTERRUPTED:
+    if (
+        getattr(answer, "interrupted", False)
+        or getattr(answer, "broken", None) is Status.INTERRUPTED
+    ):
         raise typer.Exit(INTERRUPTED)
     if not answer:
         raise typer.Exit(INCOMPLETE)
 
 
 def guarded(function: Callable[..., None]) -> Callable[..., None]:
-    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code 2.
+    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code
+    2.
 
     Where the time limit was over before anything was known, it is 1: the question stands.
     """

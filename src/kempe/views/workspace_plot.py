@@ -1,4 +1,5 @@
-"""Pictures of what is reached, with matplotlib: counts of cells, exact regions in the plane, fractions reached.
+"""Pictures of what is reached, with matplotlib: counts of cells, exact regions in the plane,
+fractions reached.
 
 Importing it needs the extra [view]. Errors: `MissingExtraError` without matplotlib.
 """
@@ -38,12 +39,14 @@ PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 
 
 def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
-    """Axes with the counts of a workspace, white where no sample fell; ``.figure.savefig("name.png")`` writes it.
+    """Axes with the counts of a workspace, white where no sample fell;
+    ``.figure.savefig("name.png")`` writes it.
 
-    Samples that are places or orientations count where they are reached. In the plane one axes, in space an array of
-    three, slices through the point `at` (3,) [m], by default the middle of what is reached (of orientations azimuth,
-    height, roll); with the exact boundary in red where it is known, else with a line around the cells with samples.
-    `ax` are the axes to draw on, as many. Errors: `InputError`.
+    Samples that are places or orientations count where they are reached. In the plane one axes, in
+    space an array of three, slices through the point `at` (3,) [m], by default the middle of what
+    is reached (of orientations azimuth, height, roll); with the exact boundary in red where it is
+    known, else with a line around the cells with samples. `ax` are the axes to draw on, as many.
+    Errors: `InputError`.
     """
     grid = workspace.map.grid
     counts = workspace.map.counts
@@ -51,7 +54,9 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     if not workspace.map.occupied.any():
         raise InputError("no sample fell into the box: there is nothing to draw")
     if d == 1:
-        raise InputError("the workspace is a piece of a line: there is nothing to draw; see `.boundary`")
+        raise InputError(
+            "the workspace is a piece of a line: there is nothing to draw; see `.boundary`"
+        )
     if d == 2:
         if at is not None:
             raise InputError("at is for slices of a workspace in space")
@@ -77,16 +82,24 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
         _slice(workspace, one, layer, right, up, most)
         if workspace.exact is not None:
-            _outline(workspace.exact, one, (right, up), float(grid.centres(grid.axes[cut])[place[cut]]))
+            _outline(
+                workspace.exact, one, (right, up), float(grid.centres(grid.axes[cut])[place[cut]])
+            )
         name = grid.axes[cut]
         here = grid.centres(grid.axes[cut])[place[cut]]
-        here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0  # what rounding leaves of a middle at zero
-        one.set_title(f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11)
+        here = (
+            here if abs(here) > 1e-6 * grid.size[cut] else 0.0
+        )  # what rounding leaves of a middle at zero
+        one.set_title(
+            f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11
+        )
     _bar(workspace, axes[0], list(axes))
     return axes
 
 
-def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int) -> None:
+def _slice(
+    workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int
+) -> None:
     """Draw the counts of one slice, and the line around its cells with samples."""
     grid = workspace.map.grid
     names = workspace.map.grid.axes
@@ -94,12 +107,22 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     low, high = (np.array(x)[grid.kept] for x in (grid.low, grid.high))
     extent = (low[right], high[right], low[up], high[up])
     norm = LogNorm(1, most) if most > FEW else Normalize(int(most > 1), max(most, 2))
-    ax.imshow(shown, origin="lower", extent=extent, cmap=COLOURS, norm=norm, interpolation="nearest", gid="counts")
+    ax.imshow(
+        shown,
+        origin="lower",
+        extent=extent,
+        cmap=COLOURS,
+        norm=norm,
+        interpolation="nearest",
+        gid="counts",
+    )
     filled = np.pad(counts > 0, 1).astype(float).T
     x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
     if filled.any() and workspace.exact is None:
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
-    units = {name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names}
+    units = {
+        name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names
+    }
     ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)
     ax.set_ylabel(f"{names[up]}{units[names[up]]}", size=style.FONT, color=style.INK)
     ax.tick_params(labelsize=style.FONT - 1, colors=style.GROUND)
@@ -108,14 +131,18 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
 
 
 def _outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> None:
-    """Draw the boundary of an exact solid where a slice cuts it, by which points of a fine grid are inside."""
+    """Draw the boundary of an exact solid where a slice cuts it, by which points of a fine grid are
+    inside.
+    """
     right, up = axes
     x, y = (np.linspace(*limits, OUTLINE) for limits in (ax.get_xlim(), ax.get_ylim()))
     points = np.full((OUTLINE, OUTLINE, 3), here)
     points[..., right], points[..., up] = np.meshgrid(x, y)
     inside = exact.contains(points.reshape(-1, 3)).reshape(OUTLINE, OUTLINE)
     if inside.any():
-        lines = ax.contour(x, y, inside.astype(float), levels=[0.5], colors=style.OPEN, linewidths=1.2)
+        lines = ax.contour(
+            x, y, inside.astype(float), levels=[0.5], colors=style.OPEN, linewidths=1.2
+        )
         lines.set_gid("boundary")
 
 
@@ -147,12 +174,25 @@ def _bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
 def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
     own = ax is None
-    ax = page.new_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78)) if ax is None else page.axes_given(ax)[0]
+    ax = (
+        page.new_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78))
+        if ax is None
+        else page.axes_given(ax)[0]
+    )
     for region in workspace.regions:
         shade = max(0.8 * 0.8 ** ((region.solutions or 1) - 1), 0.15)
-        label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
+        label = (
+            "reached"
+            if region.solutions is None
+            else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
+        )
         ax.add_patch(
-            PathPatch(shapes.region_outline(region), facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label)
+            PathPatch(
+                shapes.region_outline(region),
+                facecolor=(0.9 * shade, shade, 1.0),
+                edgecolor="none",
+                label=label,
+            )
         )
     for piece in workspace.boundary:
         p = shapes.piece_points(piece)
@@ -161,7 +201,9 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     page.light_axes(ax)
     ax.set_xlabel("x [m]", size=style.FONT, color=style.INK)
     ax.set_ylabel("y [m]", size=style.FONT, color=style.INK)
-    ax.set_title(f"{workspace.frame}: {workspace.area:.4g} m²", size=style.FONT + 1, color=style.INK)
+    ax.set_title(
+        f"{workspace.frame}: {workspace.area:.4g} m²", size=style.FONT + 1, color=style.INK
+    )
     if workspace.regions:
         page.legend(ax, own)
     return ax
@@ -177,7 +219,9 @@ def _picture(ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[s
 
 
 def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the system at the best of the reached poses, and the places of all: dots, crosses, rings."""
+    """Matplotlib axes with the system at the best of the reached poses, and the places of all:
+    dots, crosses, rings.
+    """
     system = study.system
     best = np.where(study.reached, study.margin, -np.inf)
     dim = system.dim
@@ -185,15 +229,23 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
-    marked = [study.frame] if study.frame in system.body_names else []  # frames of their own are drawn anyway
+    marked = (
+        [study.frame] if study.frame in system.body_names else []
+    )  # frames of their own are drawn anyway
     shown = study.q[int(np.argmax(best))] if study.reached.any() else None
     drawn: Any = plot(system, shown, ax=ax, frames=marked)
-    marks = (("reached", "o", study.reached & study.tried), ("not reached", "x", ~study.reached & study.tried),
-             ("not tried", "$\\circ$", ~study.tried))  # fmt: skip
+    marks = (
+        ("reached", "o", study.reached & study.tried),
+        ("not reached", "x", ~study.reached & study.tried),
+        ("not tried", "$\\circ$", ~study.tried),
+    )
     for name, mark, which in marks:
         if which.any():
             line = drawn.plot(
-                *points[which, :dim].T, mark, color=style.MOTION if mark == "o" else style.OPEN, label=name
+                *points[which, :dim].T,
+                mark,
+                color=style.MOTION if mark == "o" else style.OPEN,
+                label=name,
             )
             line[0].set_gid(f"poses:{name}")
     _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim], ax is None)
@@ -203,7 +255,9 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
 
 
 def _show_all(ax: Any, points: Array, own: bool) -> None:
-    """Set the limits of axes, perhaps of an own figure, so wide that points (n, 2 or 3) are inside, on one scale."""
+    """Set the limits of axes, perhaps of an own figure, so wide that points (n, 2 or 3) are inside,
+    on one scale.
+    """
     names = "xyz"[: points.shape[1]]
     limits = np.array([getattr(ax, f"get_{name}lim")() for name in names])
     margin = 0.05 * np.ptp(limits, axis=1).max()
@@ -215,7 +269,8 @@ def _show_all(ax: Any, points: Array, own: bool) -> None:
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place.
+    """Matplotlib axes with the fraction over the first two axes, the others where they are at the
+    best place.
 
     Of a map over one axis it is a curve.
     """
@@ -230,7 +285,9 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
         best = (x[index[0]], found.fraction[index])
     else:
         y = found.axes[names[1]]
-        ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))
+        ax = _picture(
+            ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1])
+        )
         best = (x[index[0]], y[index[1]])
     if found.fraction[index] > 0.0:
         ax.plot(*best, "o", color="white", markeredgecolor="black", label="best place")
@@ -240,8 +297,12 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_capability(found: CapabilityMap, ax: Axes | None = None, height: float | None = None) -> Axes:
-    """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
+def plot_capability(
+    found: CapabilityMap, ax: Axes | None = None, height: float | None = None
+) -> Axes:
+    """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height
+    (the middle).
+    """
     values = found.fraction
     title = found.frame
     if len(found.axes) == 3:

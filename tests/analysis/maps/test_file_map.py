@@ -1,4 +1,6 @@
-"""Verbs over files: the same answers as the plain verbs, stopped, killed, damaged, changed, and gone on with."""
+"""Verbs over files: the same answers as the plain verbs, stopped, killed, damaged, changed, and
+gone on with.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ MODULES = (file_map, row_store, side_by_side, part_log)
 
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
-    """Chunks and blocks of a size for tests, and a clock by which progress is reported after each of them."""
+    """Chunks and blocks of a size for tests, and a clock by which progress is reported after each
+    of them.
+    """
     monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**13)
     monkeypatch.setattr(row_sources, "BLOCK_ROWS", 70)
     monkeypatch.setattr(side_by_side, "WAKE", 0.001)
@@ -65,12 +69,16 @@ def written(path, name, rows, columns=None):
     if name.endswith(".npy"):
         np.save(file, rows)
     elif name.endswith(".csv"):
-        np.savetxt(file, rows, delimiter=",", fmt="%.17g", header=",".join(columns or []), comments="")
+        np.savetxt(
+            file, rows, delimiter=",", fmt="%.17g", header=",".join(columns or []), comments=""
+        )
     elif name.endswith(".parquet"):
         table = pyarrow.table({c: x for c, x in zip(columns, rows.T, strict=True)})
         parquet.write_table(table, file, row_group_size=90)
     elif columns is None:
-        zarr.create_array(str(file), shape=rows.shape, dtype=rows.dtype, chunks=(33, *rows.shape[1:]))[...] = rows
+        zarr.create_array(
+            str(file), shape=rows.shape, dtype=rows.dtype, chunks=(33, *rows.shape[1:])
+        )[...] = rows
     else:
         group = zarr.open_group(str(file), mode="w")
         for c, x in zip(columns, rows.T, strict=True):
@@ -96,38 +104,64 @@ FILES = ["rows.npy", "rows.csv", "rows.zarr", "named.csv", "named.parquet", "nam
 @pytest.mark.parametrize("name", some(FILES, 3))
 def test_configurations_in_all_formats(tmp_path, q, name):
     columns = list(PUMA.coordinate_names) if name.startswith("named") else None
-    answer = kempe.map_file(PUMA, "fk", written(tmp_path, name, q, columns), tmp_path / "out.zarr", "tool")
+    answer = kempe.map_file(
+        PUMA, "fk", written(tmp_path, name, q, columns), tmp_path / "out.zarr", "tool"
+    )
     assert answer.rows == answer.requested == N and answer.chunk < N / 10
     assert np.array_equal(arrays(answer.path)["pose"], PUMA.fk(q, "tool"), equal_nan=True)
     assert answer.outcomes == {"SOLVED": N - 2, "BAD_INPUT": 2} and answer.code is Status.PARTLY
 
 
-@pytest.mark.parametrize(("form", "name"), some([
-    ("matrix", "pose"), ("3x4", "pose"), ("position", "position"), ("position_quat_wxyz", "position_quat_wxyz"),
-], 3))  # fmt: skip
+@pytest.mark.parametrize(
+    ("form", "name"),
+    some(
+        [
+            ("matrix", "pose"),
+            ("3x4", "pose"),
+            ("position", "position"),
+            ("position_quat_wxyz", "position_quat_wxyz"),
+        ],
+        3,
+    ),
+)
 @pytest.mark.parametrize("frame", ["tool", None])
 def test_forms(tmp_path, q, form, name, frame):
     options = {"form": form, "dtype": "float32"}
-    kempe.map_file(PUMA, "fk", written(tmp_path, "q.npy", q), tmp_path / "out.zarr", frame, options=options)
+    kempe.map_file(
+        PUMA, "fk", written(tmp_path, "q.npy", q), tmp_path / "out.zarr", frame, options=options
+    )
     found = arrays(tmp_path / "out.zarr")[name]
-    assert found.dtype == np.float32 and np.array_equal(found, PUMA.fk(q, frame, **options), equal_nan=True)
+    assert found.dtype == np.float32 and np.array_equal(
+        found, PUMA.fk(q, frame, **options), equal_nan=True
+    )
 
 
 def test_some_coordinates_by_name_in_any_order(tmp_path, q):
     file = written(tmp_path, "q.parquet", q[:, [4, 1]], ["q5", "q2"])
     kempe.map_file(PUMA, "fk", file, tmp_path / "out.zarr", "tool")
     assert np.array_equal(
-        arrays(tmp_path / "out.zarr")["pose"], PUMA.fk(PUMA.q({"q5": q[:, 4], "q2": q[:, 1]}), "tool"), equal_nan=True
+        arrays(tmp_path / "out.zarr")["pose"],
+        PUMA.fk(PUMA.q({"q5": q[:, 4], "q2": q[:, 1]}), "tool"),
+        equal_nan=True,
     )
 
 
 def test_columns_choose_and_name(tmp_path, q):
-    wide = written(tmp_path, "wide.parquet", np.c_[q, np.arange(N)], [*PUMA.coordinate_names, "time"])
+    wide = written(
+        tmp_path, "wide.parquet", np.c_[q, np.arange(N)], [*PUMA.coordinate_names, "time"]
+    )
     kempe.map_file(PUMA, "fk", wide, tmp_path / "a.zarr", "tool", columns=PUMA.coordinate_names)
     bare = written(tmp_path, "bare.npy", q[:, ::-1])
-    kempe.map_file(PUMA, "fk", bare, tmp_path / "b.zarr", "tool", columns=PUMA.coordinate_names[::-1])
-    assert same(arrays(tmp_path / "a.zarr"), {**arrays(tmp_path / "b.zarr"), "source_checksum": (
-        arrays(tmp_path / "a.zarr")["source_checksum"])})  # fmt: skip
+    kempe.map_file(
+        PUMA, "fk", bare, tmp_path / "b.zarr", "tool", columns=PUMA.coordinate_names[::-1]
+    )
+    assert same(
+        arrays(tmp_path / "a.zarr"),
+        {
+            **arrays(tmp_path / "b.zarr"),
+            "source_checksum": (arrays(tmp_path / "a.zarr")["source_checksum"]),
+        },
+    )
 
 
 def targets(shape):
@@ -148,8 +182,11 @@ def targets(shape):
 def test_targets_as_rows(tmp_path, shape):
     X, rows, columns = targets(shape)
     order = None if columns is None else np.random.default_rng(0).permutation(len(columns))
-    file = written(tmp_path, "x.npy", rows) if columns is None else (
-        written(tmp_path, "x.parquet", rows[:, order], [columns[k] for k in order]))  # fmt: skip
+    file = (
+        written(tmp_path, "x.npy", rows)
+        if columns is None
+        else (written(tmp_path, "x.parquet", rows[:, order], [columns[k] for k in order]))
+    )
     answer = kempe.map_file(PUMA, "ik", file, tmp_path / "out.zarr", "tool")
     found = arrays(answer.path)
     assert answer.outcomes == {"SOLVED": N - 1, "BAD_INPUT": 1} and np.isnan(found["q"][11]).all()
@@ -162,10 +199,14 @@ def test_ik_is_the_plain_verb(tmp_path):
     options = {"start": PUMA.mid + 0.1, "tolerance": 1e-4}
     budget = Budget(rng=5)
     path = tmp_path / "out.zarr"
-    kempe.map_file(PUMA, "ik", written(tmp_path, "x.npy", rows), path, "tool", options=options, budget=budget)
+    kempe.map_file(
+        PUMA, "ik", written(tmp_path, "x.npy", rows), path, "tool", options=options, budget=budget
+    )
     plain = PUMA.ik(X, "tool", budget=budget, **options)
     found = arrays(tmp_path / "out.zarr")
-    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["code"], plain.code)
+    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(
+        found["code"], plain.code
+    )
     assert np.array_equal(found["position_error"], plain.position_error, equal_nan=True)
 
 
@@ -175,32 +216,56 @@ def test_ik_all_is_the_plain_verb(tmp_path, name, options):
     system = kempe.load(name)
     X = system.fk(system.random(3, 300), "tool")
     X[5] = np.nan
-    kempe.map_file(system, "ik_all", written(tmp_path, "x.npy", X), tmp_path / "out.zarr", "tool", options=options)
+    kempe.map_file(
+        system,
+        "ik_all",
+        written(tmp_path, "x.npy", X),
+        tmp_path / "out.zarr",
+        "tool",
+        options=options,
+    )
     plain = system.ik_all(X, "tool", **options)
     found = arrays(tmp_path / "out.zarr")
-    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["inside"], plain.inside)
-    assert np.array_equal(found["count"], plain.mask.sum(-1)) and np.array_equal(found["complete"], plain.complete)
+    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(
+        found["inside"], plain.inside
+    )
+    assert np.array_equal(found["count"], plain.mask.sum(-1)) and np.array_equal(
+        found["complete"], plain.complete
+    )
 
 
 def test_assemble_is_the_plain_verb(tmp_path):
     known = np.linspace(0.0, 6.0, N)[:, None].copy()
     known[8] = np.nan
-    answer = kempe.map_file(BAR, "assemble", written(tmp_path, "a.csv", known, ["A"]), tmp_path / "out.zarr")
+    answer = kempe.map_file(
+        BAR, "assemble", written(tmp_path, "a.csv", known, ["A"]), tmp_path / "out.zarr"
+    )
     plain = BAR.assemble({"A": known[:, 0]})
     found = arrays(answer.path)
     assert answer.outcomes == {"SOLVED": N - 1, "BAD_INPUT": 1}
-    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["residual"], plain.residual,
-                                                                                  equal_nan=True)  # fmt: skip
+    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(
+        found["residual"], plain.residual, equal_nan=True
+    )
 
 
 def test_degrees_and_the_plane(tmp_path):
     rows = np.degrees(TWO.random(0, 50))
-    kempe.map_file(TWO, "fk", written(tmp_path, "q.csv", rows, TWO.coordinate_names), tmp_path / "x.zarr", "e",
-                   degrees=True)  # fmt: skip
+    kempe.map_file(
+        TWO,
+        "fk",
+        written(tmp_path, "q.csv", rows, TWO.coordinate_names),
+        tmp_path / "x.zarr",
+        "e",
+        degrees=True,
+    )
     X = arrays(tmp_path / "x.zarr")["pose"]
     assert np.abs(X - TWO.fk(np.radians(rows), "e")).max() < 1e-12
-    kempe.map_file(TWO, "ik", written(tmp_path, "p.csv", X[:, :2, 3], ["x", "y"]), tmp_path / "q.zarr", "e")
-    assert np.abs(TWO.fk(arrays(tmp_path / "q.zarr")["q"], "e")[:, :2, 3] - X[:, :2, 3]).max() < 1e-6
+    kempe.map_file(
+        TWO, "ik", written(tmp_path, "p.csv", X[:, :2, 3], ["x", "y"]), tmp_path / "q.zarr", "e"
+    )
+    assert (
+        np.abs(TWO.fk(arrays(tmp_path / "q.zarr")["q"], "e")[:, :2, 3] - X[:, :2, 3]).max() < 1e-6
+    )
 
 
 def test_one_map_is_the_rows_of_the_next(tmp_path, q):
@@ -272,31 +337,54 @@ def test_an_empty_cell_of_a_table_concerns_its_row_alone(tmp_path, empty, ending
 @pytest.mark.parametrize("name", ["out.csv", "out.parquet", "out.NPY", "out.csv.gz"])
 def test_answers_are_not_written_to_a_folder_with_the_name_of_a_table(tmp_path, q, name):
     file = written(tmp_path, "q.npy", q)
-    with pytest.raises(InputError, match=r"written as a folder of Zarr; give it a name such as 'out.zarr'"):
+    with pytest.raises(
+        InputError, match=r"written as a folder of Zarr; give it a name such as 'out.zarr'"
+    ):
         kempe.map_file(PUMA, "fk", file, tmp_path / name, "tool")
     assert not (tmp_path / name).exists()
 
 
 def test_whole_numbers_and_missing_ones(tmp_path):
-    table = pyarrow.table({"q1": pyarrow.array([1, None, 2]), "q2": pyarrow.array([0.5, 0.5, 0.5], pyarrow.float32())})
+    table = pyarrow.table(
+        {"q1": pyarrow.array([1, None, 2]), "q2": pyarrow.array([0.5, 0.5, 0.5], pyarrow.float32())}
+    )
     parquet.write_table(table, tmp_path / "q.parquet")
     answer = kempe.map_file(PUMA, "fk", tmp_path / "q.parquet", tmp_path / "out.zarr", "tool")
     assert answer.outcomes == {"SOLVED": 2, "BAD_INPUT": 1}
-    assert np.array_equal(arrays(answer.path)["pose"][2], PUMA.fk(PUMA.q({"q1": 2.0, "q2": 0.5})[None], "tool")[0])
+    assert np.array_equal(
+        arrays(answer.path)["pose"][2], PUMA.fk(PUMA.q({"q1": 2.0, "q2": 0.5})[None], "tool")[0]
+    )
 
 
 def test_opened_without_kempe(tmp_path, q):
     xarray = pytest.importorskip("xarray", reason="xarray is not installed (extra scale)")
     X = PUMA.fk(q, "tool")
-    kempe.map_file(PUMA, "ik", written(tmp_path, "x.npy", X), tmp_path / "out.zarr", "tool", options={"task": "pose"})
+    kempe.map_file(
+        PUMA,
+        "ik",
+        written(tmp_path, "x.npy", X),
+        tmp_path / "out.zarr",
+        "tool",
+        options={"task": "pose"},
+    )
     data = xarray.open_zarr(tmp_path / "out.zarr")
-    assert data.q.dims == ("row", "coordinate") and list(data.coordinate.values) == list(PUMA.coordinate_names)
+    assert data.q.dims == ("row", "coordinate") and list(data.coordinate.values) == list(
+        PUMA.coordinate_names
+    )
     assert set(data.unit.values) == {"rad"} and data.position_error.attrs["units"] == "m"
     assert data.code.attrs["flag_meanings"].split()[int(data.code[3])] == "BAD_INPUT"
     made = json.loads(data.attrs["kempe"])
-    assert made["system"] == PUMA.structure.content_hash and made["verb"] == "ik" and made["frame"] == "tool"
-    assert made["options"] == {"task": "pose"} and made["source"]["file"] == "x.npy" and made["version"] and (
-        made["variant"])  # fmt: skip
+    assert (
+        made["system"] == PUMA.structure.content_hash
+        and made["verb"] == "ik"
+        and made["frame"] == "tool"
+    )
+    assert (
+        made["options"] == {"task": "pose"}
+        and made["source"]["file"] == "x.npy"
+        and made["version"]
+        and (made["variant"])
+    )
 
 
 # ---- any number of threads, any end
@@ -336,7 +424,13 @@ def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
         path = tmp_path / f"{k}.zarr"
         threads = int(rng.integers(1, 4))
         until_interrupt(
-            kempe.map_file, system, "fk", file, path, frame, budget=interrupted_after(rng.integers(1, n + 1))
+            kempe.map_file,
+            system,
+            "fk",
+            file,
+            path,
+            frame,
+            budget=interrupted_after(rng.integers(1, n + 1)),
         )
         kempe.map_file(system, "fk", file, path, frame, budget=Budget(threads=threads))
         assert np.array_equal(arrays(path)["pose"], system.fk(rows, frame), equal_nan=True)
@@ -345,7 +439,12 @@ def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
 def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
     path = tmp_path / "out.zarr"
     first = mapped(whole[0], path, budget=interrupted_after(300))
-    assert first.code is Status.INTERRUPTED and 200 <= first.rows < N and not path.exists() and not first
+    assert (
+        first.code is Status.INTERRUPTED
+        and 200 <= first.rows < N
+        and not path.exists()
+        and not first
+    )
     done = []
     second = mapped(whole[0], path, budget=Budget(progress=lambda *said: done.append(said)))
     assert second.rows == N and same(arrays(path), whole[1]) and second.redone == 0
@@ -354,12 +453,16 @@ def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
 
 
 def test_an_interrupt_at_any_line(tmp_path, hunt):
-    """Where the work is broken off, the same call goes on to what was to be written, and nothing is made twice."""
+    """Where the work is broken off, the same call goes on to what was to be written, and nothing is
+    made twice.
+    """
     rows = PUMA.random(0, 300)
     file = written(tmp_path, "x.npy", rows)
 
     def done(name):
-        return until_interrupt(kempe.map_file, PUMA, "fk", file, tmp_path / name, "tool", budget=Budget(threads=2))
+        return until_interrupt(
+            kempe.map_file, PUMA, "fk", file, tmp_path / name, "tool", budget=Budget(threads=2)
+        )
 
     with Interrupt(0, *MODULES) as none:
         done("whole.zarr")
@@ -377,12 +480,16 @@ def test_an_interrupt_at_any_line(tmp_path, hunt):
 def test_the_time_limit(tmp_path, whole):
     answer = mapped(whole[0], tmp_path / "out.zarr", budget=Budget(time_limit=1e-9))
     assert answer.code is Status.OUT_OF_TIME and answer.late and answer.rows < N
-    assert mapped(whole[0], tmp_path / "out.zarr").rows == N and same(arrays(tmp_path / "out.zarr"), whole[1])
+    assert mapped(whole[0], tmp_path / "out.zarr").rows == N and same(
+        arrays(tmp_path / "out.zarr"), whole[1]
+    )
 
 
 @pytest.mark.parametrize("spoil", ["", "cut", "rows", "changed"])
 def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, spoil):
-    """Pieces of a chunk that are done when the work is told to stop are not answered again; damaged ones are."""
+    """Pieces of a chunk that are done when the work is told to stop are not answered again; damaged
+    ones are.
+    """
     X = PUMA.fk(PUMA.random(1, 64), "tool")
     X[20:, :3, 3] *= 2.0
     file = written(tmp_path, "x.npy", X)
@@ -418,7 +525,9 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
         kept.write_bytes(kept.read_bytes()[:-40])
     elif spoil == "rows":
         with np.load(kept) as found:
-            np.savez(kept, **{**{k: found[k] for k in found.files}, "code": np.zeros(24, dtype=np.uint8)})
+            np.savez(
+                kept, **{**{k: found[k] for k in found.files}, "code": np.zeros(24, dtype=np.uint8)}
+            )
     elif spoil == "changed":
         X[5, :3, 3] *= 0.9
         file = written(tmp_path, "x.npy", X)
@@ -467,8 +576,9 @@ def test_a_damaged_description_is_made_again(tmp_path, whole, name):
     path = tmp_path / "out.zarr"
     mapped(whole[0], path)
     (path / name).write_text("{")
-    (path / "zarr.json").write_text(json.dumps({**json.loads((path / "zarr.json").read_text()),
-                                                "consolidated_metadata": None}))  # fmt: skip
+    (path / "zarr.json").write_text(
+        json.dumps({**json.loads((path / "zarr.json").read_text()), "consolidated_metadata": None})
+    )
     assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
 
 
@@ -481,7 +591,9 @@ def test_names_along_an_axis_that_were_changed_are_made_again(tmp_path, whole):
     assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
 
 
-@pytest.mark.parametrize(("line", "redone"), [(-1, 0), (2, 1), (0, 1)], ids=["torn", "one", "first"])
+@pytest.mark.parametrize(
+    ("line", "redone"), [(-1, 0), (2, 1), (0, 1)], ids=["torn", "one", "first"]
+)
 def test_a_damaged_list_costs_what_it_says(tmp_path, whole, line, redone):
     path = tmp_path / "out.zarr"
     mapped(whole[0], path, budget=interrupted_after(500))
@@ -546,7 +658,9 @@ def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
     X = PUMA.fk(PUMA.random(0, 5000), "tool")
     file = written(tmp_path, "x.npy", X)
     path = tmp_path / "out.zarr"
-    lines = ended(ending, 0, MODULES, WORK.format(file=str(file), path=str(tmp_path / "whole.zarr")))
+    lines = ended(
+        ending, 0, MODULES, WORK.format(file=str(file), path=str(tmp_path / "whole.zarr"))
+    )
     for _ in range(3):
         at = int(hunt.rng().integers(1, lines // 6))
         ended(ending, at, MODULES, WORK.format(file=str(file), path=str(path)))
@@ -560,10 +674,21 @@ def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
 # ---- something else, and what is wrong
 
 
-@pytest.mark.parametrize(("words", "more"), some([
-    ("system", {"system": kempe.load("panda")}), ("verb", {"verb": "ik_all"}), ("frame", {"frame": "wrist_3"}),
-    ("options", {"options": {"task": "position"}}), ("degrees", {"degrees": True}), ("rng", {"budget": Budget(rng=3)}),
-], 3), ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "more"),
+    some(
+        [
+            ("system", {"system": kempe.load("panda")}),
+            ("verb", {"verb": "ik_all"}),
+            ("frame", {"frame": "wrist_3"}),
+            ("options", {"options": {"task": "position"}}),
+            ("degrees", {"degrees": True}),
+            ("rng", {"budget": Budget(rng=3)}),
+        ],
+        3,
+    ),
+    ids=lambda x: x if isinstance(x, str) else "",
+)
 @pytest.mark.parametrize("finished", [True, False])
 def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finished):
     path = tmp_path / "out.zarr"
@@ -606,7 +731,9 @@ def test_what_stands_at_the_path_is_kept(tmp_path, whole):
             mapped(whole[0], tmp_path / place)
     with pytest.raises(InputError, match="no folder"):
         mapped(whole[0], tmp_path / "none" / "out.zarr")
-    assert (tmp_path / "data" / "x").read_text() == "precious" and kempe.open_workspace(tmp_path / "space.zarr")
+    assert (tmp_path / "data" / "x").read_text() == "precious" and kempe.open_workspace(
+        tmp_path / "space.zarr"
+    )
 
 
 def test_a_source_that_is_damaged_midway(tmp_path, q):
@@ -631,7 +758,9 @@ def test_text_that_is_no_number_names_its_line(tmp_path, q):
 
 def rows_of(*shape, columns=None, name=None):
     """A file of zeros, made when it is needed."""
-    return lambda path: written(path, name or ("x.npy" if columns is None else "x.csv"), np.zeros(shape), columns)
+    return lambda path: written(
+        path, name or ("x.npy" if columns is None else "x.csv"), np.zeros(shape), columns
+    )
 
 
 def text(name, words):
@@ -672,26 +801,54 @@ WRONG = [
     (rows_of(5, 2, columns=["q1", "q1"]), {}, "'q1' appears twice"),
     (rows_of(5, 2, columns=["q1", "q2"]), {"columns": ["q9"]}, "no column 'q9'"),
     (rows_of(5, 6), {"columns": ["q1"]}, "1 column is named"),
-    (rows_of(5, 5), {"verb": "ik"}, "the target has 5 numbers; it must be x,y,z .position only., x,y,z,roll"),
-    (rows_of(5, 3, columns=["a", "b", "c"]), {"verb": "ik"}, "the columns a, b, c; it must be x,y,z"),
+    (
+        rows_of(5, 5),
+        {"verb": "ik"},
+        "the target has 5 numbers; it must be x,y,z .position only., x,y,z,roll",
+    ),
+    (
+        rows_of(5, 3, columns=["a", "b", "c"]),
+        {"verb": "ik"},
+        "the columns a, b, c; it must be x,y,z",
+    ),
     (rows_of(5, 3, 3), {"verb": "ik"}, r"a row is of shape \(3, 3\); a target is \(4, 4\)"),
-    (rows_of(5, 3), {"verb": "ik", "options": {"task": "pose"}}, "needs targets with an orientation"),
+    (
+        rows_of(5, 3),
+        {"verb": "ik", "options": {"task": "pose"}},
+        "needs targets with an orientation",
+    ),
     (rows_of(5, 6), {"verb": "ik", "frame": None}, "ik needs a frame"),
     (rows_of(5, 6), {"verb": "ik", "frame": "hand"}, "hand"),
     (rows_of(5, 6), {"verb": "turn"}, "no verb 'turn'; there are: 'fk', 'ik'"),
     (rows_of(5, 6), {"options": {"task": "pose"}}, "no option of map fk 'task'"),
     (rows_of(5, 6), {"options": {"form": "quaternion"}}, "no form 'quaternion'"),
     (rows_of(5, 6), {"verb": "ik_all", "options": {"limits": "turns"}}, "'turns' gives as many"),
-    (rows_of(5, 6), {"verb": "ik", "options": {"start": np.zeros((5, 6))}}, "start must be one configuration"),
+    (
+        rows_of(5, 6),
+        {"verb": "ik", "options": {"start": np.zeros((5, 6))}},
+        "start must be one configuration",
+    ),
     (rows_of(5, 6), {"verb": "ik", "options": {"start": len}}, "built-in function len"),
-    (rows_of(5, 6), {"system": BAR, "verb": "assemble", "frame": None}, "the columns have no names"),
-    (rows_of(5, 1, columns=["A"]), {"system": BAR, "frame": None}, "'B' is missing, which the loops of 'four_bar'"),
+    (
+        rows_of(5, 6),
+        {"system": BAR, "verb": "assemble", "frame": None},
+        "the columns have no names",
+    ),
+    (
+        rows_of(5, 1, columns=["A"]),
+        {"system": BAR, "frame": None},
+        "'B' is missing, which the loops of 'four_bar'",
+    ),
     (rows_of(5, 1, columns=["Z"]), {"system": BAR, "verb": "assemble", "frame": None}, "'Z'"),
     (rows_of(5, 1, columns=["A"]), {"system": BAR, "verb": "assemble"}, "assemble needs no frame"),
     (rows_of(5, 6), {"budget": Budget(threads=0)}, "threads is 0"),
     (rows_of(5, 6), {"budget": Budget(starts=3)}, "budget has starts"),
     (rows_of(5, 6), {"client": "tcp://127.0.0.1:1"}, "no scheduler answers"),
-    (two_lengths, {}, r"it holds .*q1 \(5,\).*; name columns of one length, or give the path of an array"),
+    (
+        two_lengths,
+        {},
+        r"it holds .*q1 \(5,\).*; name columns of one length, or give the path of an array",
+    ),
     (words_in_parquet, {}, "column 'q1' holds"),
 ]
 
@@ -703,7 +860,9 @@ def test_wrong_questions(tmp_path, monkeypatch, file, more, words):
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     given = {"system": PUMA, "verb": "fk", "frame": "tool", **more}
     with pytest.raises((InputError, UnknownNameError), match=words):
-        kempe.map_file(given.pop("system"), given.pop("verb"), file(tmp_path), tmp_path / "out.zarr", **given)
+        kempe.map_file(
+            given.pop("system"), given.pop("verb"), file(tmp_path), tmp_path / "out.zarr", **given
+        )
     assert not (tmp_path / "out.zarr").exists() and not (tmp_path / "out.zarr.parts").exists()
 
 
@@ -711,7 +870,11 @@ def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
     monkeypatch.setattr(row_sources, "BLOCK_BYTES", 1000)
     with pytest.raises(InputError, match="a row group of it has 90 rows"):
         kempe.map_file(
-            PUMA, "fk", written(tmp_path, "q.parquet", q, PUMA.coordinate_names), tmp_path / "o.zarr", "tool"
+            PUMA,
+            "fk",
+            written(tmp_path, "q.parquet", q, PUMA.coordinate_names),
+            tmp_path / "o.zarr",
+            "tool",
         )
 
 
@@ -731,7 +894,9 @@ def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
         if case == 0:
             bad = bytearray(data.replace(b"), }", b"   }"))
         for _ in range(int(rng.integers(1, 4)) if case else 0):
-            bad[int(rng.integers(128))] = int(rng.choice([*b"(){}[],:'\\\n 0", int(rng.integers(256))]))
+            bad[int(rng.integers(128))] = int(
+                rng.choice([*b"(){}[],:'\\\n 0", int(rng.integers(256))])
+            )
         file.write_bytes(bytes(bad))
         try:
             if read == "map":
@@ -758,14 +923,25 @@ def test_a_chunk_of_many_digits_is_refused_in_words(tmp_path):
 
 @pytest.mark.slow
 def test_workers_of_a_cluster_answer_the_same(tmp_path, whole):
-    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
+    distributed = pytest.importorskip(
+        "distributed", reason="distributed is not installed (extra scale)"
+    )
     path = tmp_path / "out.zarr"
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None, memory_limit=None
-    ) as cluster, distributed.Client(cluster) as client:  # fmt: skip
+    with (
+        distributed.LocalCluster(
+            n_workers=1,
+            threads_per_worker=2,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=None,
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
         first = mapped(whole[0], path, client=client, budget=interrupted_after(300))
         second = mapped(whole[0], path, client=client)
-        third = kempe.map_file(PUMA, "ik", whole[0], tmp_path / "three.zarr", "tool", client=cluster.scheduler_address)
+        third = kempe.map_file(
+            PUMA, "ik", whole[0], tmp_path / "three.zarr", "tool", client=cluster.scheduler_address
+        )
     assert 300 <= first.rows < N and second.rows == third.rows == N
     assert same(arrays(path), whole[1]) and same(arrays(tmp_path / "three.zarr"), whole[1])
 
@@ -773,14 +949,22 @@ def test_workers_of_a_cluster_answer_the_same(tmp_path, whole):
 def test_a_file_of_very_many_columns_is_refused_at_once(tmp_path, monkeypatch):
     """The names were looked up in all others, one by one: with 100 000 it took minutes."""
     k = 100_000
-    (tmp_path / "wide.csv").write_text(",".join(f"c{i}" for i in range(k)) + "\n" + "1," * (k - 1) + "1\n")
-    monkeypatch.setattr(row_sources, "known", lambda *given: pytest.fail(f"{given[1]} is looked up in a list"))
-    with pytest.raises(InputError, match=r"the target has the columns c0, c1, .*, \.\.\.; it must be"):
+    (tmp_path / "wide.csv").write_text(
+        ",".join(f"c{i}" for i in range(k)) + "\n" + "1," * (k - 1) + "1\n"
+    )
+    monkeypatch.setattr(
+        row_sources, "known", lambda *given: pytest.fail(f"{given[1]} is looked up in a list")
+    )
+    with pytest.raises(
+        InputError, match=r"the target has the columns c0, c1, .*, \.\.\.; it must be"
+    ):
         kempe.map_file(TWO, "ik", tmp_path / "wide.csv", tmp_path / "out.zarr", "e")
 
 
 def test_folders_named_as_parquet_files_are_no_files(tmp_path):
     (tmp_path / "rows" / "q.parquet").mkdir(parents=True)
-    parquet.write_table(pyarrow.table({"q1": [0.1], "q2": [0.2]}), tmp_path / "rows" / "q.parquet" / "part.parquet")
+    parquet.write_table(
+        pyarrow.table({"q1": [0.1], "q2": [0.2]}), tmp_path / "rows" / "q.parquet" / "part.parquet"
+    )
     answer = kempe.map_file(TWO, "fk", tmp_path / "rows", tmp_path / "out.zarr", "e")
     assert answer and zarr.open(str(tmp_path / "out.zarr"), mode="r")["pose"].shape == (1, 4, 4)

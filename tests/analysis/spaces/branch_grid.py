@@ -11,7 +11,9 @@ from kempe import Mechanism
 
 
 def crank_and_dyads(rng: np.random.Generator, most: int = 2) -> kempe.System:
-    """A crank and up to `most` dyads of turns and slides, each hung on two bodies that are there already."""
+    """A crank and up to `most` dyads of turns and slides, each hung on two bodies that are there
+    already.
+    """
     m = Mechanism("crank and dyads", dim=2)
     bodies = [m.ground, m.body("crank")]
     m.revolute("crank", m.ground, bodies[1], at=rng.uniform(-1.0, 1.0, 2))
@@ -20,7 +22,9 @@ def crank_and_dyads(rng: np.random.Generator, most: int = 2) -> kempe.System:
         a = m.body(f"a{d}")
         b = m.body(f"b{d}")
         kind = str(rng.choice(["RRR", "RRP", "RPR", "PRP"], p=[0.6, 0.25, 0.12, 0.03]))
-        for end, (letter, body, hung) in enumerate(((kind[0], bodies[i], a), (kind[2], bodies[j], b))):
+        for end, (letter, body, hung) in enumerate(
+            ((kind[0], bodies[i], a), (kind[2], bodies[j], b))
+        ):
             at = rng.uniform(-1.0, 1.0, 2)
             own = (rng.uniform(0.3, 2.0) * end, 0.0)
             if letter == "R":
@@ -40,15 +44,20 @@ def limited(system: kempe.System, rng: np.random.Generator) -> kempe.System:
     q = system.assemble({"crank": rng.uniform(-3.0, 3.0)}).q
     names = rng.choice(system.coordinate_names, rng.integers(1, 3), replace=False)
     place = system.coordinate_names.index
-    return system.with_limits({str(n): (q[place(n)] - rng.uniform(0.1, 2.0), q[place(n)] + rng.uniform(0.1, 1.0))
-                               for n in names})  # fmt: skip
+    return system.with_limits(
+        {
+            str(n): (q[place(n)] - rng.uniform(0.1, 2.0), q[place(n)] + rng.uniform(0.1, 1.0))
+            for n in names
+        }
+    )
 
 
 def counted_on_a_grid(system: kempe.System, n: int) -> int:
     """Components, from all assemblies at n angles of the crank.
 
-    Assemblies of one branch at neighbouring angles are joined. One that is not there at the next angle is joined to the
-    nearest one whose end of that branch it may share: one other sign, not more than 0.35 away.
+    Assemblies of one branch at neighbouring angles are joined. One that is not there at the next
+    angle is joined to the nearest one whose end of that branch it may share: one other sign, not
+    more than 0.35 away.
     """
     plan = system.loops.closed_form("crank")
     # planar: one velocity a coordinate, in the same order
@@ -72,7 +81,9 @@ def counted_on_a_grid(system: kempe.System, n: int) -> int:
     pairs += zip(node[rows[i], k], node[following[i], k], strict=True)
     for here, other in ((rows, following), (following, rows)):
         for row, k in zip(*np.nonzero(there[here] & ~there[other]), strict=True):
-            ends = np.flatnonzero(there[here[row]] & ~there[other[row]] & ((signs != signs[k]).sum(axis=1) == 1))
+            ends = np.flatnonzero(
+                there[here[row]] & ~there[other[row]] & ((signs != signs[k]).sum(axis=1) == 1)
+            )
             way = q[here[row], ends] - q[here[row], k]
             way -= np.where(turning, 2.0 * np.pi * np.round(way / (2.0 * np.pi)), 0.0)
             far = np.linalg.norm(way, axis=1)

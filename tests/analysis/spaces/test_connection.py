@@ -1,4 +1,6 @@
-"""Motions between configurations, each judged by itself: closed, within limits, in short steps, without a jump."""
+"""Motions between configurations, each judged by itself: closed, within limits, in short steps,
+without a jump.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,14 @@ from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.measure import judge
 
 
-def connects(system: kempe.System, found: Any, q0: np.ndarray, q1: np.ndarray, step: float = 0.1) -> bool:
-    """Whether a motion leads from q0 to q1 on all constraints and within all limits, without a jump.
+def connects(
+    system: kempe.System, found: Any, q0: np.ndarray, q1: np.ndarray, step: float = 0.1
+) -> bool:
+    """Whether a motion leads from q0 to q1 on all constraints and within all limits, without a
+    jump.
 
-    Between any two points the nearest closed configuration to the middle lies between them, and so it does between
-    these, three times over.
+    Between any two points the nearest closed configuration to the middle lies between them, and so
+    it does between these, three times over.
     """
     space = system.configuration_space
     assert bool(found) and found.code is Status.SOLVED and not found.step > step
@@ -36,8 +41,12 @@ def connects(system: kempe.System, found: Any, q0: np.ndarray, q1: np.ndarray, s
         far = space.distance(q[:-1], q[1:])
         assert far.max() <= step * max(1.0, length) + 1e-9
         half = space.interpolate(q[:-1], q[1:], 0.5)
-        closed = system.assemble(start=half, prefer="nearest").q if system.structure.closures else half
-        assert (space.distance(closed, q[:-1]) + space.distance(closed, q[1:]) <= 1.2 * far + 1e-9).all()
+        closed = (
+            system.assemble(start=half, prefer="nearest").q if system.structure.closures else half
+        )
+        assert (
+            space.distance(closed, q[:-1]) + space.distance(closed, q[1:]) <= 1.2 * far + 1e-9
+        ).all()
         between = np.empty((2 * len(q) - 1, q.shape[1]))
         between[::2] = q
         between[1::2] = closed
@@ -54,7 +63,9 @@ def test_a_tree_moves_straight_within_its_limits():
 
 
 def test_four_bars_with_a_crank_stay_on_their_side(hunt):
-    """Both assemblies for one angle of the crank: excluded by Grashof's rule; any two of one side are joined."""
+    """Both assemblies for one angle of the crank: excluded by Grashof's rule; any two of one side
+    are joined.
+    """
     rng = hunt.rng()
     system = four_bar()
     for _ in range(hunt.cases(4)):
@@ -64,7 +75,9 @@ def test_four_bars_with_a_crank_stay_on_their_side(hunt):
         none = system.configuration_space.path(a, b)
         assert none.code is Status.NONE_EXISTS and "proven" in none.status and not len(none)
         same = [q for q in c.q if np.sign(np.sin(q[2])) == np.sign(np.sin(a[2]))]
-        assert len(same) == 1 and connects(system, system.configuration_space.path(a, same[0]), a, same[0])
+        assert len(same) == 1 and connects(
+            system, system.configuration_space.path(a, same[0]), a, same[0]
+        )
 
 
 def test_a_rocker_passes_its_dead_points_to_the_other_assembly():
@@ -96,7 +109,10 @@ def test_limits_turn_trees_aside_or_exclude():
     none = tight.configuration_space.path(a, b, budget=Budget(iterations=40))
     assert none.code is Status.NOT_FOUND and "no proof" in none.status
     beyond = free.with_limits({"A": (0.0, 1.0)}).configuration_space.path(a, b)
-    assert beyond.code is Status.OUTSIDE_LIMITS and "the start q0 is outside the limits of 'A'" in beyond.status
+    assert (
+        beyond.code is Status.OUTSIDE_LIMITS
+        and "the start q0 is outside the limits of 'A'" in beyond.status
+    )
 
 
 @pytest.mark.slow
@@ -107,7 +123,9 @@ def test_cranks_and_rods_with_the_spin_left_out():
     c = found.parts[0].paths[0].q[40]
     none = system.configuration_space.path(a, b)
     assert none.code is Status.NONE_EXISTS and "proven" in none.status
-    assert connects(system, system.configuration_space.path(a, c, budget=Budget(step=0.3)), a, c, 0.3)
+    assert connects(
+        system, system.configuration_space.path(a, c, budget=Budget(step=0.3)), a, c, 0.3
+    )
 
 
 @pytest.mark.parametrize("name", ["watt_six_bar", "slider_crank"])
@@ -143,7 +161,8 @@ def test_one_sided_constraints_are_gone_around():
 
 
 @pytest.mark.parametrize(
-    ("q0", "said"), [([0.0], "needs 4: A, B, C, D"), ([np.nan] * 4, "finite"), ([0.1] * 4, "not closed")]
+    ("q0", "said"),
+    [([0.0], "needs 4: A, B, C, D"), ([np.nan] * 4, "finite"), ([0.1] * 4, "not closed")],
 )
 def test_ends_that_are_no_configurations_are_refused(q0, said):
     system = kempe.load("four_bar")
@@ -154,14 +173,19 @@ def test_ends_that_are_no_configurations_are_refused(q0, said):
 def test_late_and_wrong_budgets():
     system = kempe.load("five_bar")
     a, b = system.assembly_modes({"A": 2.0, "D": 1.0}).q
-    assert system.configuration_space.path(a, b, budget=Budget(time_limit=1e-9)).code is Status.OUT_OF_TIME
+    assert (
+        system.configuration_space.path(a, b, budget=Budget(time_limit=1e-9)).code
+        is Status.OUT_OF_TIME
+    )
     with pytest.raises(InputError, match="step is"):
         system.configuration_space.path(a, b, budget=Budget(step=7.0))
 
 
 @pytest.mark.slow
 def test_random_loops_of_bars_are_joined_where_the_theorem_allows(hunt):
-    """Two random configurations are on one side, and a way is found, or on two, and it is proven that there is none."""
+    """Two random configurations are on one side, and a way is found, or on two, and it is proven
+    that there is none.
+    """
     rng = hunt.rng()
     seen = set()
     for _ in range(hunt.cases(12)):

@@ -1,4 +1,6 @@
-"""Maps made by worker processes of a Dask cluster: killed, late, failing once; the same counts as of one process."""
+"""Maps made by worker processes of a Dask cluster: killed, late, failing once; the same counts as
+of one process.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from kempe.errors import InputError, KempeError, KernelsError
 from kempe.solvers.common import clock
 
 dask = pytest.importorskip("dask", reason="dask is not installed (extra scale)")
-distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
+distributed = pytest.importorskip(
+    "distributed", reason="distributed is not installed (extra scale)"
+)
 pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 ARM = kempe.load("puma560")
 
@@ -30,10 +34,21 @@ ARM = kempe.load("puma560")
 @contextmanager
 def running(workers):
     """A scheduler in this process, worker processes, and a client."""
-    settings = {"distributed.scheduler.allowed-failures": 3, "distributed.comm.timeouts.connect": "5s"}
-    with dask.config.set(settings), distributed.LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=None
-    ) as cluster, distributed.Client(cluster) as client:  # fmt: skip
+    settings = {
+        "distributed.scheduler.allowed-failures": 3,
+        "distributed.comm.timeouts.connect": "5s",
+    }
+    with (
+        dask.config.set(settings),
+        distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=None,
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
         yield cluster, client
 
 
@@ -137,7 +152,9 @@ def test_a_task_that_fails_once(cluster):
 def test_a_task_that_always_fails_says_why_and_loses_nothing(cluster, tmp_path, monkeypatch):
     said = recipe.Recipe.__reduce__
     path = tmp_path / "map.zarr"
-    monkeypatch.setattr(recipe.Recipe, "__reduce__", lambda self: (said(self)[0], (*said(self)[1][:4], "v9", "0")))
+    monkeypatch.setattr(
+        recipe.Recipe, "__reduce__", lambda self: (said(self)[0], (*said(self)[1][:4], "v9", "0"))
+    )
     with pytest.raises(KempeError, match="'v9'"):
         made(10**6, client=cluster[1], path=path, budget=Budget(rng=5))
     monkeypatch.undo()
@@ -165,7 +182,9 @@ def test_what_is_no_address_is_refused_before_a_client_is_made(monkeypatch):
         ("", "port"),
         ("http://127.0.0.1:1", "scheme"),
     ):
-        with pytest.raises(InputError, match=f"is no address of a scheduler .*{why}.* give one such as"):
+        with pytest.raises(
+            InputError, match=f"is no address of a scheduler .*{why}.* give one such as"
+        ):
             made(10**6, client=address)
 
 
@@ -177,7 +196,9 @@ def test_what_is_no_address_is_refused_before_a_client_is_made(monkeypatch):
         ("ucx://127.0.0.1:1", "no client can be made for 'ucx' here"),
     ],
 )
-def test_ways_to_a_scheduler_that_are_not_set_up_are_refused_before_a_client_is_made(monkeypatch, address, why):
+def test_ways_to_a_scheduler_that_are_not_set_up_are_refused_before_a_client_is_made(
+    monkeypatch, address, why
+):
     """They ended in a TypeError of distributed."""
     monkeypatch.setattr(distributed, "Client", lambda *a, **k: pytest.fail("a client was made"))
     with pytest.raises(InputError, match=f"{address}'.*{why}"):
@@ -206,7 +227,9 @@ def test_that_no_workers_are_left_is_said_once_each_time(monkeypatch):
     monkeypatch.setattr(maps_cluster, "refuse_workers", lambda client, new: None)
     threads = {"tcp://10.0.0.2:1": 2}
     scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
-    workers = maps_cluster.ClusterWorkers(SimpleNamespace(nthreads=lambda: dict(threads), scheduler=scheduler))
+    workers = maps_cluster.ClusterWorkers(
+        SimpleNamespace(nthreads=lambda: dict(threads), scheduler=scheduler)
+    )
     for _ in range(2):
         workers._look()
         threads.clear()
@@ -236,10 +259,13 @@ def test_workers_killed_twenty_times(tmp_path):
         while len(kills) < 20:  # as many maps as that takes
             whole.append(tmp_path / f"map{len(whole)}.zarr")
             made(n, client=client, path=whole[-1], budget=Budget(progress=disturb))
-    assert {sample_parts.checksum_of(kempe.open_workspace(p).map.counts) for p in whole} == {checksum(n)}
+    assert {sample_parts.checksum_of(kempe.open_workspace(p).map.counts) for p in whole} == {
+        checksum(n)
+    }
 
 
-# ---- as users start it: a scheduler, workers and Kempe in processes of their own, an address as text
+# ---- as users start it: a scheduler, workers and Kempe in processes of their own, an address as
+# text
 
 
 @contextmanager
@@ -250,7 +276,11 @@ def processes(folder, *environments):
     def begin(module, *arguments, **environment):
         command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
         with open(folder / "log", "ab") as log:
-            begun.append(subprocess.Popen(command, stderr=log, stdout=log, env=os.environ | environment, cwd=folder))
+            begun.append(
+                subprocess.Popen(
+                    command, stderr=log, stdout=log, env=os.environ | environment, cwd=folder
+                )
+            )
 
     file = folder / "scheduler.json"
     try:
@@ -259,22 +289,33 @@ def processes(folder, *environments):
             assert begun[0].poll() is None, (folder / "log").read_text()
             time.sleep(0.05)
         for environment in environments:
-            begin("dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard",
-                  **environment)  # fmt: skip
+            begin(
+                "dask_worker",
+                "--scheduler-file",
+                str(file),
+                "--nthreads",
+                "1",
+                "--no-nanny",
+                "--no-dashboard",
+                **environment,
+            )
         with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
             client.wait_for_workers(len(environments))
             address = client.scheduler.address
         yield address
     finally:
         for process in reversed(begun):
-            process.kill()  # asked to end, a worker waits for ever for a scheduler that has ended meanwhile
+            # asked to end, a worker waits for ever for a scheduler that has ended meanwhile
+            process.kill()
         for process in begun:
             process.wait()
 
 
 def ran(*arguments, **environment):
     """What a process of its own printed."""
-    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=os.environ | environment)
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, env=os.environ | environment
+    )
     return done.returncode, done.stdout + done.stderr
 
 
@@ -294,11 +335,24 @@ def test_a_cluster_by_its_address_in_a_process_of_its_own(tmp_path):
     np.save(tmp_path / "q.npy", ARM.random(0, 50))
     (tmp_path / "map.py").write_text(MAP)
     with processes(tmp_path, {}) as address:
-        code, printed = ran(str(tmp_path / "map.py"), address, str(tmp_path / "q.npy"), str(tmp_path / "x.zarr"))
+        code, printed = ran(
+            str(tmp_path / "map.py"), address, str(tmp_path / "q.npy"), str(tmp_path / "x.zarr")
+        )
         assert code == 0, printed
         checksum = int((counts * range(1, counts.size + 1)).sum() % 1000003)
         assert printed.split() == ["1000000", str(checksum), "50"]
-        command = ["-m", "kempe", "workspace", "puma560", "--frame", "tool", "-n", "1e6", "--scheduler", address]
+        command = [
+            "-m",
+            "kempe",
+            "workspace",
+            "puma560",
+            "--frame",
+            "tool",
+            "-n",
+            "1e6",
+            "--scheduler",
+            address,
+        ]
         code, printed = ran(*command)
         assert code == 0 and printed.startswith("1e+06 samples"), printed
 
@@ -307,7 +361,10 @@ def test_a_cluster_by_its_address_in_a_process_of_its_own(tmp_path):
 @pytest.mark.parametrize("good", [0, 1])
 @pytest.mark.parametrize(
     ("broken", "words"),
-    [("import nothing_of_this_name", "No module named 'nothing_of_this_name'"), ("__version__ = '9'", "cannot import")],
+    [
+        ("import nothing_of_this_name", "No module named 'nothing_of_this_name'"),
+        ("__version__ = '9'", "cannot import"),
+    ],
     ids=["missing", "other"],
 )
 def test_workers_without_kempe_are_refused_by_name(tmp_path, broken, words, good):
@@ -316,13 +373,18 @@ def test_workers_without_kempe_are_refused_by_name(tmp_path, broken, words, good
     shadow.mkdir(parents=True)
     (shadow / "__init__.py").write_text(broken + "\n")
     with processes(tmp_path, {"PYTHONPATH": str(shadow.parent)}, *[{}] * good) as address:
-        with pytest.raises(KernelsError, match=rf"worker tcp://\S+ cannot import Kempe: .*{words}|{words}.*"):
+        with pytest.raises(
+            KernelsError, match=rf"worker tcp://\S+ cannot import Kempe: .*{words}|{words}.*"
+        ):
             made(10**6, client=address)
 
 
 @pytest.mark.slow
 def test_workers_with_other_kernels_are_refused(tmp_path):
-    with processes(tmp_path, {"KEMPE_KERNELS": "none"}) as address, pytest.raises(KernelsError, match="'none'"):
+    with (
+        processes(tmp_path, {"KEMPE_KERNELS": "none"}) as address,
+        pytest.raises(KernelsError, match="'none'"),
+    ):
         made(10**6, client=address)
 
 
@@ -331,6 +393,8 @@ def test_the_description_travels_once(cluster, monkeypatch):
     """Not in each task: the tasks of 10^12 samples would be gigabytes."""
     pickled = []
     reduced = recipe.Recipe.__reduce__
-    monkeypatch.setattr(recipe.Recipe, "__reduce__", lambda self: (pickled.append(1), reduced(self))[1])
+    monkeypatch.setattr(
+        recipe.Recipe, "__reduce__", lambda self: (pickled.append(1), reduced(self))[1]
+    )
     made(20 * 500_000, client=cluster[1], budget=Budget(rng=8))
     assert 0 < len(pickled) <= 4

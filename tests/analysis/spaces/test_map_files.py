@@ -1,4 +1,6 @@
-"""Maps on disk: stopped and gone on with, damaged, full disks, opened by xarray, made anew bit for bit."""
+"""Maps on disk: stopped and gone on with, damaged, full disks, opened by xarray, made anew bit for
+bit.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ N = 400_000
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    """Parts and pieces of a size for tests, and a clock by which progress is reported after each of them."""
+    """Parts and pieces of a size for tests, and a clock by which progress is reported after each of
+    them.
+    """
     monkeypatch.setattr(side_by_side, "time", SimpleNamespace(monotonic=itertools.count().__next__))
     monkeypatch.setattr(recipe, "PART", 50_000)
     monkeypatch.setattr(recipe, "PIECE", 10_000)
@@ -68,7 +72,9 @@ MODULES = (counting_runs, mapping, sample_parts, side_by_side, part_log)
 
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
-    """What is said to be counted is, and goes on to the whole map: also where a piece is about to be handed out."""
+    """What is said to be counted is, and goes on to the whole map: also where a piece is about to
+    be handed out.
+    """
     n = 120_000
     with Interrupt(0, *MODULES) as none:
         whole = made(tmp_path / "whole.zarr" if on_disk else None, n, budget=Budget(threads=2))
@@ -86,7 +92,9 @@ def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
 
 
 def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
-    """The future of a piece is lost while a thread that nobody else waits for counts it: it is in the map."""
+    """The future of a piece is lost while a thread that nobody else waits for counts it: it is in
+    the map.
+    """
     begun = threading.Event()
     counted = recipe.Recipe.count
     handed_out = []
@@ -111,7 +119,11 @@ def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
     monkeypatch.setattr(recipe.Recipe, "count", count)
     monkeypatch.setattr(ThreadPoolExecutor, "submit", submit)
     workspace = made(budget=Budget(threads=3))
-    assert workspace.interrupted and workspace.samples == 30_000 and np.array_equal(workspace.map.counts, whole)
+    assert (
+        workspace.interrupted
+        and workspace.samples == 30_000
+        and np.array_equal(workspace.map.counts, whole)
+    )
 
 
 def test_a_seed_is_a_map_and_another_is_another():
@@ -122,13 +134,19 @@ def test_a_map_depends_on_its_seed_only(hunt):
     """Not on threads, not on how often and where the work was interrupted."""
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
-        system = shell(*rng.uniform(0.1, 1.0, 2)) if rng.random() < 0.5 else two_bars(*rng.uniform(0.1, 1.0, 2))
+        system = (
+            shell(*rng.uniform(0.1, 1.0, 2))
+            if rng.random() < 0.5
+            else two_bars(*rng.uniform(0.1, 1.0, 2))
+        )
         n = int(rng.integers(1, 300_000))
         seed = int(rng.integers(10**6))
         cells = int(rng.integers(2, 60))
         recipe_ = recipe.recipe_of(system, "tip", seed, cells, None)
         cuts = [0, *sorted(rng.integers(0, n, 5).tolist()), n]
-        parts = sum(recipe.counted(recipe_, a, b).astype(np.uint64) for a, b in itertools.pairwise(cuts))
+        parts = sum(
+            recipe.counted(recipe_, a, b).astype(np.uint64) for a, b in itertools.pairwise(cuts)
+        )
         budget = Budget(rng=seed, threads=int(rng.integers(1, 6)))
         whole = system.workspace("tip", n=n, cells=cells, budget=budget)
         assert np.array_equal(whole.map.counts.ravel(), parts[: whole.map.counts.size])
@@ -186,7 +204,10 @@ def test_damaged_parts_are_found_and_drawn_again(tmp_path, how):
 def test_a_damaged_map_is_found_and_made_again(tmp_path):
     path = tmp_path / "map.zarr"
     made(path)
-    chunk = max((p for p in path.rglob("*") if p.is_file() and "counts" in p.parts), key=lambda p: p.stat().st_size)
+    chunk = max(
+        (p for p in path.rglob("*") if p.is_file() and "counts" in p.parts),
+        key=lambda p: p.stat().st_size,
+    )
     data = bytearray(chunk.read_bytes())
     data[len(data) // 2] ^= 16
     chunk.write_bytes(data)
@@ -199,14 +220,18 @@ def test_a_damaged_map_is_found_and_made_again(tmp_path):
 
 @pytest.mark.parametrize("what", ["box", "samples", "system", "axis", "axis cut", "axis gone"])
 def test_what_is_said_of_a_map_is_guarded_like_its_counts(tmp_path, what):
-    """A digit of the box or of the number of samples, or an axis that xarray would read, makes another map."""
+    """A digit of the box or of the number of samples, or an axis that xarray would read, makes
+    another map.
+    """
     path = tmp_path / "map.zarr"
     made(path)
     if what.startswith("axis"):
         file = path / "x" / "c" / "0"
         data = bytearray(file.read_bytes())
         data[len(data) // 2] ^= 16
-        file.unlink() if what == "axis gone" else file.write_bytes(data[:-9] if what == "axis cut" else data)
+        file.unlink() if what == "axis gone" else file.write_bytes(
+            data[:-9] if what == "axis cut" else data
+        )
     else:
         words = json.loads((path / "zarr.json").read_text())
         said = json.loads(words["attributes"]["kempe"])
@@ -240,17 +265,24 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
     with pytest.raises(KempeError, match="the disk is full; what was written before stands"):
         made(path)
     listed = (tmp_path / "map.zarr.parts" / "parts.jsonl").read_text().splitlines()[1:]
-    assert [json.loads(line.partition(" ")[2])[:2] for line in listed] == [[0, 50_000], [50_000, 100_000]]
+    assert [json.loads(line.partition(" ")[2])[:2] for line in listed] == [
+        [0, 50_000],
+        [50_000, 100_000],
+    ]
     assert not list((tmp_path / "map.zarr.parts").glob("*.new"))
     assert np.array_equal(made(path).map.counts, made().map.counts)
 
 
 def test_a_file_that_is_not_taken_whole_is_said_to_be_so(tmp_path, monkeypatch):
     def short(stream, counts):
-        raise OSError("230146 requested and 51168 written")  # as numpy says it, without an error number
+        raise OSError(
+            "230146 requested and 51168 written"
+        )  # as numpy says it, without an error number
 
     monkeypatch.setattr(np, "save", short)
-    with pytest.raises(KempeError, match="not all of it was taken: the disk may be full; what was written before"):
+    with pytest.raises(
+        KempeError, match="not all of it was taken: the disk may be full; what was written before"
+    ):
         made(tmp_path / "map.zarr")
 
 
@@ -262,12 +294,16 @@ def test_a_small_disk_is_refused_early(tmp_path, monkeypatch):
     assert not list(tmp_path.glob("*.parts"))
 
 
-@pytest.mark.parametrize(("words", "other"), [
-    ("system", lambda path: two_bars(0.5, 0.31).workspace("tip", n=N, cells=64, path=path)),
-    ("frame", lambda path: ARM.workspace("second", n=N, cells=64, path=path)),
-    ("seed", lambda path: made(path, budget=Budget(rng=3))),
-    ("cells", lambda path: ARM.workspace("tip", n=N, cells=32, path=path)),
-], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "other"),
+    [
+        ("system", lambda path: two_bars(0.5, 0.31).workspace("tip", n=N, cells=64, path=path)),
+        ("frame", lambda path: ARM.workspace("second", n=N, cells=64, path=path)),
+        ("seed", lambda path: made(path, budget=Budget(rng=3))),
+        ("cells", lambda path: ARM.workspace("tip", n=N, cells=32, path=path)),
+    ],
+    ids=lambda x: x if isinstance(x, str) else "",
+)
 @pytest.mark.parametrize("whole", [True, False])
 def test_maps_of_something_else_are_refused(tmp_path, words, other, whole):
     path = tmp_path / "map.zarr"
@@ -315,7 +351,9 @@ def test_written_and_opened(tmp_path):
     workspace = made(n=20_000)
     opened = kempe.open_workspace(workspace.save(tmp_path / "map.zarr"))
     assert opened.system == ARM and opened.data() == workspace.data()
-    assert opened.contains([0.6, 0.0]) and np.array_equal(opened.map.axes["x"], workspace.map.axes["x"])
+    assert opened.contains([0.6, 0.0]) and np.array_equal(
+        opened.map.axes["x"], workspace.map.axes["x"]
+    )
     with pytest.raises(InputError, match="belongs to another map: it is of another system"):
         kempe.open_workspace(tmp_path / "map.zarr", two_bars(1, 1))
 

@@ -1,4 +1,6 @@
-"""Exact workspaces of planar platforms in any orientation, against closed forms and the inverse model."""
+"""Exact workspaces of planar platforms in any orientation, against closed forms and the inverse
+model.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,12 @@ from kempe.errors import UnsupportedError
 
 
 def platform(legs, tool=(0.0, 0.0), turned=0.0):
-    """A platform on legs of (types of joints, base, point of the platform, two numbers, limits of two joints).
+    """A platform on legs of (types of joints, base, point of the platform, two numbers, limits of
+    two joints).
 
-    RRR has two lengths, RR one. The slide of RPR goes from one number to the other, that of PRR and PR by the second
-    along x, with a rod of the first behind it. Angles of last joints are counted from `turned` times 1, 2 and 3.
+    RRR has two lengths, RR one. The slide of RPR goes from one number to the other, that of PRR and
+    PR by the second along x, with a rod of the first behind it. Angles of last joints are counted
+    from `turned` times 1, 2 and 3.
     """
     m = kempe.Mechanism("platform", dim=2)
     body = m.body("body")
@@ -49,16 +53,31 @@ WIDE = ("RRR", (0.0, 0.0), (0.0, 0.0), (5.0, 5.0), FREE)
 """A leg that holds the platform wherever the others do in the tests below."""
 
 
-@pytest.mark.parametrize(("legs", "tool", "area"), [
-    # a crank of 0.5 with the tool 0.2 off its end: an annulus
-    ([("RR", (0.1, 0.2), (0.0, 0.0), (0.5, 0.0), FREE), WIDE], (0.2, 0.0), np.pi * (0.7**2 - 0.3**2)),
-    # an annulus of radii 0.4 and 1.0, and the tool 0.1 off: wider by that on both sides
-    ([("RPR", (0.3, 0.0), (0.1, 0.0), (0.4, 1.0), FREE), WIDE], (0.0, 0.0), np.pi * (1.1**2 - 0.3**2)),
-    # the same with the tool 0.5 off: a disk
-    ([("RPR", (0.3, 0.0), (0.5, 0.0), (0.4, 1.0), FREE), WIDE], (0.0, 0.0), np.pi * 1.5**2),
-    # a slide of 0.8 with the tool 0.3 off: a stadium
-    ([("PR", (0.0, 0.0), (0.0, 0.3), (0.1, 0.8), FREE), WIDE], (0.0, 0.0), 0.8 * 0.6 + np.pi * 0.3**2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("legs", "tool", "area"),
+    [
+        # a crank of 0.5 with the tool 0.2 off its end: an annulus
+        (
+            [("RR", (0.1, 0.2), (0.0, 0.0), (0.5, 0.0), FREE), WIDE],
+            (0.2, 0.0),
+            np.pi * (0.7**2 - 0.3**2),
+        ),
+        # an annulus of radii 0.4 and 1.0, and the tool 0.1 off: wider by that on both sides
+        (
+            [("RPR", (0.3, 0.0), (0.1, 0.0), (0.4, 1.0), FREE), WIDE],
+            (0.0, 0.0),
+            np.pi * (1.1**2 - 0.3**2),
+        ),
+        # the same with the tool 0.5 off: a disk
+        ([("RPR", (0.3, 0.0), (0.5, 0.0), (0.4, 1.0), FREE), WIDE], (0.0, 0.0), np.pi * 1.5**2),
+        # a slide of 0.8 with the tool 0.3 off: a stadium
+        (
+            [("PR", (0.0, 0.0), (0.0, 0.3), (0.1, 0.8), FREE), WIDE],
+            (0.0, 0.0),
+            0.8 * 0.6 + np.pi * 0.3**2,
+        ),
+    ],
+)
 def test_legs_of_which_one_decides(legs, tool, area):
     """The other leg ends elsewhere on the platform, so that it is decided as one."""
     other = (*legs[1][:2], (0.4, 0.4), *legs[1][3:])
@@ -68,10 +87,11 @@ def test_legs_of_which_one_decides(legs, tool, area):
 
 
 def test_two_disks_at_two_points_of_a_rod():
-    """A rod of length d with its ends in disks of radius r whose centres are d apart: the middle has theirs between.
+    """A rod of length d with its ends in disks of radius r whose centres are d apart: the middle
+    has theirs between.
 
-    Without turning the middle fills a disk of radius r, and it leaves that nowhere, being the mean of two points that
-    do not leave theirs.
+    Without turning the middle fills a disk of radius r, and it leaves that nowhere, being the mean
+    of two points that do not leave theirs.
     """
     r = 0.3
     d = 1.0
@@ -84,14 +104,18 @@ def test_two_disks_at_two_points_of_a_rod():
 
 
 def annuli(legs, tool, points, turns=20_000):
-    """Whether points are reached by RRR and RPR legs without limits, on a fine row of angles: shares nothing."""
+    """Whether points are reached by RRR and RPR legs without limits, on a fine row of angles:
+    shares nothing.
+    """
     u = np.exp(1j * TURN * np.arange(turns) / turns)
     out = []
     for p in points:
         good = np.ones(turns, dtype=bool)
         for kind, base, at, (first, second), _ in legs:
             far = np.abs(complex(*p) + u * (complex(*at) - complex(*tool)) - complex(*base))
-            least, most = (first, second) if kind == "RPR" else (abs(first - second), first + second)
+            least, most = (
+                (first, second) if kind == "RPR" else (abs(first - second), first + second)
+            )
             good &= (far >= least) & (far <= most)
         out.append(good.any())
     return np.array(out)
@@ -112,33 +136,46 @@ THREE = {
 @pytest.mark.parametrize("name", THREE)
 def test_three_legs_against_a_row_of_angles(name):
     legs, tool = THREE[name]
-    w = planar_workspace(platform([(k, tuple(b), tuple(a), *rest) for k, b, a, *rest in legs], tool), "tool")
+    w = planar_workspace(
+        platform([(k, tuple(b), tuple(a), *rest) for k, b, a, *rest in legs], tool), "tool"
+    )
     low, high = w.extent
     points = np.random.default_rng(1).uniform(low - 0.1, high + 0.1, (500, 2))
     clear = w.distance(points) > 1e-3 * w.region.size
     inside = w.contains(points)
     assert np.array_equal(inside[clear], annuli(legs, tool, points[clear]))
     assert any(p.kind == "coupler curve" for p in w.boundary)
-    assert abs(sum(p.at(1.0) - p.at(0.0) for p in w.boundary)) < 1e-9 * w.region.size  # closed curves
+    assert (
+        abs(sum(p.at(1.0) - p.at(0.0) for p in w.boundary)) < 1e-9 * w.region.size
+    )  # closed curves
     many = np.random.default_rng(2).uniform(low, high, (200_000, 2))
     box = np.prod(high - low)
     share = w.contains(many).mean()
-    assert w.area == pytest.approx(box * share, abs=4.0 * box * np.sqrt(share * (1.0 - share) / len(many)))
+    assert w.area == pytest.approx(
+        box * share, abs=4.0 * box * np.sqrt(share * (1.0 - share) / len(many))
+    )
 
 
 def test_it_moves_with_its_base_and_scales():
-    """Turned, moved and enlarged as a whole, and with legs in another order, it has the same area, times a square."""
+    """Turned, moved and enlarged as a whole, and with legs in another order, it has the same area,
+    times a square.
+    """
     legs, tool = THREE["3-RPR, tool aside"]
     before = planar_workspace(platform(legs, tool), "tool")
     u = np.exp(0.7j)
     by = 3.0 - 2.0j
     scale = 1000.0
-    moved = [(k, np.array([z.real, z.imag]), np.multiply(a, scale), np.multiply(n, scale), x)
-             for k, b, a, n, x in legs[::-1] for z in [scale * (u * complex(*b) + by)]]  # fmt: skip
+    moved = [
+        (k, np.array([z.real, z.imag]), np.multiply(a, scale), np.multiply(n, scale), x)
+        for k, b, a, n, x in legs[::-1]
+        for z in [scale * (u * complex(*b) + by)]
+    ]
     after = planar_workspace(platform(moved, np.multiply(tool, scale)), "tool")
     assert after.area == pytest.approx(scale**2 * before.area, rel=1e-9)
     lengths = [sum(piece.length for piece in w.boundary) for w in (before, after)]
-    assert lengths[1] == pytest.approx(scale * lengths[0], rel=1e-4)  # those of coupler curves are sums of chords
+    assert lengths[1] == pytest.approx(
+        scale * lengths[0], rel=1e-4
+    )  # those of coupler curves are sums of chords
     assert len(after.voids) == len(before.voids)
     p = np.random.default_rng(3).uniform(*before.extent, (2000, 2))
     z = scale * (u * (p[:, 0] + 1j * p[:, 1]) + by)
@@ -146,19 +183,27 @@ def test_it_moves_with_its_base_and_scales():
 
 
 def counted_alike(w, rng, n):
-    """The area of each number of solutions is that part of a box whose points have it, by n random points."""
+    """The area of each number of solutions is that part of a box whose points have it, by n random
+    points.
+    """
     low, high = w.extent
     counts = w.solutions(rng.uniform(low, high, (n, 2)))
     box = float(np.prod(high - low))
     for region in w.regions:
         share = float((counts == region.solutions).mean())
-        assert region.area == pytest.approx(box * share, abs=5.0 * box * np.sqrt((share * (1.0 - share) + 1.0 / n) / n))
+        assert region.area == pytest.approx(
+            box * share, abs=5.0 * box * np.sqrt((share * (1.0 - share) + 1.0 / n) / n)
+        )
 
 
 def test_solutions_of_a_point_aside_of_a_five_bar(hunt: Hunt):
-    """A point of one distal link is reached in as many ways as all solutions of the inverse model are found."""
-    legs = [("RR", (-0.3, 0.0), (0.0, 0.0), (0.5, 0.0), FREE),
-            ("RRR", (0.3, 0.0), (0.6, 0.0), (0.5, 0.6), (None, (-1.5, 2.5)))]  # fmt: skip
+    """A point of one distal link is reached in as many ways as all solutions of the inverse model
+    are found.
+    """
+    legs = [
+        ("RR", (-0.3, 0.0), (0.0, 0.0), (0.5, 0.0), FREE),
+        ("RRR", (0.3, 0.0), (0.6, 0.0), (0.5, 0.6), (None, (-1.5, 2.5))),
+    ]
     system = platform(legs, (0.8, 0.2))
     w = planar_workspace(system, "tool")
     assert w.region.counted and {r.solutions for r in w.regions} >= {1, 2}
@@ -184,7 +229,9 @@ def pantograph(unit=1.0):
 
 
 def test_areas_times_solutions_are_an_integral():
-    """Of |det J| of the pen over the angles of its side, times the ways of the other side, by 3000 x 3000 midpoints."""
+    """Of |det J| of the pen over the angles of its side, times the ways of the other side, by 3000
+    x 3000 midpoints.
+    """
     w = planar_workspace(pantograph(), "pen")
     n = 3000
     pen = 0.36 + 0.02j
@@ -195,15 +242,19 @@ def test_areas_times_solutions_are_an_integral():
         to = -0.1 + np.exp(1j * first) * (0.25 + 0.3 * np.exp(1j * B)) - 0.1
         cosine = (np.abs(to) ** 2 - 0.25**2 - 0.3**2) / (2.0 * 0.25 * 0.3)
         elbow = np.arccos(np.clip(cosine, -1.0, 1.0))
-        ways = sum((np.mod(np.angle(to / (0.25 + 0.3 * np.exp(1j * e))) + 0.2, TURN) <= 2.8).astype(int)
-                   for e in (elbow, -elbow))  # fmt: skip
+        ways = sum(
+            (np.mod(np.angle(to / (0.25 + 0.3 * np.exp(1j * e))) + 0.2, TURN) <= 2.8).astype(int)
+            for e in (elbow, -elbow)
+        )
         J = 0.25 * np.abs(np.imag(pen * np.exp(1j * B)))
         total += float((J * ways * (np.abs(cosine) <= 1.0)).sum()) * 2.5 / n * TURN / n
     assert sum(r.solutions * r.area for r in w.regions) == pytest.approx(total, rel=2e-4)
 
 
 def test_curves_that_touch_are_cut_once():
-    """Where a joint comes to its limit two coupler curves touch: no slivers are left of that, in any unit."""
+    """Where a joint comes to its limit two coupler curves touch: no slivers are left of that, in
+    any unit.
+    """
     small = planar_workspace(pantograph(), "pen")
     large = planar_workspace(pantograph(1000.0), "pen")
     for w in (small, large):
@@ -242,13 +293,21 @@ def test_joints_that_limits_hold_turn_the_legs():
 
 
 def test_a_leg_that_reaches_nothing():
-    legs = [("RPR", (0.0, 0.0), (0.1, 0.0), (0.4, 1.0), FREE), ("RPR", (9.0, 0.0), (-0.1, 0.0), (0.4, 1.0), FREE)]
+    legs = [
+        ("RPR", (0.0, 0.0), (0.1, 0.0), (0.4, 1.0), FREE),
+        ("RPR", (9.0, 0.0), (-0.1, 0.0), (0.4, 1.0), FREE),
+    ]
     w = planar_workspace(platform(legs), "tool")
-    assert w.area == 0.0 and not w.contains([[0.5, 0.0]]).any() and "no place is reached" in w.status
+    assert (
+        w.area == 0.0 and not w.contains([[0.5, 0.0]]).any() and "no place is reached" in w.status
+    )
 
 
 def test_what_is_left_a_curve_is_refused():
-    legs = [("RR", (0.0, 0.0), (0.1, 0.0), (0.4, 0.0), FREE), ("RR", (0.5, 0.0), (-0.1, 0.0), (0.4, 0.0), FREE)]
+    legs = [
+        ("RR", (0.0, 0.0), (0.1, 0.0), (0.4, 0.0), FREE),
+        ("RR", (0.5, 0.0), (-0.1, 0.0), (0.4, 0.0), FREE),
+    ]
     with pytest.raises(UnsupportedError, match="leave frame 'tool' a curve"):
         planar_workspace(platform(legs, (0.3, 0.2)), "tool")
 
@@ -257,7 +316,9 @@ def test_what_is_left_a_curve_is_refused():
 
 
 def bars():
-    """Four-bars of all pairs of pieces: arcs and segments, cranks that go round and such that do not."""
+    """Four-bars of all pairs of pieces: arcs and segments, cranks that go round and such that do
+    not.
+    """
     arc = PlanePiece(0j, 0.5, 0.3, 4.0)
     small = PlanePiece(1.0 + 0.2j, 0.8, 0.0, TURN)
     line = PlanePiece(-0.4 + 0.1j, 0.0, way=1.2 + 0.3j)
@@ -268,7 +329,9 @@ def bars():
 
 @pytest.mark.parametrize("number", range(len(bars())))
 def test_points_of_a_four_bar_are_on_both_curves(number):
-    """Also beside dead centres, where distances are known to rounding; and velocities are differences."""
+    """Also beside dead centres, where distances are known to rounding; and velocities are
+    differences.
+    """
     bar, (first, second) = bars()[number]
     t = np.concatenate([np.linspace(0.0, 1.0, 201), [1e-6, 1e-5, 3e-4, 1.0 - 1e-7]])
     curve = CouplerCurve(bar, 0.3 - 0.1j)
@@ -284,11 +347,15 @@ def test_points_of_a_four_bar_are_on_both_curves(number):
     chords = 0.5 * float(np.imag(np.conj(fine[:-1]) * fine[1:]).sum())
     assert curve.moment == pytest.approx(chords, abs=3e-5)
     inside = np.random.default_rng(number).uniform(-1.0, 1.0, 40) @ np.ones(40) + 0.0j
-    assert curve.distance(np.array([inside])) == pytest.approx(np.abs(fine - inside).min(), abs=1e-4)
+    assert curve.distance(np.array([inside])) == pytest.approx(
+        np.abs(fine - inside).min(), abs=1e-4
+    )
 
 
 def test_a_trammel_draws_an_ellipse():
-    """Of Archimedes: points on two lines at right angles, and one between them at 0.3 and 0.5 of them."""
+    """Of Archimedes: points on two lines at right angles, and one between them at 0.3 and 0.5 of
+    them.
+    """
     x = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j)
     y = PlanePiece(-2.0j, 0.0, way=4.0j)
     (bar,) = four_bars(x, y, 0.3 + 0j, -0.5 + 0j)
@@ -301,7 +368,9 @@ def test_a_trammel_draws_an_ellipse():
 
 
 def test_coupler_curves_meet_each_other_and_themselves():
-    """Two ellipses in four points; a coupler curve with a double point in that, by its two parameters."""
+    """Two ellipses in four points; a coupler curve with a double point in that, by its two
+    parameters.
+    """
     x = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j)
     y = PlanePiece(-2.0j, 0.0, way=4.0j)
     one, two = (CouplerCurve(next(four_bars(x, y, a, a - 0.8))) for a in (0.3 + 0j, 0.5 + 0j))
@@ -311,10 +380,14 @@ def test_coupler_curves_meet_each_other_and_themselves():
     for _ in range(40):
         radii = rng.uniform(0.3, 1.5, 2)
         (c, d, point) = rng.uniform(-1.0, 1.0, (3, 2)) @ [1.0, 1j]
-        for bar in four_bars(PlanePiece(0j, radii[0], 0.0, TURN), PlanePiece(c, radii[1], 0.0, TURN), 0j, d):
+        for bar in four_bars(
+            PlanePiece(0j, radii[0], 0.0, TURN), PlanePiece(c, radii[1], 0.0, TURN), 0j, d
+        ):
             curve = CouplerCurve(bar, 2.0 * point)
             t = curve.meets(curve)
-            pairs = (np.abs(curve.at(t)[:, None] - curve.at(t)) < 1e-8) & (np.abs(t[:, None] - t) > 0.01)
+            pairs = (np.abs(curve.at(t)[:, None] - curve.at(t)) < 1e-8) & (
+                np.abs(t[:, None] - t) > 0.01
+            )
             assert pairs.any(axis=1).all()
             met += len(t) > 0
     assert met > 2
@@ -324,7 +397,9 @@ def test_coupler_curves_meet_each_other_and_themselves():
 
 
 def random_platform(rng):
-    """Two or three legs of all kinds, some with limits, some with one joint fewer; bases and points also on a grid."""
+    """Two or three legs of all kinds, some with limits, some with one joint fewer; bases and points
+    also on a grid.
+    """
     legs = []
     for k in range(int(rng.integers(2, 4))):
         few = k == 0 and rng.random() < 0.4
@@ -336,7 +411,9 @@ def random_platform(rng):
             at = np.round(at, 1)
         first = float(rng.choice([0.5, rng.uniform(0.2, 0.8)]))
         second = (
-            first + float(rng.uniform(0.2, 1.0)) if kind == "RPR" else float(rng.choice([0.5, rng.uniform(0.2, 1)]))
+            first + float(rng.uniform(0.2, 1.0))
+            if kind == "RPR"
+            else float(rng.choice([0.5, rng.uniform(0.2, 1)]))
         )
         spans = [np.sort(rng.uniform(-3.0, 3.0, 2)) + [0.0, 0.3] for _ in range(2)]
         limits = [None if rng.random() < 0.5 else (float(low), float(high)) for low, high in spans]
@@ -356,14 +433,18 @@ def turned_about(boundary, points):
 
 
 def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
-    """Points by common angles of the legs, by the boundary, and by the inverse model; the area by counting."""
+    """Points by common angles of the legs, by the boundary, and by the inverse model; the area by
+    counting.
+    """
     rng = hunt.rng()
     reached = 0
     for _ in range(hunt.cases(20, least=3)):
         system = random_platform(rng)
         w = planar_workspace(system, "tool")
         if not w.boundary:
-            assert not system.ik(rng.uniform(-1.0, 1.0, (5, 2)), "tool", task="position").success.any()
+            assert not system.ik(
+                rng.uniform(-1.0, 1.0, (5, 2)), "tool", task="position"
+            ).success.any()
             continue
         reached += 1
         low, high = w.extent
@@ -380,7 +461,9 @@ def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
             counted_alike(w, rng, 600)
         box = float(np.prod(high - low + 2.0 * pad))
         share = inside.mean()
-        assert w.area == pytest.approx(box * share, abs=5.0 * box * np.sqrt(share * (1.0 - share) / 1000) + 1e-6)
+        assert w.area == pytest.approx(
+            box * share, abs=5.0 * box * np.sqrt(share * (1.0 - share) / 1000) + 1e-6
+        )
     assert reached > 0
 
 

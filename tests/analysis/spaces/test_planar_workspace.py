@@ -38,14 +38,23 @@ def sampled(system, workspace, count=4000, rng=0):
 def test_an_annulus_of_two_links_without_limits():
     w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None)), "tool")
     assert w.area == pytest.approx(np.pi * (1.0**2 - 0.2**2), abs=1e-12)
-    assert [p.radius for p in sorted(w.boundary, key=lambda p: p.radius)] == pytest.approx([0.2, 1.0])
+    assert [p.radius for p in sorted(w.boundary, key=lambda p: p.radius)] == pytest.approx(
+        [0.2, 1.0]
+    )
     assert [(r.solutions, len(r.loops)) for r in w.regions] == [(2, 2)] and len(w.voids) == 1
-    assert w.contains([[0.5, 0.5], [0.1, 0.0], [1.1, 0.0], [np.nan, 0.0]]).tolist() == [True, False, False, False]
+    assert w.contains([[0.5, 0.5], [0.1, 0.0], [1.1, 0.0], [np.nan, 0.0]]).tolist() == [
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, np.pi), (0.3, 2.0), (-2.5, -0.4)])
 def test_a_sector_of_an_annulus(low, high):
-    """Two links, the second turned to one side only: area by integrating a b |sin q2| over the limits."""
+    """Two links, the second turned to one side only: area by integrating a b |sin q2| over the
+    limits.
+    """
     a = 0.6
     b = 0.4
     first = (-1.0, 0.5)
@@ -56,7 +65,9 @@ def test_a_sector_of_an_annulus(low, high):
 
 
 def test_how_many_solutions_there_are_where():
-    """Areas, counted with their solutions, are the integral of |det J| = a b |sin q2| over all configurations."""
+    """Areas, counted with their solutions, are the integral of |det J| = a b |sin q2| over all
+    configurations.
+    """
     a = 0.6
     b = 0.4
     first = (-1.0, 1.3)
@@ -74,15 +85,21 @@ def test_how_many_solutions_there_are_where():
 
 def test_three_links_without_limits_reach_a_disk_or_an_annulus():
     """Radii by the lengths of the links: the longest less the others."""
-    disk = planar_workspace(arm(("R", 0.0, None), ("R", 0.5, None), ("R", 0.4, None), tool=0.3), "tool")
+    disk = planar_workspace(
+        arm(("R", 0.0, None), ("R", 0.5, None), ("R", 0.4, None), tool=0.3), "tool"
+    )
     assert disk.area == pytest.approx(np.pi * 1.2**2, abs=1e-10) and not disk.voids
-    ring = planar_workspace(arm(("R", 0.0, None), ("R", 1.0, None), ("R", 0.3, None), tool=0.2), "tool")
+    ring = planar_workspace(
+        arm(("R", 0.0, None), ("R", 1.0, None), ("R", 0.3, None), tool=0.2), "tool"
+    )
     assert ring.area == pytest.approx(np.pi * (1.5**2 - 0.5**2), abs=1e-10) and len(ring.voids) == 1
     assert ring.regions[0].solutions is None
 
 
 def test_slides():
-    """A turn and a slide: a ring sector; a slide and a turn: a stadium; two slides: a parallelogram."""
+    """A turn and a slide: a ring sector; a slide and a turn: a stadium; two slides: a
+    parallelogram.
+    """
     polar = planar_workspace(arm(("R", 0.0, (0.0, 1.2)), ("P", 0.0, (0.3, 0.9)), tool=0.0), "tool")
     assert polar.area == pytest.approx(0.5 * 1.2 * (0.9**2 - 0.3**2), abs=1e-12)
     stadium = planar_workspace(arm(("P", 0.0, (0.0, 2.0)), ("R", 0.0, None), tool=0.4), "tool")
@@ -99,7 +116,9 @@ def test_slides():
 
 
 def grid(system, workspace, n=90):
-    """The area by a grid of points, each decided by `ik` with limits, and the largest it can be wrong by."""
+    """The area by a grid of points, each decided by `ik` with limits, and the largest it can be
+    wrong by.
+    """
     size = workspace.region.size
     x = np.linspace(-size, size, n)
     points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
@@ -107,12 +126,15 @@ def grid(system, workspace, n=90):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("joints", [
-    (("R", 0.0, (-2.0, 2.0)), ("R", 0.5, (-1.5, 2.2)), ("R", 0.4, (-0.5, 2.5))),
-    (("R", 0.0, (-0.6, 0.6)), ("R", 0.7, (0.5, 2.4)), ("R", 0.5, (-2.0, -1.0))),
-    (("R", 0.0, (-1.0, 1.0)), ("P", 0.4, (0.1, 0.5)), ("R", 0.2, (-2.0, 2.0))),
-    (("P", 0.0, (-0.3, 0.5)), ("R", 0.2, (-1.0, 2.0)), ("R", 0.4, (-2.0, 0.7))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "joints",
+    [
+        (("R", 0.0, (-2.0, 2.0)), ("R", 0.5, (-1.5, 2.2)), ("R", 0.4, (-0.5, 2.5))),
+        (("R", 0.0, (-0.6, 0.6)), ("R", 0.7, (0.5, 2.4)), ("R", 0.5, (-2.0, -1.0))),
+        (("R", 0.0, (-1.0, 1.0)), ("P", 0.4, (0.1, 0.5)), ("R", 0.2, (-2.0, 2.0))),
+        (("P", 0.0, (-0.3, 0.5)), ("R", 0.2, (-1.0, 2.0)), ("R", 0.4, (-2.0, 0.7))),
+    ],
+)
 def test_three_joints_with_limits(joints):
     """Nothing that is sampled lies outside, and what `ik` reaches of a grid is what is inside."""
     system = arm(*joints, tool=0.3)
@@ -128,16 +150,22 @@ def test_three_joints_with_limits(joints):
 
 
 def test_hunt_for_two_joints_that_are_counted_wrongly(hunt: Hunt):
-    """The integral of |det J| over random limits, by 400 x 400 midpoints, is the area counted with solutions."""
+    """The integral of |det J| over random limits, by 400 x 400 midpoints, is the area counted with
+    solutions.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(6)):
         limits = np.sort(rng.uniform(-3.0, 3.0, (2, 2)), axis=1) + [[0.0, 0.3], [0.0, 0.3]]
         a, b = rng.uniform(0.2, 1.0, 2)
-        w = planar_workspace(arm(("R", 0.0, tuple(limits[0])), ("R", a, tuple(limits[1])), tool=b), "tool")
+        w = planar_workspace(
+            arm(("R", 0.0, tuple(limits[0])), ("R", a, tuple(limits[1])), tool=b), "tool"
+        )
         n = 40000
         q = limits[1, 0] + (np.arange(n) + 0.5) / n * np.diff(limits[1])[0]
         total = np.diff(limits[0])[0] * np.diff(limits[1])[0] * np.mean(a * b * np.abs(np.sin(q)))
-        assert sum(r.solutions * r.area for r in w.regions) == pytest.approx(total, rel=1e-6), limits
+        assert sum(r.solutions * r.area for r in w.regions) == pytest.approx(total, rel=1e-6), (
+            limits
+        )
 
 
 def test_one_joint_has_a_curve_without_area():
@@ -155,7 +183,9 @@ def test_what_cannot_be_done_is_said():
         planar_workspace(kempe.load("four_bar"), "coupler")
     m = kempe.load("two_link").mechanism
     m.inequality("stop", "1 - q2", of=("q2",))
-    with pytest.raises(UnsupportedError, match="constraint 'stop' of two_link may bound the workspace"):
+    with pytest.raises(
+        UnsupportedError, match="constraint 'stop' of two_link may bound the workspace"
+    ):
         planar_workspace(m.build(), "e")
     with pytest.raises(InputError, match="does not move"):
         planar_workspace(kempe.load("two_link"), kempe.load("two_link").body_names[0])
@@ -173,10 +203,14 @@ def random_arm(rng, wrist):
     joints = []
     for k in range(count):
         turns = wrist and k == count - 1 or rng.random() < 0.7
-        limits = tuple(np.sort(rng.uniform(-3.0, 3.0, 2) if turns else rng.uniform(-1.0, 1.0, 2)).tolist())
+        limits = tuple(
+            np.sort(rng.uniform(-3.0, 3.0, 2) if turns else rng.uniform(-1.0, 1.0, 2)).tolist()
+        )
         limits = None if turns and (wrist and k == count - 1 or rng.random() < 0.4) else limits
         limits = (0.3, 0.3) if rng.random() < 0.1 and not wrist else limits
-        joints.append(("R" if turns else "P", float(rng.choice([0.0, 0.3, rng.uniform(0.1, 1.0)])), limits))
+        joints.append(
+            ("R" if turns else "P", float(rng.choice([0.0, 0.3, rng.uniform(0.1, 1.0)])), limits)
+        )
     return arm(*joints, tool=float(rng.choice([0.0, 0.3, rng.uniform(0.05, 0.8)])))
 
 
@@ -188,11 +222,19 @@ def exact_or_none(system, given):
         return None
 
 
-@pytest.mark.parametrize("kind", [
-    "reachable", "constant-orientation", "dexterous", pytest.param("some angles", marks=pytest.mark.slow)
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "reachable",
+        "constant-orientation",
+        "dexterous",
+        pytest.param("some angles", marks=pytest.mark.slow),
+    ],
+)
 def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
-    """What the boundary goes round is what the inverse model reaches, and configurations within limits are inside."""
+    """What the boundary goes round is what the inverse model reaches, and configurations within
+    limits are inside.
+    """
     rng = hunt.rng()
     wrist = kind != "reachable"
     areas = 0
@@ -206,7 +248,9 @@ def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
         w = exact_or_none(system, given)
         if w is None or w.region.is_curve:
             continue
-        points = np.concatenate([system.fk(system.random(rng, 8), "tool")[:, :2, 3], rng.uniform(-2.0, 2.0, (12, 2))])
+        points = np.concatenate(
+            [system.fk(system.random(rng, 8), "tool")[:, :2, 3], rng.uniform(-2.0, 2.0, (12, 2))]
+        )
         clear = w.distance(points) > (0.02 if kind == "dexterous" else 1e-4)
         question = question_of(system, "tool", given["kind"], angles, None)
         reached = question.reached(system, "tool", np.pad(points, ((0, 0), (0, 1))), 0)
@@ -218,8 +262,12 @@ def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
 
 
 def test_a_joint_about_the_tool_does_not_move_it():
-    w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (-1.0, 1.0)), tool=0.0), "tool")
-    assert w.area == pytest.approx(np.pi * (1.0 - 0.04), abs=1e-12) and w.regions[0].solutions is None
+    w = planar_workspace(
+        arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (-1.0, 1.0)), tool=0.0), "tool"
+    )
+    assert (
+        w.area == pytest.approx(np.pi * (1.0 - 0.04), abs=1e-12) and w.regions[0].solutions is None
+    )
     with pytest.raises(InputError, match="does not move"):
         planar_workspace(arm(("R", 0.0, None), tool=0.0), "tool")
     with pytest.raises(InputError, match="held by their limits"):
@@ -228,22 +276,36 @@ def test_a_joint_about_the_tool_does_not_move_it():
 
 def test_turns_about_one_axis_are_one_turn():
     one = planar_workspace(arm(("R", 0.0, (-0.5, 1.0)), ("R", 0.5, (0.2, 2.0))), "tool")
-    two = planar_workspace(arm(("R", 0.0, (-0.2, 0.5)), ("R", 0.0, (-0.3, 0.5)), ("R", 0.5, (0.2, 2.0))), "tool")
-    assert two.area == pytest.approx(one.area, abs=1e-12) and one.region.counted and not two.region.counted
+    two = planar_workspace(
+        arm(("R", 0.0, (-0.2, 0.5)), ("R", 0.0, (-0.3, 0.5)), ("R", 0.5, (0.2, 2.0))), "tool"
+    )
+    assert (
+        two.area == pytest.approx(one.area, abs=1e-12)
+        and one.region.counted
+        and not two.region.counted
+    )
 
 
 def test_a_five_bar_reaches_what_both_legs_reach():
-    """Two annuli about the ground joints; see Cervantes-Sanchez, Rendon-Sanchez, "A simplified approach for obtaining
-    the workspace of a class of 2-dof planar parallel manipulators", Mech. Mach. Theory 34 (1999)."""  # fmt: skip
+    """Two annuli about the ground joints; see Cervantes-Sanchez, Rendon-Sanchez, "A simplified
+    approach for obtaining the workspace of a class of 2-dof planar parallel manipulators", Mech.
+    Mach. Theory 34 (1999).
+    """
     system = kempe.load("five_bar")
     w = planar_workspace(system, "tip")
-    circles = {(round(p.centre.real, 9), round(p.centre.imag, 9), round(p.radius, 9)) for p in w.boundary}
+    circles = {
+        (round(p.centre.real, 9), round(p.centre.imag, 9), round(p.radius, 9)) for p in w.boundary
+    }
     points = np.random.default_rng(0).uniform(*w.extent, (2000, 2))
-    far = np.abs(points[:, None] @ [1.0, 1j] - np.array([complex(x, y) for x, y, _ in sorted(circles)]))
+    far = np.abs(
+        points[:, None] @ [1.0, 1j] - np.array([complex(x, y) for x, y, _ in sorted(circles)])
+    )
     radii = np.array([r for _, _, r in sorted(circles)])
     clear = (np.abs(far - radii) > 1e-6).all(axis=1) & (np.arange(2000) < 200)
     assert np.array_equal(system.ik(points[clear], "tip").success, w.contains(points[clear]))
-    assert np.prod(w.extent[1] - w.extent[0]) * w.contains(points).mean() == pytest.approx(w.area, rel=0.1)
+    assert np.prod(w.extent[1] - w.extent[0]) * w.contains(points).mean() == pytest.approx(
+        w.area, rel=0.1
+    )
 
 
 def test_a_planar_parallel_robot_in_one_orientation():
@@ -260,10 +322,12 @@ def test_a_planar_parallel_robot_in_one_orientation():
 
 
 def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch):
-    """Annuli of the leg lengths about the pivots moved by where the leg holds the platform; area by quadrature.
+    """Annuli of the leg lengths about the pivots moved by where the leg holds the platform; area by
+    quadrature.
 
-    Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998). In
-    twelve orientations they are 36 annuli, of which not each curve is cut by each.
+    Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine
+    Theory 33 (1998). In twelve orientations they are 36 annuli, of which not each curve is cut by
+    each.
     """
     low = 0.35
     high = 0.95
@@ -274,7 +338,9 @@ def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch)
     plate = m.body("platform")
     for k, (a, b) in enumerate(zip(base, platform, strict=True)):
         m.revolute(f"A{k}", m.ground, m.body(f"leg{k}"), at=(a.real, a.imag))
-        m.prismatic(f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=(low, high), actuated=True)
+        m.prismatic(
+            f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=(low, high), actuated=True
+        )
         m.revolute(f"B{k}", f"rod{k}", plate, child_at=(b.real, b.imag))
     m.frame("tool", plate)
     w = m.build().reach.planar("tool", orientation=angle)
@@ -283,54 +349,92 @@ def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch)
     far = np.abs((points @ [1.0, 1j])[:, None] - centres)
     assert np.array_equal(w.contains(points), ((far > low) & (far < high)).all(axis=1))
     assert w.area == pytest.approx(_area_of_annuli(centres, low, high), rel=1e-5)
-    assert m.build().workspace("tool", orientation=angle).area[0] == pytest.approx(w.area, abs=1e-12)
+    assert m.build().workspace("tool", orientation=angle).area[0] == pytest.approx(
+        w.area, abs=1e-12
+    )
     cuts = []
     meets = PlanePiece.meets
     monkeypatch.setattr(PlanePiece, "meets", lambda *given: cuts.append(0) or meets(*given))
     turns = np.linspace(0.2, 0.6, 12)
     several = m.build().reach.planar("tool", kind="dexterous", orientation=turns)
     centres = (base - platform * np.exp(1j * turns[:, None])).ravel()
-    assert several.area == pytest.approx(_area_of_annuli(centres, low, high, 2000), rel=1e-4) and len(cuts) < 60_000
+    assert (
+        several.area == pytest.approx(_area_of_annuli(centres, low, high, 2000), rel=1e-4)
+        and len(cuts) < 60_000
+    )
 
 
 def _area_of_annuli(centres: np.ndarray, low: float, high: float, lines: int = 20_000) -> float:
-    """Of what lies in all annuli: lengths of the pieces of lines y = constant, by the midpoint rule."""
+    """Of what lies in all annuli: lengths of the pieces of lines y = constant, by the midpoint
+    rule.
+    """
     edges = np.linspace(-1.0, 2.0, lines + 1)
     y = 0.5 * (edges[1:] + edges[:-1])[:, None] - centres.imag
     halves = [np.sqrt(np.maximum(r * r - y * y, 0.0)) for r in (low, high)]
-    x = np.sort(np.concatenate([s * h + centres.real for h in halves for s in (-1.0, 1.0)], axis=1), axis=1)
+    x = np.sort(
+        np.concatenate([s * h + centres.real for h in halves for s in (-1.0, 1.0)], axis=1), axis=1
+    )
     middle = 0.5 * (x[:, 1:] + x[:, :-1])
     far = np.hypot(middle[..., None] - centres.real, y[:, None])
-    return float((np.diff(x, axis=1) * ((far > low) & (far < high)).all(axis=2)).sum() * (edges[1] - edges[0]))
+    return float(
+        (np.diff(x, axis=1) * ((far > low) & (far < high)).all(axis=2)).sum()
+        * (edges[1] - edges[0])
+    )
 
 
 def test_dexterous_places_of_three_links():
-    """The ring within which a circle of the last link's length lies in the annulus of the first two."""
-    w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=0.1), "tool", kind="dexterous")
+    """The ring within which a circle of the last link's length lies in the annulus of the first
+    two.
+    """
+    w = planar_workspace(
+        arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=0.1),
+        "tool",
+        kind="dexterous",
+    )
     assert w.area == pytest.approx(np.pi * (0.9**2 - 0.3**2), abs=1e-10) and len(w.voids) == 1
-    empty = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=2.0), "tool", "dexterous")
-    assert empty.area == 0.0 and "no place is reached" in empty.status and not empty.contains([0.0, 0.0])
+    empty = planar_workspace(
+        arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=2.0), "tool", "dexterous"
+    )
+    assert (
+        empty.area == 0.0
+        and "no place is reached" in empty.status
+        and not empty.contains([0.0, 0.0])
+    )
     with pytest.raises(UnsupportedError, match="without limits"):
-        planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (0.0, 1.0))), "tool", kind="dexterous")
+        planar_workspace(
+            arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (0.0, 1.0))),
+            "tool",
+            kind="dexterous",
+        )
     with pytest.raises(UnsupportedError, match="one of places"):
         planar_answer(w.system, "tool", question_of(w.system, "tool", None, None, (0.1, 0.2)))
 
 
 def test_distances_from_the_boundary():
-    """Of the annulus of radii 0.1 and 1.1, above its plane, too; infinite points are infinitely far."""
+    """Of the annulus of radii 0.1 and 1.1, above its plane, too; infinite points are infinitely
+    far.
+    """
     w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), tool=0.5), "tool")
-    assert w.distance([[0.0, 0.0], [0.3, 0.4], [0.0, -2.0]]) == pytest.approx([0.1, 0.4, 0.9], abs=1e-14)
+    assert w.distance([[0.0, 0.0], [0.3, 0.4], [0.0, -2.0]]) == pytest.approx(
+        [0.1, 0.4, 0.9], abs=1e-14
+    )
     assert w.distance([0.3, 0.4, 0.3]) == pytest.approx(0.5) and not w.contains([0.3, 0.4, 0.3])
     with np.errstate(all="raise"):
-        assert np.isinf(w.distance([[np.inf, 0.0], [0.0, -np.inf]])).all() and np.isnan(w.distance([np.nan, 0.0]))
+        assert np.isinf(w.distance([[np.inf, 0.0], [0.0, -np.inf]])).all() and np.isnan(
+            w.distance([np.nan, 0.0])
+        )
         assert not w.contains([[np.inf, 0.0], [0.0, -np.inf], [np.nan, 0.0]]).any()
 
 
 @pytest.mark.parametrize("over", [1e-2, 1e-3, 3e-4, 1e-4])
 def test_curves_that_nearly_coincide(over):
-    """A slide that goes just over the place where it is nearest to the axis: the hole stays one, however thin the ring
-    of two solutions is."""  # fmt: skip
+    """A slide that goes just over the place where it is nearest to the axis: the hole stays one,
+    however thin the ring of two solutions is.
+    """
     w = planar_workspace(arm(("R", 0.0, None), ("P", 0.5, (-0.8, over)), tool=0.0), "tool")
     assert w.area == pytest.approx(np.pi * 0.64, abs=1e-8) and not w.contains([0.1, 0.2])
-    assert w.contains([[0.6, 0.0], [0.0, -0.6]]).all() and [r.solutions for r in w.regions] == [1, 2]
+    assert w.contains([[0.6, 0.0], [0.0, -0.6]]).all() and [r.solutions for r in w.regions] == [
+        1,
+        2,
+    ]
     assert w.regions[1].area == pytest.approx(np.pi * over**2, rel=1e-6)

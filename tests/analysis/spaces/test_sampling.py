@@ -1,4 +1,6 @@
-"""Samples of configurations against the densities that the measures have in closed form, by chi-square."""
+"""Samples of configurations against the densities that the measures have in closed form, by
+chi-square.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def test_limits_bound_the_product():
 
 
 def test_rotations_have_haars_measure():
-    """The angle of a uniform rotation has the density (1 - cos) / pi, its axis is uniform on the sphere."""
+    """The angle of a uniform rotation has the density (1 - cos) / pi, its axis is uniform on the
+    sphere.
+    """
     q = kempe.load("joint_spherical").configuration_space.sample(5000, 3).q
     q = q[:, :4] * np.sign(q[:, :1])
     angle = 2.0 * np.arccos(np.clip(q[:, 0], -1.0, 1.0))
@@ -102,7 +106,9 @@ def test_a_walk_on_a_sphere_is_uniform():
 
 @pytest.mark.slow
 def test_a_walk_on_a_torus_has_more_outside_than_inside():
-    """Its area by the angle v around the tube goes as R + r cos v (Diaconis, Holmes, Shahshahani, 2013)."""
+    """Its area by the angle v around the tube goes as R + r cos v (Diaconis, Holmes, Shahshahani,
+    2013).
+    """
     R = 1.0
     r = 0.6
     text = f"(sqrt(T.x*T.x + T.y*T.y) - {R})**2 + T.z*T.z = {r * r}"
@@ -114,7 +120,9 @@ def test_a_walk_on_a_torus_has_more_outside_than_inside():
 
 @pytest.mark.slow
 def test_a_walk_among_rotations_keeps_haars_measure():
-    """A ball, and a slide that is tied to none of it but through its own equation: a circle of radius 1 times SO(3)."""
+    """A ball, and a slide that is tied to none of it but through its own equation: a circle of
+    radius 1 times SO(3).
+    """
     m = Mechanism("ball and circle")
     m.spherical("Q", m.ground, m.body("ball"))
     m.translation("T", m.ground, m.body("b"))
@@ -125,12 +133,16 @@ def test_a_walk_among_rotations_keeps_haars_measure():
     edges = np.linspace(0.0, np.pi, 7)
     assert fits(angle, edges, np.diff(edges - np.sin(edges)))
     k = sample.system.coordinate_names.index("T.x")
-    assert fits(np.arctan2(sample.q[:, k + 1], sample.q[:, k]), np.linspace(-np.pi, np.pi, 9), np.ones(8))
+    assert fits(
+        np.arctan2(sample.q[:, k + 1], sample.q[:, k]), np.linspace(-np.pi, np.pi, 9), np.ones(8)
+    )
 
 
 @pytest.mark.slow
 def test_a_five_bars_surface_is_filled_by_area():
-    """Shares of the first crank's angle from the areas of a fine net of triangles through closed forms."""
+    """Shares of the first crank's angle from the areas of a fine net of triangles through closed
+    forms.
+    """
     a = 0.2
     b = 0.3
     d = 0.2
@@ -181,7 +193,9 @@ def test_structures_and_short_times():
     late = kempe.load("five_bar").configuration_space.sample(4, 0, budget=Budget(time_limit=1e-9))
     assert late.code == Status.OUT_OF_TIME and "0 configurations of 4" in late.status
     calls = []
-    kempe.load("two_link").configuration_space.sample(9, 0, budget=Budget(progress=lambda *x: calls.append(x)))
+    kempe.load("two_link").configuration_space.sample(
+        9, 0, budget=Budget(progress=lambda *x: calls.append(x))
+    )
     assert calls == [(0, 9)]
 
 

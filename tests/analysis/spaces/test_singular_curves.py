@@ -1,4 +1,6 @@
-"""Curves of singular configurations against circles, coupler curves and the conic of the literature."""
+"""Curves of singular configurations against circles, coupler curves and the conic of the
+literature.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,11 @@ def arm_of(lengths) -> kempe.System:
 def test_an_arm_of_turns_is_singular_on_circles(lengths):
     """In line, each link ahead or back: radii are sums of the lengths with signs, the first +."""
     found = arm_of(lengths).singularities("tip", "position", budget=Budget(starts=256)).curves()
-    assert found and all(c.closed for c in found) and all(np.ptp(np.hypot(*c.p.T[:2])) < 1e-9 for c in found)
+    assert (
+        found
+        and all(c.closed for c in found)
+        and all(np.ptp(np.hypot(*c.p.T[:2])) < 1e-9 for c in found)
+    )
     signs = np.array(np.meshgrid(*[(1, -1)] * (len(lengths) - 1))).reshape(len(lengths) - 1, -1)
     expected = {round(abs(lengths[0] + float(np.dot(lengths[1:], s))), 6) for s in signs.T}
     assert {round(float(np.hypot(*c.p[0, :2])), 6) for c in found} == expected
@@ -50,7 +56,9 @@ def five():
 
 @pytest.mark.slow
 def test_type_1_of_a_five_bar_lies_on_circles_about_its_pivots(five):
-    """Radii a + b and b - a about (0, 0) and (d, 0), wherever the other leg reaches, and nowhere else."""
+    """Radii a + b and b - a about (0, 0) and (d, 0), wherever the other leg reaches, and nowhere
+    else.
+    """
     curves = [c for c in five if c.kinds == ("type 1",)]
     a = 0.2
     b = 0.3
@@ -59,7 +67,11 @@ def test_type_1_of_a_five_bar_lies_on_circles_about_its_pivots(five):
     for c in curves:
         radii = np.linalg.norm(c.p[:, None, :2] - pivots, axis=-1)
         off = np.minimum(np.abs(radii - (a + b)), np.abs(radii - (b - a)))
-        assert off.min(axis=1).max() < 1e-9 and radii.max() < a + b + 1e-9 and radii.min() > b - a - 1e-9
+        assert (
+            off.min(axis=1).max() < 1e-9
+            and radii.max() < a + b + 1e-9
+            and radii.min() > b - a - 1e-9
+        )
     for k in range(2):
         for r in (a + b, b - a):
             p = pivots[k] + r * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -70,10 +82,14 @@ def test_type_1_of_a_five_bar_lies_on_circles_about_its_pivots(five):
 
 @pytest.mark.slow
 def test_type_2_of_a_five_bar_is_a_coupler_curve():
-    """The distal links are in line: a point of the coupler of a four-bar, whose length is their sum or difference."""
+    """The distal links are in line: a point of the coupler of a four-bar, whose length is their sum
+    or difference.
+    """
     ours = FIVE.with_parameters(d=0.3)
     curves = [
-        c for c in ours.singularities("tip", "position", budget=Budget(starts=24)).curves() if c.kinds == ("type 2",)
+        c
+        for c in ours.singularities("tip", "position", budget=Budget(starts=24)).curves()
+        if c.kinds == ("type 2",)
     ]
     a = 0.2
     b = 0.3
@@ -84,7 +100,9 @@ def test_type_2_of_a_five_bar_is_a_coupler_curve():
         u = c.p[:, :2] - B
         v = c.p[:, :2] - C[:, :2]
         assert np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).max() < 1e-9
-    angle = np.linspace(-np.pi, np.pi, 400)  # of the first crank; the other crank's end is on two circles
+    angle = np.linspace(
+        -np.pi, np.pi, 400
+    )  # of the first crank; the other crank's end is on two circles
     B = a * np.column_stack([np.cos(angle), np.sin(angle)])
     to = np.array([d, 0.0]) - B
     far = np.linalg.norm(to, axis=1)
@@ -108,17 +126,21 @@ def three_rpr(limits=(0.15, 1.6)) -> kempe.System:
     platform = m.body("platform")
     for k, (a, b) in enumerate(zip(BASE, PLATFORM, strict=True)):
         m.revolute(f"A{k}", m.ground, m.body(f"leg{k}"), at=tuple(a))
-        m.prismatic(f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=limits, actuated=True)
+        m.prismatic(
+            f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=limits, actuated=True
+        )
         m.revolute(f"B{k}", f"rod{k}", platform, child_at=tuple(b))
     m.frame("tool", platform)
     return m.build()
 
 
 def determinant(p: np.ndarray, angle: float) -> np.ndarray:
-    """Of the lines of the legs at places p (n, 2) of the platform, by their directions and their moments about it.
+    """Of the lines of the legs at places p (n, 2) of the platform, by their directions and their
+    moments about it.
 
-    Sefrioui and Gosselin, "On the quadratic nature of the singularity curves of planar three-degree-of-freedom parallel
-    manipulators", Mechanism and Machine Theory 30 (1995): a polynomial of degree two in x and y.
+    Sefrioui and Gosselin, "On the quadratic nature of the singularity curves of planar
+    three-degree-of-freedom parallel manipulators", Mechanism and Machine Theory 30 (1995): a
+    polynomial of degree two in x and y.
     """
     c = np.cos(angle)
     s = np.sin(angle)
@@ -127,15 +149,20 @@ def determinant(p: np.ndarray, angle: float) -> np.ndarray:
     return np.linalg.det(np.dstack([u, arm[:, 0] * u[..., 1] - arm[:, 1] * u[..., 0]]))
 
 
-@pytest.mark.parametrize(("angle", "starts"), [
-    (0.4, 8), pytest.param(0.4, 64, marks=pytest.mark.slow), pytest.param(-1.1, 64, marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("angle", "starts"),
+    [
+        (0.4, 8),
+        pytest.param(0.4, 64, marks=pytest.mark.slow),
+        pytest.param(-1.1, 64, marks=pytest.mark.slow),
+    ],
+)
 def test_type_2_of_a_3_rpr_at_one_orientation_is_a_conic(angle, starts):
     """Every place found is on it; from many starts, every point of it that all legs reach is found."""
     robot = three_rpr()
-    found = robot.singularities("tool", inputs=["s0", "s1", "s2"], budget=Budget(starts=starts)).curves(
-        orientation=angle
-    )
+    found = robot.singularities(
+        "tool", inputs=["s0", "s1", "s2"], budget=Budget(starts=starts)
+    ).curves(orientation=angle)
     curves = [c for c in found if "type 2" in c.kinds]
     assert found.held == ("orientation",) and curves
     trial = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2))
@@ -163,14 +190,24 @@ def test_type_2_of_a_3_rpr_at_one_orientation_is_a_conic(angle, starts):
 
 @pytest.mark.slow
 def test_type_1_of_a_3_rrr_at_one_orientation_lies_on_circles():
-    """A leg is stretched or folded: the platform goes round on a circle whose radius is a + b or b - a."""
-    found = kempe.load("three_rrr").singularities("tool", budget=Budget(starts=24)).curves(orientation=0.1)
+    """A leg is stretched or folded: the platform goes round on a circle whose radius is a + b or b
+    - a.
+    """
+    found = (
+        kempe.load("three_rrr")
+        .singularities("tool", budget=Budget(starts=24))
+        .curves(orientation=0.1)
+    )
     curves = [c.p[:, :2] for c in found if c.kinds == ("type 1",)]
     assert curves
     for p in curves:
-        fit = np.linalg.lstsq(np.column_stack([2.0 * p, np.ones(len(p))]), (p**2).sum(axis=1), rcond=None)[0]
+        fit = np.linalg.lstsq(
+            np.column_stack([2.0 * p, np.ones(len(p))]), (p**2).sum(axis=1), rcond=None
+        )[0]
         radius = np.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2)
-        assert np.linalg.norm(p - fit[:2], axis=1) == pytest.approx(np.full(len(p), radius), abs=1e-9)
+        assert np.linalg.norm(p - fit[:2], axis=1) == pytest.approx(
+            np.full(len(p), radius), abs=1e-9
+        )
         assert min(abs(radius - 0.55), abs(radius - 0.05)) < 1e-9
 
 
@@ -184,7 +221,9 @@ def test_curves_end_at_limits():
 
 
 def test_coordinates_that_are_held_cut_larger_sets_down():
-    """Of the Puma the elbow is a set of dimension 5: with the others held the tool goes round on a circle about z."""
+    """Of the Puma the elbow is a set of dimension 5: with the others held the tool goes round on a
+    circle about z.
+    """
     puma = kempe.load("puma560")
     found = puma.singularities("tool", budget=Budget(starts=32))
     with pytest.raises(InputError, match="have dimension 5.*4 further coordinates are held"):
@@ -194,7 +233,11 @@ def test_coordinates_that_are_held_cut_larger_sets_down():
     assert elbow
     for c in elbow:
         assert all(np.abs(c.q[:, k] - held[f"q{k + 1}"]).max() < 1e-9 for k in (1, 3, 4, 5))
-        assert np.ptp(np.hypot(*c.p.T[:2])) < 1e-6 and np.ptp(c.p[:, 2]) < 1e-6 and np.ptp(c.q[:, 0]) > 3.0
+        assert (
+            np.ptp(np.hypot(*c.p.T[:2])) < 1e-6
+            and np.ptp(c.p[:, 2]) < 1e-6
+            and np.ptp(c.q[:, 0]) > 3.0
+        )
 
 
 def test_what_has_no_curves_says_so():
@@ -202,16 +245,24 @@ def test_what_has_no_curves_says_so():
     m.prismatic("x", m.ground, m.body("a"), axis=(1, 0), limits=(0, 1))
     m.prismatic("y", "a", m.body("b"), axis=(0, 1), limits=(0, 1))
     found = m.build().singularities("b").curves()
-    assert not found and found.code is Status.NOT_FOUND and len(found) == 0 and "no curve" in found.status
+    assert (
+        not found
+        and found.code is Status.NOT_FOUND
+        and len(found) == 0
+        and "no curve" in found.status
+    )
 
 
 def test_wrong_calls_are_explained():
     found = FIVE.singularities("tip", "position", budget=Budget(starts=8))
     for arguments, error, words in [
-        ({"hold": {"Z": 1.0}}, UnknownNameError, "Z"), ({"hold": {"A": np.nan}}, InputError, "'A'.*finite"),
-        ({"hold": 3.0}, InputError, "hold is float"), ({"orientation": [0.1, 0.2]}, InputError, "orientation.*one"),
-        ({"orientation": np.nan}, InputError, "finite"), ({"budget": Budget(starts=3)}, InputError, "does not read"),
-    ]:  # fmt: skip
+        ({"hold": {"Z": 1.0}}, UnknownNameError, "Z"),
+        ({"hold": {"A": np.nan}}, InputError, "'A'.*finite"),
+        ({"hold": 3.0}, InputError, "hold is float"),
+        ({"orientation": [0.1, 0.2]}, InputError, "orientation.*one"),
+        ({"orientation": np.nan}, InputError, "finite"),
+        ({"budget": Budget(starts=3)}, InputError, "does not read"),
+    ]:
         with pytest.raises(error, match=words):
             found.curves(**arguments)
     with pytest.raises(InputError, match="planar"):
@@ -246,7 +297,9 @@ class _Ends:
 
 @pytest.mark.parametrize("after", [1, 3])
 def test_what_is_traced_stays_where_curves_are_broken_off(after):
-    """Those that are there lie on the circles on which all of them lie, and the picture says that they are a part."""
+    """Those that are there lie on the circles on which all of them lie, and the picture says that
+    they are a part.
+    """
     found = arm_of((0.5, 0.4)).singularities("tip", "position", budget=Budget(starts=8))
     curves = until_interrupt(found.curves, budget=Budget(progress=_Ends(after)))
     assert curves.code is Status.INTERRUPTED and "this is the part that was done" in curves.status
@@ -284,16 +337,23 @@ def test_the_time_limit_of_a_picture_is_that_of_its_curves():
 @pytest.mark.slow
 @pytest.mark.parametrize("lower", ["spherical", "universal"])
 def test_curves_of_a_pointer_whose_legs_spin_idly_are_whole_turns(lower):
-    """The direction is lost where the second angle of the universal joint is a quarter turn, whatever the first is."""
+    """The direction is lost where the second angle of the universal joint is a quarter turn,
+    whatever the first is.
+    """
     robot = pointer(lower, "spherical")
-    found = robot.singularities("camera", "direction", inputs=["s0", "s1"], budget=Budget(starts=16))
+    found = robot.singularities(
+        "camera", "direction", inputs=["s0", "s1"], budget=Budget(starts=16)
+    )
     assert {s.dimension for s in found.sets} == {1}
     at = [robot.coordinate_names.index(n) for n in ("U.rx", "U.ry", "s0", "s1")]
     curves = [c for c in found.curves() if c.kinds == ("type 1",)]
     for c in curves:
         U = c.q[:, at[:2]]
         assert c.closed and np.abs(np.cos(U[:, 1])).max() < 1e-6
-        assert abs(U[-1, 0] - U[0, 0]) == pytest.approx(2.0 * np.pi) and np.abs(np.diff(U[:, 0])).max() < 0.25
+        assert (
+            abs(U[-1, 0] - U[0, 0]) == pytest.approx(2.0 * np.pi)
+            and np.abs(np.diff(U[:, 0])).max() < 0.25
+        )
         assert lengths_of_pointer(U) == pytest.approx(c.q[:, at[2:]], abs=1e-8)
     assert curves
 

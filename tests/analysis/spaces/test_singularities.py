@@ -25,7 +25,9 @@ def named(answer, name: str):
 
 
 def crossing(p: np.ndarray, d: np.ndarray) -> float:
-    """The smallest singular value of three lines of the plane through p (3, 2) along d (3, 2), in their coordinates."""
+    """The smallest singular value of three lines of the plane through p (3, 2) along d (3, 2), in
+    their coordinates.
+    """
     lines = np.column_stack([d, p[:, 0] * d[:, 1] - p[:, 1] * d[:, 0]])
     return float(np.linalg.svd(lines / np.linalg.norm(d, axis=1)[:, None], compute_uv=False)[-1])
 
@@ -36,21 +38,36 @@ def puma():
 
 
 def test_the_three_of_the_puma(puma):
-    """Paul, Stevenson, "Kinematics of robot wrists", 1983; Craig, section 5.8: by the lengths of the links."""
+    """Paul, Stevenson, "Kinematics of robot wrists", 1983; Craig, section 5.8: by the lengths of
+    the links.
+    """
     elbow, wrist, shoulder = (named(puma, n) for n in ("elbow", "wrist", "shoulder"))
-    assert elbow.coordinates == ("q3",) and wrist.coordinates == ("q5",) and shoulder.coordinates == ("q2", "q3")
+    assert (
+        elbow.coordinates == ("q3",)
+        and wrist.coordinates == ("q5",)
+        and shoulder.coordinates == ("q2", "q3")
+    )
     assert abs(np.tan(elbow.values[0, 0])) == pytest.approx(D4 / A3, rel=1e-6)
     assert wrist.values.ravel() == pytest.approx([0.0], abs=1e-9)
     assert elbow.dimension == wrist.dimension == shoulder.dimension == 5
-    for q, still in zip(wrist.q, wrist.self_motion, strict=True):  # axes 4 and 6 turn against each other
-        assert np.abs(still[0, :3]).max() < 1e-6 and abs(still[0, 4]) < 1e-6 and still[0, 3] * still[0, 5] < 0.0, q
+    for q, still in zip(
+        wrist.q, wrist.self_motion, strict=True
+    ):  # axes 4 and 6 turn against each other
+        assert (
+            np.abs(still[0, :3]).max() < 1e-6
+            and abs(still[0, 4]) < 1e-6
+            and still[0, 3] * still[0, 5] < 0.0
+        ), q
 
 
 def test_what_is_lost_is_out_of_the_jacobians_image(puma):
     for found in puma.sets:
         for q, lost, still in zip(found.q, found.lost, found.self_motion, strict=True):
             J = PUMA.jacobian(q, "tool")
-            assert np.linalg.matrix_rank(J, tol=1e-6) == 6 - len(lost) and np.abs(J @ still.T).max() < 1e-6
+            assert (
+                np.linalg.matrix_rank(J, tol=1e-6) == 6 - len(lost)
+                and np.abs(J @ still.T).max() < 1e-6
+            )
             assert np.linalg.matrix_rank(np.column_stack([J, lost.T]), tol=1e-4) == 6
 
 
@@ -64,7 +81,9 @@ def test_the_shoulder_is_where_the_wrist_is_across_from_axis_1(puma):
 
 
 def test_distances_to_the_nearest(puma):
-    """Of elbow and wrist they are differences of one joint; of the shoulder by trying 3000 pairs of q2 and q3."""
+    """Of elbow and wrist they are differences of one joint; of the shoulder by trying 3000 pairs of
+    q2 and q3.
+    """
     q = PUMA.q({"q2": 0.9, "q3": -1.0, "q4": 0.3, "q5": 0.7})
     found = puma.nearest(q)
     elbow = named(puma, "elbow").values[0, 0]
@@ -87,7 +106,10 @@ def test_distances_to_the_nearest(puma):
             q2 = sign * turn + k * np.pi
             there = trial.copy()
             there[:, 1] = q2
-            good = np.abs((PUMA.fk(there, "link4")[:, :3, 3] - PUMA.fk(q, "link1")[:3, 3]) @ ahead) < 1e-9
+            good = (
+                np.abs((PUMA.fk(there, "link4")[:, :3, 3] - PUMA.fk(q, "link1")[:3, 3]) @ ahead)
+                < 1e-9
+            )
             good &= (q2 > PUMA.lower[1]) & (q2 < PUMA.upper[1])
             options.append(np.hypot(q2 - q[1], q3 - q[2])[good].min(initial=np.inf))
     assert found.distances[str(named(puma, "shoulder"))] == pytest.approx(min(options), abs=1e-5)
@@ -96,7 +118,11 @@ def test_distances_to_the_nearest(puma):
 
 def test_a_singular_configuration_is_its_own_nearest(puma):
     found = puma.nearest(PUMA.q({"q2": 0.3, "q3": 0.4, "q5": 0.0}))
-    assert found.distance < 1e-9 and found.name == "wrist" and found.status.startswith("singular (wrist)")
+    assert (
+        found.distance < 1e-9
+        and found.name == "wrist"
+        and found.status.startswith("singular (wrist)")
+    )
 
 
 def test_an_arm_of_two_links_is_singular_stretched_or_folded():
@@ -115,7 +141,9 @@ def test_what_a_one_sided_constraint_excludes_is_not_singular():
 
 
 def test_shoulder_elbow_and_wrist_without_a_spherical_wrist():
-    """Of the UR5 by sin q3 = 0 and sin q5 = 0: Kufieta, "Force estimation in robotic manipulators", 2014."""
+    """Of the UR5 by sin q3 = 0 and sin q5 = 0: Kufieta, "Force estimation in robotic manipulators",
+    2014.
+    """
     found = kempe.load("ur5").singularities("tool")
     assert {s.name for s in found.sets} == {"shoulder", "elbow", "wrist"}
     for name in ("elbow", "wrist"):
@@ -134,13 +162,26 @@ def test_of_redundant_arms_all_minors_vanish(name):
 
 
 def test_the_four_of_an_arm_with_spherical_shoulder_and_wrist():
-    """Kreutz-Delgado, Long, Seraji, "Kinematic analysis of 7-DOF manipulators", Int. J. Robotics Research 11 (1992)."""
-    found = {s.coordinates: s for s in kempe.load("iiwa14").singularities("tool").sets if len(s.lost[0]) == 1}
+    """Kreutz-Delgado, Long, Seraji, "Kinematic analysis of 7-DOF manipulators", Int. J. Robotics
+    Research 11 (1992).
+    """
+    found = {
+        s.coordinates: s
+        for s in kempe.load("iiwa14").singularities("tool").sets
+        if len(s.lost[0]) == 1
+    }
     quarter = 0.5 * np.pi
     assert set(found) == {("q4",), ("q2", "q3"), ("q5", "q6"), ("q2", "q6")}
-    assert found["q4",].values == pytest.approx(np.zeros((1, 1)), abs=1e-7) and found["q4",].dimension == 6
-    assert found["q2", "q3"].values == pytest.approx(np.array([[0.0, -quarter], [0.0, quarter]]), abs=1e-7)
-    assert found["q5", "q6"].values == pytest.approx(np.array([[-quarter, 0.0], [quarter, 0.0]]), abs=1e-7)
+    assert (
+        found["q4",].values == pytest.approx(np.zeros((1, 1)), abs=1e-7)
+        and found["q4",].dimension == 6
+    )
+    assert found["q2", "q3"].values == pytest.approx(
+        np.array([[0.0, -quarter], [0.0, quarter]]), abs=1e-7
+    )
+    assert found["q5", "q6"].values == pytest.approx(
+        np.array([[-quarter, 0.0], [quarter, 0.0]]), abs=1e-7
+    )
     assert found["q2", "q6"].values == pytest.approx(np.zeros((1, 2)), abs=1e-7)
 
 
@@ -160,7 +201,9 @@ def lines_of(arm, q):
 
 @pytest.mark.slow
 def test_legs_of_a_planar_robot_meet_or_are_parallel_where_it_gains_a_motion(three_rrr):
-    """Gosselin, Angeles 1990; Bonev, Zlatanov, Gosselin 2003: the lines of the three distal links are dependent."""
+    """Gosselin, Angeles 1990; Bonev, Zlatanov, Gosselin 2003: the lines of the three distal links
+    are dependent.
+    """
     arm, found = three_rrr
     sets = [s for s in found.sets if s.kinds == ("type 2",)]
     assert len(sets) == 1 and sets[0].dimension == 2 and len(sets[0].q) > 10
@@ -205,8 +248,9 @@ def test_of_a_planar_frame_with_two_freedoms_the_place_is_the_task():
     given = arm.singularities("tip", "position", budget=FEW)
     assert all(np.array_equal(a.q, b.q) for a, b in zip(found.sets, given.sets, strict=True))
     for name, frame in (("five_bar", "crank1"), ("three_rrr", "tool"), ("four_bar", "coupler")):
-        assert kempe.load(name).singularities(frame, inputs=["A"] * (name == "four_bar") or None, budget=FEW).task == (
-            "pose"), f"{frame} of {name} has one freedom, or three"  # fmt: skip
+        assert kempe.load(name).singularities(
+            frame, inputs=["A"] * (name == "four_bar") or None, budget=FEW
+        ).task == ("pose"), f"{frame} of {name} has one freedom, or three"
 
 
 @pytest.mark.slow
@@ -239,20 +283,36 @@ def leg_lines(arm, q):
 
 @pytest.mark.slow
 def test_a_hexapod_is_singular_with_its_platform_turned_by_90_degrees():
-    """Fichter, "A Stewart platform-based manipulator", Int. J. Robotics Research 5 (1986): similar hexagons, turned."""
+    """Fichter, "A Stewart platform-based manipulator", Int. J. Robotics Research 5 (1986): similar
+    hexagons, turned.
+    """
     arm = kempe.load("stewart")
     X = arm.fk(arm.q("closed"), "tool")
     q = arm.q("closed")
     for turn in np.linspace(0.0, 0.5 * np.pi, 19)[1:]:
         target = X.copy()
-        target[:3, :3] = [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+        target[:3, :3] = [
+            [np.cos(turn), -np.sin(turn), 0.0],
+            [np.sin(turn), np.cos(turn), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
         q = arm.ik([kempe.tasks.Pose("tool", target)], start=q).expect().q
     lines = leg_lines(arm, q)
     assert np.linalg.svd(lines, compute_uv=False)[-1] < 1e-9
     found = arm.singularities("tool", budget=FEW).nearest(q)
     assert found.distance < 1e-6 and "type 2" in found.kinds and len(found.gained) == 1
-    assert np.abs(lines @ np.concatenate([found.gained[0, :3] - np.cross(found.gained[0, 3:], target[:3, 3]),
-                                          found.gained[0, 3:]])).max() < 1e-6  # fmt: skip
+    assert (
+        np.abs(
+            lines
+            @ np.concatenate(
+                [
+                    found.gained[0, :3] - np.cross(found.gained[0, 3:], target[:3, 3]),
+                    found.gained[0, 3:],
+                ]
+            )
+        ).max()
+        < 1e-6
+    )
 
 
 @pytest.mark.slow
@@ -274,9 +334,13 @@ def interrupted(done: int, total: int) -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize(("last", "progress", "code", "done"), [
-    (3, None, Status.OUT_OF_TIME, 32), (None, interrupted, Status.INTERRUPTED, 16),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("last", "progress", "code", "done"),
+    [
+        (3, None, Status.OUT_OF_TIME, 32),
+        (None, interrupted, Status.INTERRUPTED, 16),
+    ],
+)
 def test_what_was_found_stays_where_the_search_is_broken_off(last, progress, code, done, looks):
     """Of the looks at the clock the time is up at the third from behind."""
     if last is not None:
@@ -286,10 +350,17 @@ def test_what_was_found_stays_where_the_search_is_broken_off(last, progress, cod
     part = until_interrupt(PUMA.singularities, "tool", budget=Budget(starts=40, progress=progress))
     looks(10**9)
     whole = PUMA.singularities("tool", budget=Budget(starts=40))
-    assert part.code is code and part.starts == done and "this is the part that was done" in part.status
+    assert (
+        part.code is code
+        and part.starts == done
+        and "this is the part that was done" in part.status
+    )
     first = np.concatenate([s.q for s in whole.sets]) if done else np.zeros((0, 6))
     mine = np.concatenate([s.q for s in part.sets]) if done else first
-    assert all(np.abs(first - q).max(axis=1).min() < 1e-9 for q in mine) and whole.code is Status.SOLVED
+    assert (
+        all(np.abs(first - q).max(axis=1).min() < 1e-9 for q in mine)
+        and whole.code is Status.SOLVED
+    )
     seen = []
     PUMA.singularities("tool", budget=Budget(starts=40, progress=lambda *x: seen.append(x)))
     assert seen == [(16, 40), (32, 40), (40, 40)]
@@ -324,7 +395,9 @@ def test_what_cannot_be_done_is_said():
 
 
 def test_a_gimbal_loses_a_direction_of_its_axis_where_that_is_along_the_first_turn():
-    """What is lost is the turn about the axis that is across the pointing axis and the second axis of the gimbal."""
+    """What is lost is the turn about the axis that is across the pointing axis and the second axis
+    of the gimbal.
+    """
     m = kempe.Mechanism("gimbal")
     m.universal("U", m.ground, m.body("camera"))
     found = m.build().singularities("camera", "direction", budget=Budget(starts=16))
@@ -333,7 +406,9 @@ def test_a_gimbal_loses_a_direction_of_its_axis_where_that_is_along_the_first_tu
     for q, lost in zip(only.q, only.lost, strict=True):
         z = found.system.fk(q, "camera")[:3, 2]
         second = np.array([0.0, np.cos(q[0]), np.sin(q[0])])
-        assert lost.shape == (1, 6) and np.abs(lost[0, 3:] @ np.cross(z, second)) == pytest.approx(1.0, abs=1e-6)
+        assert lost.shape == (1, 6) and np.abs(lost[0, 3:] @ np.cross(z, second)) == pytest.approx(
+            1.0, abs=1e-6
+        )
         assert np.abs(lost[0, :3]).max() < 1e-9
     planes = m.build().singularities("camera", "orientation", budget=Budget(starts=4))
     assert not planes.sets  # both turns stay independent as turns
@@ -342,7 +417,9 @@ def test_a_gimbal_loses_a_direction_of_its_axis_where_that_is_along_the_first_tu
 
 
 def test_a_position_seen_along_two_axes():
-    """A polar arm about a vertical axis whose height is driven: seen from the side it is singular where it comes by."""
+    """A polar arm about a vertical axis whose height is driven: seen from the side it is singular
+    where it comes by.
+    """
     m = kempe.Mechanism("post")
     m.prismatic("h", m.ground, m.body("cart"), axis="z", limits=(0.0, 1.0))
     m.revolute("t", "cart", m.body("arm"), axis="z")
@@ -355,25 +432,40 @@ def test_a_position_seen_along_two_axes():
 
 
 def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
-    """Three legs in planes at 120 degrees: x and y of the level platform are squares of its tilts, so none moves it."""
+    """Three legs in planes at 120 degrees: x and y of the level platform are squares of its tilts,
+    so none moves it.
+    """
     m = kempe.Mechanism("3-RPS")
     m.body("platform")
     for i, turn in enumerate(2.0 * np.pi / 3.0 * np.arange(3)):
         c = np.cos(turn)
         s = np.sin(turn)
-        m.revolute(f"R{i}", m.ground, m.body(f"sleeve{i}"), at=(0.3 * c, 0.3 * s, 0.0), rpy=(0, 0, turn), axis="y")
-        m.prismatic(f"P{i}", f"sleeve{i}", m.body(f"rod{i}"), axis="z", actuated=True, limits=(0.25, 0.45))
+        m.revolute(
+            f"R{i}",
+            m.ground,
+            m.body(f"sleeve{i}"),
+            at=(0.3 * c, 0.3 * s, 0.0),
+            rpy=(0, 0, turn),
+            axis="y",
+        )
+        m.prismatic(
+            f"P{i}", f"sleeve{i}", m.body(f"rod{i}"), axis="z", actuated=True, limits=(0.25, 0.45)
+        )
         m.spherical(f"S{i}", f"rod{i}", "platform", child_at=(0.2 * c, 0.2 * s, 0.0))
     system = m.build()
     found, second = system.singularities("platform", "position").sets
     assert found.kinds == ("type 1",) and found.dimension == 1
     assert second.kinds == ("type 2",) and second.dimension == 2 and len(second.q) >= 3
-    for q in second.q:  # forces along the legs, and along the axes of the turns, at the balls: Pluecker lines
+    for q in (
+        second.q
+    ):  # forces along the legs, and along the axes of the turns, at the balls: Pluecker lines
         lines = []
         for i in range(3):
             sleeve = system.fk(q, f"sleeve{i}")
             ball = sleeve[:3, 3] + system.q_dict(q)[f"P{i}"] * sleeve[:3, 2]
-            lines += [np.concatenate([v, np.cross(ball, v)]) for v in (sleeve[:3, 2], sleeve[:3, 1])]
+            lines += [
+                np.concatenate([v, np.cross(ball, v)]) for v in (sleeve[:3, 2], sleeve[:3, 1])
+            ]
         assert abs(np.linalg.det(np.array(lines))) < 1e-9
         assert all(0.25 <= system.q_dict(q)[f"P{i}"] <= 0.45 for i in range(3))
     for q, lost in zip(found.q, found.lost, strict=True):
@@ -385,7 +477,9 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
 
 
 def test_the_nearest_singular_configuration_is_hardly_ever_farther_than_one_on_a_grid(hunt):
-    """Arms of three skew hinges with limits: against changes of sign of the determinant along the lines of a grid."""
+    """Arms of three skew hinges with limits: against changes of sign of the determinant along the
+    lines of a grid.
+    """
     rng = hunt.rng()
     far = 0
     count = 0
@@ -396,7 +490,14 @@ def test_the_nearest_singular_configuration_is_hardly_ever_farther_than_one_on_a
         last = m.ground
         for k in range(3):
             place = tuple(rng.uniform(-0.5, 0.5, 3)) if k else (0, 0, 0)
-            m.revolute(f"j{k}", last, m.body(f"b{k}"), at=place, axis=tuple(rng.normal(size=3)), limits=(-2.5, 2.5))
+            m.revolute(
+                f"j{k}",
+                last,
+                m.body(f"b{k}"),
+                at=place,
+                axis=tuple(rng.normal(size=3)),
+                limits=(-2.5, 2.5),
+            )
             last = f"b{k}"
         m.frame("e", last, at=tuple(rng.uniform(-0.6, 0.6, 3)))
         system = m.build()

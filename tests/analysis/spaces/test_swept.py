@@ -44,7 +44,9 @@ def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
         if proven:
             (count,) = proven
             assert all(s.count <= count for s in found)
-            assert count in (counted_on_a_grid(system, 3000), counted_on_a_grid(system, 40_000)), system
+            assert count in (counted_on_a_grid(system, 3000), counted_on_a_grid(system, 40_000)), (
+                system
+            )
             complete = complete + 1
             seen = seen | proven
     assert complete > 3 and len(seen) > 1
@@ -52,7 +54,9 @@ def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
 
 @pytest.mark.slow
 def test_curves_that_are_traced_keep_their_component(hunt):
-    """The tracer knows nothing of branches: all along a curve it is in one component, and in each there is a curve."""
+    """The tracer knows nothing of branches: all along a curve it is in one component, and in each
+    there is a curve.
+    """
     rng = hunt.rng()
     several = 0
     for _ in range(hunt.cases(4, least=4)):
@@ -70,7 +74,9 @@ def test_curves_that_are_traced_keep_their_component(hunt):
 
 
 def test_slider_cranks_are_counted_by_their_lengths(hunt):
-    """Crank r, rod l, offset e: the sine of the crank's angle is at least (e - l) / r and at most (e + l) / r."""
+    """Crank r, rod l, offset e: the sine of the crank's angle is at least (e - l) / r and at most
+    (e + l) / r.
+    """
     rng = hunt.rng()
     seen = set()
     for _ in range(hunt.cases(12)):
@@ -92,7 +98,9 @@ def test_slider_cranks_are_counted_by_their_lengths(hunt):
 
 @pytest.mark.slow
 def test_small_gaps_are_gaps(hunt):
-    """Loops of four bars near their change points, against Grashof's rule: proven, or an honest lower bound."""
+    """Loops of four bars near their change points, against Grashof's rule: proven, or an honest
+    lower bound.
+    """
     rng = hunt.rng()
     proven = 0
     for _ in range(hunt.cases(10, least=10)):
@@ -111,7 +119,9 @@ def test_small_gaps_are_gaps(hunt):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", some(["parallelogram", "antiparallelogram", "kite", "slider_crank_equal"], 3))
+@pytest.mark.parametrize(
+    "name", some(["parallelogram", "antiparallelogram", "kite", "slider_crank_equal"], 3)
+)
 def test_branches_that_touch_are_one_component(name):
     """Change points, to rounding: one component, whose crossings are flat."""
     system = kempe.load(name)
@@ -126,13 +136,22 @@ def test_branches_that_touch_are_one_component(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count"),
-    some([
-        ("andrews_squeezer", 4), ("klann", 3), ("stephenson_six_bar", 4), ("watt_six_bar", 2), ("slider_crank", 2),
-        ("four_bar_spatial", 2),
-    ], 4),
-)  # fmt: skip
+    some(
+        [
+            ("andrews_squeezer", 4),
+            ("klann", 3),
+            ("stephenson_six_bar", 4),
+            ("watt_six_bar", 2),
+            ("slider_crank", 2),
+            ("four_bar_spatial", 2),
+        ],
+        4,
+    ),
+)
 def test_all_coordinates_say_the_same(name, count):
-    """Counts over different coordinates share no function; those curves that are traced are as many."""
+    """Counts over different coordinates share no function; those curves that are traced are as
+    many.
+    """
     system = kempe.load(name)
     found = every(system)
     assert len(found) > 1 and {s.count for s in found if s.complete} == {count}
@@ -174,7 +193,9 @@ def on_the_sphere(arcs: list[float], n: int = 400) -> int:
     # directions of the coupler's axes; the second crank turns about an axis in the y-z plane
     u = np.stack([np.sin(crank) * s, -np.sin(crank) * c, np.cos(crank) * np.ones_like(t)])
     v = np.stack([np.sin(rocker) * s, -np.sin(rocker) * c, np.cos(rocker) * np.ones_like(t)])
-    turn = np.array([[1, 0, 0], [0, np.cos(ground), -np.sin(ground)], [0, np.sin(ground), np.cos(ground)]])
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(ground), -np.sin(ground)], [0, np.sin(ground), np.cos(ground)]]
+    )
     f = np.einsum("ia,ib->ab", u, turn @ v) - np.cos(coupler)
     corner = np.stack([f[:-1, :-1], f[1:, :-1], f[:-1, 1:], f[1:, 1:]])
     cells = (corner.min(axis=0) < 0.0) & (corner.max(axis=0) > 0.0)
@@ -187,9 +208,26 @@ def test_spherical_loops_are_counted_as_a_grid_counts_them(hunt):
     for _ in range(hunt.cases(15)):
         arcs = rng.uniform(0.2, 1.5, 4).tolist()
         found = best(spherical(arcs))
-        if min(np.abs([np.cos(sum(x * y for x, y in zip(arcs, s, strict=True))) - 1.0
-                       for s in ((1, 1, 1, -1), (1, 1, -1, 1), (1, -1, 1, 1), (-1, 1, 1, 1), (1, 1, -1, -1),
-                                 (1, -1, 1, -1), (1, -1, -1, 1), (1, 1, 1, 1))])) < 1e-3:  # fmt: skip
+        if (
+            min(
+                np.abs(
+                    [
+                        np.cos(sum(x * y for x, y in zip(arcs, s, strict=True))) - 1.0
+                        for s in (
+                            (1, 1, 1, -1),
+                            (1, 1, -1, 1),
+                            (1, -1, 1, 1),
+                            (-1, 1, 1, 1),
+                            (1, 1, -1, -1),
+                            (1, -1, 1, -1),
+                            (1, -1, -1, 1),
+                            (1, 1, 1, 1),
+                        )
+                    ]
+                )
+            )
+            < 1e-3
+        ):
             continue  # nearly flat: too near for the grid
         assert found.complete and found.count == on_the_sphere(arcs), arcs
         seen.add(found.count)

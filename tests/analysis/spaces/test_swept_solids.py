@@ -1,4 +1,6 @@
-"""Exact workspaces in space, of chains that move a frame in a plane which is moved or turned: closed forms and `ik`."""
+"""Exact workspaces in space, of chains that move a frame in a plane which is moved or turned:
+closed forms and `ik`.
+"""
 
 from __future__ import annotations
 
@@ -60,36 +62,56 @@ def test_volumes_of_closed_form(name):
 
 @pytest.mark.parametrize("limits", [(-1.0, 1.0), (0.2, 0.5), (-2.0, 2.0), (-0.5, 4.0), (-3.0, 3.0)])
 def test_volumes_with_limits_of_the_first_joint(limits):
-    """A torus has a part of its volume; a shell is reached on both sides of the axis, so from half a turn on wholly."""
+    """A torus has a part of its volume; a shell is reached on both sides of the axis, so from half
+    a turn on wholly.
+    """
     wide = limits[1] - limits[0]
     part = torus(0.5, 0.2, True).with_limits({"A": limits})
-    assert swept_solid(part, "tip").measure == pytest.approx(TORUS * wide / (2.0 * math.pi), rel=1e-10)
+    assert swept_solid(part, "tip").measure == pytest.approx(
+        TORUS * wide / (2.0 * math.pi), rel=1e-10
+    )
     both = shell(0.5, 0.3).with_limits({"A": limits})
-    assert swept_solid(both, "tip").measure == pytest.approx(SHELL * min(1.0, wide / math.pi), rel=1e-10)
+    assert swept_solid(both, "tip").measure == pytest.approx(
+        SHELL * min(1.0, wide / math.pi), rel=1e-10
+    )
     found = both.workspace("tip", n=2e4, cells=12)
-    assert found.exact is not None and found.volume[0] == pytest.approx(SHELL * min(1.0, wide / math.pi), rel=1e-10)
+    assert found.exact is not None and found.volume[0] == pytest.approx(
+        SHELL * min(1.0, wide / math.pi), rel=1e-10
+    )
     p = [[0.5 * math.cos(limits[1] + 0.01), 0.5 * math.sin(limits[1] + 0.01), 0.1]]
     assert found.contains(p) == found.contains(p, check=True) == (wide > math.pi)
     assert np.abs(found.distance(p)) < 0.3  # that of the map
 
 
 def test_a_turn_beside_the_axis_by_hand():
-    """A bar at a distance d beside the axis, x from a to b and from -b to -a: sectors of rings, their overlaps once."""
+    """A bar at a distance d beside the axis, x from a to b and from -b to -a: sectors of rings,
+    their overlaps once.
+    """
     d = 0.3
     a = 0.2
     b = 0.8
     height = 0.4
     wide = 2.5
-    system = chain(("revolute", "z", (0, 0, 0), (-0.5, wide - 0.5)), ("prismatic", "x", (0, d, 0), (-b, b)),
-                   ("prismatic", "z", (0, 0, 0), (0.0, height)), tool=(0, 0, 0))  # fmt: skip
+    system = chain(
+        ("revolute", "z", (0, 0, 0), (-0.5, wide - 0.5)),
+        ("prismatic", "x", (0, d, 0), (-b, b)),
+        ("prismatic", "z", (0, 0, 0), (0.0, height)),
+        tool=(0, 0, 0),
+    )
     x = (np.arange(2_000_000) + 0.5) * b / 2_000_000
     apart = 2.0 * np.arctan2(x, d)
     angles = np.minimum(2.0 * wide, wide + apart) - np.maximum(0.0, wide - (2.0 * np.pi - apart))
     expected = height * float((x * angles).mean() * b)
     assert swept_solid(system, "tip").measure == pytest.approx(expected, rel=1e-9)
-    one = chain(("revolute", "z", (0, 0, 0), (-0.5, wide - 0.5)), ("prismatic", "x", (0, d, 0), (a, b)),
-                ("prismatic", "z", (0, 0, 0), (0.0, height)), tool=(0, 0, 0))  # fmt: skip
-    assert swept_solid(one, "tip").measure == pytest.approx(0.5 * wide * height * (b * b - a * a), rel=1e-10)
+    one = chain(
+        ("revolute", "z", (0, 0, 0), (-0.5, wide - 0.5)),
+        ("prismatic", "x", (0, d, 0), (a, b)),
+        ("prismatic", "z", (0, 0, 0), (0.0, height)),
+        tool=(0, 0, 0),
+    )
+    assert swept_solid(one, "tip").measure == pytest.approx(
+        0.5 * wide * height * (b * b - a * a), rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("name", ["shell", "torus"])
@@ -108,30 +130,45 @@ def test_arms_of_other_kinds_are_sampled():
     assert swept_solid(kempe.load("ur5"), "tool") is None
     limited = chain(("revolute", "z", (0, 0, 0), (-1.0, 1.0)), ("revolute", (0.0, 0.8, 0.6), (0.3, 0, 0), None),
                     ("revolute", "y", (0.3, 0, 0), None), tool=(0.2, 0, 0))  # fmt: skip
-    assert swept_solid(limited, "tip") is None and limited.workspace("tip", n=2000, cells=8).exact is None
+    assert (
+        swept_solid(limited, "tip") is None
+        and limited.workspace("tip", n=2000, cells=8).exact is None
+    )
     assert shell(0.5, 0.3).workspace("tip", n=500, cells=8, kind="dexterous").exact is None
 
 
 def random_chain(rng):
-    """A chain of a kind that has an exact workspace, anyhow placed: slides and turns, some with limits."""
-    limits = [None if rng.random() < 0.4 else tuple(np.sort(rng.uniform(-3.0, 3.0, 2)).tolist()) for _ in range(3)]
+    """A chain of a kind that has an exact workspace, anyhow placed: slides and turns, some with
+    limits.
+    """
+    limits = [
+        None if rng.random() < 0.4 else tuple(np.sort(rng.uniform(-3.0, 3.0, 2)).tolist())
+        for _ in range(3)
+    ]
     base = rng.uniform(-1.0, 1.0, (2, 3))
     a, b, c = rng.uniform(0.2, 0.6, 3)
     beside = float(rng.choice([0.0, rng.uniform(-0.2, 0.2)]))
     if rng.random() < 0.5:
         first = [("revolute", "z", (0, 0, 0), limits[2])]
-        rest = [("revolute", "y", (float(rng.choice([0.0, a])), beside, 0.1), limits[0]),
-                ("revolute", "-y" if rng.random() < 0.3 else "y", (b, 0, 0), limits[1])]  # fmt: skip
+        rest = [
+            ("revolute", "y", (float(rng.choice([0.0, a])), beside, 0.1), limits[0]),
+            ("revolute", "-y" if rng.random() < 0.3 else "y", (b, 0, 0), limits[1]),
+        ]
         if rng.random() < 0.4:
             rest[1] = ("prismatic", "x", (0, 0, 0), (0.1, 0.5))
     else:
         first = [("revolute", "z", (0, 0, 0), limits[0]), ("revolute", "z", (a, 0, 0), limits[1])]
-        rest = [("prismatic", "z", (b, 0, 0), (-0.2, 0.3)), ("revolute", "z", (0.1, 0, 0), limits[2])]
+        rest = [
+            ("prismatic", "z", (b, 0, 0), (-0.2, 0.3)),
+            ("revolute", "z", (0.1, 0, 0), limits[2]),
+        ]
     return chain(*first, *rest, tool=(c, 0, 0), base=base)
 
 
 def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
-    """Places by the solid, by the inverse model, by distance, and by forward samples; the volume by counting."""
+    """Places by the solid, by the inverse model, by distance, and by forward samples; the volume by
+    counting.
+    """
     rng = hunt.rng()
     kinds = set()
     for _ in range(hunt.cases(40, least=8)):
@@ -144,7 +181,9 @@ def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
         assert (reached >= low - 1e-9).all() and (reached <= high + 1e-9).all()
         points = rng.uniform(low - 0.1, high + 0.1, (4000, 3))
         inside = solid.contains(points)
-        if isinstance(solid, Turned):  # beside the boundary are those with a neighbour on its other side
+        if isinstance(
+            solid, Turned
+        ):  # beside the boundary are those with a neighbour on its other side
             beside = 1e-4 * np.concatenate([np.eye(3), -np.eye(3)])
             around = solid.contains((points[:, None] + beside).reshape(-1, 3)).reshape(-1, 6)
             clear = (around == inside[:, None]).all(axis=1)
@@ -153,19 +192,26 @@ def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
             far = solid.distance(points)
             clear = far > 1e-4
             assert (solid.contains(reached) | (solid.distance(reached) < 1e-6)).all()
-            aside = points[:400] + 0.999 * far[:400, None] * spatial.exp_so3(rng.normal(size=(400, 3)))[:, :, 0]
+            aside = (
+                points[:400]
+                + 0.999 * far[:400, None] * spatial.exp_so3(rng.normal(size=(400, 3)))[:, :, 0]
+            )
             assert np.array_equal(solid.contains(aside)[clear[:400]], inside[:400][clear[:400]])
         some = np.flatnonzero(clear)[:40]
         found = system.ik(points[some], "tip", task="position").success
         assert np.array_equal(inside[some], found)
         box = float(np.prod(high - low + 0.2))
         share = inside.mean()
-        assert solid.measure == pytest.approx(box * share, abs=5.0 * box * math.sqrt(share * (1.0 - share) / 4000))
+        assert solid.measure == pytest.approx(
+            box * share, abs=5.0 * box * math.sqrt(share * (1.0 - share) / 4000)
+        )
     assert len(kinds) == 3
 
 
 def test_the_wrist_of_a_puma_with_its_limits():
-    """What three joints with limits reach beside the axis: exact, and what the inverse model finds at random places."""
+    """What three joints with limits reach beside the axis: exact, and what the inverse model finds
+    at random places.
+    """
     puma = kempe.load("puma560")
     solid = swept_solid(puma, "tool")
     rng = np.random.default_rng(1)
@@ -176,4 +222,6 @@ def test_the_wrist_of_a_puma_with_its_limits():
     inside = solid.contains(points)
     assert (found == inside).mean() > 0.998 and 0.2 < inside.mean() < 0.9
     error = float(np.prod(high - low)) * math.sqrt(inside.mean() * (1.0 - inside.mean()) / 4000)
-    assert solid.measure == pytest.approx(float(np.prod(high - low)) * found.mean(), abs=4.0 * error)
+    assert solid.measure == pytest.approx(
+        float(np.prod(high - low)) * found.mean(), abs=4.0 * error
+    )

@@ -28,7 +28,9 @@ def test_dimensions(name, frame, task, m, n, rank):
     assert (found.m, found.n, found.generic_rank) == (m, n, rank)
     assert (found.redundancy, found.dependent) == (n - rank, m - rank)
     assert "m = " in found.status and f"n = {n}" in found.status
-    assert ("no solution unless" in found.status) == (m > n) and ("redundant" in found.status) == (n > rank and m <= n)
+    assert ("no solution unless" in found.status) == (m > n) and ("redundant" in found.status) == (
+        n > rank and m <= n
+    )
 
 
 def test_the_rank_drops_where_the_arm_is_straight():
@@ -72,7 +74,9 @@ def test_what_is_no_task_is_refused(wrong):
 
 
 def arm(size: float, held: bool = False, offset: float = 0.0, at: float = 0.0) -> kempe.System:
-    """A chain of three hinges in the plane of this size, far from the origin by `at`, whose wrist may be held."""
+    """A chain of three hinges in the plane of this size, far from the origin by `at`, whose wrist
+    may be held.
+    """
     m = kempe.Mechanism("arm", dim=2)
     last = m.ground
     place = (at, 0.3 * at)
@@ -91,9 +95,13 @@ def arm(size: float, held: bool = False, offset: float = 0.0, at: float = 0.0) -
 @pytest.mark.parametrize("at", [0.0, 10.0])
 def test_rounding_is_no_rank(size, at):
     """A point that is held does not move; one on an axis, at any place and of any size, neither."""
-    still = arm(size, held=True, at=at * size).task_space("end", task="position", budget=Budget(starts=16))
+    still = arm(size, held=True, at=at * size).task_space(
+        "end", task="position", budget=Budget(starts=16)
+    )
     assert (still.n, still.rank, still.generic_rank) == (1, 0, 0), still.status
-    turned = arm(size, held=True, at=at * size).task_space("end", task="pose", budget=Budget(starts=16))
+    turned = arm(size, held=True, at=at * size).task_space(
+        "end", task="pose", budget=Budget(starts=16)
+    )
     assert (turned.rank, turned.generic_rank) == (1, 1)
     free = arm(size, at=at * size)
     assert free.task_space("hub", task="position").generic_rank == 0
@@ -108,7 +116,9 @@ def test_a_frame_beside_its_axis_moves(size, offset):
 
 
 def scaled(rng: np.random.Generator, f: float) -> tuple[kempe.System, int]:
-    """A random chain in space of hinges and slides, its lengths times f, and the rank of its pose by numpy."""
+    """A random chain in space of hinges and slides, its lengths times f, and the rank of its pose
+    by numpy.
+    """
     m = kempe.Mechanism("chain")
     last = "ground"
     drawn = []
@@ -117,15 +127,24 @@ def scaled(rng: np.random.Generator, f: float) -> tuple[kempe.System, int]:
         kind = "prismatic" if rng.random() < 0.3 else "revolute"
         at = rng.choice([0.0, 0.3, 0.5], 3)
         axis = rng.choice(["x", "y", "z"])
-        m.joint(f"j{k}", kind, m.ground if k == 0 else last, m.body(f"b{k}"), at=tuple(f * at), axis=axis,
-                limits=(-f, f) if kind == "prismatic" else None)  # fmt: skip
+        m.joint(
+            f"j{k}",
+            kind,
+            m.ground if k == 0 else last,
+            m.body(f"b{k}"),
+            at=tuple(f * at),
+            axis=axis,
+            limits=(-f, f) if kind == "prismatic" else None,
+        )
         last = f"b{k}"
         drawn.append((kind, at, axis))
     return m.build(), n
 
 
 def test_ranks_do_not_depend_on_the_unit_of_length(hunt):
-    """The same chain in units of length from 1e-3 to 1e6: the same ranks, those of the columns by numpy at size 1."""
+    """The same chain in units of length from 1e-3 to 1e6: the same ranks, those of the columns by
+    numpy at size 1.
+    """
     rng = hunt.rng()
     for _ in range(hunt.cases(24)):
         seed = int(rng.integers(2**31))
@@ -133,26 +152,35 @@ def test_ranks_do_not_depend_on_the_unit_of_length(hunt):
         for f in (1.0, 1e-3, 1e3, 1e6):
             system, n = scaled(np.random.default_rng(seed), f)
             space = [
-                system.task_space(f"b{n - 1}", task=task, budget=Budget(starts=8)) for task in ("pose", "position")
+                system.task_space(f"b{n - 1}", task=task, budget=Budget(starts=8))
+                for task in ("pose", "position")
             ]
             found.append([(s.rank, s.generic_rank) for s in space])
             if f == 1.0:
-                J = np.asarray(system.jacobian(system.random(np.random.default_rng(1), 8), f"b{n - 1}"))
-                ranks = [max(np.linalg.matrix_rank(j, 1e-9) for j in part) for part in (J, J[:, :3])]
+                J = np.asarray(
+                    system.jacobian(system.random(np.random.default_rng(1), 8), f"b{n - 1}")
+                )
+                ranks = [
+                    max(np.linalg.matrix_rank(j, 1e-9) for j in part) for part in (J, J[:, :3])
+                ]
                 assert [s.generic_rank for s in space] == ranks
         assert all(x == found[0] for x in found), found
 
 
 @pytest.mark.parametrize("name", ["sarrus", "scissor", "wunderlich", "bennett"])
 def test_freedoms_are_the_least_of_all_configurations(name):
-    """Singular configurations among those that were drawn have more; the least is what the linkage has: one."""
+    """Singular configurations among those that were drawn have more; the least is what the linkage
+    has: one.
+    """
     system = kempe.load(name)
     assert system.task_space(system.body_names[-1]).n == 1
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_a_small_body_that_floats_far_off_is_closed(size):
-    """A free body pinned in one point: random starts are thousands of its lengths away where it is small."""
+    """A free body pinned in one point: random starts are thousands of its lengths away where it is
+    small.
+    """
     m = kempe.Mechanism("pinned")
     body = m.body("body")
     m.free("F", m.ground, body)

@@ -1,4 +1,6 @@
-"""Numbers of configurations over two coordinates and at places, found from node to node, against closed forms."""
+"""Numbers of configurations over two coordinates and at places, found from node to node, against
+closed forms.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ DIRECTION = FlatTask("direction", 3)
 
 
 def test_modes_and_ways_of_spherical_five_bars_are_those_of_triangles(hunt):
-    """At all nodes: each leg closes a spherical triangle in two ways or in none, and so do the rods."""
+    """At all nodes: each leg closes a spherical triangle in two ways or in none, and so do the
+    rods.
+    """
     rng = hunt.rng()
     met = set[int]()
     for _ in range(hunt.cases(8)):
@@ -53,7 +57,12 @@ def test_a_planar_five_bar_in_space_has_the_numbers_of_that_in_the_plane(plane, 
     x = np.linspace(-0.7, 0.9, 37)
     y = np.linspace(-0.71, 0.7, 35)
     ways = [s.reach_grid(x, y) for s in (flat, deep)]
-    assert flat.complete and not deep.complete and set(modes[0].ravel()) == {0, 1, 2} and len(np.unique(ways[0])) > 2
+    assert (
+        flat.complete
+        and not deep.complete
+        and set(modes[0].ravel()) == {0, 1, 2}
+        and len(np.unique(ways[0])) > 2
+    )
     assert np.array_equal(*modes) and np.array_equal(*ways)
 
 
@@ -72,15 +81,22 @@ def test_lengths_in_millimetres_do_not_matter():
     for s1, s2 in ((a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)):
         with np.errstate(invalid="ignore"):
             carts = X + s1 * np.sqrt(250.0**2 - Y**2), X + s2 * np.sqrt(300.0**2 - Y**2)
-        expected += (carts[0] > -300.0) & (carts[0] < 100.0) & (carts[1] > 100.0) & (carts[1] < 500.0)
+        expected += (
+            (carts[0] > -300.0) & (carts[0] < 100.0) & (carts[1] > 100.0) & (carts[1] < 500.0)
+        )
     assert np.array_equal(space.reach_grid(x, y), expected) and len(np.unique(expected)) > 1
     assert len(space.solutions(np.array([50.0, 200.0]))) > 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("lower", "upper", "times"), [
-    ("spherical", "spherical", 1), ("universal", "spherical", 4), ("spherical", "universal", 4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("lower", "upper", "times"),
+    [
+        ("spherical", "spherical", 1),
+        ("universal", "spherical", 4),
+        ("spherical", "universal", 4),
+    ],
+)
 def test_modes_of_a_pointer_on_two_legs_are_the_roots_of_their_lengths(lower, upper, times):
     """Legs that spin idly are counted once; each universal joint of a leg has two pairs of angles."""
     space = spaces.two_freedoms(pointer(lower, upper), "camera", DIRECTION)
@@ -92,7 +108,9 @@ def test_modes_of_a_pointer_on_two_legs_are_the_roots_of_their_lengths(lower, up
     assert lengths_of_pointer(U) == pytest.approx(s, abs=1e-9)
     values = space.grid(16).reshape(-1, 2)
     expected = [roots_of_pointer(x) for x in values[::23]]
-    assert mask.sum(axis=-1).ravel()[::23].tolist() == [times * k for k in expected] and set(expected) == {0, 2, 4}
+    assert mask.sum(axis=-1).ravel()[::23].tolist() == [times * k for k in expected] and set(
+        expected
+    ) == {0, 2, 4}
 
 
 def roots_of_pointer(s: np.ndarray) -> int:
@@ -102,7 +120,11 @@ def roots_of_pointer(s: np.ndarray) -> int:
     for _ in range(40):
         off = lengths_of_pointer(x) - s
         J = np.stack(
-            [(lengths_of_pointer(x + e) - lengths_of_pointer(x - e)) / 2e-6 for e in 1e-6 * np.eye(2)], axis=-1
+            [
+                (lengths_of_pointer(x + e) - lengths_of_pointer(x - e)) / 2e-6
+                for e in 1e-6 * np.eye(2)
+            ],
+            axis=-1,
         )
         step = np.einsum("kij,kj->ki", np.linalg.pinv(J), -off)
         x += step * np.minimum(1.0, 0.3 / np.maximum(np.linalg.norm(step, axis=1), 1e-9))[:, None]
@@ -136,7 +158,9 @@ def test_solutions_of_a_point_are_all_ways_to_it():
     for p in ((0.3, 0.5), (-2.0, 0.1)):
         q = space.solutions(np.array(p))
         assert len(q) == ways_of_spherical(directions(*p), *arcs) == 4
-        assert space.system.fk(q, "tip")[:, :3, 2] == pytest.approx(np.tile(directions(*p), (4, 1)), abs=1e-8)
+        assert space.system.fk(q, "tip")[:, :3, 2] == pytest.approx(
+            np.tile(directions(*p), (4, 1)), abs=1e-8
+        )
         assert np.abs(space.system.loops.closure_error(q)).max() < 1e-8
 
 
@@ -154,16 +178,27 @@ def test_places_without_a_closed_form_are_counted_from_node_to_node(monkeypatch)
 def test_the_time_limit_ends_a_search_with_what_is_found():
     from kempe.solvers.common.clock import TimeLimit
 
-    space = spaces.two_freedoms(spherical_five_bar(1.0, 1.2, 1.1, 0.9, 1.3), "tip", DIRECTION, TimeLimit(1e-9))
+    space = spaces.two_freedoms(
+        spherical_five_bar(1.0, 1.2, 1.1, 0.9, 1.3), "tip", DIRECTION, TimeLimit(1e-9)
+    )
     assert not space.over_grid(60)[1].any() and space.broken is kempe.Status.OUT_OF_TIME
 
 
-@pytest.mark.parametrize(("name", "frame", "task", "error", "words"), [
-    ("rssr", "coupler", "xy", UnsupportedError, "rssr has 1 freedom and loops, 1 idle spin left out"),
-    ("five_bar", "tip", "direction", UnsupportedError, "of a planar system 'xy' is drawn"),
-    ("five_bar", "tip", "yx", UnknownNameError, "'xy'.*'direction'"),
-    ("bennett", "tool", "xy", UnsupportedError, "bennett has 1 freedom and loops"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "frame", "task", "error", "words"),
+    [
+        (
+            "rssr",
+            "coupler",
+            "xy",
+            UnsupportedError,
+            "rssr has 1 freedom and loops, 1 idle spin left out",
+        ),
+        ("five_bar", "tip", "direction", UnsupportedError, "of a planar system 'xy' is drawn"),
+        ("five_bar", "tip", "yx", UnknownNameError, "'xy'.*'direction'"),
+        ("bennett", "tool", "xy", UnsupportedError, "bennett has 1 freedom and loops"),
+    ],
+)
 def test_what_is_not_drawn_is_said(name, frame, task, error, words):
     with pytest.raises(error, match=words):
         system = kempe.load(name)
@@ -173,7 +208,9 @@ def test_what_is_not_drawn_is_said(name, frame, task, error, words):
 
 
 def test_places_beside_singular_lines_are_reached_in_as_many_ways_as_they_are():
-    """The tip of a torus, from above: within the annulus each place is reached over and under, but on its edge."""
+    """The tip of a torus, from above: within the annulus each place is reached over and under, but
+    on its edge.
+    """
     space = spaces.two_freedoms(torus(0.5, 0.2, False), "tip", FlatTask("xy", 3))
     values = space.grid(60)
     q, mask = space.over_grid(60)

@@ -28,7 +28,8 @@ SYSTEMS = {
     "shell, limited": (shell(0.5, 0.3).with_limits({"A": (-2.0, 2.0)}), "volume", SHELL),
     "shell, rolled": (shell(0.5, 0.3, rolled=True), "volume", SHELL),
 }
-"""With limits it is reached as without, by reaching across the axis; the last is known by samples only."""
+"""With limits it is reached as without, by reaching across the axis; the last is known by samples
+only."""
 
 
 def seeded(seed, **more):
@@ -53,7 +54,9 @@ def test_the_error_covers_the_truth_in_90_of_100_seeds(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", some(SYSTEMS, 3))
 def test_measures_are_those_of_closed_forms(kind):
-    """The estimate within its error, the measure to rounding where it is exact, and the bounds on either side."""
+    """The estimate within its error, the measure to rounding where it is exact, and the bounds on
+    either side.
+    """
     system, name, truth = SYSTEMS[kind]
     _, values = covered(kind, 4)
     assert abs(values[:, 0].mean() - truth) < values[:, 1].mean()
@@ -88,14 +91,20 @@ def test_each_cell_with_samples_holds_a_point_of_the_torus():
 def test_what_has_one_freedom_moves_on_a_curve():
     """A point of a coupler: no area, but cells."""
     workspace = kempe.load("four_bar").workspace("coupler_point", n=2e4)
-    assert workspace.area == (0.0, 0.0) and workspace.dimension == 1 and workspace.map.occupied.sum() > 100
+    assert (
+        workspace.area == (0.0, 0.0)
+        and workspace.dimension == 1
+        and workspace.map.occupied.sum() > 100
+    )
     assert "0 m^2: the frame moves on a curve" in str(workspace)
     solid = shell(0.5, 0.3).workspace("tip", n=2e4, cells=16)
     assert solid.dimension == 3 and "moves on" not in str(solid)
 
 
 def test_counts_are_those_of_positions():
-    """The map is the histogram of the forward model of its configurations, drawn by SplitMix64 in Python."""
+    """The map is the histogram of the forward model of its configurations, drawn by SplitMix64 in
+    Python.
+    """
     system = two_bars(0.5, 0.3, (0.1, 2.0))
     workspace = system.workspace("tip", n=3000, cells=16, box=[(-1, 1), (-1, 1)], budget=seeded(5))
     mask = 2**64 - 1
@@ -116,7 +125,10 @@ def test_counts_are_those_of_positions():
 
 def test_what_falls_outside_the_box_is_counted():
     workspace = two_bars(0.5, 0.3).workspace("tip", n=4e4, box=[(0, 1), (-1, 1)])
-    assert abs(workspace.outside / 4e4 - 0.5) < 0.02 and workspace.map.counts.sum() + workspace.outside == 40000
+    assert (
+        abs(workspace.outside / 4e4 - 0.5) < 0.02
+        and workspace.map.counts.sum() + workspace.outside == 40000
+    )
     assert abs(workspace.area[0] - ANNULUS / 2) < 1.5 * workspace.area[1]
 
 
@@ -126,9 +138,13 @@ def test_points_are_decided(kind):
     workspace = system.workspace("tip", n=2e5)
     points = np.random.default_rng(0).uniform(-0.9, 0.9, (400, system.dim))
     rho = np.linalg.norm(points, axis=1)
-    truth = (rho > (0.1 if kind == "three bars" else 0.2)) & (rho < (0.9 if kind == "three bars" else 0.8))
+    truth = (rho > (0.1 if kind == "three bars" else 0.2)) & (
+        rho < (0.9 if kind == "three bars" else 0.8)
+    )
     if kind == "annulus with limits":
-        truth = (rho**2 < 0.34 + 0.3 * math.cos(ELBOW[0])) & (rho**2 > 0.34 + 0.3 * math.cos(ELBOW[1]))
+        truth = (rho**2 < 0.34 + 0.3 * math.cos(ELBOW[0])) & (
+            rho**2 > 0.34 + 0.3 * math.cos(ELBOW[1])
+        )
     if kind == "scara":
         rho = np.linalg.norm(points[:, :2], axis=1)
         truth = (rho > 0.2) & (rho < 0.8) & (points[:, 2] > 0.0) & (points[:, 2] < 0.4)
@@ -143,7 +159,9 @@ def test_distances_are_those_from_two_circles():
     workspace = two_bars(0.5, 0.3).workspace("tip", n=1e6, cells=128)
     points = np.random.default_rng(0).uniform(-1.2, 1.2, (400, 2))
     rho = np.linalg.norm(points, axis=1)
-    truth = np.minimum(np.abs(rho - 0.2), np.abs(rho - 0.8)) * np.where((rho > 0.2) & (rho < 0.8), 1, -1)
+    truth = np.minimum(np.abs(rho - 0.2), np.abs(rho - 0.8)) * np.where(
+        (rho > 0.2) & (rho < 0.8), 1, -1
+    )
     given = workspace.distance(points)
     sure = np.abs(truth) > 2 * workspace.resolution
     assert np.abs(given - truth)[sure].max() < 2.5 * workspace.resolution and sure.sum() > 300
@@ -165,7 +183,12 @@ def test_what_is_reached_is_inside_and_what_is_not_finite_is_nowhere():
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3))
     inside = workspace.contains(points)
     far = workspace.distance(points)
-    assert (far[inside] >= 0.0).all() and (far[~inside] < 0.0).all() and inside.any() and not inside.all()
+    assert (
+        (far[inside] >= 0.0).all()
+        and (far[~inside] < 0.0).all()
+        and inside.any()
+        and not inside.all()
+    )
     points[3, 0], points[4, 1] = np.nan, np.inf
     far[3:5] = np.nan, -np.inf
     np.testing.assert_array_equal(workspace.distance(points), far)
@@ -230,7 +253,9 @@ def test_a_declared_constraint_is_obeyed():
 
 @pytest.mark.parametrize(("name", "frame"), [("five_bar", "tip"), ("slider_crank", "rod_point")])
 def test_loops_are_closed(name, frame):
-    """Each sample is a position that the closed mechanism has: a brute search of the inverse model reaches the cell."""
+    """Each sample is a position that the closed mechanism has: a brute search of the inverse model
+    reaches the cell.
+    """
     system = kempe.load(name)
     workspace = system.workspace(frame, n=3000, cells=24)
     found = workspace.map.counts.sum() + workspace.outside + workspace.left_out
@@ -245,7 +270,11 @@ def test_answers_are_said():
     assert "each of these holds a point that is reached" in workspace.status
     assert "area" in str(workspace) and "<table>" in workspace._repr_html_()
     data = workspace.data()
-    assert data["samples"] == 10**5 and data["area"] == workspace.area[0] and data["box"]["x"][0] < -0.8
+    assert (
+        data["samples"] == 10**5
+        and data["area"] == workspace.area[0]
+        and data["box"]["x"][0] < -0.8
+    )
 
 
 def test_the_time_limit_ends_it_with_what_was_done(looks):
@@ -277,9 +306,9 @@ BAD = {
     "box: x is from 1 to 0": lambda s: s.workspace("tip", box=[(1, 0), (0, 1)]),
     "does not move": lambda s: s.workspace("ground"),
     "'rail' has no limits": lambda s: free_slide().workspace("tip"),
-    "'leg6' have no limits, and so the frame 'tool' no end of places: give a box": lambda s: kempe.load(
-        "stewart"
-    ).workspace("tool"),
+    "'leg6' have no limits, and so the frame 'tool' no end of places: give a box": lambda s: (
+        kempe.load("stewart").workspace("tool")
+    ),
     "workspace does not read": lambda s: s.workspace("tip", budget=Budget(points=7)),
     "threads is 0": lambda s: s.workspace("tip", budget=Budget(threads=0)),
     "rng is -1": lambda s: s.workspace("tip", budget=Budget(rng=-1)),
@@ -299,9 +328,13 @@ def test_a_box_where_nothing_is_reached(kind):
     system, name, _ = SYSTEMS[kind]
     workspace = system.workspace("tip", n=1000, cells=8, box=[(5, 6)] * system.dim)
     value, error = getattr(workspace, name)
-    assert value == error == 0.0 and "0 m^" in str(workspace) and "proven by lengths" in str(workspace)
+    assert (
+        value == error == 0.0 and "0 m^" in str(workspace) and "proven by lengths" in str(workspace)
+    )
     assert workspace.outside == 1000 and not len(workspace.map.points)
-    assert workspace.distance(np.zeros(system.dim)) == -math.inf and not workspace.contains(np.full(system.dim, 5.5))
+    assert workspace.distance(np.zeros(system.dim)) == -math.inf and not workspace.contains(
+        np.full(system.dim, 5.5)
+    )
     assert not any(map(len, workspace.boundary))
 
 
@@ -311,7 +344,9 @@ def test_an_unknown_frame():
 
 
 def test_a_workspace_under_a_narrow_constraint():
-    """The tip of a chain must be in a disc that 0.1 % of configurations reach: its area, and no refusal."""
+    """The tip of a chain must be in a disc that 0.1 % of configurations reach: its area, and no
+    refusal.
+    """
     m = kempe.Mechanism("arm", dim=2)
     last = m.ground
     for i in range(3):

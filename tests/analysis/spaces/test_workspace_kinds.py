@@ -1,4 +1,6 @@
-"""Workspaces in given orientations, of orientations, without limits in a box; bounds that are proven."""
+"""Workspaces in given orientations, of orientations, without limits in a box; bounds that are
+proven.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,12 @@ import kempe
 from kempe import Budget, Mechanism, Status, constraints
 from kempe.analysis.spaces.kinds.legs import legs_of
 from kempe.analysis.spaces.kinds.place_bounds import possible_places
-from kempe.analysis.spaces.kinds.questions import WorkspaceKind, coordinates_of, rotations_at, spread_rotations
+from kempe.analysis.spaces.kinds.questions import (
+    WorkspaceKind,
+    coordinates_of,
+    rotations_at,
+    spread_rotations,
+)
 from kempe.analysis.spaces.workspace.cell_map import Grid
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -53,7 +60,9 @@ def joints_of(system):
 
 
 def turn(x):
-    return np.array([[math.cos(x), -math.sin(x), 0.0], [math.sin(x), math.cos(x), 0.0], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[math.cos(x), -math.sin(x), 0.0], [math.sin(x), math.cos(x), 0.0], [0.0, 0.0, 1.0]]
+    )
 
 
 # ---- against closed forms
@@ -61,25 +70,31 @@ def turn(x):
 
 @pytest.mark.slow
 def test_a_hexapod_in_one_orientation():
-    """Each leg leaves a spherical shell: Gosselin, "Determination of the workspace of 6-DOF parallel manipulators",
-    J. Mechanical Design 112 (1990)."""  # fmt: skip
+    """Each leg leaves a spherical shell: Gosselin, "Determination of the workspace of 6-DOF
+    parallel manipulators", J. Mechanical Design 112 (1990).
+    """
     system = hexapod()
     R = turn(0.2)
     low, high = joints_of(system)
-    w = system.workspace("tool", orientation=R, box=[(-0.2, 0.2), (-0.2, 0.2), (0.2, 0.5)], n=400, cells=12)
+    w = system.workspace(
+        "tool", orientation=R, box=[(-0.2, 0.2), (-0.2, 0.2), (0.2, 0.5)], n=400, cells=12
+    )
     points = np.random.default_rng(0).uniform((-0.2, -0.2, 0.2), (0.2, 0.2, 0.5), (200_000, 3))
     lengths = np.linalg.norm(points[:, None] + high @ R.T - low, axis=-1)
     inside = ((lengths > 0.35) & (lengths < 0.45)).all(axis=1)
     value, error = w.volume
     assert abs(value - inside.mean() * 0.048) < 1.5 * error and 0.0 < error < 0.6 * value
     assert w.kind == "constant-orientation" and w.bounds[0] < inside.mean() * 0.048 < w.bounds[1]
-    clear = (np.abs(lengths[:150] - 0.35) > 1e-4).all(axis=1) & (np.abs(lengths[:150] - 0.45) > 1e-4).all(axis=1)
+    clear = (np.abs(lengths[:150] - 0.35) > 1e-4).all(axis=1) & (
+        np.abs(lengths[:150] - 0.45) > 1e-4
+    ).all(axis=1)
     assert np.array_equal(w.contains(points[:150], check=True)[clear], inside[:150][clear])
 
 
 def test_a_planar_parallel_robot_in_one_orientation():
-    """Three annuli meet: Gosselin, Angeles, "The optimum kinematic design of a planar three-degree-of-freedom parallel
-    manipulator", J. Mechanisms 110 (1988)."""  # fmt: skip
+    """Three annuli meet: Gosselin, Angeles, "The optimum kinematic design of a planar
+    three-degree-of-freedom parallel manipulator", J. Mechanisms 110 (1988).
+    """
     robot = kempe.load("three_rrr")
     angle = 0.2
     thirds = 2.0 * math.pi / 3.0 * np.arange(3)
@@ -115,7 +130,9 @@ def test_a_planar_arm_in_all_orientations():
 
 @pytest.mark.slow
 def test_an_arm_with_a_spherical_wrist_turns_everywhere_inside_its_shell():
-    """Wrist centres fill a spherical shell; the tool, beside it by H, is dexterous inside a thinner one."""
+    """Wrist centres fill a spherical shell; the tool, beside it by H, is dexterous inside a thinner
+    one.
+    """
     m = Mechanism("arm")
     names = ["hip", "upper", "lower", "w1", "w2", "hand"]
     bodies = [m.ground, *(m.body(n) for n in names)]
@@ -131,12 +148,16 @@ def test_an_arm_with_a_spherical_wrist_turns_everywhere_inside_its_shell():
     assert abs(whole.volume[0] - thin) < 1.5 * whole.volume[1]
     points = np.random.default_rng(3).uniform(-0.9, 0.9, (150, 3))
     far = np.linalg.norm(points, axis=1)
-    sure = np.abs(far[:, None] - [A + B - H, A - B + H]).min(axis=1) > 0.01  # between the orientations that are tried
+    sure = (
+        np.abs(far[:, None] - [A + B - H, A - B + H]).min(axis=1) > 0.01
+    )  # between the orientations that are tried
     assert np.array_equal(whole.contains(points, check=True)[sure], dexterous(points)[sure])
 
 
 def test_orientations_at_a_place():
-    """The wrist is on a circle of radius H about the place, of which the annulus has an arc, by the law of cosines."""
+    """The wrist is on a circle of radius H about the place, of which the annulus has an arc, by the
+    law of cosines.
+    """
     place = np.array([0.75, 0.1])
     far = float(np.linalg.norm(place))
     half = math.acos((far**2 + H**2 - (A + B) ** 2) / (2.0 * far * H))
@@ -153,7 +174,9 @@ def test_orientations_at_a_place():
 
 
 def test_orientations_in_space():
-    """Two turns of a wrist about axes at right angles reach a surface of orientations, three turns all of them."""
+    """Two turns of a wrist about axes at right angles reach a surface of orientations, three turns
+    all of them.
+    """
     m = Mechanism("wrist")
     a = m.body("a")
     b = m.body("b")
@@ -162,7 +185,9 @@ def test_orientations_in_space():
     m.revolute("q2", a, b, axis="y", limits=(0.0, math.pi))
     m.revolute("q3", b, c, axis="z")
     w = m.build().workspace("c", at=(0, 0, 0), cells=12)
-    assert abs(w.volume[0] - 4.0 * math.pi**2) < 1.5 * w.volume[1]  # azimuths from 0 to pi, of 8 pi^2 in all
+    assert (
+        abs(w.volume[0] - 4.0 * math.pi**2) < 1.5 * w.volume[1]
+    )  # azimuths from 0 to pi, of 8 pi^2 in all
     R = rotations_at(np.array([[0.5, 0.3, 1.0], [-0.5, 0.3, 1.0]]), 3)
     assert w.contains(R, check=True).tolist() == [True, False]
     assert list(w.map.axes) == ["azimuth", "height", "roll"] and w.map.unit == "rad"
@@ -178,7 +203,9 @@ def test_coordinates_of_orientations():
 
 def test_of_a_system_with_loops_leg_by_leg_is_as_by_all_equations():
     robot = kempe.load("three_rrr").with_limits({"A1": (-3.0, 0.5), "C2": (-1.0, 2.5)})
-    assert [leg.joint_names for leg in legs_of(robot, "tool")] == [tuple(f"{c}{k}" for c in "ABC") for k in (1, 2, 3)]
+    assert [leg.joint_names for leg in legs_of(robot, "tool")] == [
+        tuple(f"{c}{k}" for c in "ABC") for k in (1, 2, 3)
+    ]
     w = robot.workspace("tool", orientation=0.1, cells=8)
     p = np.random.default_rng(5).uniform(-0.2, 0.2, (60, 2))
     X = np.tile(np.eye(4), (60, 1, 1))
@@ -209,7 +236,9 @@ def test_a_box_stands_for_limits_of_slides():
     assert abs(w.area[0] - 1.2) < 1.5 * w.area[1] and w.bounds[1] < 1.4
     assert w.contains([[6.0, 0.2], [6.0, 0.4], [90.0, 0.1]]).tolist() == [True, False, True]
     box = [(-0.1, 0.1), (-0.1, 0.1), (0.3, 0.4)]
-    w = kempe.load("stewart").workspace("tool", kind="constant-orientation", orientation=np.eye(3), box=box, cells=4)
+    w = kempe.load("stewart").workspace(
+        "tool", kind="constant-orientation", orientation=np.eye(3), box=box, cells=4
+    )
     assert w.volume[0] == pytest.approx(0.004)
 
 
@@ -240,7 +269,14 @@ def random_chain(rng):
         limits = np.sort(rng.uniform(-3.0, 3.0, 2))
         rpy = {} if m.dim == 2 else {"rpy": rng.uniform(-3.0, 3.0, 3)}
         if rng.random() < 0.65:
-            m.revolute(f"q{k}", body, child, at=at, limits=None if rng.random() < 0.3 else tuple(limits), **rpy)
+            m.revolute(
+                f"q{k}",
+                body,
+                child,
+                at=at,
+                limits=None if rng.random() < 0.3 else tuple(limits),
+                **rpy,
+            )
         elif rng.random() < 0.8 or m.dim == 2:
             axis = rng.normal(size=m.dim)
             m.prismatic(f"q{k}", body, child, at=at, axis=axis, limits=tuple(limits), **rpy)
@@ -256,7 +292,9 @@ def test_hunt_for_places_outside_their_bounds(hunt: Hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         system = random_chain(rng)
-        assert possible_places(system, "tip", system.fk(system.random(rng, 100), "tip")[:, :3, 3]).all()
+        assert possible_places(
+            system, "tip", system.fk(system.random(rng, 100), "tip")[:, :3, 3]
+        ).all()
         for p in system.fk(system.random(rng, 4), "tip")[:, :3, 3]:
             size = 10.0 ** rng.uniform(-6.0, 0.0)
             part = rng.random(3) if system.dim == 3 else np.append(rng.random(2), 0.5)
@@ -265,7 +303,9 @@ def test_hunt_for_places_outside_their_bounds(hunt: Hunt):
             assert outer_measure(system, "tip", grid) > 0.0
 
 
-@pytest.mark.parametrize("make", [three_bars, hexapod, lambda: kempe.load("puma560"), lambda: kempe.load("stanford")])
+@pytest.mark.parametrize(
+    "make", [three_bars, hexapod, lambda: kempe.load("puma560"), lambda: kempe.load("stanford")]
+)
 def test_places_beyond_all_lengths_need_no_inverse_model(make, monkeypatch):
     system = make()
     tried = []
@@ -273,7 +313,9 @@ def test_places_beyond_all_lengths_need_no_inverse_model(make, monkeypatch):
     monkeypatch.setattr(
         WorkspaceKind,
         "_reached",
-        lambda _, system, frame, points, seed: tried.append(points) or np.ones(len(points), dtype=bool),
+        lambda _, system, frame, points, seed: (
+            tried.append(points) or np.ones(len(points), dtype=bool)
+        ),
     )
     far = np.random.default_rng(0).normal(size=(50, 3)) * [1.0, 1.0, system.dim == 3]
     far *= 10.0 ** np.arange(1, 6)[:, None].repeat(10, 0) / np.linalg.norm(far, axis=1)[:, None]
@@ -300,10 +342,20 @@ def test_maps_of_other_kinds_are_kept_and_gone_on_with(tmp_path):
     said = []
     arm = three_bars()
     first = arm.workspace("tool", orientation=0.4, cells=20, path=path, n=200)
-    again = arm.workspace("tool", orientation=0.4, cells=20, path=path, n=400,
-                          budget=Budget(progress=lambda *x: said.append(x)))  # fmt: skip
+    again = arm.workspace(
+        "tool",
+        orientation=0.4,
+        cells=20,
+        path=path,
+        n=400,
+        budget=Budget(progress=lambda *x: said.append(x)),
+    )
     memory = arm.workspace("tool", orientation=0.4, cells=20, n=400)
-    assert first.samples == 200 and np.array_equal(again.map.counts, memory.map.counts) and said[-1] == (400, 400)
+    assert (
+        first.samples == 200
+        and np.array_equal(again.map.counts, memory.map.counts)
+        and said[-1] == (400, 400)
+    )
     opened = kempe.open_workspace(path)
     assert opened.question == memory.question and opened.area == memory.area
     with pytest.raises(InputError, match="belongs to another map"):
@@ -313,8 +365,14 @@ def test_maps_of_other_kinds_are_kept_and_gone_on_with(tmp_path):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_time_limit_keeps_what_was_done(threads, looks):
     looks(190)
-    w = hexapod().workspace("tool", kind="dexterous", n=1e9, budget=Budget(time_limit=0.3, threads=threads))
-    assert w.code is Status.OUT_OF_TIME and 0 < w.samples < 1e9 and w.map.counts.sum() + w.left_out == w.samples
+    w = hexapod().workspace(
+        "tool", kind="dexterous", n=1e9, budget=Budget(time_limit=0.3, threads=threads)
+    )
+    assert (
+        w.code is Status.OUT_OF_TIME
+        and 0 < w.samples < 1e9
+        and w.map.counts.sum() + w.left_out == w.samples
+    )
 
 
 BAD = {
@@ -324,7 +382,10 @@ BAD = {
     "needs at": (InputError, {"kind": "orientation"}),
     "reads no at": (InputError, {"kind": "dexterous", "at": (0, 0)}),
     "one place (2,)": (InputError, {"at": (0, 0, 0)}),
-    "one orientation, not 3": (InputError, {"kind": "constant-orientation", "orientation": [0.1, 0.2, 0.3]}),
+    "one orientation, not 3": (
+        InputError,
+        {"kind": "constant-orientation", "orientation": [0.1, 0.2, 0.3]},
+    ),
     "finite": (InputError, {"orientation": math.nan}),
     "at least one": (InputError, {"kind": "dexterous", "orientation": []}),
     "no rotation": (InputError, {"orientation": 2.0 * np.eye(3)}),
@@ -356,8 +417,9 @@ def test_samples_come_to_each_cell_once():
 
 
 def test_turns_that_a_constraint_tells_apart_have_no_end():
-    """1.2 - a - b >= 0 holds after some turns back: all of the annulus is reached, which `ik`, `ik_all`, the map and
-    the configuration space say alike."""  # fmt: skip
+    """1.2 - a - b >= 0 holds after some turns back: all of the annulus is reached, which `ik`,
+    `ik_all`, the map and the configuration space say alike.
+    """
     m = Mechanism("two", dim=2)
     m.revolute("a", m.ground, m.body("A"))
     m.revolute("b", "A", m.body("B"), at=(0.4, 0))
@@ -366,7 +428,10 @@ def test_turns_that_a_constraint_tells_apart_have_no_end():
     system = m.build()
     p = 0.69 * np.array([np.cos(2.0), np.sin(2.0)])
     assert system.configuration_space.shape == "R^2"
-    with pytest.raises(InputError, match="'a' and 'b' have no limits, and a constraint tells their whole turns apart"):
+    with pytest.raises(
+        InputError,
+        match="'a' and 'b' have no limits, and a constraint tells their whole turns apart",
+    ):
         system.workspace("tip")
     found = system.ik(p, "tip")
     every = system.ik_all(p, "tip", limits=True)
@@ -378,6 +443,9 @@ def test_turns_that_a_constraint_tells_apart_have_no_end():
     assert abs(value - np.pi * (0.7**2 - 0.1**2)) < 2 * error < 0.06
     assert workspace.contains(p, check=True) and workspace.contains(p)
     limited = system.with_limits({"a": (-np.pi, np.pi), "b": (-np.pi, np.pi)})
-    assert limited.configuration_space.shape == "T^2" and limited.ik_all(p, "tip", limits=True).code.proof
+    assert (
+        limited.configuration_space.shape == "T^2"
+        and limited.ik_all(p, "tip", limits=True).code.proof
+    )
     with pytest.raises(InputError, match="box: x is from 1 to -1; the first must be less"):
         limited.workspace("tip", box=[(1, -1), (0, 1)])

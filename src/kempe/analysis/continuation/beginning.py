@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 MOST_TURNS = 1000
-"""Turns of a coordinate after which those that follow it must be where they were, for that to count as coming back."""
+"""Turns of a coordinate after which those that follow it must be where they were, for that to count
+as coming back."""
 SAME_VALUE = 1e-9
 """Difference of values that is rounding."""
 SAME_RATIO = 1e-12
@@ -39,9 +40,11 @@ SEED = 1837
 STARTS = 16
 """Random starts from which a configuration within one-sided constraints is looked for."""
 LOW_RANK = 0.1
-"""Length of a curve on both sides of the start over which the rank is low, if it is low all along."""
+"""Length of a curve on both sides of the start over which the rank is low, if it is low all
+along."""
 LONGEST = 0.1
-"""Longest step unless the caller says otherwise, in radians and characteristic lengths over all coordinates."""
+"""Longest step unless the caller says otherwise, in radians and characteristic lengths over all
+coordinates."""
 
 
 def longest_step(step: float | None) -> float:
@@ -49,7 +52,10 @@ def longest_step(step: float | None) -> float:
     if step is None:
         return LONGEST
     if not is_real(step) or not 1e-6 <= step <= 1.0:
-        raise InputError(f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic lengths")
+        raise InputError(
+            f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic "
+            "lengths"
+        )
     return float(step)
 
 
@@ -59,16 +65,19 @@ def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
     for name, rate in (toward or {}).items():
         i = angle_or_slide(system, name)
         if not is_real(rate) or not math.isfinite(rate):
-            raise InputError(f"toward gives the rate {rate!r} to {name!r}; it must be a finite number")
+            raise InputError(
+                f"toward gives the rate {rate!r} to {name!r}; it must be a finite number"
+            )
         wish[i] = rate
     return wish
 
 
 def angle_or_slide(system: System, name: str) -> int:
-    """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by name.
+    """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by
+    name.
 
-    Errors: `InputError` for a coupled coordinate, which is not part of q; `UnknownNameError` for components of a
-    quaternion and for unknown names.
+    Errors: `InputError` for a coupled coordinate, which is not part of q; `UnknownNameError` for
+    components of a quaternion and for unknown names.
     """
     names = list(system.structure.velocity_names)
     layout = system.structure.layout
@@ -76,7 +85,11 @@ def angle_or_slide(system: System, name: str) -> int:
         return i
     follower = system.structure.couplings.get(name)
     if follower is not None:
-        said = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
+        said = (
+            f"it follows {follower.source!r}"
+            if follower.source
+            else f"it is held at {follower.offset:g}"
+        )
         raise InputError(f"coordinate {name!r} is not part of q: {said}")
     allowed: list[str] = [names[int(i)] for i in layout.vector_v]
     raise UnknownNameError("angle or slide", name, allowed, system.name)
@@ -102,17 +115,22 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
 
 
 def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
-    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or None.
+    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or
+    None.
 
-    What `assemble` calls closed is closed here, too: loops whose numbers contradict each other by a little more than
-    rounding are followed within the tolerance of `assemble`.
+    What `assemble` calls closed is closed here, too: loops whose numbers contradict each other by a
+    little more than rounding are followed within the tolerance of `assemble`.
     """
     held = [angle_or_slide(system, n) for n in hold]
     near = start_of(system, start, hold)
     equations = Closure(system, held, near)
-    known: dict[str, Any] = {n: v for n, v in start.items() if n not in hold} if is_mapping(start) else {}
+    known: dict[str, Any] = (
+        {n: v for n, v in start.items() if n not in hold} if is_mapping(start) else {}
+    )
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
-    q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
+    q = (
+        None if known else close(fixed, near)
+    )  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
         from kempe.solvers.assembly.assembler import TOLERANCE, of_equations
         from kempe.solvers.assembly.assembly import assemble
@@ -129,8 +147,12 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     return equations, q
 
 
-def _within(system: System, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array) -> Array:
-    """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else q as it is."""
+def _within(
+    system: System, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array
+) -> Array:
+    """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else
+    q as it is.
+    """
     from kempe.solvers.assembly.assembly import assemble
 
     rows = one_sided_rows(system)
@@ -144,7 +166,9 @@ def _within(system: System, hold: Mapping[str, float], fixed: Closure, near: Arr
 
 
 def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:
-    """The sentence for a motion that cannot begin: which loop is open at the start, by how much, and why."""
+    """The sentence for a motion that cannot begin: which loop is open at the start, by how much,
+    and why.
+    """
     from kempe.solvers.assembly.assembly import assemble
 
     known = {**start, **hold} if is_mapping(start) else hold
@@ -153,8 +177,9 @@ def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:
 
 
 class WoundFollower(NamedTuple):
-    """A coupled coordinate that is not where it was when its `source` (index) has turned round: it turns or slides on
-    by `factor`, in radians or metres, with each radian of the source."""
+    """A coupled coordinate that is not where it was when its `source` (index) has turned round: it
+    turns or slides on by `factor`, in radians or metres, with each radian of the source.
+    """
 
     name: str
     source: int
@@ -163,7 +188,8 @@ class WoundFollower(NamedTuple):
 
 
 def periods(system: System, limits: bool = True) -> Array:
-    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that never happens.
+    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that
+    never happens.
 
     With `limits` a coordinate that has some does not turn all round.
     """
@@ -171,13 +197,17 @@ def periods(system: System, limits: bool = True) -> Array:
 
 
 def followers(system: System, limits: bool = True) -> list[WoundFollower]:
-    """The coupled coordinates that keep those which they follow from ever coming back by turning on."""
+    """The coupled coordinates that keep those which they follow from ever coming back by turning
+    on.
+    """
     return _turning(system, limits)[1]
 
 
 def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
     c = system.structure.coordinates
-    whole = np.where(c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0).astype(object)
+    whole = np.where(
+        c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0
+    ).astype(object)
     number = {name: i for i, name in enumerate(system.structure.velocity_names)}
     mechanism = system.mechanism
     couplings = system.structure.couplings
@@ -208,15 +238,20 @@ def _distinct(system: System, period: Array) -> np.ndarray:
         q = random(system, np.random.default_rng(0), 3)
         before = rows.values(q, declared=True)
         for i in np.flatnonzero(period):
-            after = rows.values(system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True)
+            after = rows.values(
+                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]),
+                declared=True,
+            )
             out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
     return out
 
 
 def first_node(
     equations: Closure, q: Array, driver: str | None, toward: Mapping[str, float] | None
-) -> Node | None:  # fmt: skip
-    """The node at the start with its sense chosen; None where nothing can move. Errors: `UnsupportedError`."""
+) -> Node | None:
+    """The node at the start with its sense chosen; None where nothing can move. Errors:
+    `UnsupportedError`.
+    """
     system = equations.system
     wish = wish_of(system, toward)
     wish = wish / equations.unit if equations.n == system.nv else wish
@@ -243,13 +278,19 @@ def first_node(
         here = several or node(equations, q)
     if isinstance(here, SingularNode) and here.germ.cusp(here.half):
         return here  # both halves leave to the same side
-    i = angle_or_slide(system, driver) if driver else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
+    i = (
+        angle_or_slide(system, driver)
+        if driver
+        else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
+    )
     sense = float(here.t @ wish) if abs(here.t @ wish) > 1e-9 else float(here.t[i])
     return here.reversed() if sense < 0.0 else here
 
 
 def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node | None:
-    """The node at a start where first order leaves several motions, on the branch nearest to the wish, if any."""
+    """The node at a start where first order leaves several motions, on the branch nearest to the
+    wish, if any.
+    """
     x = here.x
     polished = locate(equations, x, here.nullity, 1e-5)
     x = x if polished is None else polished
@@ -285,21 +326,32 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     moving = [n for n, size in sizes.items() if size > 1e-6]
     named = [n for n in moving if n in system.coordinate_names]
     balls = list(dict.fromkeys(n.rpartition(".")[0] for n in moving if n not in named))
-    still = f"with {' and '.join(map(repr, drivers))} held still, these still move" if drivers else "these move"
+    still = (
+        f"with {' and '.join(map(repr, drivers))} held still, these still move"
+        if drivers
+        else "these move"
+    )
     many = len(null_space) - (not drivers)
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
     enough = int(np.sum(svd(own, compute_uv=False) > 1e-6)) >= many if named else False
-    head = f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; {still}: "
+    head = (
+        f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; "
+        f"{still}: "
+    )
     if not named:
         return (
-            f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} without coordinates that "
-            "can be held: angles=True gives a ball angles"
+            f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} "
+            "without coordinates that can be held: angles=True gives a ball angles"
         )
     which, them = ("one", "it") if many == 1 else (str(many), "them")
-    also = f" (and balls, which have angles to hold with angles=True: {_listed(balls)})" if balls and not enough else ""
+    also = (
+        f" (and balls, which have angles to hold with angles=True: {_listed(balls)})"
+        if balls and not enough
+        else ""
+    )
     return (
-        f"{head}{_listed(named)}{also}; hold {which} of them (hold={{name: value}}), or lock {them}; "
-        "a singular point where branches of several freedoms meet is no place to start"
+        f"{head}{_listed(named)}{also}; hold {which} of them (hold={{name: value}}), or lock "
+        f"{them}; a singular point where branches of several freedoms meet is no place to start"
     )
 
 

@@ -1,4 +1,5 @@
-"""The equations of a system's loops as those of a curve: some coordinates held, or inputs that follow a line.
+"""The equations of a system's loops as those of a curve: some coordinates held, or inputs that
+follow a line.
 
 Turns are in radians, slides and positions divided by the characteristic length of the system.
 """
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 LEAST = 0.1
-"""What the largest singular value counts as at least: equations are scaled, and where all vanish it is rounding."""
+"""What the largest singular value counts as at least: equations are scaled, and where all vanish it
+is rounding."""
 ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
@@ -35,21 +37,27 @@ class Further(Protocol):
         """Number of these further equations."""
         ...
 
-    def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
-        """Write the residuals of these equations into F (rows,) and their derivatives into J (rows, n).
+    def write(
+        self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
+    ) -> None:
+        """Write the residuals of these equations into F (rows,) and their derivatives into J (rows,
+        n).
 
-        `x` is the point of the curve; row `at` is the first to be written, and the rows before `at` are filled already.
-        Without `with_matrix` J is left as it is.
+        `x` is the point of the curve; row `at` is the first to be written, and the rows before `at`
+        are filled already. Without `with_matrix` J is left as it is.
         """
         ...
 
 
 class Closure(Curve):
-    """The closure equations of a system, some of its coordinates held at the values of a configuration.
+    """The closure equations of a system, some of its coordinates held at the values of a
+    configuration.
 
-    `unit` (nv,) are the velocity coordinates of one unit of the numbers used here; `closed` is the residual below which
-    the equations hold, up to what rounding adds. `held` are indices of velocity
-    coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget` is spent.
+    `unit` (nv,) are the velocity coordinates of one unit of the numbers used here; `closed` is the
+    residual below which the equations hold, up to what rounding adds. `held` are indices of
+    velocity
+    coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget`
+    is spent.
     """
 
     least = LEAST
@@ -62,7 +70,9 @@ class Closure(Curve):
         layout = system.structure.layout
         turning = system.structure.coordinates.turning
         length = closure_rows.characteristic_length(system)
-        self.rounding = 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
+        self.rounding = (
+            4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
+        )
         self.unit = np.where(turning, 1.0, length)
         for iv in layout.quaternion_v:
             self.unit[iv : iv + 3] = 1.0
@@ -70,11 +80,15 @@ class Closure(Curve):
         self.place[layout.vector_v] = layout.vector_q
         self.n = system.nv
         index = {n: i for i, n in enumerate(system.structure.velocity_names)}
-        self.weight = np.array([
-            1.0 if row in ANGLES or (tie.plain and tie.relation is None)
-            else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
-            for tie in closure_rows.full(self.tree, False).ties for row in tie.rows
-        ])  # fmt: skip
+        self.weight = np.array(
+            [
+                1.0
+                if row in ANGLES or (tie.plain and tie.relation is None)
+                else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
+                for tie in closure_rows.full(self.tree, False).ties
+                for row in tie.rows
+            ]
+        )
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
         self.closed = CLOSED
         self.budget = TimeLimit(None)
@@ -99,9 +113,12 @@ class Closure(Curve):
         """Residuals (rows,) of all equations at the point `x`."""
         return self.both(x, False)[0]
 
-    def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
-        """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further equations only the
-        first so many are written, where their number is given."""  # fmt: skip
+    def both(
+        self, x: Array, with_matrix: bool = True, further: int | None = None
+    ) -> tuple[Array, Array]:
+        """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further
+        equations only the first so many are written, where their number is given.
+        """
         self.budget.check()
         F = np.zeros(self.rows)
         J = np.zeros((self.rows, self.n))
@@ -111,14 +128,18 @@ class Closure(Curve):
             if with_matrix:
                 J[:m] = columns
         if self.held:
-            F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[self._held]
+            F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[
+                self._held
+            ]
             J[m + np.arange(len(self.held)), self._held] = 1.0
         if self.more:
             self._further(x, F, J, with_matrix, further)
         return F, J
 
     def loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
-        """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty unless requested."""
+        """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty
+        unless requested.
+        """
         values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
         if with_matrix:  # in place: the matrix of a long chain is most of the memory
             columns *= self.weight[:, None]
@@ -126,7 +147,9 @@ class Closure(Curve):
         return self.weight * values, columns
 
     def many(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
-        """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless requested."""
+        """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless
+        requested.
+        """
         self.budget.check()
         k = len(x)
         m = len(self.weight)
@@ -138,7 +161,9 @@ class Closure(Curve):
             if with_matrix:
                 J[:, :m] = self.weight[:, None] * columns * self.unit
         if self.held:
-            F[:, m : m + len(self.held)] = (x[:, self.place[self._held]] - self.targets) / self.unit[self._held]
+            F[:, m : m + len(self.held)] = (
+                x[:, self.place[self._held]] - self.targets
+            ) / self.unit[self._held]
             if with_matrix:
                 J[:, m + np.arange(len(self.held)), self._held] = 1.0
         for one, f, j in zip(x, F, J, strict=True) if self.more else ():
@@ -165,15 +190,19 @@ class Closure(Curve):
         return self.system.structure.layout.difference(x, other) / self.unit
 
     def index(self, names: Sequence[str]) -> list[int]:
-        """Indices, among the velocity coordinates, of angles and prismatic coordinates given by name."""
+        """Indices, among the velocity coordinates, of angles and prismatic coordinates given by
+        name.
+        """
         number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
         return [number[n] for n in names]
 
 
 class DrivenClosure(Closure):
-    """Closure, and inputs that follow a straight line: a point is a configuration and the length along that line.
+    """Closure, and inputs that follow a straight line: a point is a configuration and the length
+    along that line.
 
-    Point: (nq + 1,) = [q, length]; input i has the value `origin[i] + unit * direction[i] * length`.
+    Point: (nq + 1,) = [q, length]; input i has the value
+    `origin[i] + unit * direction[i] * length`.
     """
 
     def __init__(self, closure: Closure, inputs: Sequence[int], origin: Array, direction: Array):
@@ -189,7 +218,9 @@ class DrivenClosure(Closure):
         """Values of the inputs, in radians and metres, at a length of their line."""
         return self.origin + self.unit[self.inputs] * self.direction * length
 
-    def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
+    def both(
+        self, x: Array, with_matrix: bool = True, further: int | None = None
+    ) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless requested."""
         F = np.zeros(self.rows)
         J = np.zeros((self.rows, self.n))
@@ -216,5 +247,7 @@ class DrivenClosure(Closure):
 
 def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
     """The configuration with closed loops near `x`, by steps of least size, or None."""
-    found = gauss_newton(equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move)
+    found = gauss_newton(
+        equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move
+    )
     return found.x if found.size < equations.tolerance(found.x) else None

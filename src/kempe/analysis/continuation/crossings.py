@@ -1,10 +1,11 @@
 """Singular points of a curve of configurations: where exactly, and which branches meet there.
 
-At a singular point of the constraints the Jacobian loses rank: there are more null directions than the curve has,
-and as many new combinations of equations that vanish to first order. Their second-order forms on the null space tell
-the directions of the branches: the tangent cone (Müller, *J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3).
-Where the cone is degenerate, at cusps and where branches touch, small spheres around the point show the half-branches
-(Milnor, *Singular Points of Complex Hypersurfaces*, 1968, sections 2 and 3).
+At a singular point of the constraints the Jacobian loses rank: there are more null directions than
+the curve has, and as many new combinations of equations that vanish to first order. Their
+second-order forms on the null space tell the directions of the branches: the tangent cone (Müller,
+*J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3). Where the cone is degenerate, at
+cusps and where branches touch, small spheres around the point show the half-branches (Milnor,
+*Singular Points of Complex Hypersurfaces*, 1968, sections 2 and 3).
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ from kempe.solvers.common.tracing import NONE, RANK, Node, correct, node
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5
-"""Step of the central differences of the Jacobian; error about 1e-10, which only slows Newton's method."""
+"""Step of the central differences of the Jacobian; error about 1e-10, which only slows Newton's
+method."""
 SINGULAR = 1e-11
-"""Residual below which a point counts as singular: lengths given with eleven digits cross, not nearly cross."""
+"""Residual below which a point counts as singular: lengths given with eleven digits cross, not
+nearly cross."""
 PROBE = 2e-3
 """Distance at which a direction is checked to be that of a branch."""
 SAME_LINE = 1e-4
@@ -33,44 +36,54 @@ SAME_LINE = 1e-4
 NO_FORM = 1e-7
 """Size of second-order forms up to which they are errors of differences."""
 DOUBLE = 1e-3
-"""Derivative of the second-order forms, relative to their size, below which a direction counts as double."""
+"""Derivative of the second-order forms, relative to their size, below which a direction counts as
+double."""
 AHEAD = 0.8
-"""Cosine between a chord and the direction of a branch at a singular point for them to be the same branch."""
+"""Cosine between a chord and the direction of a branch at a singular point for them to be the same
+branch."""
 
 REACH = 0.1
-"""Distance from a singular point within which a curve may be hidden by rounding, or steps become too short."""
+"""Distance from a singular point within which a curve may be hidden by rounding, or steps become
+too short."""
 RADII = (0.02, 0.06, 0.2, 0.4)
-"""Radii of the spheres, in radians and characteristic lengths: branches that touch closely part farther out."""
+"""Radii of the spheres, in radians and characteristic lengths: branches that touch closely part
+farther out."""
 INWARDS = 0.8 ** np.arange(12)
 LEAST_SAMPLES = 6
-"""Parts of the radius at which a half-branch is sampled, and the least number of samples of one that is used."""
+"""Parts of the radius at which a half-branch is sampled, and the least number of samples of one
+that is used."""
 PARTED = 5e-7
-"""Singular value, relative to the largest and to 1, above which a sample is regular: rounding of equations moves points
-of the curve by less than the distance of another branch then."""
+"""Singular value, relative to the largest and to 1, above which a sample is regular: rounding of
+equations moves points of the curve by less than the distance of another branch then."""
 CIRCLE = 128
 CHORDS = 40
 HALVINGS = 24
-"""Directions on a circle in the null space, most steps of a chord iteration, and halvings of an interval."""
+"""Directions on a circle in the null space, most steps of a chord iteration, and halvings of an
+interval."""
 STARTS = 32
 MOST_STARTS = 512
 LOOKS = 3
-"""Starts on a sphere in the null space, times 2 to the power of its dimension, most of them, and repetitions."""
+"""Starts on a sphere in the null space, times 2 to the power of its dimension, most of them, and
+repetitions."""
 VALLEY = 32
 CLUSTER = 0.4
-"""Places along a valley, and the part of its length within which roots belong to the point at its center."""
+"""Places along a valley, and the part of its length within which roots belong to the point at its
+center."""
 MOST_NUMBERS = 10**7
 """Most numbers of the Jacobians of one such batch."""
 DEGREE = 8
 """Degree of the polynomials that describe both halves of a branch."""
 UNLIKE = 1e-3
-"""Deviation of samples from a polynomial, as a part of the radius, above which two halves are not one branch."""
+"""Deviation of samples from a polynomial, as a part of the radius, above which two halves are not
+one branch."""
 CLEAR = 5.0
 """How many times better two halves of a branch must fit than other pairs do."""
 ALONG = 0.5
 """Cosine between the tangents of two halves that continue each other, or leave side by side."""
 SURE = 0.3
 ALIKE = 0.1
-"""Distance of a point from its half-branch, as parts of that from the next one and of that from the center."""
+"""Distance of a point from its half-branch, as parts of that from the next one and of that from the
+center."""
 RESTS = 1e-6
 """Entries of the tangent of a cusp below this are zero."""
 
@@ -85,12 +98,15 @@ def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Arr
     return out
 
 
-def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int = 20) -> Array | None:
-    """The point near `x`, at most `reach` away, where the loops are closed and the null space has dimension `nullity`.
+def locate(
+    equations: Closure, x: Array, nullity: int, reach: float, tries: int = 20
+) -> Array | None:
+    """The point near `x`, at most `reach` away, where the loops are closed and the null space has
+    dimension `nullity`.
 
-    Newton's method on the equations together with ``J.T @ left = 0`` and a normalisation of the left null vectors,
-    which is regular where branches cross transversally (Moore, *Numer. Funct. Anal. Optim.* 1980). None where there
-    is no such point.
+    Newton's method on the equations together with ``J.T @ left = 0`` and a normalisation of the
+    left null vectors, which is regular where branches cross transversally (Moore, *Numer. Funct.
+    Anal. Optim.* 1980). None where there is no such point.
     """
     n = equations.n
     left: Array = np.asarray(svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
@@ -102,41 +118,57 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     def both(z: Array) -> tuple[Array, Array]:
         F, J = equations.both(z[:nq])
         near = np.linalg.norm(equations.between(start, z[:nq])) <= reach
-        return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(1, np.inf), J
+        return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(
+            1, np.inf
+        ), J
 
     def newton(z: Array, missing: Array, J: Array) -> Array:
         x = z[:nq]
         left = z[nq:].reshape(k, rows).T
         A = np.zeros((rows + n * k + k * k, n + rows * k))
         A[:rows, :n] = J
-        A[rows : rows + n * k, :n] = second_order(equations, x, left, np.eye(n)).transpose(1, 0, 2).reshape(n * k, n)
+        A[rows : rows + n * k, :n] = (
+            second_order(equations, x, left, np.eye(n)).transpose(1, 0, 2).reshape(n * k, n)
+        )
         for i in range(k):
             columns = slice(n + rows * i, n + rows * (i + 1))
             A[rows + n * i : rows + n * (i + 1), columns] = J.T
             A[rows + n * k + k * i : rows + n * k + k * (i + 1), columns] = fixed.T
         return least_squares(A, np.concatenate([-missing, np.zeros(k * k)]))
 
-    found = gauss_newton(both, np.append(x, left.T), tries, step=newton, met=1e-15,
-                         move=lambda z, y: np.append(equations.move(z[:nq], y[:n]), z[nq:] + y[n:]))  # fmt: skip
+    found = gauss_newton(
+        both,
+        np.append(x, left.T),
+        tries,
+        step=newton,
+        met=1e-15,
+        move=lambda z, y: np.append(equations.move(z[:nq], y[:n]), z[nq:] + y[n:]),
+    )
     if not found.size <= SINGULAR:
         return None
     x = found.x[:nq]
     found = _nullity(svd(equations.matrix(x), compute_uv=False))
     if found <= nullity:
         return x if found == nullity else None
-    better = locate(equations, x, found, reach, tries)  # more equations, which make it regular again
+    better = locate(
+        equations, x, found, reach, tries
+    )  # more equations, which make it regular again
     return x if better is None else better
 
 
 def _nullity(values: Array) -> int:
-    """How many singular values (n,) of the derivatives of equations, which are scaled, count as zero."""
+    """How many singular values (n,) of the derivatives of equations, which are scaled, count as
+    zero.
+    """
     return int(np.sum(values <= RANK * max(float(values[0]), LEAST)))
 
 
 def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
-    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at `x` move.
+    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at
+    `x` move.
 
-    And whether some are double, or second order does not tell any: then they need not be tangents of branches.
+    And whether some are double, or second order does not tell any: then they need not be tangents
+    of branches.
     """
     U, s, Vt = svd(equations.matrix(x))
     n = equations.n
@@ -152,7 +184,9 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
         return np.zeros((0, n)), True
     forms = forms / size
     found = _two(forms) if d == 2 else _many(forms, equations.budget)
-    least = [svd(forms @ u, compute_uv=False)[d - 2] for u in found]  # rank d - 1 where a zero is simple
+    least = [
+        svd(forms @ u, compute_uv=False)[d - 2] for u in found
+    ]  # rank d - 1 where a zero is simple
     return found @ null_space.T, min(least, default=1.0) < DOUBLE
 
 
@@ -172,7 +206,9 @@ def _two(forms: Array) -> Array:
 
 
 def _many(forms: Array, budget: TimeLimit) -> Array:
-    """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on the sphere."""
+    """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on
+    the sphere.
+    """
     d: int = forms.shape[1]
     rng = np.random.default_rng(0)
     found: list[Array] = []
@@ -194,12 +230,16 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
 
 
 def branch_lines(equations: Closure, x: Array) -> Array:
-    """Directions (k, n) of the curves through a singular point: those of the tangent cone along which one can walk."""
+    """Directions (k, n) of the curves through a singular point: those of the tangent cone along
+    which one can walk.
+    """
     return _walkable(equations, x, cone(equations, x)[0])
 
 
 def branches_at(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
-    """Directions (k, n) of the curves through a singular point, and their germ where second order does not tell."""
+    """Directions (k, n) of the curves through a singular point, and their germ where second order
+    does not tell.
+    """
     directions, degenerate = cone(equations, x)
     germ = germ_at(equations, x) if degenerate else None
     return (_walkable(equations, x, directions), None) if germ is None else (germ.lines, germ)
@@ -214,7 +254,10 @@ def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
             if other is None:
                 continue
             y = equations.between(x, other.x) * sign
-            if y @ t < 0.9 * np.linalg.norm(y) or node(equations, other.x, None, other.J).nullity > 1:
+            if (
+                y @ t < 0.9 * np.linalg.norm(y)
+                or node(equations, other.x, None, other.J).nullity > 1
+            ):
                 continue
             if all(abs(t @ v) < 1.0 - SAME_LINE for v in lines):
                 lines.append(t)
@@ -222,10 +265,14 @@ def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
     return np.array(lines).reshape(-1, equations.n)
 
 
-def singular_node(equations: Closure, x: Array, toward: Array, came: Array | None = None) -> Node | None:
-    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not at a cusp.
+def singular_node(
+    equations: Closure, x: Array, toward: Array, came: Array | None = None
+) -> Node | None:
+    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not
+    at a cusp.
 
-    Where several branches have that direction it is the one of the point `came` (nq,), which is before the other.
+    Where several branches have that direction it is the one of the point `came` (nq,), which is
+    before the other.
     """
     lines, germ = branches_at(equations, x)
     if germ is not None:
@@ -247,15 +294,19 @@ def singular_node(equations: Closure, x: Array, toward: Array, came: Array | Non
 
 def passage(
     equations: Closure, points: Sequence[Array], known: Sequence[Germ], period: Array
-) -> SingularNode | None:  # fmt: skip
-    """Where a curve goes on that comes to rest at a singular point: the node there, from which it leaves.
+) -> SingularNode | None:
+    """Where a curve goes on that comes to rest at a singular point: the node there, from which it
+    leaves.
 
-    `points` (nq,) are the last ones of the curve. Germs that are `known` come first, whole periods (nv,) away: where
-    branches touch closely, rounding leaves open where exactly.
+    `points` (nq,) are the last ones of the curve. Germs that are `known` come first, whole periods
+    (nv,) away: where branches touch closely, rounding leaves open where exactly.
     """
     for germ in known:
         moved = germ.moved(equations, points[-1], period)
-        if np.linalg.norm(equations.between(moved.x, points[-1])) < np.linalg.norm(germ.samples[:, -1], axis=1).max():
+        if (
+            np.linalg.norm(equations.between(moved.x, points[-1]))
+            < np.linalg.norm(germ.samples[:, -1], axis=1).max()
+        ):
             if (found := _going_on(equations, moved, points)) is not None:
                 return found
     here = points[-1]
@@ -264,7 +315,9 @@ def passage(
         x = locate(equations, here, nullity, REACH) if nullity <= equations.n else None
         germ = None if x is None else germ_at(equations, x, nullity)
         if germ is not None and nullity == 2:
-            x = center(equations, germ.x, germ.tangents[0], float(np.linalg.norm(germ.samples[0, 0])))
+            x = center(
+                equations, germ.x, germ.tangents[0], float(np.linalg.norm(germ.samples[0, 0]))
+            )
             germ = None if x is None else germ_at(equations, x, nullity)
         if (found := _going_on(equations, germ, points)) is not None:
             return found
@@ -276,18 +329,23 @@ def passage(
     return None
 
 
-def _going_on(equations: Closure, germ: Germ | None, points: Sequence[Array]) -> SingularNode | None:
-    """The node from which a curve goes on that came to a singular point by some points (nq,); None where it did not."""
+def _going_on(
+    equations: Closure, germ: Germ | None, points: Sequence[Array]
+) -> SingularNode | None:
+    """The node from which a curve goes on that came to a singular point by some points (nq,); None
+    where it did not.
+    """
     half = None if germ is None else germ.half_of(equations, points)
     return None if germ is None or half is None else germ.node(germ.partner[half])
 
 
 def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | None:
-    """The singular point (nq,) near x (nq,) along a tangent (n,) of the curve, where Newton's method stops early.
+    """The singular point (nq,) near x (nq,) along a tangent (n,) of the curve, where Newton's
+    method stops early.
 
-    Over the tangent the reduced equation has a valley, whose depth is a power of the distance from the point. The mean
-    of the roots of its polynomial near by is known far better than each (Zeng, *Math. Comp.* 74, 2005). None where
-    there are no roots, or the loops are not closed there.
+    Over the tangent the reduced equation has a valley, whose depth is a power of the distance from
+    the point. The mean of the roots of its polynomial near by is known far better than each (Zeng,
+    *Math. Comp.* 74, 2005). None where there are no roots, or the loops are not closed there.
     """
     for _ in range(3):
         z = _Sphere.at(equations, x, 2).valley(along, reach)
@@ -321,12 +379,14 @@ def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
 
 @dataclass(frozen=True, eq=False)
 class Germ:
-    """The half-branches of a curve at a singular point `x` (nq,), and which two of them are one branch.
+    """The half-branches of a curve at a singular point `x` (nq,), and which two of them are one
+    branch.
 
-    `samples` (k, m, n) are tangent vectors from `x` to m points on each of k half-branches, the farthest first,
-    `tangents` (k, n) unit vectors along which they leave `x`, `partner` (k,) the index of the other half.
-    `curves` (k, DEGREE, n) are the coefficients of polynomials without constant term that describe the half-branches,
-    in the distance from `x` or its square root (at a cusp) or cube root, as `roots` (k,) say.
+    `samples` (k, m, n) are tangent vectors from `x` to m points on each of k half-branches, the
+    farthest first, `tangents` (k, n) unit vectors along which they leave `x`, `partner` (k,) the
+    index of the other half. `curves` (k, DEGREE, n) are the coefficients of polynomials without
+    constant term that describe the half-branches, in the distance from `x` or its square root (at a
+    cusp) or cube root, as `roots` (k,) say.
     """
 
     x: Array
@@ -350,7 +410,9 @@ class Germ:
         """The node at `x` from which a half-branch leaves."""
         others = [i for i, j in enumerate(self.partner) if i < j and half not in (i, j)]
         lines = self.tangents[[half, *others]]
-        return SingularNode(self.x, self.tangents[half], 0.0, self.nullity, NONE, NONE, lines, germ=self, half=half)
+        return SingularNode(
+            self.x, self.tangents[half], 0.0, self.nullity, NONE, NONE, lines, germ=self, half=half
+        )
 
     def first(self, equations: Closure, half: int) -> Node:
         """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
@@ -364,14 +426,20 @@ class Germ:
         return replace(self, x=equations.system.structure.layout.integrate(self.x, turns * period))
 
     def half_of(self, equations: Closure, points: Sequence[Array]) -> int | None:
-        """The half-branch on which points (nq,) at different distances from `x` lie; None where they do not tell."""
+        """The half-branch on which points (nq,) at different distances from `x` lie; None where
+        they do not tell.
+        """
         for x in points:
             z = equations.between(self.x, x)
             size = float(np.linalg.norm(z))
             if size > np.linalg.norm(self.samples[:, 0], axis=1).min():
                 continue
-            gaps = np.array([np.linalg.norm(_powers(np.array([size]), self.roots[i]) @ c - z)
-                             for i, c in enumerate(self.curves)])  # fmt: skip
+            gaps = np.array(
+                [
+                    np.linalg.norm(_powers(np.array([size]), self.roots[i]) @ c - z)
+                    for i, c in enumerate(self.curves)
+                ]
+            )
             first, second = np.argsort(gaps)[:2]
             if gaps[first] < min(SURE * gaps[second], ALIKE * size):
                 return int(first)
@@ -394,20 +462,30 @@ class SingularNode(Node):
         return self.germ.node(self.germ.partner[self.half])
 
     def arrival(self) -> list[Node]:
-        """The node at which the other half of the branch arrives, where that is not this node, too: at a cusp."""
+        """The node at which the other half of the branch arrives, where that is not this node, too:
+        at a cusp.
+        """
         t = -self.germ.tangents[self.germ.partner[self.half]]
-        return [Node(self.x, t, self.sigma, self.nullity, NONE, NONE)] if self.germ.cusp(self.half) else []
+        return (
+            [Node(self.x, t, self.sigma, self.nullity, NONE, NONE)]
+            if self.germ.cusp(self.half)
+            else []
+        )
 
     def may_be(self, equations: Closure, points: Sequence[Array]) -> bool:
-        """Whether points (nq,) near by may lie on the branch of this node: they do not lie on another one."""
+        """Whether points (nq,) near by may lie on the branch of this node: they do not lie on
+        another one.
+        """
         half = self.germ.half_of(equations, points)
         return half is None or half in (self.half, self.germ.partner[self.half])
 
 
 def germ_at(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
-    """The germ of the curve at a singular point, None where there is none, or one that small spheres do not tell.
+    """The germ of the curve at a singular point, None where there is none, or one that small
+    spheres do not tell.
 
-    The null space there has the dimension `nullity`, where that is given, up to what the digits of `x` leave.
+    The null space there has the dimension `nullity`, where that is given, up to what the digits of
+    `x` leave.
     """
     nullity = nullity or _nullity(svd(equations.matrix(x), compute_uv=False))
     if isinstance(equations, DrivenClosure) or nullity < 2:
@@ -431,9 +509,10 @@ def germ_at(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
 class _Sphere:
     """Where small spheres around a singular point meet the curve.
 
-    The curve lies over the null space (n, d): what is across it follows from the equations whose derivatives there do
-    not vanish, with the pseudo-inverse `inverse` (n, rows); the others, those of `left` (rows, k), are then equations
-    in the null space (Lyapunov, Schmidt; Golubitsky, Schaeffer, 1985, chapter VII).
+    The curve lies over the null space (n, d): what is across it follows from the equations whose
+    derivatives there do not vanish, with the pseudo-inverse `inverse` (n, rows); the others, those
+    of `left` (rows, k), are then equations in the null space (Lyapunov, Schmidt; Golubitsky,
+    Schaeffer, 1985, chapter VII).
     """
 
     equations: Closure
@@ -444,13 +523,18 @@ class _Sphere:
 
     @staticmethod
     def at(equations: Closure, x: Array, nullity: int) -> _Sphere:
-        """The spheres around a point (nq,) at which the null space has so many dimensions, or nearly has."""
+        """The spheres around a point (nq,) at which the null space has so many dimensions, or
+        nearly has.
+        """
         U, s, Vt = svd(equations.matrix(x))
         rank = equations.n - nullity
-        return _Sphere(equations, x, Vt[rank:].T, (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, U[:, rank:])
+        return _Sphere(
+            equations, x, Vt[rank:].T, (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, U[:, rank:]
+        )
 
     def valley(self, tangent: Array, reach: float) -> Array | None:
-        """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of the curve there.
+        """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of
+        the curve there.
 
         The null space has two dimensions. None where the valley has no roots near by.
         """
@@ -468,8 +552,13 @@ class _Sphere:
         for _ in range(4):
             low, at, high = (values(a, b + k * h) @ own for k in (-1, 0, 1))
             bent = high - 2.0 * at + low
-            b = b - np.clip(np.where(bent != 0.0, 0.5 * h * (high - low) / np.where(bent != 0.0, bent, 1.0), 0.0),
-                            -0.1 * reach, 0.1 * reach)  # fmt: skip
+            b = b - np.clip(
+                np.where(
+                    bent != 0.0, 0.5 * h * (high - low) / np.where(bent != 0.0, bent, 1.0), 0.0
+                ),
+                -0.1 * reach,
+                0.1 * reach,
+            )
         chebyshev: Any = np.polynomial.chebyshev  # its types are not known
         depth = chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
         roots: np.ndarray = np.asarray(chebyshev.chebroots(depth))
@@ -481,7 +570,9 @@ class _Sphere:
         return self.reduced((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
 
     def reduced(self, z: Array) -> tuple[Array, Array]:
-        """Tangent vectors (m, n) with the components of z (m, n) in the null space, and the values (m, k) there."""
+        """Tangent vectors (m, n) with the components of z (m, n) in the null space, and the values
+        (m, k) there.
+        """
         z, F = np.array(z), np.zeros((len(z), self.left.shape[0]))
         for _ in range(CHORDS):
             F = self.equations.many(self.equations.move(self.x, z), False)[0]
@@ -492,11 +583,15 @@ class _Sphere:
         return z, F @ self.left
 
     def circle(self, radius: float) -> list[Array]:
-        """Tangent vectors to the points of the curve over a circle in a null space of two dimensions."""
+        """Tangent vectors to the points of the curve over a circle in a null space of two
+        dimensions.
+        """
         angles = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE + 0.1
 
         def at(angles: Array) -> tuple[Array, Array]:
-            return self.reduced(radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self.null_space.T)
+            return self.reduced(
+                radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self.null_space.T
+            )
 
         values = at(angles)[1]
         if not np.isfinite(values).all():
@@ -518,9 +613,11 @@ class _Sphere:
     def _brackets(
         angles: Array, values: Array, function: Callable[[Array], Array]
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Ends, with the values there, of intervals of a circle at whose ends a function has different signs.
+        """Ends, with the values there, of intervals of a circle at whose ends a function has
+        different signs.
 
-        Between samples of one sign the least one may be beside two zeros: it is followed to where the sign changes.
+        Between samples of one sign the least one may be beside two zeros: it is followed to where
+        the sign changes.
         """
         step = float(angles[1] - angles[0])
         ahead = np.roll(values, -1)
@@ -555,10 +652,14 @@ class _Sphere:
             high = np.where(fa > fb, high, b)[~k]
             center = center[~k]
             sign = sign[~k]
-        return (np.concatenate(starts), np.concatenate(first)), (np.concatenate(ends), np.concatenate(last))
+        return (np.concatenate(starts), np.concatenate(first)), (
+            np.concatenate(ends),
+            np.concatenate(last),
+        )
 
     def search(self, radius: float) -> list[Array] | None:
-        """Tangent vectors to the points of the curve on a sphere over the null space, from many starts.
+        """Tangent vectors to the points of the curve on a sphere over the null space, from many
+        starts.
 
         None where the points are not isolated: more than a curve leads there.
         """
@@ -581,15 +682,22 @@ class _Sphere:
             count = max(8, min(STARTS * 2**d, MOST_STARTS, MOST_NUMBERS // (e.rows * n)))
             z = rng.normal(size=(count, d)) @ self.null_space.T
             z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
-            x = gauss_newton_of_many(both, e.move(self.x, z), 6, cut=1e-4, longest=radius, move=e.move)
+            x = gauss_newton_of_many(
+                both, e.move(self.x, z), 6, cut=1e-4, longest=radius, move=e.move
+            )
             z = e.between(self.x, x)
             size = np.linalg.norm(z, axis=1, keepdims=True)
             z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
-            x = gauss_newton_of_many(on_sphere, e.move(self.x, z), 30, cut=1e-6, longest=radius, move=e.move)
+            x = gauss_newton_of_many(
+                on_sphere, e.move(self.x, z), 30, cut=1e-6, longest=radius, move=e.move
+            )
             left, J = on_sphere(x, np.arange(len(x)))
             good = np.abs(left).max(axis=1, initial=0.0) < 1e-9
             few = J[good][:8, :-1]
-            if len(few) and np.median(np.sum(svd(few, compute_uv=False)[:, : n - 1] < PARTED, axis=1)) > 0:
+            if (
+                len(few)
+                and np.median(np.sum(svd(few, compute_uv=False)[:, : n - 1] < PARTED, axis=1)) > 0
+            ):
                 return None
             known = len(out)
             out = self._points([*out, *e.between(self.x, x[good])])
@@ -602,13 +710,16 @@ class _Sphere:
         out: list[Array] = []
         for z in vectors:
             found = self._corrected(z)
-            if found is not None and all(np.linalg.norm(found[0] - o) > 1e-4 * np.linalg.norm(o) for o in out):
+            if found is not None and all(
+                np.linalg.norm(found[0] - o) > 1e-4 * np.linalg.norm(o) for o in out
+            ):
                 out.append(found[0])
         return out
 
     def _corrected(self, z: Array) -> tuple[Array, Array] | None:
-        """The tangent vector to the regular point of the curve in the plane across z (n,), and the curve's direction
-        there; or None."""  # fmt: skip
+        """The tangent vector to the regular point of the curve in the plane across z (n,), and the
+        curve's direction there; or None.
+        """
         e = self.equations
         size = float(np.linalg.norm(z))
         there = correct(e, e.move(self.x, z), z / size)
@@ -620,9 +731,11 @@ class _Sphere:
         return (found, Vt[-1]) if near and s[e.n - 2] > PARTED * max(float(s[0]), 1.0) else None
 
     def inwards(self, z: Array) -> Array:
-        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the center.
+        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the
+        center.
 
-        The next one is looked for on the parabola through the center and the last one, with the direction there.
+        The next one is looked for on the parabola through the center and the last one, with the
+        direction there.
         """
         out = list[Array]()
         radius = float(np.linalg.norm(z))
@@ -637,7 +750,9 @@ class _Sphere:
             rate = z / size
             rate = t / along if abs(along) > 0.1 else rate
             part = INWARDS[len(out)] * radius / size
-            there = self._corrected((2.0 * part - part * part) * z - (part - part * part) * size * rate)
+            there = self._corrected(
+                (2.0 * part - part * part) * z - (part - part * part) * size * rate
+            )
         return np.array(out)
 
 
@@ -652,7 +767,9 @@ def _fit(A: Array, B: Array) -> Array:
 
 
 def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
-    """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes, or None."""
+    """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes,
+    or None.
+    """
     size = np.linalg.norm(samples, axis=2)
     turned = (-1.0) ** np.arange(1, DEGREE + 1)
     k = len(samples)
@@ -692,4 +809,8 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
         if root == 2:
             t[np.abs(t) < RESTS] = 0.0
         tangents[i], tangents[j] = t, t if root == 2 else -t
-    return None if left else Germ(x, null_space.shape[1], samples, tangents, tuple(partner), tuple(roots), curves)
+    return (
+        None
+        if left
+        else Germ(x, null_space.shape[1], samples, tangents, tuple(partner), tuple(roots), curves)
+    )

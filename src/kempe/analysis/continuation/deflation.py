@@ -1,8 +1,9 @@
-"""Curves along which the equations touch: the Jacobian has a larger null space all along than the curve has tangents.
+"""Curves along which the equations touch: the Jacobian has a larger null space all along than the
+curve has tangents.
 
-There the curve is where the equations hold and the small singular values of the Jacobian vanish, too. These equations
-together are regular if the null space is cut down to a tangent to second order (deflation: Leykin, Verschelde, Zhao,
-*Theor. Comput. Sci.* 359, 2006).
+There the curve is where the equations hold and the small singular values of the Jacobian vanish,
+too. These equations together are regular if the null space is cut down to a tangent to second order
+(deflation: Leykin, Verschelde, Zhao, *Theor. Comput. Sci.* 359, 2006).
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ ALIGNED = 0.7
 
 
 class RankEquations:
-    """Equations that hold the rank of those before at what it is at a point: ``left.T @ J @ null_space = 0``.
+    """Equations that hold the rank of those before at what it is at a point:
+    ``left.T @ J @ null_space = 0``.
 
-    The bases of the two null spaces are those of the point itself, as near as may be to the last ones used, so that the
-    equations change continuously.
+    The bases of the two null spaces are those of the point itself, as near as may be to the last
+    ones used, so that the equations change continuously.
     """
 
     def __init__(self, equations: Closure, x: Array):
@@ -42,8 +44,12 @@ class RankEquations:
         """How many equations there are."""
         return self._left.shape[1] * self.nullity
 
-    def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
-        """Write the residuals of these equations and their derivatives into F and J (., n) from row `at` on."""
+    def write(
+        self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
+    ) -> None:
+        """Write the residuals of these equations and their derivatives into F and J (., n) from row
+        `at` on.
+        """
         own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
         U, _, Vt = svd(own)
         rank = own.shape[1] - self.nullity
@@ -58,7 +64,11 @@ class RankEquations:
             padded = np.zeros((equations.rows, left.shape[1]))
             padded[:at] = left
             before = _Before(equations, self._before)
-            J[here] = second_order(before, x, padded, null_space).transpose(1, 2, 0).reshape(self.count, -1)
+            J[here] = (
+                second_order(before, x, padded, null_space)
+                .transpose(1, 2, 0)
+                .reshape(self.count, -1)
+            )
 
     @staticmethod
     def _near(basis: Array, to: Array) -> Array:
@@ -82,11 +92,13 @@ class _Before(Closure):
 
 def hold_rank(
     equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]], length: float = PROBE
-) -> bool:  # fmt: skip
-    """Hold the rank at a point (nq,) from here on, if the equations then leave a curve through it; True if they do.
+) -> bool:
+    """Hold the rank at a point (nq,) from here on, if the equations then leave a curve through it;
+    True if they do.
 
-    `curve` gives the equations of the curve, these or equations made of them, and its node at the point. The curve must
-    have this `length` on both sides: branches that touch closely look like one of low rank near by.
+    `curve` gives the equations of the curve, these or equations made of them, and its node at the
+    point. The curve must have this `length` on both sides: branches that touch closely look like
+    one of low rank near by.
     """
     low = RankEquations(equations, x)
     if not low.count or rank_held(equations):

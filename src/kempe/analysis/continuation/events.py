@@ -1,4 +1,6 @@
-"""What happens along a curve: steps through crossings, limits, the way back to the start, extremes, singular points."""
+"""What happens along a curve: steps through crossings, limits, the way back to the start, extremes,
+singular points.
+"""
 
 from __future__ import annotations
 
@@ -26,21 +28,27 @@ from kempe.solvers.common.tracing import BEND, Node, bend, flipped, inside, node
 from kempe.spatial import Array
 
 AWKWARD = 1e-5
-"""Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
+"""Relative singular value below which a step had better land elsewhere: rounding is blown up
+there."""
 HIDDEN = 1e-5
-"""Relative singular value, falling, below which a curve may come to a point near which rounding hides it."""
+"""Relative singular value, falling, below which a curve may come to a point near which rounding
+hides it."""
 NEARLY = 1e-3
-"""Relative singular value at both ends of a step below which it may lead past a point where branches touch."""
+"""Relative singular value at both ends of a step below which it may lead past a point where
+branches touch."""
 RESTING = 1e-9
 """Rates below this count as zero."""
 NOISE = 1e-12
-"""Rates below this count as zero where each look at one costs milliseconds; places then are known to as many digits."""
+"""Rates below this count as zero where each look at one costs milliseconds; places then are known
+to as many digits."""
 SAME_NODE = 1e-9
-"""Distance between neighbours below which they are one point, at which the curve arrives and from which it leaves."""
+"""Distance between neighbours below which they are one point, at which the curve arrives and from
+which it leaves."""
 RECENT = 100
 """Points of a walk that are kept, to tell on which half-branch it came to a singular point."""
 HOME = 1e-7
-"""Distance from the start at which a curve has returned to it, if it also arrives in the same direction."""
+"""Distance from the start at which a curve has returned to it, if it also arrives in the same
+direction."""
 HOME_CROSSING = 1e-4
 """The same where the start is a crossing: points beside it are known less well."""
 ARRIVED = 0.999
@@ -55,10 +63,11 @@ class WalkEnd:
 
 
 def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterator[Node | WalkEnd]:
-    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on through crossings.
+    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on
+    through crossings.
 
-    At a cusp the curve arrives at one node and leaves from another one, at the same point. `periods` (nv,) are 0 for
-    coordinates that do not come back by turning on.
+    At a cusp the curve arrives at one node and leaves from another one, at the same point.
+    `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
 
     def taken(a: Node, h: float) -> list[Node] | None:
@@ -81,7 +90,9 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
         for b in tracing.walk(a, taken, longest, h):
             before = last[-1]
             last.append(b.x)
-            if b.sigma < min(HIDDEN, sigma) and b.lines is None:  # nearer to a point where rounding hides the curve
+            if (
+                b.sigma < min(HIDDEN, sigma) and b.lines is None
+            ):  # nearer to a point where rounding hides the curve
                 singular = passage(equations, last, known, periods)
                 way = equations.between(before, b.x if singular is None else singular.x)
                 along = float(way @ equations.between(before, b.x))
@@ -104,20 +115,26 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
 
 
 def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
-    """A step from `a` to `b` with the crossing in between, if any; None where it may have changed the branch."""
+    """A step from `a` to `b` with the crossing in between, if any; None where it may have changed
+    the branch.
+    """
     if b is None:
         return None
     turned = sides_change(equations, a, b)
     if not turned:
         return None if turned is None or _touches(equations, a, b) else [b]
     middle = crossing(equations, a, b)
-    if isinstance(middle, SingularNode):  # the step may have led to another one of the branches that touch there
+    if isinstance(
+        middle, SingularNode
+    ):  # the step may have led to another one of the branches that touch there
         return [middle, middle.germ.first(equations, middle.half)]
     return None if middle is None else [middle, b]
 
 
 def _touches(equations: Closure, a: Node, b: Node) -> bool:
-    """Whether a step may have led past a singular point at which branches touch, to another branch or round a cusp."""
+    """Whether a step may have led past a singular point at which branches touch, to another branch
+    or round a cusp.
+    """
     if max(a.sigma, b.sigma) > NEARLY or a.lines is not None:
         return False
     y = equations.between(a.x, b.x)
@@ -134,7 +151,8 @@ def _touches(equations: Closure, a: Node, b: Node) -> bool:
 def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
     """`flipped`, with derivatives of the same equations at both nodes.
 
-    What holds the rank changes its bases on the way, and equations in other bases have determinants of other signs.
+    What holds the rank changes its bases on the way, and equations in other bases have determinants
+    of other signs.
     """
     if rank_held(equations) and a.nullity == 1:
         here = node(equations, a.x, a.t)
@@ -143,9 +161,16 @@ def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
 
 
 def root(
-    equations: Closure, a: Node, b: Node, function: Callable[[Node], float], low: float = 0.0, high: float | None = None
+    equations: Closure,
+    a: Node,
+    b: Node,
+    function: Callable[[Node], float],
+    low: float = 0.0,
+    high: float | None = None,
 ) -> Node | None:
-    """The node between two neighbours where `function` of it, of different signs at both ends, is zero."""
+    """The node between two neighbours where `function` of it, of different signs at both ends, is
+    zero.
+    """
     end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
     found: dict[float, Node] = {}
     large = equations.rows > LARGE
@@ -167,7 +192,8 @@ def root(
 
 
 def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
-    """The start again, whole turns away, if the curve returns to it between two neighbours in the same direction.
+    """The start again, whole turns away, if the curve returns to it between two neighbours in the
+    same direction.
 
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
@@ -177,7 +203,9 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
         moved = [equations.system.structure.layout.integrate(n.x, shift) for n in (a, b)]
         if not start.may_be(equations, moved):
             return None
-    if np.linalg.norm(equations.between(b.x, there)) < (HOME if start.lines is None else HOME_CROSSING):
+    if np.linalg.norm(equations.between(b.x, there)) < (
+        HOME if start.lines is None else HOME_CROSSING
+    ):
         return replace(start, x=there) if start.t @ b.t > ARRIVED else None
     z = equations.between(a.x, there)
     chord = equations.between(a.x, b.x)
@@ -188,7 +216,9 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
     if here is None or start.t @ here.t < ARRIVED:
         return None
     gap = float(np.linalg.norm(equations.between(here.x, there)))
-    return replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
+    return (
+        replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
+    )
 
 
 def _ratio(x: Array, periods: Array) -> Array:
@@ -196,7 +226,9 @@ def _ratio(x: Array, periods: Array) -> Array:
 
 
 def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
-    """Where velocities of coordinates change their sign: (node before, node after, coordinate), along the curve."""
+    """Where velocities of coordinates change their sign: (node before, node after, coordinate),
+    along the curve.
+    """
     out: list[tuple[int, int, int]] = []
     rates = np.array([n.t for n in nodes])
     count = len(nodes)
@@ -212,7 +244,9 @@ def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int
 
 
 def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
-    """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None where it rests."""
+    """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None
+    where it rests.
+    """
     if m == k + 1 and np.linalg.norm(equations.between(nodes[k].x, nodes[m].x)) < SAME_NODE:
         return nodes[m]  # a cusp
     if m == k + 1:
@@ -223,11 +257,15 @@ def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> No
 
 
 def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
-    """The nodes, and between them those singular points that no determinant shows: where two things vanish at once."""
+    """The nodes, and between them those singular points that no determinant shows: where two things
+    vanish at once.
+    """
     out = [nodes[0]]
     for k in range(1, len(nodes) - 1):
         a, m, b = nodes[k - 1 : k + 2]
-        if not (m.sigma <= a.sigma and m.sigma <= b.sigma) or any(n.lines is not None for n in (a, m, b)):
+        if not (m.sigma <= a.sigma and m.sigma <= b.sigma) or any(
+            n.lines is not None for n in (a, m, b)
+        ):
             out.append(m)
             continue
         before = equations.between(a.x, m.x)
@@ -235,8 +273,14 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
         h = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
         found = None
         if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
-            x = next((x for n in (2, 3, 4) if n <= equations.n
-                      and (x := locate(equations, m.x, n, 2.0 * h)) is not None), None)  # fmt: skip
+            x = next(
+                (
+                    x
+                    for n in (2, 3, 4)
+                    if n <= equations.n and (x := locate(equations, m.x, n, 2.0 * h)) is not None
+                ),
+                None,
+            )
             found = None if x is None else singular_node(equations, x, m.t, a.x)
         if found is None:
             out.append(m)

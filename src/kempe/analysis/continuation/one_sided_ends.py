@@ -1,4 +1,6 @@
-"""Where one-sided rows end a walk along a curve: limits of coordinates, and declared one-sided constraints."""
+"""Where one-sided rows end a walk along a curve: limits of coordinates, and declared one-sided
+constraints.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ OUTSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class OneSidedEnd(InWords):
-    """A bound of a one-sided constraint or coordinate: `sign` is +1 for an upper bound and -1 for a lower one."""
+    """A bound of a one-sided constraint or coordinate: `sign` is +1 for an upper bound and -1 for a
+    lower one.
+    """
 
     name: str
     limit: float
@@ -65,7 +69,9 @@ class CoordinateBound(OneSidedEnd):
         return f"{self.name!r} is outside its limits"
 
     def __str__(self) -> str:
-        return f"the {'upper' if self.sign > 0 else 'lower'} limit {self.limit:.9g} of {self.name!r}"
+        return (
+            f"the {'upper' if self.sign > 0 else 'lower'} limit {self.limit:.9g} of {self.name!r}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +100,9 @@ class RowBound(OneSidedEnd):
 
 
 class OneSidedEnds:
-    """What is one-sided in a system, as ends of a walk: declared rows, and with `limits` those of its coordinates."""
+    """What is one-sided in a system, as ends of a walk: declared rows, and with `limits` those of
+    its coordinates.
+    """
 
     def __init__(self, equations: Closure, limits: bool = True):
         system = equations.system
@@ -105,10 +113,14 @@ class OneSidedEnds:
         place = equations.place
         for i in range(system.nv) if limits else ():
             if place[i] >= 0 and i not in equations.held:
-                for bound, sign in zip(system.structure.limits[i].tolist(), (-1.0, 1.0), strict=True):
+                for bound, sign in zip(
+                    system.structure.limits[i].tolist(), (-1.0, 1.0), strict=True
+                ):
                     if np.isfinite(bound):
                         self.all.append(
-                            CoordinateBound(system.structure.velocity_names[i], bound, sign, i, int(place[i]))
+                            CoordinateBound(
+                                system.structure.velocity_names[i], bound, sign, i, int(place[i])
+                            )
                         )
         for k in range(rows.declared):
             for bound, sign in ((rows.low[k], -1.0), (rows.high[k], 1.0)):
@@ -123,11 +135,17 @@ class OneSidedEnds:
         return ""
 
     def may_end(self, n: Node, moving: list[int]) -> bool:
-        """Whether one of the `moving` velocity coordinates, or a declared row, goes towards a bound at a node."""
-        return any(bound.rate(n) > 0.0 for bound in self.all if bound.of is None or bound.of in moving)
+        """Whether one of the `moving` velocity coordinates, or a declared row, goes towards a bound
+        at a node.
+        """
+        return any(
+            bound.rate(n) > 0.0 for bound in self.all if bound.of is None or bound.of in moving
+        )
 
     def hit(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
-        """The first node between two neighbours at which a bound is reached, and which: None if there is none."""
+        """The first node between two neighbours at which a bound is reached, and which: None if
+        there is none.
+        """
         best: tuple[float, Node, str] | None = None
         for bound in self.all:
             reached = _reached(equations, a, b, bound)
@@ -153,8 +171,13 @@ def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node |
             return a  # at rest on the bound, and then beyond it
     last = b
     low = 0.0
-    if before <= -TOUCH and after <= TOUCH and (bound.rate(a) <= RESTING or bound.rate(b) >= -RESTING):
-        return None  # inside at both ends, and no largest value in between; rates of what rests are rounding
+    if (
+        before <= -TOUCH
+        and after <= TOUCH
+        and (bound.rate(a) <= RESTING or bound.rate(b) >= -RESTING)
+    ):
+        # inside at both ends, and no largest value in between; rates of what rests are rounding
+        return None
     if after <= TOUCH or before > -TOUCH:
         turn = root(equations, a, b, bound.rate)
         if turn is None or (after <= TOUCH and over(turn) <= TOUCH):

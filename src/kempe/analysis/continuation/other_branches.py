@@ -1,4 +1,6 @@
-"""Assembly modes that a traced path does not pass: a mechanism that is built again may move on another branch."""
+"""Assembly modes that a traced path does not pass: a mechanism that is built again may move on
+another branch.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +16,17 @@ if TYPE_CHECKING:
 
 
 MOST_SIGNS = 6
-"""Dyads of mechanisms whose assembly modes are looked at: 64 modes, in some hundredths of a second."""
+"""Dyads of mechanisms whose assembly modes are looked at: 64 modes, in some hundredths of a
+second."""
 
 
 def elsewhere(path: Path) -> tuple[str, Array]:
-    """The input, and other configurations (k, nq) with its value at the path's start that the path does not pass.
+    """The input, and other configurations (k, nq) with its value at the path's start that the path
+    does not pass.
 
-    They are looked for where they are in closed form, inside the limits. The input is the driver; a path that has none,
-    or a driver that is not a coordinate, takes the first coordinate with which there are some. `held` coordinates stay.
-    Of mechanisms of many dyads there are none.
+    They are looked for where they are in closed form, inside the limits. The input is the driver; a
+    path that has none, or a driver that is not a coordinate, takes the first coordinate with which
+    there are some. `held` coordinates stay. Of mechanisms of many dyads there are none.
     """
     from kempe.solvers.dyads.dyads import Incomplete, closed_form
     from kempe.solvers.modes.modes import assembly_modes
@@ -44,7 +48,9 @@ def elsewhere(path: Path) -> tuple[str, Array]:
 
 
 def _passes(path: Path, q: Array) -> bool:
-    """Whether a path may pass q: on the way from one node to the next it is no farther from one than these are."""
+    """Whether a path may pass q: on the way from one node to the next it is no farther from one
+    than these are.
+    """
     track = path.track
     e = path.track.equations
     y = np.array([e.between(node, q) for node in track.q]) * e.unit

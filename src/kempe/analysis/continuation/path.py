@@ -40,13 +40,16 @@ SLICE = 1024
 
 @dataclass(frozen=True, eq=False)
 class Event(InWords):
-    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is special.
+    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is
+    special.
 
-    `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate turns back),
-    "bifurcation" (several branches meet), "cusp" (the motion comes to rest and goes back beside the way it came) or
-    "singular" (the rank drops, no branch leaves). `coordinate` and `value`
-    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along the branches found at
-    a singular point, that of the path first; `nullity` counts the independent first-order motions there.
+    `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate
+    turns back), "bifurcation" (several branches meet), "cusp" (the motion comes to rest and goes
+    back beside the way it came) or "singular" (the rank drops, no branch leaves). `coordinate` and
+    `value`
+    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along
+    the branches found at a singular point, that of the path first; `nullity` counts the independent
+    first-order motions there.
     """
 
     q: Array
@@ -70,7 +73,9 @@ class Event(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their equations."""
+    """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their
+    equations.
+    """
 
     equations: Closure
     q: Array
@@ -78,7 +83,9 @@ class Track:
     t: Array
 
     def at(self, s: Array) -> Array:
-        """Configurations (k, nq) at arc lengths (k,) inside the track: cubic between nodes, then closed exactly."""
+        """Configurations (k, nq) at arc lengths (k,) inside the track: cubic between nodes, then
+        closed exactly.
+        """
         out = np.empty((len(s), self.q.shape[1]))
         for i in range(0, len(s), SLICE):
             out[i : i + SLICE] = self._slice(s[i : i + SLICE])
@@ -89,7 +96,9 @@ class Track:
             return np.repeat(self.q, len(s), axis=0)
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
         size = (self.s[k + 1] - self.s[k])[:, None]
-        u = (s - self.s[k])[:, None] / np.where(size > 0.0, size, 1.0)  # a cusp is two nodes at one place
+        u = (s - self.s[k])[:, None] / np.where(
+            size > 0.0, size, 1.0
+        )  # a cusp is two nodes at one place
         e = self.equations
         t = self.t
         y = e.between(self.q[k], self.q[k + 1])
@@ -100,7 +109,9 @@ class Track:
 
         def both(x: Array, at: np.ndarray) -> tuple[Array, Array]:
             F, J = e.many(x)
-            return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate([J, across[at, None]], axis=1)
+            return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate(
+                [J, across[at, None]], axis=1
+            )
 
         x = gauss_newton_of_many(both, x, 3, cut=BLUNT, move=e.move)
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
@@ -126,7 +137,9 @@ class Motion(Configurations):
             raise UnknownNameError("coordinate", coordinate, names, self.system.name)
         return self.q[:, names.index(coordinate)].copy()
 
-    def _columns(self, first: str, column: Array, frames: Iterable[FrameLike]) -> tuple[list[str], Array]:
+    def _columns(
+        self, first: str, column: Array, frames: Iterable[FrameLike]
+    ) -> tuple[list[str], Array]:
         """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
         names = [first, *self.system.coordinate_names]
         columns = [column[:, None], self.q]
@@ -142,15 +155,28 @@ class Motion(Configurations):
 class Path(Motion):
     """A curve of closed configurations of a mechanism with one degree of freedom.
 
-    `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped. `s` (n,) is the arc
-    length: angles in radians, slides in characteristic lengths (`unit_length`, metres). `closed` tells whether the
-    last point is the first one again (angles without limits up to whole turns), `ends` why it stops at its first and
-    last point. `success` is false where no configuration closes the loops or the work was broken off, because it was
-    `interrupted` from the keyboard or the time limit came (`late`): then the path is the part that was done, and
-    `remark` says what else is missing. `others` are the branches that `trace(..., switch=True)` found at bifurcations.
+    `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped.
+    `s` (n,) is the arc length: angles in radians, slides in characteristic lengths (`unit_length`,
+    metres). `closed` tells whether the last point is the first one again (angles without limits up
+    to whole turns), `ends` why it stops at its first and last point. `success` is false where no
+    configuration closes the loops or the work was broken off, because it was `interrupted` from the
+    keyboard or the time limit came (`late`): then the path is the part that was done, and `remark`
+    says what else is missing. `others` are the branches that `trace(..., switch=True)` found at
+    bifurcations.
     """
 
-    also = ("s", "closed", "ends", "length", "turns", "driver", "held", "interrupted", "late", "hint")
+    also = (
+        "s",
+        "closed",
+        "ends",
+        "length",
+        "turns",
+        "driver",
+        "held",
+        "interrupted",
+        "late",
+        "hint",
+    )
 
     q: Array
     s: Array
@@ -194,15 +220,19 @@ class Path(Motion):
         e = self.track.equations
         change = self.q[-1] - self.q[0]
         names = self.system.structure.velocity_names
-        return {name: round(change[e.place[i]] / (2.0 * np.pi)) for i, name in enumerate(names)
-                if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0}  # fmt: skip
+        return {
+            name: round(change[e.place[i]] / (2.0 * np.pi))
+            for i, name in enumerate(names)
+            if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0
+        }
 
     def __repr__(self) -> str:
         what = f"{counted(len(self.q), 'point')}, length={self.length:.6g}, closed={self.closed}"
         return f"Path({self.system.name!r}, {what})"
 
     def at(self, s: ArrayLike) -> Array:
-        """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on around.
+        """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on
+        around.
 
         Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
         """
@@ -225,13 +255,15 @@ class Path(Motion):
     def resample(self, n: int, *, budget: Budget | None = None) -> Path:
         """The same path with `n` points at equal distances of arc length, its ends included.
 
-        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then; the time limit, or
-        Ctrl-C, leaves those points that were done, see `late`, `remark` and `kempe.Interrupted`. Errors:
-        `InputError`.
+        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then;
+        the time limit, or Ctrl-C, leaves those points that were done, see `late`, `remark` and
+        `kempe.Interrupted`. Errors: `InputError`.
         """
         spend = USUAL.of(budget)
         if not is_whole(n) or not 2 <= n <= MOST:
-            raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
+            raise InputError(
+                f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}"
+            )
         time = TimeLimit(spend.time_limit)
         broken = None
         done: list[tuple[Array, Array]] = []
@@ -239,7 +271,9 @@ class Path(Motion):
         try:
             for i in range(0, int(n), SLICE):
                 time.check()
-                s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (self.length / (int(n) - 1))
+                s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (
+                    self.length / (int(n) - 1)
+                )
                 s[s > self.length] = self.length
                 if i + SLICE >= n:
                     s[-1] = self.length
@@ -252,19 +286,34 @@ class Path(Motion):
         q = np.concatenate([np.empty((0, self.system.nq)), *(part[1] for part in done)])
         if broken is None:
             return replace(self, q=q, s=s)
-        more = "; ".join(filter(None, [self.remark, f"{len(q)} of {counted(n, 'point')} at equal distances"]))
+        more = "; ".join(
+            filter(None, [self.remark, f"{len(q)} of {counted(n, 'point')} at equal distances"])
+        )
         late = isinstance(broken, TimeUp)
         interrupted = isinstance(broken, KeyboardInterrupt)
         ends = (self.ends[0], time.reason(broken))
-        return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
-                       remark=more)  # fmt: skip
+        return replace(
+            self,
+            q=q,
+            s=s,
+            closed=False,
+            ends=ends,
+            success=False,
+            late=late,
+            interrupted=interrupted,
+            remark=more,
+        )
 
     def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
-        """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default: `self.frames`)."""
+        """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default:
+        `self.frames`).
+        """
         return self._columns("s", self.s, self.frames if frames is None else frames)
 
     def save(self, path: str | FilePath, frames: Iterable[FrameLike] | None = None) -> FilePath:
-        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors: `InputError`."""
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
+        `InputError`.
+        """
         return write_table(path, *self.table(frames))
 
     def _sentence(self, index: tuple[int, ...]) -> str:
@@ -296,8 +345,10 @@ class Path(Motion):
         return [*lines, *super()._notes()]
 
     def _data(self) -> dict[str, Any]:
-        events = {name: [_event_data(e, self._by_name) for e in getattr(self, name)]
-                  for name in ("turning_points", "singular_points", "extremes")}  # fmt: skip
+        events = {
+            name: [_event_data(e, self._by_name) for e in getattr(self, name)]
+            for name in ("turning_points", "singular_points", "extremes")
+        }
         return super()._data() | events | {"others": [path._data() for path in self.others]}
 
     @cached_property
@@ -308,23 +359,33 @@ class Path(Motion):
 
     @property
     def elsewhere(self) -> Array:
-        """Other assembly modes (k, nq) at the start of the path that it does not pass, where they have a closed form.
+        """Other assembly modes (k, nq) at the start of the path that it does not pass, where they
+        have a closed form.
 
-        They have the driver's value there; without a driver, that of the first coordinate with which there are some.
+        They have the driver's value there; without a driver, that of the first coordinate with
+        which there are some.
         """
         return self._elsewhere[1]
 
     @property
     def hint(self) -> str:
-        """The sentence that says how many assembly modes are not on the path; empty where none are known."""
+        """The sentence that says how many assembly modes are not on the path; empty where none are
+        known.
+        """
         name, q = self._elsewhere
         if not len(q):
             return ""
         value = self.q[0][self.system.coordinate_names.index(name)]
         many = "1 other assembly mode" if len(q) == 1 else f"{len(q)} other assembly modes"
-        return f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
+        return (
+            f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
+        )
 
 
 def _event_data(event: Event, by_name: Callable[[Array], Any]) -> dict[str, Any]:
-    own = {"coordinate": event.coordinate, "value": event.value} if event.coordinate else {"nullity": event.nullity}
+    own = (
+        {"coordinate": event.coordinate, "value": event.value}
+        if event.coordinate
+        else {"nullity": event.nullity}
+    )
     return {"s": event.s, "kind": event.kind, **own, "q": by_name(event.q)}

@@ -1,9 +1,9 @@
 """Motion under given input velocities: what rolls, and what closes loops, follows them in time.
 
-The velocities are those of A(q) v = b(q, t), of the closed loops and of the inputs together; they are integrated by
-Dormand and Prince's method of order 8 (Hairer, Norsett and Wanner, *Solving Ordinary Differential Equations I*, 1993),
-and after each step the position constraints are met again by the smallest correction. No mass is needed: inputs are
-velocities, not forces.
+The velocities are those of A(q) v = b(q, t), of the closed loops and of the inputs together; they
+are integrated by Dormand and Prince's method of order 8 (Hairer, Norsett and Wanner, *Solving
+Ordinary Differential Equations I*, 1993), and after each step the position constraints are met
+again by the smallest correction. No mass is needed: inputs are velocities, not forces.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 RANK = 1e-8
 """Singular values below this count as zero, of rows of size 1."""
 MISS = 1e-9
-"""By how much velocities may miss a row, of rows and speeds of size 1, for inputs and constraints to agree."""
+"""By how much velocities may miss a row, of rows and speeds of size 1, for inputs and constraints
+to agree."""
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a start is not closed."""
 PARTS = 64
@@ -50,7 +51,9 @@ class RollingStop(Exception):
 
 
 class Rolled(NamedTuple):
-    """Samples of a motion: times (n,), configurations (n, nq), velocities (n, nv), the reason why it ends, if early."""
+    """Samples of a motion: times (n,), configurations (n, nq), velocities (n, nv), the reason why
+    it ends, if early.
+    """
 
     t: Array
     q: Array
@@ -62,8 +65,8 @@ class Rolled(NamedTuple):
 class Velocities:
     """The velocities that constraints and inputs leave, at any configuration and time.
 
-    Where position constraints depend on time, `system` is the clocked one: the time is a coordinate, whose velocity is
-    1 and which closing the loops does not change.
+    Where position constraints depend on time, `system` is the clocked one: the time is a
+    coordinate, whose velocity is 1 and which closing the loops does not change.
     """
 
     def __init__(self, system: System, inputs: Mapping[str, Any]):
@@ -89,7 +92,9 @@ class Velocities:
         return float(x)
 
     def at(self, q: Array, t: float) -> Array:
-        """The velocities (nv,). Errors: `RollingStop` where they are not determined, or do not exist."""
+        """The velocities (nv,). Errors: `RollingStop` where they are not determined, or do not
+        exist.
+        """
         scale = self.closure.unit
         A, b = rates(self.system, q, t)
         J = self.closure.matrix(q)[: self.loops] if self.loops else np.zeros((0, len(scale)))
@@ -122,8 +127,11 @@ class Velocities:
         said = ", ".join(map(repr, moving[:6])) + ", ..." * (len(moving) > 6)
         many = len(null_space)
         given = ", ".join(map(repr, self.inputs)) or "none"
-        return (f"the inputs ({given}) leave {many} freedom{'s' * (many != 1)} of motion, among {said}; give "
-                f"{many} more (a coordinate, or a twist such as 'frame.vx' in the axes of a frame)")  # fmt: skip
+        return (
+            f"the inputs ({given}) leave {many} freedom{'s' * (many != 1)} of motion, among "
+            f"{said}; give {many} more (a coordinate, or a twist such as 'frame.vx' in the axes of "
+            "a frame)"
+        )
 
     def _contradiction(self, M: Array, wanted: Array, size: Array) -> str:
         """Which input cannot be had under the constraints and the other inputs, and by how much."""
@@ -131,7 +139,10 @@ class Velocities:
         z = np.linalg.lstsq(M[:fixed], wanted[:fixed], rcond=RANK)[0]
         off = np.abs(M[:fixed] @ z - wanted[:fixed])
         if fixed and off.max() > MISS * max(1.0, float(np.abs(wanted).max())):
-            return f"the constraints contradict each other: no velocity satisfies them all (by {off.max():.3g})"
+            return (
+                "the constraints contradict each other: no velocity satisfies them all (by "
+                f"{off.max():.3g})"
+            )
         for k, name in enumerate(self.inputs):
             some = M[: fixed + k + 1], wanted[: fixed + k + 1]
             z = np.linalg.lstsq(*some, rcond=RANK)[0]
@@ -141,8 +152,10 @@ class Velocities:
                 beside = f" beside {before}" if before else ""
                 z = np.linalg.lstsq(some[0][:-1], some[1][:-1], rcond=RANK)[0]
                 had = float(some[0][-1] @ z) * size[fixed + k]
-                return (f"the constraints do not allow the input {name!r}{beside}: {had:.6g} would do in place of "
-                        f"{float(some[1][-1]) * size[fixed + k]:.6g}")  # fmt: skip
+                return (
+                    f"the constraints do not allow the input {name!r}{beside}: {had:.6g} would do "
+                    f"in place of {float(some[1][-1]) * size[fixed + k]:.6g}"
+                )
         return "constraints and inputs contradict each other"
 
     def slope(self, t: float, q: Array) -> Array:
@@ -168,19 +181,25 @@ class Velocities:
         if not self.loops:
             return q
         closure = self.closure
-        return gauss_newton(closure.both, q, CORRECTIONS, cut=RANK, met=closure.tolerance(q), move=closure.move).x
+        return gauss_newton(
+            closure.both, q, CORRECTIONS, cut=RANK, met=closure.tolerance(q), move=closure.move
+        ).x
 
 
 def _checked(name: str, u: Any) -> Input:
     if callable(u):
         return u
     if not is_real(u) or not math.isfinite(float(u)):
-        raise InputError(f"input {name!r} is {shown(u)}; it must be a finite number or a function of time")
+        raise InputError(
+            f"input {name!r} is {shown(u)}; it must be a finite number or a function of time"
+        )
     return float(u)
 
 
 def _row(system: System, name: str) -> Callable[[Array], Array]:
-    """The row (nv,) of an input as a function of q: a velocity coordinate, or a twist in the axes of a frame."""
+    """The row (nv,) of an input as a function of q: a velocity coordinate, or a twist in the axes
+    of a frame.
+    """
     names = list(system.structure.velocity_names)
     if name in names:
         row = np.eye(system.nv)[names.index(name)]
@@ -194,9 +213,16 @@ def _row(system: System, name: str) -> Callable[[Array], Array]:
 
 
 def roll(
-    system: System, inputs: Mapping[str, Any], q: Array, times: Array, tolerance: float, budget: TimeLimit
-) -> Rolled:  # fmt: skip
-    """The motion from q (nq,) at the first of the `times` (n,). Errors: `InputError`, `UnsupportedError`."""
+    system: System,
+    inputs: Mapping[str, Any],
+    q: Array,
+    times: Array,
+    tolerance: float,
+    budget: TimeLimit,
+) -> Rolled:
+    """The motion from q (nq,) at the first of the `times` (n,). Errors: `InputError`,
+    `UnsupportedError`.
+    """
     from scipy import integrate
 
     motion = Velocities(system, inputs)
@@ -207,8 +233,10 @@ def roll(
     F = motion.closure.values(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:
-        raise InputError(f"the position constraints are off by {gap:.3g} at the start (radians or characteristic "
-                         "lengths); assemble it first")  # fmt: skip
+        raise InputError(
+            f"the position constraints are off by {gap:.3g} at the start (radians or "
+            "characteristic lengths); assemble it first"
+        )
     rows = one_sided_rows(system)
     q = motion.closed(q, begin)
     if (over := rows.beyond(q)).any():
@@ -225,8 +253,9 @@ def roll(
     k = 1
     end = float(times[-1])
     most = max((end - begin) / PARTS, 1e-300)
-    solver: Any = cast(Any, integrate).DOP853(motion.slope, begin, q, end, rtol=max(tolerance, 3e-14),
-                                              atol=tolerance, max_step=most)  # fmt: skip
+    solver: Any = cast(Any, integrate).DOP853(
+        motion.slope, begin, q, end, rtol=max(tolerance, 3e-14), atol=tolerance, max_step=most
+    )
     try:
         while solver.status == "running":
             budget.check()
@@ -261,8 +290,12 @@ def roll(
     return Rolled(times[:n], q[:, : q.shape[1] - more], v[:, : v.shape[1] - more], reason, broken)
 
 
-def _limit(system: System, dense: Callable[[Any], Array], t0: float, t1: float) -> tuple[float, str] | None:
-    """The time at which a limit or another one-sided constraint is met between two times, and the words for it."""
+def _limit(
+    system: System, dense: Callable[[Any], Array], t0: float, t1: float
+) -> tuple[float, str] | None:
+    """The time at which a limit or another one-sided constraint is met between two times, and the
+    words for it.
+    """
     rows = one_sided_rows(system)
     looks = np.linspace(t0, t1, LOOKS + 1)
     violated = rows.beyond(dense(looks[1:]).T).any(axis=1)
@@ -291,7 +324,9 @@ def _limit(system: System, dense: Callable[[Any], Array], t0: float, t1: float) 
 
 
 def slip(system: System, t: Array, q: Array, v: Array) -> float:
-    """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the system."""
+    """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the
+    system.
+    """
     A, b = rates(system, q, t)
     size = np.linalg.norm(A, axis=-1) * np.maximum(1.0, np.linalg.norm(v, axis=-1))[:, None]
     off = np.abs(np.einsum("nij,nj->ni", A, v) - b)

@@ -1,1 +1,3 @@
-"""What Jacobians say of a mechanism: counting, rank, redundant constraints, idle freedoms, wrenches."""
+"""What Jacobians say of a mechanism: counting, rank, redundant constraints, idle freedoms,
+wrenches.
+"""

@@ -1,7 +1,9 @@
-"""The graph of a system as mobility sees it: joints and constraints as edges, loops, and clusters of loops.
+"""The graph of a system as mobility sees it: joints and constraints as edges, loops, and clusters
+of loops.
 
-Nothing here depends on the configuration. A cluster is a set of loops and laws that share velocities, directly
-or through others: its rank, its redundancy and its freedoms are its own affair.
+Nothing here depends on the configuration. A cluster is a set of loops and laws that share
+velocities, directly or through others: its rank, its redundancy and its freedoms are its own
+affair.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor ser
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One velocity of a joint: its name, its index among the system's (-1: held), multiplier, whether it slides."""
+    """One velocity of a joint: its name, its index among the system's (-1: held), multiplier,
+    whether it slides.
+    """
 
     name: str
     index: int
@@ -40,7 +44,8 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A joint or declared constraint of the graph: its bodies by number, frames on them, and its own velocities.
+    """A joint or declared constraint of the graph: its bodies by number, frames on them, and its
+    own velocities.
 
     `columns` are its velocities, all of them, those that follow others or are held too.
     """
@@ -72,9 +77,11 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """Equations of coordinates or of a pose that are no loop: a coupling with several sources, or a written constraint.
+    """Equations of coordinates or of a pose that are no loop: a coupling with several sources, or a
+    written constraint.
 
-    `support` are the velocities that it depends on, `places` those of its rows among all equations in full form.
+    `support` are the velocities that it depends on, `places` those of its rows among all equations
+    in full form.
     """
 
     name: str
@@ -98,7 +105,9 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One closed loop: the edge that closes it, and all its edges with the sign in which it passes them."""
+    """One closed loop: the edge that closes it, and all its edges with the sign in which it passes
+    them.
+    """
 
     edge: int
     path: tuple[tuple[int, float], ...]
@@ -106,8 +115,10 @@ class Loop:
 
 
 class LoopSizes(NamedTuple):
-    """How large the loops of a cluster are: sums of squares of what their velocities move, the most of them, times the
-    square root of how many loops share a joint; joints of the longest; edges that are rods."""
+    """How large the loops of a cluster are: sums of squares of what their velocities move, the most
+    of them, times the square root of how many loops share a joint; joints of the longest; edges
+    that are rods.
+    """
 
     most: float
     joints: int
@@ -116,7 +127,9 @@ class LoopSizes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Loops and laws that share velocities, directly or through others: `velocities` are their columns."""
+    """Loops and laws that share velocities, directly or through others: `velocities` are their
+    columns.
+    """
 
     loops: tuple[int, ...]
     laws: tuple[int, ...]
@@ -131,7 +144,8 @@ class Cluster:
     owner: np.ndarray = field(repr=False)
     """For each moving velocity, its edge (index into `edges`)."""
     local: np.ndarray = field(repr=False)
-    """For each moving velocity, the velocity of the system that it follows (index into `velocities`)."""
+    """For each moving velocity, the velocity of the system that it follows (index into
+    `velocities`)."""
     factor: Array = field(repr=False)
     """For each moving velocity, the factor by which it follows that."""
     sliding: np.ndarray = field(repr=False)
@@ -214,8 +228,16 @@ def _structure(system: System) -> ConstraintGraph:
         if column.index >= 0 and column.name == system.structure.velocity_names[column.index]:
             slides[column.index] = column.slides
     return ConstraintGraph(
-        tuple(edges), tuple(loops), laws, clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
-    )  # fmt: skip
+        tuple(edges),
+        tuple(loops),
+        laws,
+        clusters,
+        ends[:, 0],
+        ends[:, 1],
+        stack[:, 0],
+        stack[:, 1],
+        slides,
+    )
 
 
 def _edges(system: System) -> list[Edge]:
@@ -238,9 +260,15 @@ def _edges(system: System) -> list[Edge]:
             else:
                 values.append((in_q[f.source] if f.source else -1, f.multiplier, f.offset))
         velocities = joint.type.velocities(dim, particle)
-        drives = tuple(velocities.index("wx" if p.kind == Q else names[p.coordinate]) for p in primitives)
-        turning = {k + n for k, p in zip(drives, primitives, strict=True) if p.kind != P
-                   for n in range(3 if p.kind == Q else 1)}  # fmt: skip
+        drives = tuple(
+            velocities.index("wx" if p.kind == Q else names[p.coordinate]) for p in primitives
+        )
+        turning = {
+            k + n
+            for k, p in zip(drives, primitives, strict=True)
+            if p.kind != P
+            for n in range(3 if p.kind == Q else 1)
+        }
         for k, name in enumerate(velocities):
             full = _full(joint.name, name)
             slides = k not in turning
@@ -253,8 +281,21 @@ def _edges(system: System) -> list[Edge]:
                 columns.append(Column(full, -1, 0.0, slides))
         X_PF = joint.X_PF.evaluate(m.parameters)
         X_CM = joint.X_CM.evaluate(m.parameters)
-        out.append(Edge(joint.name, joint, number[joint.parent], number[joint.child], X_PF, X_CM, particle,
-                        primitives, tuple(values), tuple(columns), drives))  # fmt: skip
+        out.append(
+            Edge(
+                joint.name,
+                joint,
+                number[joint.parent],
+                number[joint.child],
+                X_PF,
+                X_CM,
+                particle,
+                primitives,
+                tuple(values),
+                tuple(columns),
+                drives,
+            )
+        )
     for c in (c for c in m.constraints.values() if c.links):
         X_PF, X_CM = c.frames(m.parameters, dim)
         out.append(Edge(c.name, c, number[c.parent], number[c.child], X_PF, X_CM, False))
@@ -273,7 +314,9 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
     for body in _tree_order(parent):
         depth[body] = depth[parent[body]] + 1 if body else 0
     out: list[Loop] = []
-    closing = [index[n] for n in system.structure.closures] + [i for i, e in enumerate(edges) if not e.joint]
+    closing = [index[n] for n in system.structure.closures] + [
+        i for i, e in enumerate(edges) if not e.joint
+    ]
     for k in closing:
         a = edges[k].parent
         b = edges[k].child
@@ -286,7 +329,11 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
             else:
                 to_a.append((up[a], 1.0 if edges[up[a]].child == a else -1.0))
                 a = parent[a]
-        path = (*reversed(to_a), (k, 1.0), *from_b)  # from the joint nearest to the ground, around and back
+        path = (
+            *reversed(to_a),
+            (k, 1.0),
+            *from_b,
+        )  # from the joint nearest to the ground, around and back
         out.append(Loop(k, path, rows_of(edges[k], system.dim)))
     return out
 
@@ -318,11 +365,14 @@ def _law(loops: PackedLoops, of: Relation | Declared, places: list[int], ties: l
     support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.columns(k)}
     tapes = [t.tape for t in ties]
     linear = all(
-        t.relation is not None or (r is not None and not r.moved and r.tape.linear_in(r.tape.inputs))
+        t.relation is not None
+        or (r is not None and not r.moved and r.tape.linear_in(r.tape.inputs))
         for t, r in zip(ties, tapes, strict=True)
     )
     name = of.of if isinstance(of, Relation) else of.name
-    return Law(name, of, tuple(sorted(support)), places, tuple(loops.names[i][1] for i in places), linear)
+    return Law(
+        name, of, tuple(sorted(support)), places, tuple(loops.names[i][1] for i in places), linear
+    )
 
 
 def _tree_order(parent: tuple[int, ...]) -> list[int]:
@@ -344,8 +394,11 @@ def rows_of(edge: Edge, dim: int) -> int:
 
 def _clusters(
     system: System, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
-) -> tuple[Cluster, ...]:  # fmt: skip
-    supports = [sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0}) for loop in loops]
+) -> tuple[Cluster, ...]:
+    supports = [
+        sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0})
+        for loop in loops
+    ]
     supports += [list(law.support) for law in laws]
     root = list(range(system.nv + len(supports)))
 
@@ -370,8 +423,13 @@ def _clusters(
         for n, k in enumerate(own):
             for i, sign in loops[k].path:
                 signs[n, place[i]] = sign
-        whole = np.array([edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own], dtype=bool)
-        ends = np.array([(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64).reshape(-1, 2)
+        whole = np.array(
+            [edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own],
+            dtype=bool,
+        )
+        ends = np.array(
+            [(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64
+        ).reshape(-1, 2)
         cells = shortened(signs, whole, ends[:, 0], ends[:, 1])
         laws_ = tuple(k - len(loops) for k in members if k >= len(loops))
         columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
@@ -379,12 +437,18 @@ def _clusters(
         at = {v: n for n, v in enumerate(velocities)}
         out.append(
             Cluster(
-                tuple(own), laws_, np.array(velocities, dtype=np.int64), tuple(inside), signs, cells, moving,
+                tuple(own),
+                laws_,
+                np.array(velocities, dtype=np.int64),
+                tuple(inside),
+                signs,
+                cells,
+                moving,
                 np.array([n for n, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([at[c.index] for _, c in columns if c.index >= 0], dtype=np.int64),
                 np.array([c.multiplier for _, c in columns if c.index >= 0]),
                 np.array([c.slides for _, c in columns if c.index >= 0], dtype=bool),
                 tuple(laws[k].name for k in laws_ if not laws[k].linear),
             )
-        )  # fmt: skip
+        )
     return tuple(out)

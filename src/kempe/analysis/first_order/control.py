@@ -1,4 +1,6 @@
-"""Whether some joints, when driven, control a mechanism: what they leave free, and which of them are too many."""
+"""Whether some joints, when driven, control a mechanism: what they leave free, and which of them
+are too many.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,10 @@ SHOWN = 1e-6
 class Control(InWords):
     """What a set of actuated velocity coordinates does, to first order.
 
-    `controlled` of the `useful` freedoms (idle ones left out) follow the actuated coordinates; `excess` actuated
-    coordinates depend on the others (redundant actuation). `free` are motions with all actuators held, each as
-    velocities by coordinate name, the largest 1. `singular`: at this configuration fewer are controlled
-    than at others of the same branch.
+    `controlled` of the `useful` freedoms (idle ones left out) follow the actuated coordinates;
+    `excess` actuated coordinates depend on the others (redundant actuation). `free` are motions
+    with all actuators held, each as velocities by coordinate name, the largest 1. `singular`: at
+    this configuration fewer are controlled than at others of the same branch.
     """
 
     actuated: tuple[str, ...]
@@ -61,7 +63,10 @@ class Control(InWords):
         if self.excess and len(self.actuated) == 1:
             text += "; to first order it does not move (redundant actuation)"
         elif self.excess:
-            text += f"; {self.excess} of the {len(self.actuated)} actuated coordinates depend{'s' * (self.excess == 1)}"
+            text += (
+                f"; {self.excess} of the {len(self.actuated)} actuated coordinates "
+                f"depend{'s' * (self.excess == 1)}"
+            )
             text += " on the others (redundant actuation)"
         if self.singular:
             text += "; singular for these inputs: at other configurations they control more"
@@ -69,39 +74,57 @@ class Control(InWords):
 
 
 def control(
-    system: System, rank: Rank, generic: Sequence[Rank], idle: Sequence[IdleFreedom],
+    system: System,
+    rank: Rank,
+    generic: Sequence[Rank],
+    idle: Sequence[IdleFreedom],
     actuated: Iterable[str] | None = None,
-) -> Control | None:  # fmt: skip
-    """What the `actuated` joints or coordinates (default: those that the file marks) control; None where none are."""
+) -> Control | None:
+    """What the `actuated` joints or coordinates (default: those that the file marks) control; None
+    where none are.
+    """
     indices = driven(system, actuated)
     if indices is None:
         return None
-    lazy = np.stack([f.velocity / rank.units for f in idle], axis=1) if idle else np.zeros((system.nv, 0))
+    lazy = (
+        np.stack([f.velocity / rank.units for f in idle], axis=1)
+        if idle
+        else np.zeros((system.nv, 0))
+    )
     N = rank.null_space
     A = N[indices]
     controlled, inside = _rank_and_null_space(A)
     left = N @ inside
     Q = np.linalg.qr(lazy)[0] if lazy.shape[1] else lazy
     left = _span(left - Q @ (Q.T @ left))
-    most = max((_rank_and_null_space(r.null_space[indices])[0] for r in generic), default=controlled)
+    most = max(
+        (_rank_and_null_space(r.null_space[indices])[0] for r in generic), default=controlled
+    )
     useful = rank.nullity - len(idle)
     patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
     names = tuple(system.structure.velocity_names[i] for i in indices)
-    fewer = useful - controlled > min((r.nullity for r in generic), default=rank.nullity) - len(idle) - most
+    fewer = (
+        useful - controlled
+        > min((r.nullity for r in generic), default=rank.nullity) - len(idle) - most
+    )
     return Control(names, useful, controlled, len(indices) - max(controlled, most), fewer, patterns)
 
 
 def driven(system: System, actuated: Iterable[str] | None) -> list[int] | None:
-    """Indices of the velocity coordinates of joints or coordinates by name, or of joints marked as actuated.
+    """Indices of the velocity coordinates of joints or coordinates by name, or of joints marked as
+    actuated.
 
-    A name that follows another coordinate stands for that. None where no name is given and no joint is marked.
+    A name that follows another coordinate stands for that. None where no name is given and no joint
+    is marked.
     """
     edges = structure(system).edges
     if actuated is None:
         marked = [c.index for e in edges if e.actuated for c in e.columns if c.index >= 0]
         return list(dict.fromkeys(marked)) if any(e.actuated for e in edges) else None
     if isinstance(actuated, str) or not isinstance(actuated, Iterable):
-        raise InputError(f"actuated is {actuated!r}; it must be a list of names of joints or coordinates")
+        raise InputError(
+            f"actuated is {actuated!r}; it must be a list of names of joints or coordinates"
+        )
     joints = {e.name: e for e in edges if e.joint}
     columns = {c.name: c for e in edges for c in e.columns}
     out: list[int] = []
@@ -117,7 +140,9 @@ def driven(system: System, actuated: Iterable[str] | None) -> list[int] | None:
 
 
 def _rank_and_null_space(A: Array) -> tuple[int, Array]:
-    """Rank of the actuated rows of an orthonormal null space, and what of the null space they do not see."""
+    """Rank of the actuated rows of an orthonormal null space, and what of the null space they do
+    not see.
+    """
     if not A.size:
         return 0, np.eye(A.shape[1])
     _, values, Vt = svd(A)

@@ -1,8 +1,10 @@
-"""Degrees of freedom by counting: bodies times 3 or 6, less what each joint takes away; for all, and for each loop.
+"""Degrees of freedom by counting: bodies times 3 or 6, less what each joint takes away; for all,
+and for each loop.
 
-The count is Gruebler's (1917) and Kutzbach's (1929). It assumes that all constraints are independent, which only the
-rank can tell. A loop whose joints move its links in a smaller group of motions (all in one plane, all about one point,
-...) is closed by as many equations as that group has dimensions (Herve, 1978): the count by loop uses them.
+The count is Gruebler's (1917) and Kutzbach's (1929). It assumes that all constraints are
+independent, which only the rank can tell. A loop whose joints move its links in a smaller group of
+motions (all in one plane, all about one point, ...) is closed by as many equations as that group
+has dimensions (Herve, 1978): the count by loop uses them.
 """
 
 from __future__ import annotations
@@ -30,19 +32,27 @@ SAME = 1e-7
 """Singular values of unit screws below this are zero: they lie in a smaller group of motions."""
 
 GROUPS = {
-    (0, 0): "no motion", (1, 0): "one slide", (1, 1): "one screw", (2, 0): "slides in a plane",
-    (2, 1): "turns and slides along one axis", (3, 0): "slides in space", (3, 1): "motions of a plane",
-    (3, 3): "turns about one point", (4, 1): "slides in space and turns about one direction",
-}  # fmt: skip
-"""Groups of motions by dimension and dimension of their turns; what is missing is all motions of space."""
+    (0, 0): "no motion",
+    (1, 0): "one slide",
+    (1, 1): "one screw",
+    (2, 0): "slides in a plane",
+    (2, 1): "turns and slides along one axis",
+    (3, 0): "slides in space",
+    (3, 1): "motions of a plane",
+    (3, 3): "turns about one point",
+    (4, 1): "slides in space and turns about one direction",
+}
+"""Groups of motions by dimension and dimension of their turns; what is missing is all motions of
+space."""
 
 
 @dataclass(frozen=True)
 class LoopCount(InWords):
-    """Count of one loop: its joints in the order around it, their freedoms, less the equations that close it.
+    """Count of one loop: its joints in the order around it, their freedoms, less the equations that
+    close it.
 
-    `equations` is 3 in the plane and 6 in space, or the dimension of the smaller group that the joints move in, whose
-    name is `motion` ('' where it is not known: the mechanism is open).
+    `equations` is 3 in the plane and 6 in space, or the dimension of the smaller group that the
+    joints move in, whose name is `motion` ('' where it is not known: the mechanism is open).
     """
 
     name: str
@@ -63,7 +73,9 @@ class LoopCount(InWords):
 
 @dataclass(frozen=True)
 class Counting(InWords):
-    """The count in words. `gruebler` is the result; `gruebler_spatial` what a planar system would count to in space."""
+    """The count in words. `gruebler` is the result; `gruebler_spatial` what a planar system would
+    count to in space.
+    """
 
     dim: int
     free: int
@@ -92,8 +104,11 @@ def counting(system: System) -> Counting:
     gruebler = free - taken
     closing = Counter(e.dim_lost for e in _closing(s, dim))
     spatial = gruebler - (sum(closing.elements()) if dim == 2 else 0)
-    steps = (_free_text(bodies, points, whole, point, free, dim), _taken_text(takes, held, taken, free, gruebler),
-             _lecture_text(system, s, takes, held, particles, gruebler))  # fmt: skip
+    steps = (
+        _free_text(bodies, points, whole, point, free, dim),
+        _taken_text(takes, held, taken, free, gruebler),
+        _lecture_text(system, s, takes, held, particles, gruebler),
+    )
     return Counting(dim, free, taken, gruebler, spatial, tuple(t for t in steps if t))
 
 
@@ -119,7 +134,9 @@ def _held(s: ConstraintGraph, system: System) -> list[tuple[int, str]]:
     """What couplings, locks and constraints that are expressions take away."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
     follow = sum(
-        c.index >= 0 and c.name != system.structure.velocity_names[c.index] for e in s.edges for c in e.columns
+        c.index >= 0 and c.name != system.structure.velocity_names[c.index]
+        for e in s.edges
+        for c in e.columns
     )
     written = sum(law.rows for law in s.laws if isinstance(law.of, Declared))
     found = [
@@ -140,7 +157,11 @@ def _free_text(bodies: int, points: int, whole: int, point: int, free: int, dim:
 
 
 def _taken_text(
-    takes: Sequence[tuple[int, str, Edge]], held: Sequence[tuple[int, str]], taken: int, free: int, gruebler: int
+    takes: Sequence[tuple[int, str, Edge]],
+    held: Sequence[tuple[int, str]],
+    taken: int,
+    free: int,
+    gruebler: int,
 ) -> str:
     groups = Counter((what, n) for n, what, _ in takes)
     parts = [f"{counted(k, what)} x {n}" for (what, n), k in groups.items()]
@@ -153,14 +174,20 @@ def _taken_text(
 
 
 def _lecture_text(
-    system: System, s: ConstraintGraph, takes: Sequence[tuple[int, str, Edge]], held: Sequence[tuple[int, str]],
-    particles: Sequence[bool], gruebler: int,
-) -> str:  # fmt: skip
+    system: System,
+    s: ConstraintGraph,
+    takes: Sequence[tuple[int, str, Edge]],
+    held: Sequence[tuple[int, str]],
+    particles: Sequence[bool],
+    gruebler: int,
+) -> str:
     """The sum body by body: each is held by one joint, what closes loops takes away more."""
     whole, point = (6, 3) if system.dim == 3 else (3, 2)
     by_name = {e.name: n for n, _, e in takes}
-    tree = Counter((point if p else whole, by_name[j])
-                   for p, j in zip(particles, system.structure.parent_joints, strict=True))  # fmt: skip
+    tree = Counter(
+        (point if p else whole, by_name[j])
+        for p, j in zip(particles, system.structure.parent_joints, strict=True)
+    )
     if not tree:
         return ""
     extra = Counter(takes[loop.edge][0] for loop in s.loops)
@@ -172,7 +199,10 @@ def _lecture_text(
     if loops == 1 and len(tree) == 1:
         who = "Each body is held by one joint (the last by two)"
     elif loops:
-        who = f"Each body is held by one joint, and {loops} more {verb(loops, 'closes a loop', 'close loops')}"
+        who = (
+            f"Each body is held by one joint, and {loops} more "
+            f"{verb(loops, 'closes a loop', 'close loops')}"
+        )
     else:
         who = "Each body is held by one joint"
     if held:
@@ -185,7 +215,9 @@ def _lecture_text(
 
 
 def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
-    """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of motions."""
+    """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of
+    motions.
+    """
     s = structure(system)
     out: list[LoopCount] = []
     for loop in s.loops:
@@ -198,12 +230,18 @@ def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
             equations, turns = group_of(np.concatenate([at.twists[i] for i in inside], axis=1))
             whole = 3 if system.dim == 2 else 6
             motion = GROUPS.get((equations, turns), "") if equations < whole else ""
-        out.append(LoopCount(edge.name, tuple(s.edges[i].name for i in inside), freedoms, equations, motion))
+        out.append(
+            LoopCount(
+                edge.name, tuple(s.edges[i].name for i in inside), freedoms, equations, motion
+            )
+        )
     return tuple(out)
 
 
 def group_of(twists: Array) -> tuple[int, int]:
-    """Dimension of the smallest group of motions that contains these screws (6, n), and of its turns."""
+    """Dimension of the smallest group of motions that contains these screws (6, n), and of its
+    turns.
+    """
     basis = group_basis(twists, SAME)
     return basis.shape[1], column_space(basis[3:], SAME, SAME).shape[1]
 
@@ -224,7 +262,9 @@ def group_basis(twists: Array, same: float) -> Array:
 
 
 def fills_group(twists: Array, same: float, clear: float) -> bool:
-    """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span, which is clear."""
+    """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span,
+    which is clear.
+    """
     U, s, _ = svd(twists, full_matrices=False)
     basis = U[:, s > same * s[0]]
     d = basis.shape[1]
@@ -236,7 +276,9 @@ def fills_group(twists: Array, same: float, clear: float) -> bool:
 
 
 def _brackets(basis: Array) -> Array:
-    """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x w'; w x w']."""
+    """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x
+    w'; w x w'].
+    """
     i, k = zip(*combinations(range(basis.shape[1]), 2), strict=True)
     a = basis[:, i]
     b = basis[:, k]

@@ -1,7 +1,8 @@
 """Shorter loops: what singular values and bounds of a mechanism of many loops are read from.
 
-Loops that a spanning tree closes may be long, however small the cells are. Any of them may be replaced by its sum with
-another one that is closed by a whole joint: the equations stay equivalent (Kirchhoff, 1847).
+Loops that a spanning tree closes may be long, however small the cells are. Any of them may be
+replaced by its sum with another one that is closed by a whole joint: the equations stay equivalent
+(Kirchhoff, 1847).
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ MOST = 400
 
 
 def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.ndarray) -> Array:
-    """Signs (loops, edges) of loops, each shortened by others that are `whole` (mask) as far as that goes at once.
+    """Signs (loops, edges) of loops, each shortened by others that are `whole` (mask) as far as
+    that goes at once.
 
-    `parent` and `child` are the bodies of the edges. Each loop stays a simple one, and keeps the edge that closes it.
+    `parent` and `child` are the bodies of the edges. Each loop stays a simple one, and keeps the
+    edge that closes it.
     """
     if not 1 < len(signs) <= MOST:
         return signs
@@ -31,9 +34,16 @@ def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.nda
             best = int(np.argmax(gain))
             shorter = out[k] - np.sign(shared[best]) * signs[best]
             shrinks = np.abs(shorter).sum() < np.abs(out[k]).sum()
-            if gain[best] <= 0.0 or not shrinks or not _simple(shorter, parent, child) or length[best] > length[k]:
+            if (
+                gain[best] <= 0.0
+                or not shrinks
+                or not _simple(shorter, parent, child)
+                or length[best] > length[k]
+            ):
                 break
-            if length[best] == length[k] and best > k:  # of two alike only one is replaced by the other
+            if (
+                length[best] == length[k] and best > k
+            ):  # of two alike only one is replaced by the other
                 break
             out[k] = shorter
     return out

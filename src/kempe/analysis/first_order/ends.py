@@ -1,6 +1,7 @@
 """Ends between which something may spin: consecutive joints in series whose axes meet in one point.
 
-Where axes meet in a part that two joints share does not depend on the configuration, as long as it is closed.
+Where axes meet in a part that two joints share does not depend on the configuration, as long as it
+is closed.
 """
 
 from __future__ import annotations
@@ -21,13 +22,16 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 ALONE = 1e-6
-"""Sine of the angle between axes, or distance as a part of the mechanism's size, below which they are one, or meet."""
+"""Sine of the angle between axes, or distance as a part of the mechanism's size, below which they
+are one, or meet."""
 
 
 class BallEnd(NamedTuple):
-    """Consecutive edges of a series (by place, the one next to the group first) whose axes meet in one point.
+    """Consecutive edges of a series (by place, the one next to the group first) whose axes meet in
+    one point.
 
-    The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its only axis.
+    The point is on the first edge's axis, `along` from its origin. It is a `hinge` if that is its
+    only axis.
     """
 
     edges: tuple[int, ...]
@@ -66,12 +70,17 @@ class HeldStar(NamedTuple):
 def pairs_of(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[Pair]:
     """Pairs of ends between which something may spin, by what does not depend on the configuration.
 
-    Where axes meet in a part that two joints share, they do so at every closed configuration, such as that of `at`.
+    Where axes meet in a part that two joints share, they do so at every closed configuration, such
+    as that of `at`.
     """
     answers = system._kept.setdefault(pairs_of, {})
     found = answers.get(driven)
     if found is None:
-        found = keep(answers, driven, [p for series in all_series(system, driven) for p in _of_series(s, at, series)])
+        found = keep(
+            answers,
+            driven,
+            [p for series in all_series(system, driven) for p in _of_series(s, at, series)],
+        )
     return found
 
 
@@ -80,7 +89,9 @@ def _of_series(s: ConstraintGraph, at: Screws, series: SeriesLoop) -> Iterator[P
     meets = [_meet(s, at, series, k, k + 1) if series.joined[k] else None for k in range(n - 1)]
     turning = [k for k in range(n) if series.turns[k] is not None]
     ends = {(k, step): _grow(series, meets, k, step) for k in turning for step in (-1, 1)}
-    balls = {step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)}
+    balls = {
+        step: {k for (k, d), end in ends.items() if d == step and not end.hinge} for step in (-1, 1)
+    }
     chosen = {(p, q) for q in balls[1] for p in turning if p < q}
     chosen |= {(p, q) for p in balls[-1] for q in turning if p < q}
     chosen |= {(k, k + 1) for k, meet in enumerate(meets) if meet is not None and meet.one_axis}
@@ -93,7 +104,9 @@ def _of_series(s: ConstraintGraph, at: Screws, series: SeriesLoop) -> Iterator[P
 
 
 def held(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[HeldStar]:
-    """Stars with their ends, which do not depend on the configuration either; nor does, without slides, their line."""
+    """Stars with their ends, which do not depend on the configuration either; nor does, without
+    slides, their line.
+    """
     answers = system._kept.setdefault(held, {})
     found = answers.get(driven)
     if found is None:
@@ -114,14 +127,18 @@ def held(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int])
 
 
 class _Meeting(NamedTuple):
-    """Where the axes of two joints of one part meet: from their origins, along their axes; or they are one axis."""
+    """Where the axes of two joints of one part meet: from their origins, along their axes; or they
+    are one axis.
+    """
 
     along: tuple[float, float]
     one_axis: bool
 
 
 def _meet(s: ConstraintGraph, at: Screws, series: SeriesLoop, k: int, m: int) -> _Meeting | None:
-    """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
+    """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do
+    not.
+    """
     a = series.turns[k]
     b = series.turns[m]
     if a is None or b is None or not (a.columns and b.columns):
@@ -129,7 +146,11 @@ def _meet(s: ConstraintGraph, at: Screws, series: SeriesLoop, k: int, m: int) ->
     (p, u), (r, v) = (line_of(at, series, i) for i in (k, m))
     away = (r - p) / at.length
     if u is None and v is None:
-        return _Meeting((0.0, 0.0), False) if np.linalg.norm(away) < ALONE and a.whole and b.whole else None
+        return (
+            _Meeting((0.0, 0.0), False)
+            if np.linalg.norm(away) < ALONE and a.whole and b.whole
+            else None
+        )
     if u is not None and v is not None:
         normal = np.cross(u, v)
         size = np.linalg.norm(normal)
@@ -161,7 +182,9 @@ def off(to: Array, axis: Array) -> float:
 
 
 def line_of(at: Screws, series: SeriesLoop, k: int) -> tuple[Array, Array | None]:
-    """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
+    """Origin of an edge, in the ground, and the direction of its axis if it can turn about one
+    only.
+    """
     i = series.edges[k]
     own = series.own(k)
     w = at.twists[i][3:, list(own)]
@@ -169,7 +192,9 @@ def line_of(at: Screws, series: SeriesLoop, k: int) -> tuple[Array, Array | None
 
 
 def _grow(series: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: int) -> BallEnd:
-    """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
+    """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as
+    good as a ball.
+    """
     edges = [k]
     columns = len(series.own(k))
     first = 0.0
@@ -197,8 +222,9 @@ def turning_inside(s: ConstraintGraph, series: SeriesLoop, p: int, q: int) -> bo
 
 
 def _one_of_many(s: ConstraintGraph, at: Screws, series: SeriesLoop, pair: Pair) -> bool:
-    """Whether a hinge and a ball made of several joints are but some of the joints about one point: of a spherical
-    linkage, whose links are no parts of a ball."""
+    """Whether a hinge and a ball made of several joints are but some of the joints about one point:
+    of a spherical linkage, whose links are no parts of a ball.
+    """
     hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
     if ball.hinge or len(ball.edges) == 1:
         return False
@@ -226,13 +252,19 @@ def centers_of(at: Screws, of: Pair | HeldStar) -> list[Array]:
     """The points that hold a group, relative to the screws' centre, in their unit."""
     points = of.star.points if isinstance(of, HeldStar) else ()
     places = [(at.M if child else at.F)[i, :3, 3] for i, child in points]
-    return [center_of(at, h.series, h.end) for h in of.holds] + [(p - at.center) / at.length for p in places]
+    return [center_of(at, h.series, h.end) for h in of.holds] + [
+        (p - at.center) / at.length for p in places
+    ]
 
 
 def line_through(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
-    """A point and the direction of the line through all points that hold a group, and along all hinges that do."""
+    """A point and the direction of the line through all points that hold a group, and along all
+    hinges that do.
+    """
     centers = centers_of(at, of)
-    a = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0])
+    a = next(
+        (c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0]
+    )
     direction = None
     for series, end, _ in of.holds:
         along = line_of(at, series, end.edges[0])[1] if end.hinge else None
@@ -240,7 +272,11 @@ def line_through(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
         if along is not None and direction is not None and off(along, direction) > ALONE:
             return None
     if direction is None:
-        away = centers[1] - a if len(centers) == 2 else max((c - a for c in centers), key=lambda d: float(d @ d))
+        away = (
+            centers[1] - a
+            if len(centers) == 2
+            else max((c - a for c in centers), key=lambda d: float(d @ d))
+        )
         size = math.sqrt(away @ away)
         if size < ALONE:
             return None

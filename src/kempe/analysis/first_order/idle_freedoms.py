@@ -1,22 +1,26 @@
-"""Idle freedoms: bodies that can spin about the line through the points that hold them, while everything else rests.
+"""Idle freedoms: bodies that can spin about the line through the points that hold them, while
+everything else rests.
 
 An *idle freedom* is a motion at which
 
-1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small links of balls that
-   are made of several joints;
-2. the line goes through all points, two at least, about which joints let the group turn, its ends: the centre of a
-   ball (a spherical or universal joint, or consecutive hinges whose axes meet in one point), any point of a hinge's
-   axis that is fixed in the group, up to slides in it, or a point of the group that a constraint holds. Two hinges of
-   one body must have one axis, as a roller's or a bush's;
+1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small
+   links of balls that are made of several joints;
+2. the line goes through all points, two at least, about which joints let the group turn, its ends:
+   the centre of a ball (a spherical or universal joint, or consecutive hinges whose axes meet in
+   one point), any point of a hinge's axis that is fixed in the group, up to slides in it, or a
+   point of the group that a constraint holds. Two hinges of one body must have one axis, as a
+   roller's or a bush's;
 3. it is there at the configurations around as well;
 4. no joint that is driven moves;
-5. the ends are held by different parts, of which a rod that is a constraint is one. A group that one part alone holds
-   is a door, a shaft or a leg: to move is what it is for;
-6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor but those of slides
-   along it, and its joints, which all rest, are slides. With two ends joints that turn may be among them between balls
-   that are one joint each, or made of hinges that are known not to be driven, since it is known which joints are.
+5. the ends are held by different parts, of which a rod that is a constraint is one. A group that
+   one part alone holds is a door, a shaft or a leg: to move is what it is for;
+6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor
+   but those of slides along it, and its joints, which all rest, are slides. With two ends joints
+   that turn may be among them between balls that are one joint each, or made of hinges that are
+   known not to be driven, since it is known which joints are.
 
-Nothing of this looks at the types of joints, but only at their velocities and where the axes of these are.
+Nothing of this looks at the types of joints, but only at their velocities and where the axes of
+these are.
 """
 
 from __future__ import annotations
@@ -42,7 +46,14 @@ from kempe.analysis.first_order.ends import (
 )
 from kempe.analysis.first_order.rank import Rank
 from kempe.analysis.first_order.screws import Screws
-from kempe.analysis.first_order.series_joints import between, edges_at, ends_of, in_loop, parts, rigid
+from kempe.analysis.first_order.series_joints import (
+    between,
+    edges_at,
+    ends_of,
+    in_loop,
+    parts,
+    rigid,
+)
 from kempe.description.parts import Declared, Frame
 from kempe.kinematics.forward import fk
 from kempe.singular_values import svd
@@ -58,10 +69,11 @@ INDEPENDENT = 1e-3
 
 @dataclass(frozen=True)
 class IdleFreedom(InWords):
-    """A spin of some bodies, as one, between two joints, all else at rest but the `links` of balls made of hinges.
+    """A spin of some bodies, as one, between two joints, all else at rest but the `links` of balls
+    made of hinges.
 
-    Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration that was looked at.
-    `joints` are those next to the group.
+    Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration
+    that was looked at. `joints` are those next to the group.
     """
 
     bodies: tuple[str, ...]
@@ -81,11 +93,15 @@ class IdleFreedom(InWords):
         if self.joined:
             return f"{who} {verb} about the line through {self.joints[0]} and {self.joints[1]}"
         point = ", ".join(f"{x:.4g}" for x in self.point)
-        return f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, about ({direction}) through ({point})"
+        return (
+            f"{who} {verb} between {self.joints[0]} and {self.joints[1]}, about ({direction}) "
+            f"through ({point})"
+        )
 
 
 class _SpinCandidate(NamedTuple):
-    """A motion of what ends hold: its axis at the first configuration, and rates (all columns) by edge.
+    """A motion of what ends hold: its axis at the first configuration, and rates (all columns) by
+    edge.
 
     The point is relative to the screws' centre, in their unit.
     """
@@ -97,7 +113,9 @@ class _SpinCandidate(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """The bodies that turn as one, links of balls that move with them, and two joints next to the group."""
+    """The bodies that turn as one, links of balls that move with them, and two joints next to the
+    group.
+    """
 
     bodies: frozenset[int]
     links: frozenset[int]
@@ -106,22 +124,29 @@ class _Group(NamedTuple):
 
 def idle_freedoms(
     system: System, ranks: Sequence[Rank], driven: Iterable[int] | None = None
-) -> tuple[IdleFreedom, ...]:  # fmt: skip
+) -> tuple[IdleFreedom, ...]:
     """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
 
-    `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
+    `driven` are the velocities that are known to be driven, besides joints marked so; None where
+    nothing is known.
     """
     s = structure(system)
     known = driven is not None or any(e.actuated for e in structure(system).edges)
     frames = None
     found: list[tuple[_SpinCandidate, _Group]] = []
     for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
-        group = _group(system, s, spin, known) if isinstance(spin.of, Pair) else _of_star(system, s, ranks[0], spin)
+        group = (
+            _group(system, s, spin, known)
+            if isinstance(spin.of, Pair)
+            else _of_star(system, s, ranks[0], spin)
+        )
         if group is not None:
             frames = [*system.mechanism.frames.values()] if frames is None else frames
             if not _moves_a_frame(system, frames, ranks[0], spin, group):
                 found.append((spin, group))
-    found.sort(key=lambda f: len(f[1].bodies))  # small groups of bodies first: larger ones may move as their sums
+    found.sort(
+        key=lambda f: len(f[1].bodies)
+    )  # small groups of bodies first: larger ones may move as their sums
     basis = np.zeros((system.nv, 0))
     out: list[IdleFreedom] = []
     for spin, group in found:
@@ -138,7 +163,9 @@ def idle_freedoms(
 
 def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) -> bool:
     """Whether anything looks like an idle freedom at one configuration."""
-    return any(True for _ in _spins(system, structure(system), [rank.screws], frozenset(driven or ())))
+    return any(
+        True for _ in _spins(system, structure(system), [rank.screws], frozenset(driven or ()))
+    )
 
 
 # ---- where something can spin
@@ -147,8 +174,13 @@ def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) ->
 def _spins(
     system: System, s: ConstraintGraph, at: Sequence[Screws], driven: frozenset[int]
 ) -> Iterator[_SpinCandidate]:
-    """Spins that exist at all configurations; the last to be looked at is whether anything else moves with them."""
-    candidates: list[Pair | HeldStar] = [*pairs_of(system, s, at[0], driven), *held(system, s, at[0], driven)]
+    """Spins that exist at all configurations; the last to be looked at is whether anything else
+    moves with them.
+    """
+    candidates: list[Pair | HeldStar] = [
+        *pairs_of(system, s, at[0], driven),
+        *held(system, s, at[0], driven),
+    ]
     for of in candidates:
         axis = None
         for screws in reversed(at):
@@ -163,7 +195,9 @@ def _spins(
             for i in star.loose if star else ():
                 sign = 1.0 if star and s.edges[i].child in star.bodies else -1.0
                 screw = sign * np.concatenate([np.cross(axis[0], axis[1]), axis[1]])
-                rates[i] = np.asarray(np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0], dtype=float)
+                rates[i] = np.asarray(
+                    np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0], dtype=float
+                )
             yield _SpinCandidate(of, *axis, rates)
 
 
@@ -199,7 +233,9 @@ def _volume(W: Array) -> float:
 
 
 def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[int, Array]:
-    """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
+    """Rates of all columns of an end's edges that turn the group about the axis; edges that rest
+    are left out.
+    """
     (series, end, sign) = hold
     A = _axes(at, hold)
     first = 0
@@ -260,7 +296,10 @@ def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidat
     joints: list[int] = []
     for series, end, _ in spin.of.holds:
         places = [k for k in end.edges if series.edges[k] in spin.rates]
-        beyond = [np.flatnonzero(part == part[ends_of(s, series, k)[1]]).tolist() for k in end.edges[: places[-1]]]
+        beyond = [
+            np.flatnonzero(part == part[ends_of(s, series, k)[1]]).tolist()
+            for k in end.edges[: places[-1]]
+        ]
         bodies |= {b for own in beyond[: places[0]] for b in own}
         links |= {b for own in beyond[places[0] :] for b in own}
         outside.append(int(part[ends_of(s, series, places[-1])[1]]))
@@ -280,7 +319,9 @@ def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidat
     return _Group(frozenset(bodies), frozenset(links), (joints[first], joints[second]))
 
 
-def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _SpinCandidate, group: _Group) -> bool:
+def _moves_a_frame(
+    system: System, frames: Sequence[Frame], rank: Rank, spin: _SpinCandidate, group: _Group
+) -> bool:
     """Whether a frame that somebody named does not stay where it is."""
     names = system.body_names
     at = rank.screws
@@ -297,15 +338,23 @@ def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _S
         if body in bodies:
             away = away - (away @ spin.direction) * spin.direction
         else:
-            away = min((away + spin.point - center for center in centers_of(at, spin.of)), key=np.linalg.norm)
+            away = min(
+                (away + spin.point - center for center in centers_of(at, spin.of)),
+                key=np.linalg.norm,
+            )
         if np.linalg.norm(away) > ALONE:
             return True
     return False
 
 
 def _freedom(
-    system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate, group: _Group, velocity: Array
-) -> IdleFreedom:  # fmt: skip
+    system: System,
+    s: ConstraintGraph,
+    rank: Rank,
+    spin: _SpinCandidate,
+    group: _Group,
+    velocity: Array,
+) -> IdleFreedom:
     at = rank.screws
     edges = sorted(group.joints)
     direction = spin.direction
@@ -314,9 +363,17 @@ def _freedom(
     point = at.center + at.length * spin.point
     point = point + direction * (direction @ (origins[0] - point))
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
-    numbers: list[tuple[float, ...]] = [tuple((x.round(12) + 0.0).tolist()) for x in (point, direction)]
+    numbers: list[tuple[float, ...]] = [
+        tuple((x.round(12) + 0.0).tolist()) for x in (point, direction)
+    ]
     ends = (origins - point) / at.length
-    joined = bool(max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction))
-    names = [tuple(system.body_names[b] for b in sorted(own)) for own in (group.bodies, group.links)]
+    joined = bool(
+        max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction)
+    )
+    names = [
+        tuple(system.body_names[b] for b in sorted(own)) for own in (group.bodies, group.links)
+    ]
     pair = (s.edges[edges[0]].name, s.edges[edges[1]].name)
-    return IdleFreedom(names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1])
+    return IdleFreedom(
+        names[0], pair, numbers[0], numbers[1], joined, velocity * rank.units, names[1]
+    )

@@ -1,4 +1,6 @@
-"""The rank of what a system moves: of rates of tasks or frames over the velocities that loops leave."""
+"""The rank of what a system moves: of rates of tasks or frames over the velocities that loops
+leave.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +23,20 @@ FULL = 1e-7
 """Singular value, as a part of the largest, up to which a direction counts as lost."""
 ROUNDED = 1e-13
 CLOSED = 1e-9
-"""Rate, of rows in radians or characteristic lengths, up to which it is rounding: of trees, and where loops are closed
-within a tolerance. Rounding of places grows with their distance from the origin."""
+"""Rate, of rows in radians or characteristic lengths, up to which it is rounding: of trees, and
+where loops are closed within a tolerance. Rounding of places grows with their distance from the
+origin."""
 
 
-def image_ranks(system: System, q: Array, rates: Array, metres: np.ndarray) -> tuple[np.ndarray, int]:
-    """Ranks (k,) of rates (k, m, nv) over the velocities that loops leave at q (k, nq), and the least freedoms.
+def image_ranks(
+    system: System, q: Array, rates: Array, metres: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Ranks (k,) of rates (k, m, nv) over the velocities that loops leave at q (k, nq), and the
+    least freedoms.
 
-    `metres` (m,) says which rows are lengths: these are measured in characteristic lengths, so that ranks do not depend
-    on the unit of length. A singular value counts where it is above `FULL` times the largest, and above rounding.
+    `metres` (m,) says which rows are lengths: these are measured in characteristic lengths, so that
+    ranks do not depend on the unit of length. A singular value counts where it is above `FULL`
+    times the largest, and above rounding.
     """
     out = list[int]()
     n = system.nv

@@ -11,25 +11,31 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 SPARSE = 100
-"""Columns from which on a matrix of loop equations is decomposed as a sparse one: few entries of a row are not zero."""
+"""Columns from which on a matrix of loop equations is decomposed as a sparse one: few entries of a
+row are not zero."""
 SURE = 1e2
-"""How far above what counts as zero the estimate of the smallest singular value must be for sparse factors to do."""
+"""How far above what counts as zero the estimate of the smallest singular value must be for sparse
+factors to do."""
 ESTIMATES = 8
 """Inverse iterations that estimate the smallest singular value."""
 
 
 def null_space(A: Array, least: float) -> Array:
-    """Orthonormal basis (n, k) of what A (m, n) maps to zero; singular values to `least` of the largest count as 0."""
+    """Orthonormal basis (n, k) of what A (m, n) maps to zero; singular values to `least` of the
+    largest count as 0.
+    """
     _, s, Vt = svd(A)
     return Vt[int(np.sum(s > least * max(float(s.max(initial=0.0)), 1e-300))) :].T
 
 
 def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | None:
-    """As `null_space` of A (m, n), from the entries of a vector in these `columns`, which determine the others.
+    """As `null_space` of A (m, n), from the entries of a vector in these `columns`, which determine
+    the others.
 
-    None where the other columns are not as many as the rows, or are not clearly independent: where their smallest
-    singular value, estimated by inverse iteration with sparse factors, is not `SURE` times above `least` of a bound of
-    the largest one, the root of the largest sum of a row times that of a column.
+    None where the other columns are not as many as the rows, or are not clearly independent: where
+    their smallest singular value, estimated by inverse iteration with sparse factors, is not `SURE`
+    times above `least` of a bound of the largest one, the root of the largest sum of a row times
+    that of a column.
     """
     m, n = A.shape
     others = np.setdiff1d(np.arange(n), np.array(columns, dtype=np.int64))
@@ -48,7 +54,9 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     place = number[column]
     inner = place >= 0
     try:
-        factors = library.linalg.splu(library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m)))
+        factors = library.linalg.splu(
+            library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m))
+        )
     except RuntimeError:  # it is singular
         return None
     x: Any = np.random.default_rng(0).normal(size=m)
@@ -56,7 +64,9 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     for _ in range(ESTIMATES):
         x = factors.solve(factors.solve(x / np.linalg.norm(x)), "T")
         inverse = float(np.sqrt(np.linalg.norm(x)))
-    size = np.sqrt(np.bincount(row, np.abs(entries)).max() * np.bincount(column, np.abs(entries)).max())
+    size = np.sqrt(
+        np.bincount(row, np.abs(entries)).max() * np.bincount(column, np.abs(entries)).max()
+    )
     if not SURE * least * inverse * float(size) < 1.0:
         return None
     basis = np.zeros((n, len(columns)))

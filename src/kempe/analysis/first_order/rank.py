@@ -1,4 +1,6 @@
-"""The rank of all loop equations at one closed configuration, decided by a gap between singular values."""
+"""The rank of all loop equations at one closed configuration, decided by a gap between singular
+values.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,18 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 NOTHING = 1e-6
-"""Singular values below this part of the largest count as zero: a point found to 1e-14 of a singular one, where
-equations are quadratic, is 1e-7 away from it."""
+"""Singular values below this part of the largest count as zero: a point found to 1e-14 of a
+singular one, where equations are quadratic, is 1e-7 away from it."""
 SOMETHING = 1e-4
-"""Singular values above this part of the largest count as not zero; between the two the widest gap decides."""
+"""Singular values above this part of the largest count as not zero; between the two the widest gap
+decides."""
 CLEAR_GAP = 1e3
-"""Ratio of the last singular value that counts to the first that does not, below which the rank is doubtful."""
+"""Ratio of the last singular value that counts to the first that does not, below which the rank is
+doubtful."""
 AROUND = 0.2
 POINTS = 8
-"""How far around a configuration, in scaled velocities, and at how many points the sizes of written rows are looked at.
+"""How far around a configuration, in scaled velocities, and at how many points the sizes of written
+rows are looked at.
 """
 FLOOR = 1e-15
 """Singular values below this part of the largest are rounding."""
@@ -38,8 +43,8 @@ FLOOR = 1e-15
 class ClusterRank:
     """Rank of one cluster: singular values (descending), rank, gap; self-stress and the null space.
 
-    `values` are parts of the largest, or of what turns and slides do to frames: where rows of constraints all vanish,
-    the largest is rounding.
+    `values` are parts of the largest, or of what turns and slides do to frames: where rows of
+    constraints all vanish, the largest is rounding.
     """
 
     cluster: Cluster
@@ -92,23 +97,31 @@ class Rank:
 
     @property
     def gap(self) -> float:
-        """Smallest ratio, over the clusters, of the last singular value that counts to the first that does not."""
+        """Smallest ratio, over the clusters, of the last singular value that counts to the first
+        that does not.
+        """
         return min((c.gap for c in self.clusters), default=np.inf)
 
     @property
     def doubtful(self) -> bool:
-        """Whether some gap is too small, or a singular value too near to zero, to be sure of the rank."""
+        """Whether some gap is too small, or a singular value too near to zero, to be sure of the
+        rank.
+        """
         return self.gap < CLEAR_GAP or self.smallest < 10.0 * NOTHING or self.rest > 0.1 * NOTHING
 
     @property
     def rest(self) -> float:
-        """Largest singular value that does not count, as a part of the largest of its cluster; 0 if there is none."""
+        """Largest singular value that does not count, as a part of the largest of its cluster; 0 if
+        there is none.
+        """
         found = [c.values[c.rank] for c in self.clusters if c.rank < len(c.values)]
         return float(max(found, default=0.0))
 
     @property
     def smallest(self) -> float:
-        """Smallest singular value that counts, as a part of the largest of its cluster; 1 where there is none."""
+        """Smallest singular value that counts, as a part of the largest of its cluster; 1 where
+        there is none.
+        """
         found = [c.values[c.rank - 1] for c in self.clusters if c.rank]
         return float(min(found, default=1.0))
 
@@ -130,14 +143,19 @@ class Rank:
 def decide(values: Array, size: float = 0.0) -> tuple[int, float]:
     """Rank and gap of a matrix with these singular values (descending).
 
-    `size` is what the largest would be if the matrix were not singular; where it is 0 the largest counts always.
+    `size` is what the largest would be if the matrix were not singular; where it is 0 the largest
+    counts always.
     """
     if not len(values) or values[0] <= 0.0:
         return 0, np.inf
     s = values / max(values[0], size)
     above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
     first = 0 if size else 1
-    allowed = [r for r in range(first, len(above)) if above[r] > NOTHING and (r == len(s) or s[r] < SOMETHING)]
+    allowed = [
+        r
+        for r in range(first, len(above))
+        if above[r] > NOTHING and (r == len(s) or s[r] < SOMETHING)
+    ]
     gaps = [above[r] / max(s[r], FLOOR) if r < len(s) else above[r] / FLOOR for r in allowed]
     best = int(np.argmax(gaps))
     return allowed[best], float(gaps[best])
@@ -153,8 +171,13 @@ def rank_at(system: System, q: Array) -> Rank:
 
 
 def _cluster(
-    system: System, s: ConstraintGraph, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
-) -> ClusterRank:  # fmt: skip
+    system: System,
+    s: ConstraintGraph,
+    at: Screws,
+    c: Cluster,
+    units: Array,
+    written: Mapping[str, Array],
+) -> ClusterRank:
     J, size = _jacobian(system, s, at, c, units, written)
     if not J.size:
         n = J.shape[1]
@@ -166,9 +189,16 @@ def _cluster(
 
 
 def _jacobian(
-    system: System, s: ConstraintGraph, at: Screws, c: Cluster, units: Array, written: Mapping[str, Array]
-) -> tuple[Array, float]:  # fmt: skip
-    """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a velocity."""
+    system: System,
+    s: ConstraintGraph,
+    at: Screws,
+    c: Cluster,
+    units: Array,
+    written: Mapping[str, Array],
+) -> tuple[Array, float]:
+    """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a
+    velocity.
+    """
     n = len(c.velocities)
     around = np.zeros((len(c.loops), 6, n))
     if c.loops and len(c.local):
@@ -194,7 +224,9 @@ def _jacobian(
     return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
 
 
-def _law(system: System, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array) -> Array:
+def _law(
+    system: System, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array
+) -> Array:
     """The rows (rows, velocities of the cluster) of a law."""
     if isinstance(law.of, Declared):
         return written[law.name][:, columns]
@@ -206,7 +238,8 @@ def _law(system: System, law: Law, written: Mapping[str, Array], columns: np.nda
 
 
 def written_rows(system: System, q: Array) -> dict[str, Array]:
-    """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they are around q.
+    """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they
+    are around q.
 
     So their size does not depend on units, and where they vanish they are small.
     """
@@ -215,7 +248,9 @@ def written_rows(system: System, q: Array) -> dict[str, Array]:
         return {}
     rng = np.random.default_rng(0)  # the same around each q
     scale = closure_rows.full(system, True).scale
-    steps = np.concatenate([np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale])
+    steps = np.concatenate(
+        [np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale]
+    )
     there = system.structure.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
     J = closure_rows.evaluate(system, there, True, True)[1]
     out: dict[str, Array] = {}
@@ -230,9 +265,11 @@ _PLANE = [0, 1, 5]
 
 
 def rows_of_loop(system: System, s: ConstraintGraph, at: Screws, loop: int) -> Array:
-    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose gives wrenches.
+    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose
+    gives wrenches.
 
-    They read the twist where the loop is closed, so that loops far away in a large mechanism are seen as others are.
+    They read the twist where the loop is closed, so that loops far away in a large mechanism are
+    seen as others are.
     """
     i = s.loops[loop].edge
     edge = s.edges[i]

@@ -1,8 +1,10 @@
-"""Which constraints are redundant: the self-stresses in each joint's own axes, and a smallest set of releases.
+"""Which constraints are redundant: the self-stresses in each joint's own axes, and a smallest set
+of releases.
 
-A self-stress is a set of joint reactions in balance without any load. Each redundant constraint is one; a joint
-direction that carries no self-stress is needed. Releasing a direction lets the joint move in it; releases are chosen
-so that no self-stress is left, and none of them gives the mechanism a new freedom.
+A self-stress is a set of joint reactions in balance without any load. Each redundant constraint is
+one; a joint direction that carries no self-stress is needed. Releasing a direction lets the joint
+move in it; releases are chosen so that no self-stress is left, and none of them gives the mechanism
+a new freedom.
 """
 
 from __future__ import annotations
@@ -33,33 +35,45 @@ if TYPE_CHECKING:
 CARRIES = 1e-6
 """Part of a unit self-stress below which a joint direction carries nothing."""
 WELL = 0.05
-"""Part of a release, measured across those taken before it, from which on it is taken at once: so no two are nearly
-the same."""
+"""Part of a release, measured across those taken before it, from which on it is taken at once: so
+no two are nearly the same."""
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 REACTIONS = {"x": "Fx", "y": "Fy", "z": "Fz", "rx": "Mx", "ry": "My", "rz": "Mz"}
-"""What a joint that does not move in a direction can carry: a force along it, or a moment about it."""
+"""What a joint that does not move in a direction can carry: a force along it, or a moment about
+it."""
 
 _ORDER = ("rx", "ry", "rz", "z", "x", "y")
-"""Directions in the order in which they are released: turns cost least, then the slide along the joint's axis."""
+"""Directions in the order in which they are released: turns cost least, then the slide along the
+joint's axis."""
 
 _TURNS = {"xyz": "", "z": "", "xy": "z", "x.y": "xy", "": "xyz"}
 """About which axes a joint turns, by the turns that it holds."""
 
 PAIRS = {
-    "rz": "a revolute joint", "z": "a prismatic joint", "z rz": "a cylindrical joint", "rx rz": "a universal joint",
-    "rx ry rz": "a spherical joint", "z rx ry rz": "a point-on-axis pair (a ball in a tube)", "x z": "a cross slide",
-    "x y rz": "a planar joint", "x y z": "three slides", "x y rx rz": "a line-on-plane pair (a roller on a plate)",
-    "x y rx ry rz": "a point-on-plane pair (a ball on a plate)", "z rx rz": "a universal joint that slides",
-    "x rz": "a pin in a slot", "x z rz": "a cylinder in a slot",
+    "rz": "a revolute joint",
+    "z": "a prismatic joint",
+    "z rz": "a cylindrical joint",
+    "rx rz": "a universal joint",
+    "rx ry rz": "a spherical joint",
+    "z rx ry rz": "a point-on-axis pair (a ball in a tube)",
+    "x z": "a cross slide",
+    "x y rz": "a planar joint",
+    "x y z": "three slides",
+    "x y rx rz": "a line-on-plane pair (a roller on a plate)",
+    "x y rx ry rz": "a point-on-plane pair (a ball on a plate)",
+    "z rx rz": "a universal joint that slides",
+    "x rz": "a pin in a slot",
+    "x z rz": "a cylinder in a slot",
     "x y z rz": "a planar joint that also lifts",
-}  # fmt: skip
+}
 """Names of pairs by the directions in which they move, up to the names of the axes."""
 
 
 @dataclass(frozen=True)
 class Release(InWords):
-    """Directions that one joint (or constraint) need not hold, as reactions such as 'Mx', and what could replace it.
+    """Directions that one joint (or constraint) need not hold, as reactions such as 'Mx', and what
+    could replace it.
 
     `pair` names the joint that is left, such as 'a point-on-axis pair'.
     """
@@ -71,15 +85,20 @@ class Release(InWords):
     def __str__(self) -> str:
         if not self.pair:
             return f"{self.joint}: leave it out"
-        return f"{self.joint}: {count_words(self.reactions)} ({', '.join(self.reactions)}): use {self.pair}"
+        return (
+            f"{self.joint}: {count_words(self.reactions)} ({', '.join(self.reactions)}): use "
+            f"{self.pair}"
+        )
 
 
 @dataclass(frozen=True)
 class Redundancy(InWords):
-    """Redundant constraints to first order: how many, what carries self-stress, and releases that remove them all.
+    """Redundant constraints to first order: how many, what carries self-stress, and releases that
+    remove them all.
 
-    `stressed` gives for each joint the reactions that carry self-stress, in the joint's own axes (forces F and
-    moments M in axes of frame F, at the origin of M; of a universal joint in those of its cross).
+    `stressed` gives for each joint the reactions that carry self-stress, in the joint's own axes
+    (forces F and moments M in axes of frame F, at the origin of M; of a universal joint in those of
+    its cross).
     """
 
     number: int
@@ -95,7 +114,9 @@ class Redundancy(InWords):
 
 @dataclass(frozen=True, eq=False)
 class _JointReaction:
-    """One constraint direction: its joint, its name, and the reaction in it of each self-stress of the cluster."""
+    """One constraint direction: its joint, its name, and the reaction in it of each self-stress of
+    the cluster.
+    """
 
     owner: str
     label: str
@@ -107,8 +128,18 @@ class _JointReaction:
 
     @property
     def rank(self) -> tuple[int, Any]:
-        """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by name."""
-        kind = 3 if self.edge is None else 0 if isinstance(self.edge.of, Declared) else 1 if self.passive else 2
+        """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by
+        name.
+        """
+        kind = (
+            3
+            if self.edge is None
+            else 0
+            if isinstance(self.edge.of, Declared)
+            else 1
+            if self.passive
+            else 2
+        )
         return kind, natural(self.owner)
 
 
@@ -133,9 +164,11 @@ def redundancy(system: System, rank: Rank) -> Redundancy:
 
 
 def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
-    """One record for each constraint direction of a cluster of loops, with the reaction of each self-stress in it.
+    """One record for each constraint direction of a cluster of loops, with the reaction of each
+    self-stress in it.
 
-    `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same configuration.
+    `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same
+    configuration.
     """
     s = structure(system)
     at = rank.screws
@@ -150,7 +183,10 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
         edge = s.edges[s.loops[loop].edge]
         if isinstance(edge.of, Declared):
             labels = _reactions(edge.of, system.dim)
-            rows += [_JointReaction(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
+            rows += [
+                _JointReaction(edge.name, label, True, edge, x)
+                for label, x in zip(labels, own, strict=True)
+            ]
     inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
     for i, wrench in zip(c.cluster.edges, inside, strict=True):
         edge = s.edges[i]
@@ -161,7 +197,11 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
         free = _not_held(names, twists, at.twists[i]) if free is None else free
         for name, twist in zip(names, twists, strict=True):
             if name not in free:
-                rows.append(_JointReaction(edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free))
+                rows.append(
+                    _JointReaction(
+                        edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free
+                    )
+                )
         for column, twist in zip(edge.columns, at.twists[i].T, strict=True):
             if column.index < 0 or column.name != system.structure.velocity_names[column.index]:
                 what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
@@ -169,7 +209,10 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
     for law in (s.laws[k] for k in c.cluster.laws):
         labels = law.names if law.rows > 1 else ("",)
         own = c.stresses[n : n + law.rows]
-        rows += [_JointReaction(law.title, label, False, None, x) for label, x in zip(labels, own, strict=True)]
+        rows += [
+            _JointReaction(law.title, label, False, None, x)
+            for label, x in zip(labels, own, strict=True)
+        ]
         n += law.rows
     return rows
 
@@ -187,7 +230,9 @@ def _reactions(of: Declared, dim: int) -> tuple[str, ...]:
 
 
 def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...], Array]:
-    """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the origin of its M."""
+    """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the
+    origin of its M.
+    """
     form = _form(edge, dim)
     R = at.cross[i] if form is not None and form.turns == "x.y" else at.F[i, :3, :3]
     names = DIRECTIONS if dim == 3 else ("x", "y", "rz")
@@ -215,7 +260,9 @@ def _slider(edge: Edge, dim: int) -> bool:
 
 
 def _free(edge: Edge, dim: int) -> frozenset[str] | None:
-    """Directions in which a joint moves, in axes of F, or of its cross; None where they are not always the same."""
+    """Directions in which a joint moves, in axes of F, or of its cross; None where they are not
+    always the same.
+    """
     assert isinstance(edge.of, Joint)
     form = _form(edge, dim)
     if form is None:
@@ -228,7 +275,9 @@ def _free(edge: Edge, dim: int) -> frozenset[str] | None:
 
 
 def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
-    """Directions (by their `twists`) that need not be held besides others for a joint that only `moves` (6, n)."""
+    """Directions (by their `twists`) that need not be held besides others for a joint that only
+    `moves` (6, n).
+    """
     U, size, _ = svd(moves, full_matrices=False)
     basis = U[:, size > CARRIES * size.max(initial=0.0)]
     held: set[str] = set()
@@ -263,7 +312,9 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
             options = [(own, _independent(own, left, part)) for own in owners.values()]
             options = [(own, picked) for own, picked in options if picked]
             if options:
-                found = min(options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].rank))[1]
+                found = min(options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].rank))[
+                    1
+                ]
                 break
         if found is None:
             break
@@ -274,7 +325,9 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
 
 
 def _independent(rows: Sequence[_JointReaction], left: Array, part: float) -> list[_JointReaction]:
-    """Rows that are independent on the self-stresses that are `left`, in the given order, each by `part` at least."""
+    """Rows that are independent on the self-stresses that are `left`, in the given order, each by
+    `part` at least.
+    """
     basis: list[Array] = []
     out: list[_JointReaction] = []
     for r in rows:
@@ -313,7 +366,9 @@ def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
     if free == _existing(edge, dim):
         return Release(rows[0].owner, labels, "")
     if _free(edge, dim) is None:
-        return Release(rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}")
+        return Release(
+            rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}"
+        )
     return Release(rows[0].owner, labels, pair_name(set(free)))
 
 
@@ -327,7 +382,9 @@ def _existing(edge: Edge, dim: int) -> AbstractSet[str]:
 
 
 def pair_name(free: set[str]) -> str:
-    """Name of the pair that moves in these directions ('x', ..., 'rz'), whatever its axes are called."""
+    """Name of the pair that moves in these directions ('x', ..., 'rz'), whatever its axes are
+    called.
+    """
     for axes in permutations("xyz"):
         renamed = dict(zip("xyz", axes, strict=True))
         turned = {d[:-1] + renamed[d[-1]] for d in free}
@@ -339,7 +396,9 @@ def pair_name(free: set[str]) -> str:
 
 def motions(free: set[str]) -> str:
     """'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
-    slides, turns = (", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2))
+    slides, turns = (
+        ", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2)
+    )
     parts = [f"slides along {slides}" * bool(slides), f"turns about {turns}" * bool(turns)]
     return " and ".join(p for p in parts if p)
 

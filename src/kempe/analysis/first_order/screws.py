@@ -1,10 +1,12 @@
 """The joints of a system as screws at one configuration.
 
-All twists are [v; w] of the child relative to the parent, in axes of the ground, at one reference point in the middle
-of the mechanism, with lengths in units of a typical link: so ranks and self-stresses depend neither on the cut nor on
-units, nor do singular values fade with the number of links.
-A closed loop says that the twists around it add up to zero (Davies, 1981); what multiplies that equation is the
-wrench that runs around the loop, and the wrench in a joint is the sum of those of the loops through it.
+All twists are [v; w] of the child relative to the parent, in axes of the ground, at one reference
+point in the middle of the mechanism, with lengths in units of a typical link: so ranks and
+self-stresses depend neither on the cut nor on units, nor do singular values fade with the number of
+links.
+A closed loop says that the twists around it add up to zero (Davies, 1981); what multiplies that
+equation is the wrench that runs around the loop, and the wrench in a joint is the sum of those of
+the loops through it.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
 class Screws:
     """The screws of all edges at one configuration, where it is closed.
 
-    `twists[i]` (6, columns of edge i), scaled as the module says; `F`, `M` (n, 4, 4) are the frames in the ground.
+    `twists[i]` (6, columns of edge i), scaled as the module says; `F`, `M` (n, 4, 4) are the frames
+    in the ground.
     """
 
     twists: tuple[Array, ...]
@@ -42,7 +45,8 @@ class Screws:
     center: Array
     length: float
     cross: dict[int, Array] = field(repr=False)
-    """Rotation after the first turn of the joints whose constraint directions it carries (crosses)."""
+    """Rotation after the first turn of the joints whose constraint directions it carries
+    (crosses)."""
 
     @cached_property
     def reach(self) -> float:
@@ -51,23 +55,38 @@ class Screws:
         return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
     def wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
-        """Rows (k, 6) that map the relative twist of its bodies to the rates of a declared constraint."""
+        """Rows (k, 6) that map the relative twist of its bodies to the rates of a declared
+        constraint.
+        """
         rows = (r for r in position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
         return np.concatenate([self._rows_of(edge, r, dim) for r in rows])
 
     def _rows_of(self, edge: int, row: Row, dim: int) -> Array:
-        """Rows (k, 6) that map the twist of frame M relative to F to the rates of one row of equations."""
+        """Rows (k, 6) that map the twist of frame M relative to F to the rates of one row of
+        equations.
+        """
         p = self.M[edge, :3, 3]
         R = self.F[edge, :3, :3]
         S = self.M[edge, :3, :3]
         d = p - self.F[edge, :3, 3]
         if row.op in (Op.ROTATION, Op.TILT):
             turns = np.hstack([np.zeros((3, 3)), R.T])
-            return turns[-COUNTS[row.op][dim] :] if row.op is Op.ROTATION else turns[: COUNTS[row.op][dim]]
-        if row.op is Op.LOOK:  # z of M keeps to -d: v / |d| + w x z across it; in the plane x of M is the normal
+            return (
+                turns[-COUNTS[row.op][dim] :]
+                if row.op is Op.ROTATION
+                else turns[: COUNTS[row.op][dim]]
+            )
+        if (
+            row.op is Op.LOOK
+        ):  # z of M keeps to -d: v / |d| + w x z across it; in the plane x of M is the normal
             across = S[:, 2 - COUNTS[row.op][dim] : 2].T
             along = across * (self.length / (float(np.linalg.norm(d)) or 1.0))
-            return np.hstack([along, np.cross(S[:, 2], across) + np.cross((p - self.center) / self.length, along)])
+            return np.hstack(
+                [
+                    along,
+                    np.cross(S[:, 2], across) + np.cross((p - self.center) / self.length, along),
+                ]
+            )
         along = R[:, row.args[0]] if row.op is Op.POINT else d / (float(np.linalg.norm(d)) or 1.0)
         return np.hstack([along, np.cross((p - self.center) / self.length, along)])[None]
 
@@ -77,7 +96,9 @@ class Screws:
         return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
 
     def moved(self, edges: Sequence[int]) -> Array:
-        """Matrices (n, 6, 6) that move the reference point of twists to the origins of the frames M of edges."""
+        """Matrices (n, 6, 6) that move the reference point of twists to the origins of the frames M
+        of edges.
+        """
         out = np.zeros((len(edges), 6, 6))
         out[:, range(6), range(6)] = 1.0
         x, y, z = ((self.M[list(edges), :3, 3] - self.center) / self.length).T
@@ -107,7 +128,9 @@ def screws(system: System, q: Array) -> Screws:
             twists.append(np.zeros((6, 0)))
         elif len(edge.primitives) == 1 and edge.primitives[0].kind != Q:
             axis = F[i, :3, "xyz".index(edge.primitives[0].axis)] * edge.primitives[0].multiplier
-            twists.append(_column(edge.primitives[0].kind, axis, (F[i, :3, 3] - center) / length)[:, None])
+            twists.append(
+                _column(edge.primitives[0].kind, axis, (F[i, :3, 3] - center) / length)[:, None]
+            )
         else:
             twists.append(_walk(edge, F[i], M[i], values, center, length, cross, i))
     return Screws(tuple(twists), F, M, center, length, cross)
@@ -126,8 +149,15 @@ def _column(kind: int, axis: Array, r: Array) -> Array:
 
 
 def _walk(
-    edge: Edge, F: Array, M: Array, q: list[float], center: Array, length: float, cross: dict[int, Array], i: int
-) -> Array:  # fmt: skip
+    edge: Edge,
+    F: Array,
+    M: Array,
+    q: list[float],
+    center: Array,
+    length: float,
+    cross: dict[int, Array],
+    i: int,
+) -> Array:
     """Twists (6, columns) of a joint with several primitives, walked from F."""
     X = F.copy()
     out = np.zeros((6, len(edge.columns)))
@@ -139,7 +169,11 @@ def _walk(
             out[3:, column : column + 3] = M[:3, :3]
             continue
         axis = X[:3, "xyz".index(p.axis)].copy()
-        unit = p.multiplier / length if p.kind == P and not edge.columns[column].slides else p.multiplier
+        unit = (
+            p.multiplier / length
+            if p.kind == P and not edge.columns[column].slides
+            else p.multiplier
+        )
         out[:, column] += _column(p.kind, axis * unit, r)
         if k < last:
             index, factor, offset = edge.values[p.coordinate]
@@ -147,6 +181,8 @@ def _walk(
             if p.kind == P:
                 X[:3, 3] += value * axis
             else:
-                X[:3, :3] = X[:3, :3] @ (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)](value)
+                X[:3, :3] = X[:3, :3] @ (spatial.rot_x, spatial.rot_y, spatial.rot_z)[
+                    "xyz".index(p.axis)
+                ](value)
                 cross.setdefault(i, X[:3, :3].copy())
     return out

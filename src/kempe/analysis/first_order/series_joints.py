@@ -1,8 +1,9 @@
-"""Joints in series: sets of joints any two of which part the mechanism, and what is between two of them; and stars,
-groups of bodies that are held at more than two places.
+"""Joints in series: sets of joints any two of which part the mechanism, and what is between two of
+them; and stars, groups of bodies that are held at more than two places.
 
-Two joints of a loop are in series if cutting both parts the bodies. All that are in series with each other stand in one
-order around every loop through them: a series, of which the part with the ground is one piece.
+Two joints of a loop are in series if cutting both parts the bodies. All that are in series with
+each other stand in one order around every loop through them: a series, of which the part with the
+ground is one piece.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """How an edge can turn on its own: which of its `columns`, and whether these are all that it can do (`whole`).
+    """How an edge can turn on its own: which of its `columns`, and whether these are all that it
+    can do (`whole`).
 
-    Columns that others follow or that a motor drives are left out, screws too, and turns whose axes have no place in
-    the bodies, since the joint slides across them. `axis` is the name of the axis of a hinge, '' where there are more.
+    Columns that others follow or that a motor drives are left out, screws too, and turns whose axes
+    have no place in the bodies, since the joint slides across them. `axis` is the name of the axis
+    of a hinge, '' where there are more.
     """
 
     columns: tuple[int, ...]
@@ -39,9 +42,9 @@ class Turns:
 class SeriesLoop:
     """Edges in series in the order around their loops, from the ground's piece and back to it.
 
-    Joints that cannot move are left out: what they connect is one part. `signs` tells which are passed from parent to
-    child (+1), `turns` how each can turn on its own (None where it cannot), `joined` whether an edge and the next one
-    meet in one part.
+    Joints that cannot move are left out: what they connect is one part. `signs` tells which are
+    passed from parent to child (+1), `turns` how each can turn on its own (None where it cannot),
+    `joined` whether an edge and the next one meet in one part.
     """
 
     edges: tuple[int, ...]
@@ -66,19 +69,25 @@ def _ends(edge: Edge, sign: float) -> tuple[int, int]:
 
 @kept
 def all_series(system: System, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
-    """All series of at least two edges in which something can turn; `driven` are velocities that a motor holds."""
+    """All series of at least two edges in which something can turn; `driven` are velocities that a
+    motor holds.
+    """
     return _all_series(system, structure(system), driven)
 
 
 def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
     """For each velocity by how many columns and laws it is used."""
-    uses = np.bincount([c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv)
+    uses = np.bincount(
+        [c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv
+    )
     for law in s.laws:
         uses[list(law.support)] += 1
     return uses
 
 
-def _all_series(system: System, s: ConstraintGraph, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
+def _all_series(
+    system: System, s: ConstraintGraph, driven: frozenset[int]
+) -> tuple[SeriesLoop, ...]:
     part = parts(system)
     uses = _uses(system, s)
     out: list[SeriesLoop] = []
@@ -92,12 +101,18 @@ def _all_series(system: System, s: ConstraintGraph, driven: frozenset[int]) -> t
         for members in alike.values():
             loop = c.loops[int(np.flatnonzero(c.signs[:, number[members[0]]])[0])]
             inside = set(members)
-            path = [(i, sign) for i, sign in s.loops[loop].path if i in inside and not rigid(s.edges[i])]
+            path = [
+                (i, sign) for i, sign in s.loops[loop].path if i in inside and not rigid(s.edges[i])
+            ]
             turns = tuple(_turns(s.edges[i], uses, driven) for i, _ in path)
             if sum(t is not None for t in turns) > 1:
                 ends = [_ends(s.edges[i], sign) for i, sign in path]
                 joined = tuple(bool(part[a[1]] == part[b[0]]) for a, b in pairwise(ends))
-                out.append(SeriesLoop(tuple(i for i, _ in path), tuple(sign for _, sign in path), turns, joined))
+                out.append(
+                    SeriesLoop(
+                        tuple(i for i, _ in path), tuple(sign for _, sign in path), turns, joined
+                    )
+                )
     return tuple(out)
 
 
@@ -111,10 +126,13 @@ def _turns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> Turns | None
             moved.setdefault(n, []).append(p)
     free = [n for n, c in enumerate(edge.columns) if c.index >= 0]
     own = tuple(
-        n for n in free
-        if not edge.columns[n].slides and uses[edge.columns[n].index] == 1 and edge.columns[n].index not in driven
+        n
+        for n in free
+        if not edge.columns[n].slides
+        and uses[edge.columns[n].index] == 1
+        and edge.columns[n].index not in driven
         and all(p.kind != P for p in moved[n])
-    )  # fmt: skip
+    )
     slides = [p.axis for n in free if n not in own for p in moved[n] if p.kind == P]
     axis = moved[own[0]][0].axis if own else ""
     if not own or (slides and (len(own) > 1 or {*slides} != {axis})):
@@ -125,10 +143,12 @@ def _turns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> Turns | None
 
 @dataclass(frozen=True, eq=False)
 class Star:
-    """Bodies that only slides connect, and all that they are held by: at three places at least, or by a constraint.
+    """Bodies that only slides connect, and all that they are held by: at three places at least, or
+    by a constraint.
 
-    `chains` are edges in series, outwards; `points` constraints that hold a point of these bodies, and whether it is
-    the origin of frame M; `loose` joints that hold nothing, since they can make every motion.
+    `chains` are edges in series, outwards; `points` constraints that hold a point of these bodies,
+    and whether it is the origin of frame M; `loose` joints that hold nothing, since they can make
+    every motion.
     """
 
     bodies: frozenset[int]
@@ -139,7 +159,9 @@ class Star:
 
 
 def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
-    """All stars in which every joint can turn, or hold a point; `driven` are velocities that a motor holds."""
+    """All stars in which every joint can turn, or hold a point; `driven` are velocities that a
+    motor holds.
+    """
     s = structure(system)
     part = parts(system)
     uses = _uses(system, structure(system))
@@ -149,7 +171,9 @@ def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
             group[group == group[e.child]] = group[e.parent]
     outside: dict[int, list[int]] = {}
     for i, e in enumerate(s.edges):
-        for g in {int(group[e.parent]), int(group[e.child])} if group[e.parent] != group[e.child] else ():
+        for g in (
+            {int(group[e.parent]), int(group[e.child])} if group[e.parent] != group[e.child] else ()
+        ):
             outside.setdefault(g, []).append(i)
     found: list[Star | None] = []
     for g, edges in outside.items():
@@ -160,8 +184,13 @@ def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
 
 
 def _star(
-    system: System, s: ConstraintGraph, inside: np.ndarray, edges: list[int], uses: np.ndarray, driven: frozenset[int]
-) -> Star | None:  # fmt: skip
+    system: System,
+    s: ConstraintGraph,
+    inside: np.ndarray,
+    edges: list[int],
+    uses: np.ndarray,
+    driven: frozenset[int],
+) -> Star | None:
     looped = in_loop(system)
     chains: list[SeriesLoop] = []
     points: list[tuple[int, bool]] = []
@@ -179,7 +208,9 @@ def _star(
             points.append((i, child))
             continue
         own = len(e.columns) == (6 if system.dim == 3 else 3) and not (e.actuated or e.particle)
-        if own and all(c.index >= 0 and uses[c.index] == 1 and c.index not in driven for c in e.columns):
+        if own and all(
+            c.index >= 0 and uses[c.index] == 1 and c.index not in driven for c in e.columns
+        ):
             loose.append(i)
             continue
         chain = _outwards(system, s, inside, i, uses, driven)
@@ -190,9 +221,16 @@ def _star(
 
 
 def _outwards(
-    system: System, s: ConstraintGraph, inside: np.ndarray, i: int, uses: np.ndarray, driven: frozenset[int]
-) -> SeriesLoop | None:  # fmt: skip
-    """The edges from a group outwards, through links that have two joints; None where the first cannot turn."""
+    system: System,
+    s: ConstraintGraph,
+    inside: np.ndarray,
+    i: int,
+    uses: np.ndarray,
+    driven: frozenset[int],
+) -> SeriesLoop | None:
+    """The edges from a group outwards, through links that have two joints; None where the first
+    cannot turn.
+    """
     part = parts(system)
     path: list[tuple[int, float]] = []
     turns: list[Turns] = []
@@ -212,7 +250,12 @@ def _outwards(
         own = _turns(e, uses, driven)
     if not path or inside[here]:
         return None
-    return SeriesLoop(tuple(k for k, _ in path), tuple(x for _, x in path), tuple(turns), (True,) * (len(path) - 1))
+    return SeriesLoop(
+        tuple(k for k, _ in path),
+        tuple(x for _, x in path),
+        tuple(turns),
+        (True,) * (len(path) - 1),
+    )
 
 
 def rigid(edge: Edge) -> bool:
@@ -222,7 +265,9 @@ def rigid(edge: Edge) -> bool:
 
 @kept
 def parts(system: System) -> np.ndarray:
-    """For each body the number of its part: bodies that joints without a velocity hold together are one part."""
+    """For each body the number of its part: bodies that joints without a velocity hold together are
+    one part.
+    """
     found = np.arange(len(system.body_names))
     for edge in structure(system).edges:
         if rigid(edge):

@@ -1,8 +1,10 @@
-"""Wrenches that joints and constraints transmit: the multipliers of their equations, in maximal coordinates.
+"""Wrenches that joints and constraints transmit: the multipliers of their equations, in maximal
+coordinates.
 
-There each body is on its own, so that a multiplier of an equation is a force and a moment on the bodies that it ties
-(Lanczos, The Variational Principles of Mechanics, 1970, chapter 2). Where the multipliers of several equations balance
-each other without any load, these constraints are redundant and statics does not determine their reactions.
+There each body is on its own, so that a multiplier of an equation is a force and a moment on the
+bodies that it ties (Lanczos, The Variational Principles of Mechanics, 1970, chapter 2). Where the
+multipliers of several equations balance each other without any load, these constraints are
+redundant and statics does not determine their reactions.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ SMALL = 1e-9
 
 
 class _WrenchRow(NamedTuple):
-    """One equation in maximal coordinates: what it belongs to, its name, its unit, whether it always counts, rates."""
+    """One equation in maximal coordinates: what it belongs to, its name, its unit, whether it
+    always counts, rates.
+    """
 
     of: str
     name: str
@@ -54,8 +58,9 @@ class _WrenchRow(NamedTuple):
 class SelfStress(InWords):
     """Reactions in balance without a load: what statics leaves undetermined.
 
-    `wrenches` (6,) are [force; moment] on the child of each joint or constraint that takes part, in axes of the ground,
-    at the origin of its frame M (B of a constraint); `multipliers` are those of couplings and laws of coordinates.
+    `wrenches` (6,) are [force; moment] on the child of each joint or constraint that takes part, in
+    axes of the ground, at the origin of its frame M (B of a constraint); `multipliers` are those of
+    couplings and laws of coordinates.
     """
 
     wrenches: dict[str, Array]
@@ -63,14 +68,18 @@ class SelfStress(InWords):
 
     def __str__(self) -> str:
         parts = [f"{name}: {_said(w)}" for name, w in self.wrenches.items()]
-        return "; ".join(cut(parts + [f"{name}: {x:.4g}" for name, x in self.multipliers.items()], SHOWN))
+        return "; ".join(
+            cut(parts + [f"{name}: {x:.4g}" for name, x in self.multipliers.items()], SHOWN)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Reactions(InWords):
-    """What balances given loads: `wrenches` (6,) by joint and constraint as in `SelfStress`, `efforts` of held inputs.
+    """What balances given loads: `wrenches` (6,) by joint and constraint as in `SelfStress`,
+    `efforts` of held inputs.
 
-    `undetermined` names those that statics alone does not determine: any self-stress may be added to them.
+    `undetermined` names those that statics alone does not determine: any self-stress may be added
+    to them.
     """
 
     wrenches: dict[str, Array]
@@ -78,19 +87,22 @@ class Reactions(InWords):
     undetermined: tuple[str, ...]
 
     def __str__(self) -> str:
-        lines = [f"{name}: {_said(w)}" + " (not determined)" * (name in self.undetermined)
-                 for name, w in self.wrenches.items()]  # fmt: skip
+        lines = [
+            f"{name}: {_said(w)}" + " (not determined)" * (name in self.undetermined)
+            for name, w in self.wrenches.items()
+        ]
         return "\n".join(lines + [f"effort of {name}: {x:.6g}" for name, x in self.efforts.items()])
 
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Wrenches:
-    """The wrenches that joints and constraints of a system can transmit at a closed configuration `q` (nq,).
+    """The wrenches that joints and constraints of a system can transmit at a closed configuration
+    `q` (nq,).
 
-    ``wrenches[name]`` (k, 6) has a basis for a joint; for a constraint one wrench for a unit multiplier of each of its
-    rows, one-sided rows and those of velocity included. Each is [force; moment] on the child (on what has frame B), in
-    axes of the ground, at `point(name)`.
+    ``wrenches[name]`` (k, 6) has a basis for a joint; for a constraint one wrench for a unit
+    multiplier of each of its rows, one-sided rows and those of velocity included. Each is [force;
+    moment] on the child (on what has frame B), in axes of the ground, at `point(name)`.
     """
 
     system: System
@@ -101,7 +113,9 @@ class Wrenches:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The joints, then the constraints, couplings with several sources, and laws of coordinates."""
+        """The joints, then the constraints, couplings with several sources, and laws of
+        coordinates.
+        """
         return tuple(dict.fromkeys(row.of for row in self._rows))
 
     def __getitem__(self, name: str) -> Array:
@@ -114,14 +128,18 @@ class Wrenches:
         return _reduced(U[:, decide(sizes)[0] :].T @ own)
 
     def point(self, name: str) -> Array:
-        """Where (3,) a wrench is taken: the origin of frame M of a joint, of frame B of a constraint."""
+        """Where (3,) a wrench is taken: the origin of frame M of a joint, of frame B of a
+        constraint.
+        """
         self._of(name)
         return self._ends.get(name, ("", 1.0, np.zeros(3)))[2]
 
     def generalised(self, name: str) -> Array:
-        """Generalised forces (k, nv) on the coordinates, for a unit multiplier of each row of a constraint: rows J'.
+        """Generalised forces (k, nv) on the coordinates, for a unit multiplier of each row of a
+        constraint: rows J'.
 
-        They do no work on any velocity that the constraints allow; those of joints in the tree are zero.
+        They do no work on any velocity that the constraints allow; those of joints in the tree are
+        zero.
         """
         return np.stack([r.rates for r in self._of(name)]) @ self._along_tree
 
@@ -142,7 +160,12 @@ class Wrenches:
         for i, (row, part) in enumerate(zip(rows, parts, strict=True)):
             each[names.index(row.of), :, i] = part * self._force_of[i]
         scale = np.repeat([1.0, 1.0 / self._length], 3)
-        both = np.hstack([(np.einsum("nci,ki->knc", each, states) * scale).reshape(len(states), -1), states[:, plain]])
+        both = np.hstack(
+            [
+                (np.einsum("nci,ki->knc", each, states) * scale).reshape(len(states), -1),
+                states[:, plain],
+            ]
+        )
         out: list[SelfStress] = []
         forces = np.append(np.tile(np.arange(6) < 3, len(names)), np.zeros(len(plain), dtype=bool))
         for state in _reduced(both, forces):
@@ -150,17 +173,25 @@ class Wrenches:
             largest = np.abs(found[:, :3]).max() or np.abs(found).max() or 1.0
             found = found / largest
             rest = state[6 * len(names) :] / largest
-            rest = {f"{rows[i].of} {rows[i].name}".strip(): float(x) for i, x in zip(plain, rest, strict=True) if x}
-            out.append(SelfStress({n: w for n, w in zip(names, found, strict=True) if w.any()}, rest))
+            rest = {
+                f"{rows[i].of} {rows[i].name}".strip(): float(x)
+                for i, x in zip(plain, rest, strict=True)
+                if x
+            }
+            out.append(
+                SelfStress({n: w for n, w in zip(names, found, strict=True) if w.any()}, rest)
+            )
         return tuple(out)
 
     def under(self, loads: Mapping[str, Any], held: Iterable[str] = ()) -> Reactions:
-        """The reactions that balance `loads` in statics, with the coordinates `held` by motors or locks.
+        """The reactions that balance `loads` in statics, with the coordinates `held` by motors or
+        locks.
 
-        A load is [force; moment] (6,), or a force (3,), on a frame at its origin, in axes of the ground; in the plane
-        [fx, fy, moment] (3,) or a force (2,). Bodies have no weight but what is given. Where reactions are not
-        determined, those of least norm are given. Errors: `UnknownNameError`, `InputError` where nothing balances the
-        loads, because the mechanism would move.
+        A load is [force; moment] (6,), or a force (3,), on a frame at its origin, in axes of the
+        ground; in the plane [fx, fy, moment] (3,) or a force (2,). Bodies have no weight but what
+        is given. Where reactions are not determined, those of least norm are given. Errors:
+        `UnknownNameError`, `InputError` where nothing balances the loads, because the mechanism
+        would move.
         """
         held = (held,) if isinstance(held, str) else tuple(held)
         wanted = np.zeros(self._size)
@@ -181,14 +212,18 @@ class Wrenches:
         if left > BALANCED * max(np.linalg.norm(wanted), 1e-300):
             raise InputError(
                 f"nothing balances the loads on {', '.join(map(repr, loads))} with "
-                f"{', '.join(map(repr, held)) or 'no coordinate'} held: {self.system.name} would move; hold more"
+                f"{', '.join(map(repr, held)) or 'no coordinate'} held: {self.system.name} would "
+                "move; hold more"
             )
         rows = [r for r in self._rows if r.lasting]
         wrenches = {n: np.zeros(6) for n in self.names}
         for row, factor, x in zip(rows, self._force_of, found, strict=False):
             wrenches[row.of] += x * factor * self._wrench(row.of, row.rates)
         loose = {n for s in self.stresses for n in s.wrenches}
-        wrenches = {n: np.where(np.abs(w) < SMALL * max(np.abs(w).max(), 1e-300), 0.0, w) for n, w in wrenches.items()}
+        wrenches = {
+            n: np.where(np.abs(w) < SMALL * max(np.abs(w).max(), 1e-300), 0.0, w)
+            for n, w in wrenches.items()
+        }
         efforts = dict(zip(held, found[len(rows) :].tolist(), strict=True))
         return Reactions(wrenches, efforts, tuple(n for n in self.names if n in loose))
 
@@ -196,14 +231,22 @@ class Wrenches:
         """The states of self-stress for a report; none where there are too many equations."""
         if len(self._balance) > MOST:
             return []
-        head = "reactions in balance without a load, on the child at the origin of its M, in axes of the ground:"
+        head = (
+            "reactions in balance without a load, on the child at the origin of its M, in axes of "
+            "the ground:"
+        )
         return [head, *cut([str(s) for s in self.stresses], SHOWN)] if self.stresses else []
 
     def data(self) -> list[dict[str, Any]]:
         """The states of self-stress as plain data; none where there are too many equations."""
         states = self.stresses if len(self._balance) <= MOST else ()
-        return [{"wrenches": {n: w.tolist() for n, w in s.wrenches.items()}, "multipliers": s.multipliers}
-                for s in states]  # fmt: skip
+        return [
+            {
+                "wrenches": {n: w.tolist() for n, w in s.wrenches.items()},
+                "multipliers": s.multipliers,
+            }
+            for s in states
+        ]
 
     # ---- equations in maximal coordinates
 
@@ -221,7 +264,9 @@ class Wrenches:
 
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
-        """The bodies, each with the first of its velocities; last, under '', that of the first of the joints."""
+        """The bodies, each with the first of its velocities; last, under '', that of the first of
+        the joints.
+        """
         m = self._mechanism
         at = 0
         out: list[tuple[str, int]] = []
@@ -240,7 +285,9 @@ class Wrenches:
 
     @cached_property
     def _rows(self) -> tuple[_WrenchRow, ...]:
-        """All equations: those of joints, constraints and couplings, rows of velocity, and one-sided rows."""
+        """All equations: those of joints, constraints and couplings, rows of velocity, and
+        one-sided rows.
+        """
         M, Q = self._maximal
         packed = closure_rows.full(M, False)
         out: list[_WrenchRow] = []
@@ -248,19 +295,29 @@ class Wrenches:
         k = 0
         for tie in packed.ties:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
-            out += [_WrenchRow(name, row, packed.units[k + i], True, J[k + i]) for i, row in enumerate(tie.rows)]
+            out += [
+                _WrenchRow(name, row, packed.units[k + i], True, J[k + i])
+                for i, row in enumerate(tie.rows)
+            ]
             k += len(tie.rows)
-        order = {n: i for i, n in enumerate((*self.system.structure.joints, *self._mechanism.constraints))}
+        order = {
+            n: i
+            for i, n in enumerate((*self.system.structure.joints, *self._mechanism.constraints))
+        }
         out.sort(key=lambda r: order.get(r.of, len(order)))
         rates = velocity_rows(M)
         A = rates.values(Q, np.zeros(()))[0]
-        out += [_WrenchRow(r.of, r.name, r.unit, True, a) for r, a in zip(rates.names, A, strict=True)]
+        out += [
+            _WrenchRow(r.of, r.name, r.unit, True, a) for r, a in zip(rates.names, A, strict=True)
+        ]
         sided = one_sided_rows(M)
         if sided.declared:
             n = sided.declared
             J = sided.rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
             assert sided.loops is not None
-            tied: list[tuple[str, str]] = [(t.name, row) for t in sided.loops.ties for row in t.rows]
+            tied: list[tuple[str, str]] = [
+                (t.name, row) for t in sided.loops.ties for row in t.rows
+            ]
             chosen: list[int] = sided.chosen[:n].tolist()
             for i, which in enumerate(chosen):
                 of, name = tied[which]
@@ -287,11 +344,15 @@ class Wrenches:
     def _force_of(self) -> Array:
         """What a multiplier of `_balance` is, as one of the equations as they are."""
         length = self._length
-        return np.array([1.0 / length if r.unit.startswith("m") else 1.0 for r in self._rows if r.lasting])
+        return np.array(
+            [1.0 / length if r.unit.startswith("m") else 1.0 for r in self._rows if r.lasting]
+        )
 
     @cached_property
     def _balance(self) -> Array:
-        """The lasting equations (m, velocities), scaled: multipliers that they take to zero are in balance."""
+        """The lasting equations (m, velocities), scaled: multipliers that they take to zero are in
+        balance.
+        """
         J = np.array([r.rates for r in self._rows if r.lasting]).reshape(-1, self._size)
         return J * self._force_of[:, None] * self._scale
 
@@ -302,7 +363,9 @@ class Wrenches:
 
     @cached_property
     def _along_tree(self) -> Array:
-        """Rates (velocities of `maximal`, nv): how bodies and joints move where the tree's coordinates do."""
+        """Rates (velocities of `maximal`, nv): how bodies and joints move where the tree's
+        coordinates do.
+        """
         system = self.system
         out = np.zeros((self._size, self.system.nv))
         for body, at in self._bodies[:-1]:
@@ -317,7 +380,9 @@ class Wrenches:
     # ---- wrenches
 
     def _on(self, body: str, rates: Array) -> Array:
-        """The wrench (6,) on a body, at its origin in axes of the ground, of a multiplier of an equation."""
+        """The wrench (6,) on a body, at its origin in axes of the ground, of a multiplier of an
+        equation.
+        """
         system = self.system
         at = self._first[body]
         out = np.zeros(6)
@@ -332,14 +397,20 @@ class Wrenches:
 
     @cached_property
     def _ends(self) -> dict[str, tuple[str, float, Array]]:
-        """Of each joint and constraint of bodies: a body that is not the ground, the sign of its wrench, the point."""
+        """Of each joint and constraint of bodies: a body that is not the ground, the sign of its
+        wrench, the point.
+        """
         m = self._mechanism
         ground = self.system.body_names[0]
         out: dict[str, tuple[str, float, Array]] = {}
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
                 joint = of.name in m.joints
-                M = of.X_CM.evaluate(m.parameters) if joint else of.frames(m.parameters, self.system.dim)[1]  # type: ignore[union-attr]
+                M = (
+                    of.X_CM.evaluate(m.parameters)
+                    if joint
+                    else of.frames(m.parameters, self.system.dim)[1]
+                )  # type: ignore[union-attr]
                 end = (of.child, 1.0) if of.child != ground else (of.parent, -1.0)
                 out[of.name] = *end, (self._poses[of.child] @ M)[:3, 3]
         return out
@@ -362,7 +433,10 @@ class Wrenches:
         wrench = np.zeros(6)
         allowed = (2, 3) if system.dim == 2 else (3, 6)
         if x.ndim != 1 or len(x) not in allowed:
-            raise InputError(f"load on {frame!r} has shape {x.shape}; needed are {allowed[0]} or {allowed[1]} numbers")
+            raise InputError(
+                f"load on {frame!r} has shape {x.shape}; needed are {allowed[0]} or {allowed[1]} "
+                "numbers"
+            )
         wrench[[0, 1, 5][: len(x)] if system.dim == 2 else slice(0, len(x))] = x
         out = np.zeros(self._size)
         at = self._first.get(body)
@@ -380,7 +454,8 @@ class Wrenches:
 
 
 def _reduced(rows: Array, first: np.ndarray | None = None) -> Array:
-    """The same space of rows (k, n), each with a 1 where all others have 0; what is rounding is zero.
+    """The same space of rows (k, n), each with a 1 where all others have 0; what is rounding is
+    zero.
 
     The ones are in the columns `first` (n,) as far as they can be.
     """
@@ -391,7 +466,9 @@ def _reduced(rows: Array, first: np.ndarray | None = None) -> Array:
         left = np.abs(out[k:])
         wanted = np.where(wanted_at, left, 0.0)
         left = wanted if wanted.max() > BALANCED * np.abs(out).max() else left
-        i, j = map(int, np.unravel_index(int(np.argmax(left > (1.0 - 1e-6) * left.max())), left.shape))
+        i, j = map(
+            int, np.unravel_index(int(np.argmax(left > (1.0 - 1e-6) * left.max())), left.shape)
+        )
         out[[k, k + i]] = out[[k + i, k]]
         out[k] /= out[k, j]
         others = np.arange(len(out)) != k
@@ -402,5 +479,10 @@ def _reduced(rows: Array, first: np.ndarray | None = None) -> Array:
 
 def _said(wrench: Array) -> str:
     """A wrench in words: 'force (0, 0, 1), moment (0.2, 0, 0)', without what is zero."""
-    parts = [(what, part) for what, part in (("force", wrench[:3]), ("moment", wrench[3:])) if part.any()]
-    return ", ".join(f"{what} ({', '.join(f'{x + 0.0:.4g}' for x in part)})" for what, part in parts) or "nothing"
+    parts = [
+        (what, part) for what, part in (("force", wrench[:3]), ("moment", wrench[3:])) if part.any()
+    ]
+    return (
+        ", ".join(f"{what} ({', '.join(f'{x + 0.0:.4g}' for x in part)})" for what, part in parts)
+        or "nothing"
+    )

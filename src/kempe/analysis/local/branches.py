@@ -1,7 +1,8 @@
 """Branches of the solution set through a configuration, found by looking at spheres around it.
 
-Near a point an analytic set is a cone over its intersection with a small sphere (Milnor, 1968, section 2), so the
-points at distance h, for several h, show all branches: cusps, too, and those that tangent cones do not tell apart.
+Near a point an analytic set is a cone over its intersection with a small sphere (Milnor, 1968,
+section 2), so the points at distance h, for several h, show all branches: cusps, too, and those
+that tangent cones do not tell apart.
 """
 
 from __future__ import annotations
@@ -29,14 +30,16 @@ BLURRED = 0.05
 """The same where the equations touch the solution set: there points are known to few digits."""
 ALONG = 0.5
 TURNED = 0.15
-"""Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
+"""Way along the sphere, as a part of its radius, and the turn of the tangent space over it that
+shows a cone."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
 BATCH = 32
 MOST_STARTS = 480
 MOST_KEPT = 20
 ENOUGH = 4
-"""Starts at a time and in all, points kept of a family, and hits of each beyond which the search ends."""
+"""Starts at a time and in all, points kept of a family, and hits of each beyond which the search
+ends."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
 SAME_LIMIT = 0.1
@@ -49,9 +52,10 @@ STEP = 0.2
 class Branch:
     """One branch of the solution set through a configuration.
 
-    `tangent` (nv, dim): velocities (rad/s, m/s) that span it, each of unit size with lengths over the characteristic
-    length. For curves it is the limit at the configuration, else that at `q` (nq,), a point of the branch nearby.
-    `ends` says for a curve how many half-branches make it up: 2, with `cusp` where both leave to the same side.
+    `tangent` (nv, dim): velocities (rad/s, m/s) that span it, each of unit size with lengths over
+    the characteristic length. For curves it is the limit at the configuration, else that at `q`
+    (nq,), a point of the branch nearby. `ends` says for a curve how many half-branches make it up:
+    2, with `cusp` where both leave to the same side.
     """
 
     dim: int
@@ -60,14 +64,18 @@ class Branch:
     ends: int = 0
     cusp: bool = False
     multiple: bool = False
-    """Whether the equations touch it: their Jacobian has a larger null space than the branch has dimensions (shaky)."""
+    """Whether the equations touch it: their Jacobian has a larger null space than the branch has
+    dimensions (shaky)."""
     cone: bool = False
-    """Whether the tangent spaces around the configuration have no limit: it is the tip of a cone, or of several."""
+    """Whether the tangent spaces around the configuration have no limit: it is the tip of a cone,
+    or of several."""
 
 
 @dataclass(eq=False)
 class Spot:
-    """A sampled point of the solution set near the configuration: offsets at three radii (3, nv), and its branch."""
+    """A sampled point of the solution set near the configuration: offsets at three radii (3, nv),
+    and its branch.
+    """
 
     offsets: Array
     split: Split
@@ -81,7 +89,9 @@ class Spot:
 
 @dataclass(eq=False)
 class ConeFamily:
-    """Sampled points of one branch on the largest sphere: their null spaces nearly agree; of a curve, one point."""
+    """Sampled points of one branch on the largest sphere: their null spaces nearly agree; of a
+    curve, one point.
+    """
 
     spots: list[Spot]
     cone: bool = False
@@ -104,9 +114,13 @@ class ConeFamily:
         return apart(first.split.null_space, spot.split.null_space) < SAME_PLANE
 
     def add(self, spot: Spot, hits: int) -> None:
-        """Add `hits` to the starts that led here; keep the point if it is new and fewer than MOST_KEPT are kept."""
+        """Add `hits` to the starts that led here; keep the point if it is new and fewer than
+        MOST_KEPT are kept.
+        """
         self.hits += hits
-        if len(self.spots) < MOST_KEPT and not any(_same(s.offsets[0], spot.offsets[0]) for s in self.spots):
+        if len(self.spots) < MOST_KEPT and not any(
+            _same(s.offsets[0], spot.offsets[0]) for s in self.spots
+        ):
             self.spots.append(spot)
 
 
@@ -116,7 +130,9 @@ def _same(x: Array, y: Array) -> bool:
 
 
 class SpherePoints(NamedTuple):
-    """Points (n, nq) on a sphere, their offsets (n, nv) from its center, their Jacobians, and which (n,) were found."""
+    """Points (n, nq) on a sphere, their offsets (n, nv) from its center, their Jacobians, and which
+    (n,) were found.
+    """
 
     q: Array
     offsets: Array
@@ -127,22 +143,31 @@ class SpherePoints(NamedTuple):
 def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> SpherePoints:
     """Points of the solution set at a distance from q, sought in directions (n, nv).
 
-    First they are sought anywhere near: the equation of the sphere would lead many into a local minimum.
+    First they are sought anywhere near: the equation of the sphere would lead many into a local
+    minimum.
     """
     near = equations.project(equations.move(q, radius * directions), q)
     back = near.distance < FELL_BACK * radius
-    x = np.where(back[:, None], directions, equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None])
+    x = np.where(
+        back[:, None],
+        directions,
+        equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None],
+    )
     at = equations.project(equations.move(q, radius * x), q, radius)
     good = ~back & (at.residual < CLOSED) & (np.abs(at.distance - radius) < 1e-4 * radius)
     return SpherePoints(at.q, equations.offset(q, at.q), at.jacobian, good)
 
 
-def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[list[ConeFamily], bool]:
-    """Families of points on the largest sphere that can be followed to the smallest; whether all were hit twice.
+def find(
+    equations: Equations, at: Split, rng: np.random.Generator
+) -> tuple[list[ConeFamily], bool]:
+    """Families of points on the largest sphere that can be followed to the smallest; whether all
+    were hit twice.
 
-    The part of the branches, by how often random starts lead to them, that was never hit is about the number of
-    families hit once over the number of starts (Good, 1953): so the search ends when there is none hit that rarely.
-    A curve is hit on either side, for the other side is looked for at once.
+    The part of the branches, by how often random starts lead to them, that was never hit is about
+    the number of families hit once over the number of starts (Good, 1953): so the search ends when
+    there is none hit that rarely. A curve is hit on either side, for the other side is looked for
+    at once.
     """
     families: list[ConeFamily] = []
     starts = 0
@@ -161,22 +186,31 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
     return families, all(f.found > 1 for f in families)
 
 
-def _look_across(equations: Equations, at: Split, families: list[ConeFamily], new: list[ConeFamily]) -> None:
+def _look_across(
+    equations: Equations, at: Split, families: list[ConeFamily], new: list[ConeFamily]
+) -> None:
     """Add what is on the other side of the first points of new families."""
     if not new:
         return
-    shell = on_sphere(equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0])
+    shell = on_sphere(
+        equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0]
+    )
     for i in np.flatnonzero(shell.good):
         spot = Spot(shell.offsets[None, i], reduction.split_matrix(shell.q[i], shell.jacobian[i]))
         _sort_in(equations, at, families, [spot], False)
         other = next((f for f in families if any(s is spot for s in f.spots)), None)
         other = other or next((f for f in families if not f.cone and f.holds(spot)), None)
         if other is not None:
-            new[i].opposite, other.opposite = other, new[i] if other.opposite is None else other.opposite
+            new[i].opposite, other.opposite = (
+                other,
+                new[i] if other.opposite is None else other.opposite,
+            )
 
 
 def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
-    """The families, those as one whose tangent spaces meet at the configuration: a bent branch seems to be several."""
+    """The families, those as one whose tangent spaces meet at the configuration: a bent branch
+    seems to be several.
+    """
     out: list[ConeFamily] = []
     for family in families:
         near = family.spots[0].near
@@ -202,14 +236,22 @@ def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
 
 
 def _sort_in(
-    equations: Equations, at: Split, families: list[ConeFamily], spots: list[Spot], counted: bool = True
+    equations: Equations,
+    at: Split,
+    families: list[ConeFamily],
+    spots: list[Spot],
+    counted: bool = True,
 ) -> None:
-    """Add points to the family that holds them, or make one; all points of cones of one dimension are a family."""
+    """Add points to the family that holds them, or make one; all points of cones of one dimension
+    are a family.
+    """
     hit = int(counted)
     for spot in spots:
         held = next((f for f in families if not f.cone and f.holds(spot)), None)
         if held is None and spot.split.delta > 1 and _turns(equations, at, spot):
-            held = next((f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None)
+            held = next(
+                (f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None
+            )
             if held is None:
                 families.append(ConeFamily([spot], cone=True, hits=hit))
                 continue
@@ -220,14 +262,18 @@ def _sort_in(
 
 
 def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
-    """Whether the null space turns along the sphere, as it does not on a branch that has a tangent space."""
+    """Whether the null space turns along the sphere, as it does not on a branch that has a tangent
+    space.
+    """
     x = spot.offsets[0] / RADII[0]
     K = spot.split.null_space
     along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
     shell = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
-    spaces = (x.null_space for x in reduction.split_all(shell.q[shell.good], shell.jacobian[shell.good]))
+    spaces = (
+        x.null_space for x in reduction.split_all(shell.q[shell.good], shell.jacobian[shell.good])
+    )
     return any(apart(K, k) > TURNED for k in spaces if k.shape == K.shape)
 
 
@@ -248,7 +294,9 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
 
 
 def apart(a: Array, b: Array) -> float:
-    """Root sum square of the sines of the principal angles between subspaces with orthonormal bases (nv, k)."""
+    """Root sum square of the sines of the principal angles between subspaces with orthonormal bases
+    (nv, k).
+    """
     if a.shape != b.shape:
         return np.inf
     d = (a - b @ (b.T @ a)).ravel()
@@ -256,7 +304,9 @@ def apart(a: Array, b: Array) -> float:
 
 
 def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
-    """Find dimension and tangent space of the solution set at a point of a branch; whether two ways of it agree."""
+    """Find dimension and tangent space of the solution set at a point of a branch; whether two ways
+    of it agree.
+    """
     at = spot.split
     spot.dim = at.delta
     spot.tangent = at.null_space
@@ -273,13 +323,17 @@ def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generat
 def survivors(
     equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
 ) -> tuple[int, Array]:
-    """How many dimensions the points of the solution set at a distance from q span, sought along `basis` (nv, k)."""
+    """How many dimensions the points of the solution set at a distance from q span, sought along
+    `basis` (nv, k).
+    """
     shell = on_sphere(equations, q, reduction.axes(rng, basis.shape[1]) @ basis.T, radius)
     return span(shell.offsets[shell.good] / radius)
 
 
 def span(x: Array) -> tuple[int, Array]:
-    """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of their span."""
+    """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of
+    their span.
+    """
     if not len(x):
         return 0, np.zeros((x.shape[1], 0))
     _, sigma, Vt = svd(x, full_matrices=False)
@@ -287,8 +341,11 @@ def span(x: Array) -> tuple[int, Array]:
     return dim, Vt[:dim].T
 
 
-def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng: np.random.Generator) -> bool:
-    """Set dimension and tangent space of all points, and part families whose points are of several branches.
+def dimensions(
+    equations: Equations, families: list[ConeFamily], order: int, rng: np.random.Generator
+) -> bool:
+    """Set dimension and tangent space of all points, and part families whose points are of several
+    branches.
 
     Says whether the ways to find the dimension, and points where equations are smooth, agree.
     """
@@ -305,7 +362,11 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
             sound &= measure(equations, spot, order, rng)
         shaky = any(s.obstructed is not None for s in rest[:2])
         for i, spot in enumerate(rest[2:], 2):
-            like = next((s for s in rest[:i] if _within(spot, s)), None) if shaky and not family.cone else rest[0]
+            like = (
+                next((s for s in rest[:i] if _within(spot, s)), None)
+                if shaky and not family.cone
+                else rest[0]
+            )
             if like is None:
                 sound &= measure(equations, spot, order, rng)
             else:
@@ -319,10 +380,14 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
 
 
 def _within(spot: Spot, other: Spot) -> bool:
-    """Whether a point lies in the tangent space of a branch of two or more dimensions, that of another point."""
+    """Whether a point lies in the tangent space of a branch of two or more dimensions, that of
+    another point.
+    """
     T = other.tangent
     x = spot.offsets[0] / RADII[0]
-    return T is not None and T.shape[1] > 1 and float(np.linalg.norm(x - T @ (T.T @ x))) < SAME_PLANE
+    return (
+        T is not None and T.shape[1] > 1 and float(np.linalg.norm(x - T @ (T.T @ x))) < SAME_PLANE
+    )
 
 
 def _alike(a: Array | None, b: Array | None) -> bool:
@@ -331,7 +396,9 @@ def _alike(a: Array | None, b: Array | None) -> bool:
 
 
 def _parted(family: ConeFamily) -> list[ConeFamily]:
-    """A family by dimension and tangent space: where it is shaky, branches that meet can have the same null space."""
+    """A family by dimension and tangent space: where it is shaky, branches that meet can have the
+    same null space.
+    """
     parts: list[ConeFamily] = []
     for spot in family.spots:
         for part in parts:
@@ -347,9 +414,14 @@ def _parted(family: ConeFamily) -> list[ConeFamily]:
 def stays_multiple(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
     """Whether branches that are shaky near the configuration are so farther out.
 
-    Two branches that touch closely look like one with multiplicity on small spheres; farther out they part.
+    Two branches that touch closely look like one with multiplicity on small spheres; farther out
+    they part.
     """
-    shaky = [f.spots[0] for f in families if (f.spots[0].dim or 0) < f.spots[0].split.delta and f.spots[0].dim]
+    shaky = [
+        f.spots[0]
+        for f in families
+        if (f.spots[0].dim or 0) < f.spots[0].split.delta and f.spots[0].dim
+    ]
     if not shaky:
         return True
     shell = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
@@ -358,14 +430,18 @@ def stays_multiple(equations: Equations, at: Split, families: list[ConeFamily]) 
 
 
 def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Branch], bool]:
-    """The branches that the points belong to, and whether the curves among them come in pairs of half-branches."""
+    """The branches that the points belong to, and whether the curves among them come in pairs of
+    half-branches.
+    """
     out: list[Branch] = []
     for family in sorted(families, key=lambda f: -(f.spots[0].dim or 0)):
         spot = family.spots[0]
         T = spot.tangent
         if T is None or T.shape[1] < 2:
             continue
-        if family.cone or not any(b.dim == spot.dim and apart(b.tangent, T) < SAME_PLANE for b in out):
+        if family.cone or not any(
+            b.dim == spot.dim and apart(b.tangent, T) < SAME_PLANE for b in out
+        ):
             shaky = spot.split.delta > T.shape[1]
             out.append(Branch(T.shape[1], T, spot.split.q, multiple=shaky, cone=family.cone))
     curves, paired = _pair([s for f in families for s in f.spots if s.dim == 1])
@@ -373,7 +449,9 @@ def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Bran
 
 
 def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
-    """Curves through the configuration from their half-branches, joined so that direction and bend continue."""
+    """Curves through the configuration from their half-branches, joined so that direction and bend
+    continue.
+    """
     h = np.array(RADII)
     rays: list[tuple[Array, Array, Spot]] = []
     for s in _apart(halves):
@@ -384,7 +462,10 @@ def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
     out: list[Branch] = []
 
     def cost(i: int, j: int, sign: float) -> float:
-        return float(np.linalg.norm(rays[i][0] + sign * rays[j][0]) + h[1] * np.linalg.norm(rays[i][1] - rays[j][1]))
+        return float(
+            np.linalg.norm(rays[i][0] + sign * rays[j][0])
+            + h[1] * np.linalg.norm(rays[i][1] - rays[j][1])
+        )
 
     for sign in (1.0, -1.0):  # first those that go through, then cusps
         pairs = sorted((cost(i, j, sign), i, j) for i in left for j in left if i < j)
@@ -397,7 +478,9 @@ def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
 
 
 def _apart(halves: list[Spot]) -> list[Spot]:
-    """Half-branches without those that are another again: where they are shaky, points are known to few digits."""
+    """Half-branches without those that are another again: where they are shaky, points are known to
+    few digits.
+    """
     out: list[Spot] = []
     for s in halves:
         shaky = [o for o in out if min(s.split.delta, o.split.delta) > 1]

@@ -1,8 +1,9 @@
 """Motions that are known in closed form, proven at points of the whole motion.
 
-Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those of Bennett's linkage.
-Along such motions the equations are trigonometric polynomials, or rational functions, of a degree that the joints
-bound. One that vanishes at random points all around vanishes, with probability one, everywhere.
+Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those of
+Bennett's linkage. Along such motions the equations are trigonometric polynomials, or rational
+functions, of a degree that the joints bound. One that vanishes at random points all around
+vanishes, with probability one, everywhere.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ ZERO = 1e-12
 
 
 def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
-    """Largest dimension of a family of closed configurations through q (nq,) with rates in some of `spans` (nv, k)."""
+    """Largest dimension of a family of closed configurations through q (nq,) with rates in some of
+    `spans` (nv, k).
+    """
     e = equations
     angles = np.zeros(e.nv, dtype=bool)
     angles[e.system.structure.layout.vector_v] = True
@@ -46,12 +49,15 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
     return best
 
 
-def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[int], null_space: Array) -> bool:
-    """Whether four hinges move so that tangents of half of neighbouring angles have a constant product or ratio.
+def half_angles(
+    equations: Equations, q: Array, axes: Array, places: Sequence[int], null_space: Array
+) -> bool:
+    """Whether four hinges move so that tangents of half of neighbouring angles have a constant
+    product or ratio.
 
-    `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their angles are,
-    `null_space` (nv,) the velocity. Angles are those between common normals of neighbouring axes. Bennett, 1903:
-    opposite angles are then equal, up to their signs.
+    `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their
+    angles are, `null_space` (nv,) the velocity. Angles are those between common normals of
+    neighbouring axes. Bennett, 1903: opposite angles are then equal, up to their signs.
     """
     z = axes[3:].T
     normal = np.cross(z, np.roll(z, -1, axis=0))
@@ -75,13 +81,18 @@ def half_angles(equations: Equations, q: Array, axes: Array, places: Sequence[in
             by = sense * np.stack([turn - theta[0], other - theta[1]], axis=1)
             step = np.zeros((POINTS, equations.nv))
             step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
-            if np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max() < ZERO:
+            if (
+                np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max()
+                < ZERO
+            ):
                 return True
     return False
 
 
 def _ratios(span: Array) -> Array | None:
-    """The same span by columns of ratios, each 1 in one row in which the others are 0; None if some are no ratios."""
+    """The same span by columns of ratios, each 1 in one row in which the others are 0; None if some
+    are no ratios.
+    """
     K = np.array(span)
     for j in range(K.shape[1]):
         left = np.abs(K[:, j:]).max(axis=1)

@@ -1,16 +1,20 @@
-"""What the reduced equations at a singular configuration prove: dimensions from their leading forms.
+"""What the reduced equations at a singular configuration prove: dimensions from their leading
+forms.
 
-Let g(s) = 0 be what the reduction of Lyapunov and Schmidt leaves, c equations in delta unknowns, and G its leading
-forms. Upper bounds hold for complex solutions, so that dimensions drop by one at most with each equation added:
+Let g(s) = 0 be what the reduction of Lyapunov and Schmidt leaves, c equations in delta unknowns,
+and G its leading forms. Upper bounds hold for complex solutions, so that dimensions drop by one at
+most with each equation added:
 
 - one unknown: any coefficient that is not zero isolates the configuration;
-- one equation: solutions have delta - 1 dimensions where g has both signs at all small distances, for they part these;
-- quadratic forms without a common complex zero on a subspace of codimension d: at most d dimensions (Macaulay, 1916,
-  decides that by a rank); a definite combination of them: none;
-- coordinates held, so that loop by loop all others are isolated: at most as many dimensions as are held.
+- one equation: solutions have delta - 1 dimensions where g has both signs at all small distances,
+  for they part these;
+- quadratic forms without a common complex zero on a subspace of codimension d: at most d dimensions
+  (Macaulay, 1916, decides that by a rank); a definite combination of them: none;
+- coordinates held, so that loop by loop all others are isolated: at most as many dimensions as are
+  held.
 
-A zero of the quadratic forms where their derivatives are independent is the tangent of a branch of delta - c dimensions
-(implicit function theorem, after a blow-up): a lower bound.
+A zero of the quadratic forms where their derivatives are independent is the tangent of a branch of
+delta - c dimensions (implicit function theorem, after a blow-up): a lower bound.
 """
 
 from __future__ import annotations
@@ -28,17 +32,21 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 CLEAR = 1e-5
-"""Numbers above this part of what they would be at most are not zero, where they are not computed to more digits."""
+"""Numbers above this part of what they would be at most are not zero, where they are not computed
+to more digits."""
 ROUNDING = 1e-11
-"""Singular values below this part of the largest are rounding, or what is left where roots are double."""
+"""Singular values below this part of the largest are rounding, or what is left where roots are
+double."""
 SINGULAR = 1e-12
-"""Singular values below this part of the largest are zero to rounding. Where they are not, but too small for a proof
-that they are not zero, only what holds in both cases is proven."""
+"""Singular values below this part of the largest are zero to rounding. Where they are not, but too
+small for a proof that they are not zero, only what holds in both cases is proven."""
 GAP = 1e3
-"""Ratio of the last singular value that counts to the first that does not from which the rank is beyond doubt."""
+"""Ratio of the last singular value that counts to the first that does not from which the rank is
+beyond doubt."""
 LINES = 24
 MIXTURES = 400
-"""Random lines on which signs are looked at, and random combinations of forms that may be definite."""
+"""Random lines on which signs are looked at, and random combinations of forms that may be
+definite."""
 VARIABLES = 5
 """Unknowns of quadratic forms up to which common zeros are excluded by a rank."""
 MANY = 40
@@ -48,10 +56,11 @@ HELD = 24
 
 
 class Here(NamedTuple):
-    """Equations of a part at a configuration: their reduced Jacobian `matrix`, its singular values and its split.
+    """Equations of a part at a configuration: their reduced Jacobian `matrix`, its singular values
+    and its split.
 
-    `basis` (m, k) are the rows that are looked at, `clear` whether the rank is beyond doubt, `exact` whether what does
-    not count is zero to rounding.
+    `basis` (m, k) are the rows that are looked at, `clear` whether the rank is beyond doubt,
+    `exact` whether what does not count is zero to rounding.
     """
 
     matrix: Array
@@ -63,7 +72,9 @@ class Here(NamedTuple):
 
 
 def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
-    """The reduced equations of the rows `basis` (m, k) of J (m, nv) in the unknowns `columns`, all others held."""
+    """The reduced equations of the rows `basis` (m, k) of J (m, nv) in the unknowns `columns`, all
+    others held.
+    """
     m, nv = J.shape
     A = basis.T @ J[:, columns]
     n = len(columns)
@@ -79,17 +90,30 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     inverse[columns] = (Vt[:rank].T / sigma[:rank]) @ (basis @ U[:, :rank]).T
     padded = np.concatenate([np.full(nv - n, most), sigma])
     return Here(
-        A, sigma, Split(q, padded, null_space, basis @ U[:, rank:], inverse), basis, clear, rest <= SINGULAR * most
+        A,
+        sigma,
+        Split(q, padded, null_space, basis @ U[:, rank:], inverse),
+        basis,
+        clear,
+        rest <= SINGULAR * most,
     )
 
 
 def decide(
-    equations: Equations, here: Here, rows: Sequence[Array], uses: Sequence[np.ndarray], known: int, order: int,
-    rng: np.random.Generator, tangents: Sequence[Array],
-) -> tuple[int, int | None, str] | None:  # fmt: skip
-    """Dimension, number of branches (None: unknown) and reason, if the forms decide; `known` is a proven lower bound.
+    equations: Equations,
+    here: Here,
+    rows: Sequence[Array],
+    uses: Sequence[np.ndarray],
+    known: int,
+    order: int,
+    rng: np.random.Generator,
+    tangents: Sequence[Array],
+) -> tuple[int, int | None, str] | None:
+    """Dimension, number of branches (None: unknown) and reason, if the forms decide; `known` is a
+    proven lower bound.
 
-    `rows` (m, k) and `uses` are the equations and unknowns of each loop, `tangents` (nv, k) belong to motions found.
+    `rows` (m, k) and `uses` are the equations and unknowns of each loop, `tangents` (nv, k) belong
+    to motions found.
     """
     at = here.split
     found = reduction.obstruction(equations, at, order, rng)
@@ -109,7 +133,11 @@ def decide(
         return 0, 0, "second-order terms of one sign obstruct all velocities"
     t = at.delta - lower
     if _no_zero(B, t, rng) or _holding(equations, here, rows, uses, lower, order, rng):
-        return lower, 0 if lower == 0 else None, "the zeros of the leading forms have no more dimensions"
+        return (
+            lower,
+            0 if lower == 0 else None,
+            "the zeros of the leading forms have no more dimensions",
+        )
     return None
 
 
@@ -134,8 +162,13 @@ def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
 
 
 def _one_equation(
-    equations: Equations, here: Here, k: int, noise: Array, rng: np.random.Generator, directions: list[Array]
-) -> tuple[int, int | None, str] | None:  # fmt: skip
+    equations: Equations,
+    here: Here,
+    k: int,
+    noise: Array,
+    rng: np.random.Generator,
+    directions: list[Array],
+) -> tuple[int, int | None, str] | None:
     at = here.split
     delta = here.split.delta
     if k > 2 and not here.exact:
@@ -150,7 +183,9 @@ def _one_equation(
                 return None  # a small sphere passes through q where the equation has a linear term
             return 0, 0, "second-order terms of one sign obstruct all velocities"
         lines += list(V.T)
-    g, slow = reduction._solve(equations, at, reduction.lines(np.array(lines), len(noise) - 1), None)
+    g, slow = reduction._solve(
+        equations, at, reduction.lines(np.array(lines), len(noise) - 1), None
+    )
     signs: set[int] = set()
     for row in (g / slow)[..., 0]:
         seen = np.flatnonzero(np.abs(row) > np.maximum(reduction.NOT_ZERO, GAP * noise))
@@ -160,7 +195,12 @@ def _one_equation(
         signs |= {sign, sign * (-1) ** int(seen[0])}
     if len(signs) < 2:
         return None
-    crossing = here.exact and delta == 2 and k == 2 and bool((np.abs(eigen) > CLEAR * np.abs(eigen).max()).all())
+    crossing = (
+        here.exact
+        and delta == 2
+        and k == 2
+        and bool((np.abs(eigen) > CLEAR * np.abs(eigen).max()).all())
+    )
     why = "the one equation that is left has both signs at all small distances"
     return delta - 1, 2 if crossing else None, why
 
@@ -211,7 +251,8 @@ def _definite(B: Array, rng: np.random.Generator) -> bool:
 def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
     """Whether the forms have no common complex zero but 0 on a random subspace of t dimensions.
 
-    They have none if and only if their multiples by all monomials of degree t - 1 span all forms of degree t + 1.
+    They have none if and only if their multiples by all monomials of degree t - 1 span all forms of
+    degree t + 1.
     """
     c, delta, _ = B.shape
     if t <= 0:
@@ -228,7 +269,9 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
     for n, m in enumerate(low):
         for i in range(t):
             for j in range(t):
-                M[n * len(forms) : (n + 1) * len(forms), place[tuple(sorted((*m, i, j)))]] += forms[:, i, j]
+                M[n * len(forms) : (n + 1) * len(forms), place[tuple(sorted((*m, i, j)))]] += forms[
+                    :, i, j
+                ]
     if len(M) < len(place):
         return False
     sigma = svd(M, compute_uv=False)
@@ -239,9 +282,14 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
 
 
 def _holding(
-    equations: Equations, here: Here, rows: Sequence[Array], uses: Sequence[np.ndarray], count: int, order: int,
+    equations: Equations,
+    here: Here,
+    rows: Sequence[Array],
+    uses: Sequence[np.ndarray],
+    count: int,
+    order: int,
     rng: np.random.Generator,
-) -> bool:  # fmt: skip
+) -> bool:
     """Whether some `count` coordinates, when held, leave all others isolated, loop by loop."""
     at = here.split
     J = equations.linearise(at.q)[1][0]
@@ -250,13 +298,22 @@ def _holding(
     choices: list[tuple[int, ...]] = list(combinations(moving.tolist(), count))
     if len(choices) > HELD:
         choices = [choices[i] for i in rng.choice(len(choices), HELD, replace=False)]
-    return any(_triangular(equations, at.q, J, rows, uses, np.setdiff1d(unknown, c), order, rng) for c in choices)
+    return any(
+        _triangular(equations, at.q, J, rows, uses, np.setdiff1d(unknown, c), order, rng)
+        for c in choices
+    )
 
 
 def _triangular(
-    equations: Equations, q: Array, J: Array, rows: Sequence[Array], uses: Sequence[np.ndarray], left: np.ndarray,
-    order: int, rng: np.random.Generator,
-) -> bool:  # fmt: skip
+    equations: Equations,
+    q: Array,
+    J: Array,
+    rows: Sequence[Array],
+    uses: Sequence[np.ndarray],
+    left: np.ndarray,
+    order: int,
+    rng: np.random.Generator,
+) -> bool:
     """Whether the unknowns `left` are isolated, those of one loop after the other."""
     pending = list(range(len(rows)))
     while len(left):

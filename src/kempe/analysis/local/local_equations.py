@@ -1,6 +1,8 @@
-"""All constraint equations of a system as one smooth, scale-free map: values, Jacobians, Taylor series, projection.
+"""All constraint equations of a system as one smooth, scale-free map: values, Jacobians, Taylor
+series, projection.
 
-Unknowns are all velocity coordinates, those of cut joints included, lengths divided by the characteristic length.
+Unknowns are all velocity coordinates, those of cut joints included, lengths divided by the
+characteristic length.
 """
 
 from __future__ import annotations
@@ -32,22 +34,27 @@ LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
 SHARP = 1e-15
 BLUNT = 1e-4
-"""Residuals between these (the first for each equation), where a projection ends, may be halved many times."""
+"""Residuals between these (the first for each equation), where a projection ends, may be halved
+many times."""
 LEAP = 0.6
-"""Plain steps longer than this part of the distance from the center are not taken: where the residual is what the
-digits of a description allow, they would run along the motion to where it is less."""
+"""Plain steps longer than this part of the distance from the center are not taken: where the
+residual is what the digits of a description allow, they would run along the motion to where it is
+less."""
 PLAIN = 40
 HOPELESS = 4
 """Most plain steps, and steps without gain that end it."""
 FLAT = 1e-13
 STEEP = 1e-3
-"""Singular values, as parts of the largest, that plain steps leave out, and those that lead back into the valley."""
+"""Singular values, as parts of the largest, that plain steps leave out, and those that lead back
+into the valley."""
 
 
 class Landing(NamedTuple):
-    """Where projections ended: points (N, nq), norms of the residual and distances from the centers (N,).
+    """Where projections ended: points (N, nq), norms of the residual and distances from the centers
+    (N,).
 
-    With the values (N, m) of the equations there and their Jacobian (N, m, nv) to scaled coordinates.
+    With the values (N, m) of the equations there and their Jacobian (N, m, nv) to scaled
+    coordinates.
     """
 
     q: Array
@@ -61,7 +68,8 @@ class Equations:
     """The packed equations of a system: m of them in nv scaled unknowns."""
 
     time = TimeLimit(None)
-    """What is looked at where they are evaluated: it raises `TimeUp`. Copies for one call have a limit of their own."""
+    """What is looked at where they are evaluated: it raises `TimeUp`. Copies for one call have a
+    limit of their own."""
 
     def __init__(self, system: System):
         self.system = system
@@ -86,11 +94,15 @@ class Equations:
         self.ties, self.numbers = self._pack()
         self.places = np.full(self.nv, BALL_REST, dtype=np.int64)
         self.places[system.structure.layout.vector_v] = system.structure.layout.vector_q
-        for iq, iv in zip(system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True):
+        for iq, iv in zip(
+            system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True
+        ):
             self.places[iv] = -1 - iq
 
     def _driving(self, kind: int) -> list[int]:
-        """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and are angles."""
+        """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and
+        are angles.
+        """
         rows = rows_of(self.ints)
         return rows[rows[:, KIND] == kind, V_INDEX].tolist()
 
@@ -122,9 +134,21 @@ class Equations:
             if tie.tape is not None:
                 data = len(recorded)
                 number = 1.0 / self.length if tie.tape.unit == "m" else 1.0
-                inputs = ([tie.tape.input(n), *first.get(n, (-1, -1))] for n in tie.tape.tape.inputs)
+                inputs = (
+                    [tie.tape.input(n), *first.get(n, (-1, -1))] for n in tie.tape.tape.inputs
+                )
                 recorded.append((*tie.tape.tape.arrays(), [x for item in inputs for x in item]))
-            heads.append([tie.mask, LINEAR if tie.relation is not None else tie.turns, size, row, count, start, data])
+            heads.append(
+                [
+                    tie.mask,
+                    LINEAR if tie.relation is not None else tie.turns,
+                    size,
+                    row,
+                    count,
+                    start,
+                    data,
+                ]
+            )
             numbers.append(number)
             row += size
         at = 1 + sum(len(item) for group in (heads, entries) for item in group)
@@ -134,7 +158,9 @@ class Equations:
         flat = [x for group in (heads, entries) for item in group for x in item]
         self.tape_size = 3 * sum(int(ints[1]) for ints, _, _ in recorded)
         tapes = np.concatenate([np.zeros(0), *(x for _, x, _ in recorded)])
-        return np.array([len(heads), *flat, *read], dtype=np.int64), np.array([*numbers, *factors, *tapes], dtype=float)
+        return np.array([len(heads), *flat, *read], dtype=np.int64), np.array(
+            [*numbers, *factors, *tapes], dtype=float
+        )
 
     def linearise(self, q: Any) -> tuple[Array, Array]:
         """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
@@ -148,8 +174,8 @@ class Equations:
 
         Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
 
-        What is left where equations touch the set goes down in a narrow bent valley, in which steps that must not
-        climb are short: plain steps, which climb out and come back, finish it.
+        What is left where equations touch the set goes down in a narrow bent valley, in which steps
+        that must not climb are short: plain steps, which climb out and come back, finish it.
         """
         q = np.array(q, dtype=float, order="C")
         q = q.reshape(math.prod(q.shape[:-1]), self.nq)
@@ -158,7 +184,9 @@ class Equations:
         left = self._left(found, radii)
         slow = np.flatnonzero((left > self.m * SHARP) & (left < BLUNT))
         if len(slow):
-            self._finish(found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow])
+            self._finish(
+                found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow]
+            )
         return found
 
     @staticmethod
@@ -166,8 +194,12 @@ class Equations:
         """Residuals (N,), the equation of the sphere included."""
         return np.hypot(at.residual, np.where(radii > 0.0, at.distance - radii, 0.0))
 
-    def _finish(self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array) -> None:
-        """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are better."""
+    def _finish(
+        self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array
+    ) -> None:
+        """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are
+        better.
+        """
         q = found.q[slow]
         since = np.zeros(len(slow), dtype=int)
         for _ in range(PLAIN):
@@ -183,7 +215,9 @@ class Equations:
             on = (left > self.m * SHARP) & (since < HOPELESS) & (step < LEAP * at.distance)
             if not on.any():
                 return
-            slow, best, since, centers, radii, q = (x[on] for x in (slow, best, since, centers, radii, there))
+            slow, best, since, centers, radii, q = (
+                x[on] for x in (slow, best, since, centers, radii, there)
+            )
             for _ in range(2):
                 q = self._step(self._project(q, centers, radii, 0), centers, radii, STEEP)
 
@@ -196,7 +230,9 @@ class Equations:
         over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
         error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
         rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
-        step = -(np.linalg.pinv(rows, flat) @ np.append(value, error[:, None], axis=1)[..., None])[..., 0]
+        step = -(np.linalg.pinv(rows, flat) @ np.append(value, error[:, None], axis=1)[..., None])[
+            ..., 0
+        ]
         shorter = np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))
         return self.move(q, step * shorter[:, None])
 
@@ -211,9 +247,21 @@ class Equations:
         value = np.zeros((len(q), self.m))
         J = np.zeros((len(q), self.m, self.nv))
         projection.project(
-            self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, q, radii, iterations,
-            LONGEST, info, value, J,
-        )  # fmt: skip
+            self.ints,
+            self.floats,
+            self.ties,
+            self.numbers,
+            self.places,
+            self.scale,
+            centers,
+            q,
+            radii,
+            iterations,
+            LONGEST,
+            info,
+            value,
+            J,
+        )
         return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
 
     def move(self, q: Array, x: Array) -> Array:
@@ -221,13 +269,16 @@ class Equations:
         return self.system.structure.layout.integrate(q, np.asarray(x) * self.scale)
 
     def offset(self, q0: Array, q: Array) -> Array:
-        """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale` (nv,)."""
+        """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale`
+        (nv,).
+        """
         return self.system.structure.layout.difference(q0, q) / self.scale
 
     def series(self, q: Array, n: int, order: int) -> Series:
         """Taylor series, up to `order`, of the equations along n curves of configurations.
 
-        The curves begin at q (nq,), or each at its own (n, nq); `Series.set` gives their coefficients, order by order.
+        The curves begin at q (nq,), or each at its own (n, nq); `Series.set` gives their
+        coefficients, order by order.
         """
         return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
 
@@ -273,10 +324,25 @@ class Series:
         self._v[:, k] = x * self.equations.scale
 
     def compute(self, first: int, last: int) -> Array:
-        """Values (n, m) of the equations of order `last`, once orders first ... last are computed anew."""
+        """Values (n, m) of the equations of order `last`, once orders first ... last are computed
+        anew.
+        """
         from kempe.kernels.compiled import jet
 
         e = self.equations
-        jet.jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
-             self._frames, self._tapes, self.values)  # fmt: skip
+        jet.jets(
+            e.ints,
+            e.floats,
+            e.ties,
+            e.numbers,
+            self._q,
+            self._v,
+            first,
+            last,
+            self._poses,
+            self._extra,
+            self._frames,
+            self._tapes,
+            self.values,
+        )
         return self.values[:, last]

@@ -1,10 +1,11 @@
-"""Lyapunov-Schmidt reduction at a closed configuration: what the equations still say where their Jacobian is silent.
+"""Lyapunov-Schmidt reduction at a closed configuration: what the equations still say where their
+Jacobian is silent.
 
-Let N span the null space of the Jacobian J at q0 and U its left null space. Curves q(t) = q0 (+) (N s(t) + w(t)), w
-normal to the null space, fulfil all equations but U^T phi, order by order, if w_k = -J^+ phi_k; what is left, g(s) =
-U^T phi, has as many unknowns as the null space has dimensions, and its zeros are the solution set near q0 (Golubitsky,
-Schaeffer, 1985, chapter VII). All g_k being zero, every null vector is a velocity and the set is a manifold of that
-dimension.
+Let N span the null space of the Jacobian J at q0 and U its left null space. Curves q(t) = q0 (+) (N
+s(t) + w(t)), w normal to the null space, fulfil all equations but U^T phi, order by order, if w_k =
+-J^+ phi_k; what is left, g(s) = U^T phi, has as many unknowns as the null space has dimensions, and
+its zeros are the solution set near q0 (Golubitsky, Schaeffer, 1985, chapter VII). All g_k being
+zero, every null vector is a velocity and the set is a manifold of that dimension.
 """
 
 from __future__ import annotations
@@ -18,16 +19,20 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 RANK = 1e-6
-"""Singular values below this part of the largest count as zero: where roots are double, q is known to 1e-8."""
+"""Singular values below this part of the largest count as zero: where roots are double, q is known
+to 1e-8."""
 LEAST = 0.1
-"""What the largest singular value counts as at least: equations are scaled, and where all vanish it is rounding."""
+"""What the largest singular value counts as at least: equations are scaled, and where all vanish it
+is rounding."""
 ZERO = 1e-9
-"""Taylor coefficients below this count as zero; curves are scaled so that their own coefficients are at most one."""
+"""Taylor coefficients below this count as zero; curves are scaled so that their own coefficients
+are at most one."""
 NOT_ZERO = 1e-6
 """Taylor coefficients above this count as not zero; between the two nothing is certain."""
 DISTURBANCE = 1e-8
 ROUNDING = 1e-10
-"""Size of the disturbance that shows how errors grow, and of the errors themselves, with a margin."""
+"""Size of the disturbance that shows how errors grow, and of the errors themselves, with a
+margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +65,16 @@ class Split:
 
     @property
     def gap(self) -> float:
-        """Smallest singular value counted as not zero over the largest counted as zero; infinite where none is."""
+        """Smallest singular value counted as not zero over the largest counted as zero; infinite
+        where none is.
+        """
         if self.rank == 0:
             return np.inf
         rest = self.sigma[self.rank :]
         floor = 1e-16 * float(self.sigma[0])
-        return float(self.sigma[self.rank - 1]) / max(float(rest[0]), floor) if len(rest) else np.inf
+        return (
+            float(self.sigma[self.rank - 1]) / max(float(rest[0]), floor) if len(rest) else np.inf
+        )
 
 
 def split(equations: Equations, q: Array, tolerance: float = RANK) -> Split:
@@ -74,7 +83,9 @@ def split(equations: Equations, q: Array, tolerance: float = RANK) -> Split:
 
 
 def split_matrix(q: Array, J: Array, tolerance: float = RANK) -> Split:
-    """The `Split` for a Jacobian (m, nv); singular values below `tolerance` times the largest count as zero."""
+    """The `Split` for a Jacobian (m, nv); singular values below `tolerance` times the largest count
+    as zero.
+    """
     return split_all(q[None], J[None], tolerance)[0]
 
 
@@ -105,7 +116,9 @@ def axes(rng: np.random.Generator, dim: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Obstruction:
-    """Sizes (order + 1,) of the coefficients of the reduced equations, and of the errors that they may have."""
+    """Sizes (order + 1,) of the coefficients of the reduced equations, and of the errors that they
+    may have.
+    """
 
     size: Array
     noise: Array
@@ -118,20 +131,25 @@ class Obstruction:
 
     @property
     def doubt(self) -> float:
-        """The largest coefficient before the first that is not zero that is not surely zero either; 0 if none."""
+        """The largest coefficient before the first that is not zero that is not surely zero either;
+        0 if none.
+        """
         size = self.size[: self.order]
         noise = self.noise[: self.order]
         return float(np.max(size[size > np.maximum(ZERO, noise)], initial=0.0))
 
 
-def obstruction(equations: Equations, at: Split, order: int, rng: np.random.Generator) -> Obstruction:
+def obstruction(
+    equations: Equations, at: Split, order: int, rng: np.random.Generator
+) -> Obstruction:
     """How large the reduced equations are, order by order, along random curves of the null space.
 
-    Half of the curves are straight lines. A form that vanishes in one random direction vanishes, with probability one,
-    so the lines alone test all of g; the others are there because a second computation of the same catches a slip.
+    Half of the curves are straight lines. A form that vanishes in one random direction vanishes,
+    with probability one, so the lines alone test all of g; the others are there because a second
+    computation of the same catches a slip.
 
-    Errors grow from order to order, near another singular point quickly: by how much is seen from a second run with
-    w disturbed at every order.
+    Errors grow from order to order, near another singular point quickly: by how much is seen from a
+    second run with w disturbed at every order.
     """
     n = at.delta + 4
     s = lines(unit_directions(rng, 2 * n, at.delta), order)
@@ -152,10 +170,11 @@ def _largest(g: Array) -> Array:
 
 
 def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> tuple[Array, Array]:
-    """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the null space, and their scale.
+    """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the null
+    space, and their scale.
 
-    Divided by the scale (n, order + 1, 1) they belong to curves slowed down until none of their coefficients, those
-    of w included, is over one. s[:, 0] is unused.
+    Divided by the scale (n, order + 1, 1) they belong to curves slowed down until none of their
+    coefficients, those of w included, is over one. s[:, 0] is unused.
     """
     n: int
     depth: int
@@ -184,22 +203,28 @@ def lines(directions: Array, order: int) -> Array:
 
 
 def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator) -> Array:
-    """Basis (delta, l) of the null directions u along which the leading form of order k is constant.
+    """Basis (delta, l) of the null directions u along which the leading form of order k is
+    constant.
 
-    The derivative of a form G of degree k along u, at random d: the linear coefficient of G(d + tau u) in tau, by
-    interpolation in k + 1 points. Where the solution set is a manifold that the equations describe with multiplicity
-    (they touch it), these are the only directions that can be tangent to it.
+    The derivative of a form G of degree k along u, at random d: the linear coefficient of G(d + tau
+    u) in tau, by interpolation in k + 1 points. Where the solution set is a manifold that the
+    equations describe with multiplicity (they touch it), these are the only directions that can be
+    tangent to it.
     """
     delta = at.delta
     n = at.delta + 2
     tau = np.cos(np.pi * (np.arange(k + 1) + 0.5) / (k + 1))
     pick = np.linalg.inv(np.vander(tau, increasing=True))[1]
     d = unit_directions(rng, n, delta)
-    points = d[:, None, None, :] + tau[:, None] * np.eye(delta)[:, None, :]  # (n, delta, k + 1, delta)
+    points = (
+        d[:, None, None, :] + tau[:, None] * np.eye(delta)[:, None, :]
+    )  # (n, delta, k + 1, delta)
     flat = points.reshape(-1, delta)
     size = np.linalg.norm(flat, axis=1)
     g = _solve(equations, at, lines(flat / size[:, None], k), None)[0][:, k] * (size**k)[:, None]
-    gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(-1, delta)
+    gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(
+        -1, delta
+    )
     _, sigma, Vt = svd(gradient)
     rank = int(np.sum(sigma > 1e-4 * sigma[0]))
     return Vt[rank:].T

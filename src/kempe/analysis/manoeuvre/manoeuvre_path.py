@@ -1,4 +1,6 @@
-"""`Manoeuvre`: the answer of `manoeuvre`, a way in pieces of even speed that is known in closed form."""
+"""`Manoeuvre`: the answer of `manoeuvre`, a way in pieces of even speed that is known in closed
+form.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,11 @@ if TYPE_CHECKING:
 
 
 class Piece(NamedTuple):
-    """A part of a manoeuvre in which the speeds stay: "forwards", "in reverse", "turn" on the spot, or "steer" at rest.
+    """A part of a manoeuvre in which the speeds stay: "forwards", "in reverse", "turn" on the spot,
+    or "steer" at rest.
 
-    `forward` [m/s] and `turning` [rad/s] are those of the axle, `steering` the rate of the steering coordinate.
+    `forward` [m/s] and `turning` [rad/s] are those of the axle, `steering` the rate of the steering
+    coordinate.
     """
 
     kind: str
@@ -49,7 +53,11 @@ class Piece(NamedTuple):
             return f"steer by {self.steering * self.duration:.6g}"
         if self.kind == "turn":
             return f"turn by {self.angle:.6g} rad on the spot"
-        arc = f" on an arc of {abs(self.forward / self.turning):.6g} m to the " if self.turning else ""
+        arc = (
+            f" on an arc of {abs(self.forward / self.turning):.6g} m to the "
+            if self.turning
+            else ""
+        )
         side = ("left" if self.turning * self.forward > 0.0 else "right") if self.turning else ""
         return f"{abs(self.length):.6g} m {self.kind}{arc}{side}"
 
@@ -59,9 +67,10 @@ class Piece(NamedTuple):
 class Manoeuvre(Motion):
     """The way from a configuration to another one that obeys all velocity constraints.
 
-    `q` (n, nq) are configurations at times `t` (n,), `s` (n,) the length that the axle has gone by then. `pieces` are
-    the parts with constant speeds; `at` and `velocity` give any time. `slip` is the largest slip of a sample, of rows
-    and speeds of size 1. `success` is false where no way was found: `status` says why, and `q` is the start only.
+    `q` (n, nq) are configurations at times `t` (n,), `s` (n,) the length that the axle has gone by
+    then. `pieces` are the parts with constant speeds; `at` and `velocity` give any time. `slip` is
+    the largest slip of a sample, of rows and speeds of size 1. `success` is false where no way was
+    found: `status` says why, and `q` is the start only.
     """
 
     also = ("t", "s", "length", "duration", "cusps", "turns", "slip")
@@ -101,7 +110,9 @@ class Manoeuvre(Motion):
         return f"Manoeuvre({self.system.name!r}, {what})"
 
     def at(self, t: ArrayLike) -> Array:
-        """Configurations (..., nq) at times `t` (...), exactly. Errors: `InputError` for times outside."""
+        """Configurations (..., nq) at times `t` (...), exactly. Errors: `InputError` for times
+        outside.
+        """
         return self._at(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
@@ -111,7 +122,9 @@ class Manoeuvre(Motion):
     def _at(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= 0.0) & (t <= self.duration)).all():
-            raise InputError(f"t is outside the manoeuvre, which takes from 0 to {self.duration:.9g} s")
+            raise InputError(
+                f"t is outside the manoeuvre, which takes from 0 to {self.duration:.9g} s"
+            )
         if self._exact is None or not self.pieces:
             shape = (*t.shape, self.system.nq)
             return np.broadcast_to(self.q[0], shape).copy(), np.zeros((*t.shape, self.system.nv))
@@ -127,10 +140,15 @@ class Manoeuvre(Motion):
             return self.reason
         if not self.pieces:
             return "start and goal are the same"
-        text = f"{counted(len(self.pieces), 'piece')}, {self.length:.6g} m in {self.duration:.6g} s, "
+        text = (
+            f"{counted(len(self.pieces), 'piece')}, {self.length:.6g} m in {self.duration:.6g} s, "
+        )
         text += f"{self.cusps or 'no'} cusp{'s' * (self.cusps != 1)}"
         if self.turns:
-            text += f"; the heading ends {counted(abs(self.turns), 'whole turn')} from the number of the goal"
+            text += (
+                f"; the heading ends {counted(abs(self.turns), 'whole turn')} from the number of "
+                "the goal"
+            )
         return text
 
     def _notes(self) -> Sequence[str]:
@@ -146,7 +164,8 @@ class ExactManoeuvre:
         self.q = q
         self.starts = np.array([p.start for p in pieces])
         self.forward, self.turning, self.steering = (
-            np.array([getattr(p, name) for p in pieces]) for name in ("forward", "turning", "steering")
+            np.array([getattr(p, name) for p in pieces])
+            for name in ("forward", "turning", "steering")
         )
         self.total = pieces[-1].start + pieces[-1].duration
         self.idle = idle / self.total
@@ -168,9 +187,15 @@ class ExactManoeuvre:
             x = q.copy()
             if car.steering is not None:
                 x[car.steering_q] = angle
-            rate = car.follow(x, p.forward, p.turning) if p.forward or p.turning else np.zeros(len(car.driven))
+            rate = (
+                car.follow(x, p.forward, p.turning)
+                if p.forward or p.turning
+                else np.zeros(len(car.driven))
+            )
             if rate is None:
-                raise UnsupportedError(f"{car.system.name}: its velocity constraints do not allow to {p}")
+                raise UnsupportedError(
+                    f"{car.system.name}: its velocity constraints do not allow to {p}"
+                )
             self.follow[k] = rate
             now = _moved(now[None], np.array([p.length]), np.array([p.angle]))[0]
             angle = angle + p.steering * p.duration
@@ -189,7 +214,9 @@ class ExactManoeuvre:
         wheel = _moved(self.wheel[k], self.forward[k] * past, self.turning[k] * past)
         v = np.zeros((len(t), system.nv))
         v[:, list(car.idle)] = self.idle[list(car.idle)]
-        q = system.structure.layout.integrate(np.broadcast_to(self.q, (len(t), system.nq)), v * t[:, None])
+        q = system.structure.layout.integrate(
+            np.broadcast_to(self.q, (len(t), system.nq)), v * t[:, None]
+        )
         if car.steering is not None:
             q[:, car.steering_q] = self.steer[k] + self.steering[k] * past
             v[:, car.steering] = self.steering[k]
@@ -217,4 +244,6 @@ def _moved(wheel: Array, length: Array, angle: Array) -> Array:
     half = 0.5 * angle
     chord = length * np.sinc(half / math.pi)
     h = wheel[:, 2] + half
-    return np.column_stack([wheel[:, 0] + chord * np.cos(h), wheel[:, 1] + chord * np.sin(h), wheel[:, 2] + angle])
+    return np.column_stack(
+        [wheel[:, 0] + chord * np.cos(h), wheel[:, 1] + chord * np.sin(h), wheel[:, 2] + angle]
+    )

@@ -1,9 +1,11 @@
-"""Shortest ways of a car that turns no tighter than a radius and drives both ways: arcs and straight lines.
+"""Shortest ways of a car that turns no tighter than a radius and drives both ways: arcs and
+straight lines.
 
-A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right, 0 goes straight; a
-negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a car that goes both forwards and
-backwards*, Pacific J. Math. 145, 1990: one of their 48 words is shortest. Each way that a formula gives is followed
-to its end, and counts only where that is the goal.
+A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right, 0
+goes straight; a negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a car
+that goes both forwards and backwards*, Pacific J. Math. 145, 1990: one of their 48 words is
+shortest. Each way that a formula gives is followed to its end, and counts only where that is the
+goal.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ S = 0.0
 R = -1.0
 QUARTER = 0.5 * math.pi
 MISS = 1e-6
-"""By how much a formula's way may miss the goal before it is corrected: more is another word's domain."""
+"""By how much a formula's way may miss the goal before it is corrected: more is another word's
+domain."""
 HIT = 1e-13
 """By how much a way may miss the goal in the end, relative to the distances in it."""
 NOTHING = 1e-14
@@ -36,7 +39,9 @@ def wrapped(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def advance(pose: tuple[float, float, float], curvature: float, length: float) -> tuple[float, float, float]:
+def advance(
+    pose: tuple[float, float, float], curvature: float, length: float
+) -> tuple[float, float, float]:
     """The pose (x, y, heading) after a piece of constant curvature and signed length."""
     x, y, h = pose
     half = 0.5 * curvature * length
@@ -64,7 +69,9 @@ def cusps_of(way: Way) -> int:
 
 
 def ways(x: float, y: float, heading: float) -> list[Way]:
-    """Ways from (0, 0, 0) to a pose, for the radius 1, the shortest first: one for each word that leads there."""
+    """Ways from (0, 0, 0) to a pose, for the radius 1, the shortest first: one for each word that
+    leads there.
+    """
     found: dict[tuple[tuple[float, bool], ...], Way] = {}
     for way in _candidates(x, y, heading):
         exact = _exact(way, x, y, heading)
@@ -89,13 +96,17 @@ def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _exact(way: Way, x: float, y: float, h: float) -> Way | None:
-    """The way with its lengths corrected (Newton, smallest change), None where it does not lead to the goal."""
+    """The way with its lengths corrected (Newton, smallest change), None where it does not lead to
+    the goal.
+    """
     goal_size = 1.0 + math.hypot(x, y)
     hit = HIT * goal_size
     lengths, miss = _corrected(way, x, y, h, 3, hit, MISS * goal_size)
     if not np.abs(miss).max() < hit:
         return None
-    return tuple((k, length) for (k, _), length in zip(way, lengths, strict=True) if abs(length) > NOTHING)
+    return tuple(
+        (k, length) for (k, _), length in zip(way, lengths, strict=True) if abs(length) > NOTHING
+    )
 
 
 def refined(way: Way, x: float, y: float, h: float) -> Way:
@@ -106,7 +117,9 @@ def refined(way: Way, x: float, y: float, h: float) -> Way:
 def _corrected(
     way: Way, x: float, y: float, h: float, tries: int, met: float = 0.0, most: float = math.inf
 ) -> tuple[list[float], Array]:
-    """The lengths of the pieces of a way that leads to a pose, and by what it misses; by more than `most` it stays."""
+    """The lengths of the pieces of a way that leads to a pose, and by what it misses; by more than
+    `most` it stays.
+    """
 
     def both(lengths: Array) -> tuple[Array, Array]:
         there = _with(way, lengths)
@@ -129,7 +142,9 @@ def _slopes(way: Way) -> Array:
     columns: list[list[float]] = []
     for k, length in way:
         pose = advance(pose, k, length)
-        columns.append([math.cos(pose[2]) - k * (y - pose[1]), math.sin(pose[2]) + k * (x - pose[0]), k])
+        columns.append(
+            [math.cos(pose[2]) - k * (y - pose[1]), math.sin(pose[2]) + k * (x - pose[0]), k]
+        )
     return np.array(columns).T
 
 
@@ -215,5 +230,11 @@ def _ccscc(x: float, y: float, h: float) -> Iterator[Way]:
         yield (L, t), (R, -QUARTER), (S, u), (L, -QUARTER), (R, wrapped(t - h))
 
 
-WORDS: tuple[Callable[[float, float, float], Iterator[Way]], ...] = (_csc, _ccc, _cccc, _ccsc, _ccscc)
+WORDS: tuple[Callable[[float, float, float], Iterator[Way]], ...] = (
+    _csc,
+    _ccc,
+    _cccc,
+    _ccsc,
+    _ccscc,
+)
 """The kinds of words, each a function of the goal."""

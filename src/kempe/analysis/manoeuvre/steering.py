@@ -1,4 +1,6 @@
-"""Plans of manoeuvres: which straight pieces, arcs and turns lead an axle from one place in the plane to another."""
+"""Plans of manoeuvres: which straight pieces, arcs and turns lead an axle from one place in the
+plane to another.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from kempe.kinematics import closure_rows
 from kempe.spatial import Array
 
 GRID = 240
-"""Values of the steering, all around or between its limits, between which a wanted curvature is looked for."""
+"""Values of the steering, all around or between its limits, between which a wanted curvature is
+looked for."""
 FAR = 10.0
 """Characteristic lengths to both sides within which a steering that slides is looked through."""
 EXACT = 1e-14
@@ -31,7 +34,9 @@ class Refused(Exception):
 
 
 class Move(NamedTuple):
-    """A part of a plan: signed length [m], angle [rad], and values of the steering at which the axle moves so."""
+    """A part of a plan: signed length [m], angle [rad], and values of the steering at which the
+    axle moves so.
+    """
 
     length: float
     angle: float
@@ -61,7 +66,9 @@ class Steering:
         self.slope = np.unwrap([self.direction(s) for s in self.grid], period=math.pi)
 
     def direction(self, s: float) -> float:
-        """Angle in [0, pi) of (forward, turning) without unit, at a value of the steering: 0 straight, pi/2 a turn."""
+        """Angle in [0, pi) of (forward, turning) without unit, at a value of the steering: 0
+        straight, pi/2 a turn.
+        """
         x = self.q.copy()
         x[self.car.steering_q] = s
         N = self.car.motions(x)
@@ -70,7 +77,9 @@ class Steering:
         return math.atan2(turning, forward) % math.pi
 
     def values(self, curvature: float) -> tuple[float, ...]:
-        """Values at which the axle's path has this curvature [1/m]: 0 straight, infinite on the spot."""
+        """Values at which the axle's path has this curvature [1/m]: 0 straight, infinite on the
+        spot.
+        """
         from scipy import optimize
 
         wanted = math.atan(curvature * self.unit) if math.isfinite(curvature) else 0.5 * math.pi
@@ -91,33 +100,45 @@ class Steering:
             if s is None and off(low) * off(high) < 0.0:
                 s = float(cast(Any, optimize).brentq(off, low, high, xtol=1e-15))
             for simple in (float(self.q[self.car.steering_q]), 0.0):
-                s = simple if s is not None and abs(s - simple) < 1e-9 and abs(off(simple)) < EXACT else s
+                s = (
+                    simple
+                    if s is not None and abs(s - simple) < 1e-9 and abs(off(simple)) < EXACT
+                    else s
+                )
             if s is not None and all(abs(s - other) > 1e-9 for other in found):
                 found.append(s)
         return tuple(found)
 
     def tightest(self) -> float:
-        """The smallest radius of arcs to both sides within the limits; infinite where there is none."""
+        """The smallest radius of arcs to both sides within the limits; infinite where there is
+        none.
+        """
         bend = np.tan(self.slope) / self.unit
         left = float(bend.max())
         right = float(-bend.min())
         return 1.0 / min(left, right) * (1.0 + 1e-12) if min(left, right) > 0.0 else math.inf
 
 
-def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Sequence[int]) -> Iterator[Plan]:
+def plans(
+    car: Wheeled, q: Array, goal: Array, radius: float | None, free: Sequence[int]
+) -> Iterator[Plan]:
     """Plans from one configuration (nq,) to another, the best first.
 
     `free` are velocity indices of driven coordinates that may end anywhere. Errors: `Refused`.
     """
     steering = None if car.loose or car.steering is None else Steering(car, q)
-    straight, turn = ((), ()) if steering is None else (steering.values(0.0), steering.values(math.inf))
+    straight, turn = (
+        ((), ()) if steering is None else (steering.values(0.0), steering.values(math.inf))
+    )
     if steering is not None and not straight:
         raise Refused(f"no value of {steering.name!r} within its limits goes straight")
     if steering is not None and not turn and not radius:
         least = steering.tightest()
         if radius == 0.0 or math.isinf(least):
             said = f"; radius={least:.6g} would do" if math.isfinite(least) else ""
-            raise Refused(f"within the limits of {steering.name!r} it does not turn on the spot{said}")
+            raise Refused(
+                f"within the limits of {steering.name!r} it does not turn on the spot{said}"
+            )
         radius = least
     start = car.wheel(q)
     end = car.wheel(goal)
@@ -125,12 +146,20 @@ def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Seque
     whole = pose.gear * float(goal[pose.turn_q] - q[pose.turn_q])
     if not radius:
         length = _signed_length(car, q, goal, free, whole, straight, turn)
-        yield from (_labelled(plan, straight, turn) for plan in _on_the_spot(start, end, whole, length))
+        yield from (
+            _labelled(plan, straight, turn) for plan in _on_the_spot(start, end, whole, length)
+        )
         return
-    left, right = ((), ()) if steering is None else (steering.values(1.0 / radius), steering.values(-1.0 / radius))
+    left, right = (
+        ((), ())
+        if steering is None
+        else (steering.values(1.0 / radius), steering.values(-1.0 / radius))
+    )
     if steering is not None and not (left and right):
-        raise Refused(f"within the limits of {steering.name!r} it does not take arcs of {radius:.6g} m to both sides; "
-                      f"the smallest radius is {steering.tightest():.6g} m")  # fmt: skip
+        raise Refused(
+            f"within the limits of {steering.name!r} it does not take arcs of {radius:.6g} m to "
+            f"both sides; the smallest radius is {steering.tightest():.6g} m"
+        )
     c = math.cos(start[2])
     s = math.sin(start[2])
     dx = (end[0] - start[0]) / radius
@@ -138,7 +167,10 @@ def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Seque
     relative = c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
     for way in reeds_shepp.ways(*relative):
         exact = reeds_shepp.refined(way, *relative)
-        yield tuple(Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right) for k, x in exact)
+        yield tuple(
+            Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right)
+            for k, x in exact
+        )
 
 
 def _labelled(plan: Plan, straight: tuple[float, ...], turn: tuple[float, ...]) -> Plan:
@@ -146,10 +178,16 @@ def _labelled(plan: Plan, straight: tuple[float, ...], turn: tuple[float, ...]) 
 
 
 def _signed_length(
-    car: Wheeled, q: Array, goal: Array, free: Sequence[int], angle: float, straight: tuple[float, ...],
+    car: Wheeled,
+    q: Array,
+    goal: Array,
+    free: Sequence[int],
+    angle: float,
+    straight: tuple[float, ...],
     turn: tuple[float, ...],
-) -> float | None:  # fmt: skip
-    """The signed length [m] that brings the driven coordinates to the goal's, None where all of them are free.
+) -> float | None:
+    """The signed length [m] that brings the driven coordinates to the goal's, None where all of
+    them are free.
 
     Errors: `Refused` where none does.
     """
@@ -166,22 +204,33 @@ def _signed_length(
 
     ahead = rate(1.0, 0.0, straight)
     about = rate(0.0, 1.0, turn)
-    missing = car.system.structure.layout.difference(q, goal)[[car.driven[k] for k in bound]] - about * angle
+    missing = (
+        car.system.structure.layout.difference(q, goal)[[car.driven[k] for k in bound]]
+        - about * angle
+    )
     names = [car.system.structure.velocity_names[car.driven[k]] for k in bound]
     size = float(ahead @ ahead)
     length = float(ahead @ missing) / size if size > 0.0 else 0.0
     off = np.abs(ahead * length - missing)
     worst = int(np.argmax(off))
     if not off[worst] <= NEAR * 100.0 * (1.0 + float(np.abs(missing).max()) + abs(angle)):
-        raise Refused(f"the goal cannot be reached: {names[worst]!r} would have to end {off[worst]:.6g} away from what "
-                      f"it is when {', '.join(map(repr, names))} roll along (free={names!r} lets them)")  # fmt: skip
+        raise Refused(
+            f"the goal cannot be reached: {names[worst]!r} would have to end {off[worst]:.6g} away "
+            f"from what it is when {', '.join(map(repr, names))} roll along (free={names!r} lets "
+            "them)"
+        )
     return length
 
 
 def _on_the_spot(
-    start: tuple[float, float, float], end: tuple[float, float, float], angle: float, signed: float | None
-) -> Iterator[Plan]:  # fmt: skip
-    """Plans of turns on the spot, by `angle` in all, and straight lines, of a `signed` length in all where given."""
+    start: tuple[float, float, float],
+    end: tuple[float, float, float],
+    angle: float,
+    signed: float | None,
+) -> Iterator[Plan]:
+    """Plans of turns on the spot, by `angle` in all, and straight lines, of a `signed` length in
+    all where given.
+    """
     dx = end[0] - start[0]
     dy = end[1] - start[1]
     far = math.hypot(dx, dy)
@@ -202,7 +251,9 @@ def _on_the_spot(
         def ahead_by(a: float) -> float:
             return 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
 
-        for a in sorted(options, key=lambda a: (round(abs(a) + abs(angle - a), 9), -ahead_by(a), abs(a))):
+        for a in sorted(
+            options, key=lambda a: (round(abs(a) + abs(angle - a), 9), -ahead_by(a), abs(a))
+        ):
             ahead = ahead_by(a)
             if signed is None or ahead * signed > 0.0:
                 yield _spare((Move(0.0, a), Move(ahead * far, 0.0), Move(0.0, angle - a)))
@@ -212,7 +263,8 @@ def _on_the_spot(
 
 
 def _half_turns(angle: float, first: float) -> list[int]:
-    """Whole half turns k for which first + k pi covers both ends of a turn by an angle, and a half turn around.
+    """Whole half turns k for which first + k pi covers both ends of a turn by an angle, and a half
+    turn around.
 
     Of very many those near both ends: all between them cost the same.
     """
@@ -226,7 +278,9 @@ def _half_turns(angle: float, first: float) -> list[int]:
 
 
 def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:
-    """Two straight legs (direction, signed length) that lead `far` in the direction `way`, with a sum of lengths."""
+    """Two straight legs (direction, signed length) that lead `far` in the direction `way`, with a
+    sum of lengths.
+    """
     if abs(signed) >= far:  # by the tip of an isosceles triangle
         sense = math.copysign(1.0, signed)
         half = 0.5 * abs(signed)

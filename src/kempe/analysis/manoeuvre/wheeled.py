@@ -1,9 +1,11 @@
-"""What can be steered like a car: recognised from velocity rows and the kinematics, whatever it is made of.
+"""What can be steered like a car: recognised from velocity rows and the kinematics, whatever it is
+made of.
 
-A body moves in a plane by two slides and a turn. Velocity rows that depend on how the body moves in its own axes, and
-not on where it is, allow twists (forward, sideways, turning) of it: those without sideslip at one point, the middle of
-an axle. Coordinates beside those of the body are *idle* (no row has them), *driven* (their rates follow from the
-twist, as a wheel's), or one is the *steering*: rows depend on it, its own rate is in none.
+A body moves in a plane by two slides and a turn. Velocity rows that depend on how the body moves in
+its own axes, and not on where it is, allow twists (forward, sideways, turning) of it: those without
+sideslip at one point, the middle of an axle. Coordinates beside those of the body are *idle* (no
+row has them), *driven* (their rates follow from the twist, as a wheel's), or one is the *steering*:
+rows depend on it, its own rate is in none.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ RANK = 1e-8
 TRIALS = 6
 """Random configurations at which each statement is checked."""
 FINE = 720
-"""Values of the steering, all around or between its limits, among which a wanted curvature is looked for."""
+"""Values of the steering, all around or between its limits, among which a wanted curvature is
+looked for."""
 SEED = 19900101
 
 
@@ -43,8 +46,8 @@ SEED = 19900101
 class PlanarPlace:
     """The place of a body in its plane: which coordinates it has, and how the plane lies.
 
-    `slides` and `turn` are indices into q and into velocities; the heading is `gear` times the turn's coordinate.
-    `plane` (2, 3) are the plane's axes in the ground frame.
+    `slides` and `turn` are indices into q and into velocities; the heading is `gear` times the
+    turn's coordinate. `plane` (2, 3) are the plane's axes in the ground frame.
     """
 
     system: System
@@ -67,7 +70,9 @@ class PlanarPlace:
         return place, self.gear * q[..., self.turn_q]
 
     def to_q(self, q: Array, place: Array, heading: Array) -> Array:
-        """Configurations `q` (n, nq) with the body moved to places (n, 2) and headings (n,), exactly."""
+        """Configurations `q` (n, nq) with the body moved to places (n, 2) and headings (n,),
+        exactly.
+        """
         out = q.copy()
         out[:, self.turn_q] = heading / self.gear
         out[:, self.slides_q] = 0.0
@@ -77,21 +82,29 @@ class PlanarPlace:
         return out
 
     def spread(self, q: Array) -> Array:
-        """Sine (n,) of the angle between the two slides, positive where it has the sign that it has at the first q."""
+        """Sine (n,) of the angle between the two slides, positive where it has the sign that it has
+        at the first q.
+        """
         D = self.plane @ np.asarray(jacobian(self.system, q, self.body))[:, :3][..., self.slides_v]
         sine = np.linalg.det(D / np.linalg.norm(D, axis=1, keepdims=True))
         return sine * np.sign(sine[0])
 
     def rates(self, q: Array, velocity: Array, turning: Array) -> Array:
-        """Velocities (n, 3) of slides and turn that give the body's origin velocities (n, 2) and turning (n,)."""
+        """Velocities (n, 3) of slides and turn that give the body's origin velocities (n, 2) and
+        turning (n,).
+        """
         J = self.plane @ jacobian(self.system, q, self.body)[:, :3]
         spin = turning / self.gear
         rest = velocity - J[..., self.turn_v] * spin[:, None]
-        slides: Array = np.asarray(np.linalg.solve(J[..., self.slides_v], rest[..., None])[..., 0], dtype=float)
+        slides: Array = np.asarray(
+            np.linalg.solve(J[..., self.slides_v], rest[..., None])[..., 0], dtype=float
+        )
         return np.column_stack([slides, spin])
 
     def twist(self, q: Array) -> Array:
-        """Matrix (3, 3): forward, sideways and turning rates of the body, in its axes, by the rates `own`."""
+        """Matrix (3, 3): forward, sideways and turning rates of the body, in its axes, by the rates
+        `own`.
+        """
         J = jacobian(self.system, q, self.body)
         h = self.gear * q[self.turn_q]
         axes = np.array([[math.cos(h), math.sin(h)], [-math.sin(h), math.cos(h)]])
@@ -102,11 +115,17 @@ class PlanarPlace:
 
 
 def pose_of(system: System) -> PlanarPlace:
-    """The body nearest to the ground that moves in a plane by two slides and a turn. Errors: `UnsupportedError`."""
+    """The body nearest to the ground that moves in a plane by two slides and a turn. Errors:
+    `UnsupportedError`.
+    """
     rng = np.random.default_rng(SEED)
     samples = random(system, rng, (TRIALS,))
     vectors = dict(
-        zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True)
+        zip(
+            system.structure.layout.vector_v.tolist(),
+            system.structure.layout.vector_q.tolist(),
+            strict=True,
+        )
     )
     for body in system.body_names[1:]:
         J = np.asarray(jacobian(system, samples, body))
@@ -121,27 +140,37 @@ def pose_of(system: System) -> PlanarPlace:
         spin = J[0, 3:, turn]
         gear = float(np.linalg.norm(spin))
         normal = spin / gear
-        flat = np.abs(J[:, 3:, turn] - spin).max() < SAME * gear and np.abs(J[:, :3].transpose(0, 2, 1) @ normal).max()
+        flat = (
+            np.abs(J[:, 3:, turn] - spin).max() < SAME * gear
+            and np.abs(J[:, :3].transpose(0, 2, 1) @ normal).max()
+        )
         if not flat < SAME or np.linalg.matrix_rank(J[0, :3][:, slides], RANK) < 2:
             continue
-        first = np.eye(3)[int(np.argmin(np.abs(normal)))] if abs(normal[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
+        first = (
+            np.eye(3)[int(np.argmin(np.abs(normal)))]
+            if abs(normal[0]) > 0.9
+            else np.array([1.0, 0.0, 0.0])
+        )
         x = first - normal * (first @ normal)
         x /= np.linalg.norm(x)
         plane = np.array([x, np.cross(normal, x)])
         places = np.array([vectors[int(i)] for i in slides])
         return PlanarPlace(system, body, places, slides, vectors[turn], turn, gear, plane)
     raise UnsupportedError(
-        f"{system.name}: no body moves in a plane by two slides and a turn; a manoeuvre is known for bodies whose "
-        "place and heading in a plane are coordinates (a planar joint, or two slides and a turn)"
+        f"{system.name}: no body moves in a plane by two slides and a turn; a manoeuvre is known "
+        "for bodies whose place and heading in a plane are coordinates (a planar joint, or two "
+        "slides and a turn)"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Wheeled:
-    """A body on an axle: `axle` (2,) is a point of it in the body's axes, `angle` the heading of its wheels there.
+    """A body on an axle: `axle` (2,) is a point of it in the body's axes, `angle` the heading of
+    its wheels there.
 
-    `driven` and `idle` are velocity indices; `steering` one or None, with its place in q in `steering_q`. `loose` says
-    that the body may turn about the axle's middle, whatever the steering is.
+    `driven` and `idle` are velocity indices; `steering` one or None, with its place in q in
+    `steering_q`. `loose` says that the body may turn about the axle's middle, whatever the steering
+    is.
     """
 
     pose: PlanarPlace
@@ -176,7 +205,9 @@ class Wheeled:
         return wheel[:, :2] - np.column_stack([c * x - s * y, s * x + c * y]), h
 
     def motions(self, q: Array) -> Array:
-        """Basis (3 + driven, k) of allowed (forward, sideways, turning, driven rates) of the axle at q."""
+        """Basis (3 + driven, k) of allowed (forward, sideways, turning, driven rates) of the axle
+        at q.
+        """
         own = [*range(3), *(3 + i for i in self.driven)]
         A = _rows(self.pose, q)[:, own]
         unit = _unit(self.pose)[own]
@@ -198,45 +229,70 @@ class Wheeled:
 
 
 def wheeled(system: System, q: Array) -> Wheeled:
-    """What of the system is steered like a car, beside its configuration q (nq,). Errors: `UnsupportedError`."""
+    """What of the system is steered like a car, beside its configuration q (nq,). Errors:
+    `UnsupportedError`.
+    """
     A, b = rates(system, q)
     if not A.shape[-2] and (held := binding(system, q)):
-        raise UnsupportedError(f"{system.name} has no velocity constraints; {held!r} holds positions on the way: "
-                               "system.configuration_space.path(start, goal)")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name} has no velocity constraints; {held!r} holds positions on the way: "
+            "system.configuration_space.path(start, goal)"
+        )
     if not A.shape[-2] and len(one_sided_rows(system)):
-        raise UnsupportedError(f"{system.name} has no velocity constraints; limits or one-sided constraints hold on "
-                               "the way: system.configuration_space.path(start, goal)")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name} has no velocity constraints; limits or one-sided constraints hold on "
+            "the way: system.configuration_space.path(start, goal)"
+        )
     if not A.shape[-2]:
-        raise UnsupportedError(f"{system.name} has no velocity constraints: nothing keeps it from going straight there "
-                               "(system.configuration_space.interpolate)")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name} has no velocity constraints: nothing keeps it from going straight "
+            "there (system.configuration_space.interpolate)"
+        )
     if np.abs(b).max(initial=0.0) > 0.0:
-        raise UnsupportedError(f"{system.name}: a velocity constraint asks for a speed of its own (b is not zero): the "
-                               "system cannot rest, and a manoeuvre is not known")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name}: a velocity constraint asks for a speed of its own (b is not zero): "
+            "the system cannot rest, and a manoeuvre is not known"
+        )
     if held := binding(system, q):
-        raise UnsupportedError(f"{system.name}: {held!r} ties coordinates to each other (a loop, a relation or a "
-                               "position constraint); a manoeuvre is known for open systems only")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name}: {held!r} ties coordinates to each other (a loop, a relation or a "
+            "position constraint); a manoeuvre is known for open systems only"
+        )
     pose = pose_of(system)
     driven, idle, steering = _kinds(pose, q)
     steering_q = -1
     if steering is not None:
-        steering_q = int(system.structure.layout.vector_q[system.structure.layout.vector_v.tolist().index(steering)])
+        steering_q = int(
+            system.structure.layout.vector_q[
+                system.structure.layout.vector_v.tolist().index(steering)
+            ]
+        )
     a, loose = _normal(pose, q, driven, steering, steering_q)
     if math.hypot(a[0], a[1]) < SAME * abs(a[2]):
-        raise UnsupportedError(f"{system.name}: {pose.body!r} cannot turn; its heading stays, and that is a constraint "
-                               "on its position, no nonholonomic one")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name}: {pose.body!r} cannot turn; its heading stays, and that is a "
+            "constraint on its position, no nonholonomic one"
+        )
     a = a / math.hypot(a[0], a[1])
     forward = np.array([a[1], -a[0]])
-    forward = -forward if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0) else forward
+    forward = (
+        -forward
+        if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0)
+        else forward
+    )
     axle, sense = _middle(pose, q, -a[2] * np.array([-a[1], a[0]]), forward)
     forward = sense * forward
-    return Wheeled(pose, axle, math.atan2(forward[1], forward[0]), driven, idle, steering, steering_q, loose)
+    return Wheeled(
+        pose, axle, math.atan2(forward[1], forward[0]), driven, idle, steering, steering_q, loose
+    )
 
 
 def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
-    """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or in reverse (-1).
+    """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or
+    in reverse (-1).
 
-    By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of their x axes. Where
-    there is none, the middle is the `foot`, next to the body's origin.
+    By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of
+    their x axes. Where there is none, the middle is the `foot`, next to the body's origin.
     """
     system = pose.system
     sense = 0.0
@@ -265,21 +321,35 @@ def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[A
 
 
 def ends_of_velocity_constraints(system: System) -> list[tuple[str, Array]]:
-    """For each declared velocity constraint between frames the body of its end B, and the pose of that end on it."""
-    found = [c for c in system._mechanism.constraints.values() if any(r.velocity for r in c.of.rows(system.dim))]
-    return [(c.child, c.frames(system.structure.parameters, system.dim)[1]) for c in found if c.child]
+    """For each declared velocity constraint between frames the body of its end B, and the pose of
+    that end on it.
+    """
+    found = [
+        c
+        for c in system._mechanism.constraints.values()
+        if any(r.velocity for r in c.of.rows(system.dim))
+    ]
+    return [
+        (c.child, c.frames(system.structure.parameters, system.dim)[1]) for c in found if c.child
+    ]
 
 
 def binding(system: System, q: Array) -> str | None:
-    """The name of a position constraint, loop or relation that restricts configurations around q (nq,), if one does."""
+    """The name of a position constraint, loop or relation that restricts configurations around q
+    (nq,), if one does.
+    """
     some = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (TRIALS,))])
     error, J = closure_rows.evaluate(system, some)
-    held = np.flatnonzero(np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0)) > SAME)
+    held = np.flatnonzero(
+        np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0)) > SAME
+    )
     return closure_rows.row_names(system)[int(held[0])][0] if len(held) else None
 
 
 def _rows(pose: PlanarPlace, q: Array) -> Array:
-    """Velocity rows (m, 3 + nv) of the body's own twist, then of all coordinates but those of its pose (zero there)."""
+    """Velocity rows (m, 3 + nv) of the body's own twist, then of all coordinates but those of its
+    pose (zero there).
+    """
     A = rates(pose.system, q)[0]
     out = np.concatenate([A[:, pose.own] @ np.linalg.inv(pose.twist(q)), A], axis=1)
     out[:, [3 + i for i in pose.own]] = 0.0
@@ -309,10 +379,14 @@ def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...
     samples = random(system, rng, (TRIALS,))
     places = {
         int(v): [int(i)]
-        for v, i in zip(system.structure.layout.vector_v, system.structure.layout.vector_q, strict=True)
+        for v, i in zip(
+            system.structure.layout.vector_v, system.structure.layout.vector_q, strict=True
+        )
     }
     for v, i in zip(
-        system.structure.layout.quaternion_v.tolist(), system.structure.layout.quaternion_q.tolist(), strict=True
+        system.structure.layout.quaternion_v.tolist(),
+        system.structure.layout.quaternion_q.tolist(),
+        strict=True,
     ):
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
@@ -330,8 +404,10 @@ def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...
 
     own = [*pose.slides_q.tolist(), pose.turn_q]
     if any(varies(own, base) for base in (q, samples[0])):
-        raise UnsupportedError(f"{system.name}: what the velocity constraints allow depends on where {pose.body!r} is, "
-                               "not only on how it moves in its own axes; a manoeuvre is not known")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name}: what the velocity constraints allow depends on where {pose.body!r} "
+            "is, not only on how it moves in its own axes; a manoeuvre is not known"
+        )
     driven: list[int] = []
     idle: list[int] = []
     steering: list[int] = []
@@ -340,21 +416,27 @@ def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...
         shape = any(varies(places[v], base) for base in (q, samples[0], samples[1]))
         name = system.structure.velocity_names[v]
         if column and shape:
-            raise UnsupportedError(f"{system.name}: the rate of {name!r} depends on {name!r} itself, as a trailer's "
-                                   "does; a manoeuvre is not known for that")  # fmt: skip
+            raise UnsupportedError(
+                f"{system.name}: the rate of {name!r} depends on {name!r} itself, as a trailer's "
+                "does; a manoeuvre is not known for that"
+            )
         (driven if column else steering if shape else idle).append(v)
     if len(steering) > 1 or any(len(places[v]) > 1 for v in steering):
         both = " and ".join(repr(system.structure.velocity_names[v]) for v in steering)
-        raise UnsupportedError(f"{system.name}: {both} steer together; a manoeuvre is known for one steering angle")
+        raise UnsupportedError(
+            f"{system.name}: {both} steer together; a manoeuvre is known for one steering angle"
+        )
     return tuple(driven), tuple(idle), steering[0] if steering else None
 
 
 def _normal(
     pose: PlanarPlace, q: Array, driven: tuple[int, ...], steering: int | None, steering_q: int
-) -> tuple[Array, bool]:  # fmt: skip
-    """The row (3,) that vanishes on every twist which is allowed, and whether these are all that it leaves.
+) -> tuple[Array, bool]:
+    """The row (3,) that vanishes on every twist which is allowed, and whether these are all that it
+    leaves.
 
-    Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do not follow.
+    Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do
+    not follow.
     """
     system = pose.system
     unit = _unit(pose)
@@ -368,22 +450,30 @@ def _normal(
         s = svd(N[:3], compute_uv=False)
         if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
             names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)
-            raise UnsupportedError(f"{system.name}: with {pose.body!r} at rest some of {names} still turn: a manoeuvre "
-                                   "is not known for that")  # fmt: skip
+            raise UnsupportedError(
+                f"{system.name}: with {pose.body!r} at rest some of {names} still turn: a "
+                "manoeuvre is not known for that"
+            )
         twists.append(N[:3] * unit[:3, None])
     counts = {N.shape[1] for N in twists[1:] or twists}
     if counts == {2}:
         return np.cross(twists[0][:, 0], twists[0][:, 1]), True
     if counts == {3}:
-        raise UnsupportedError(f"{system.name}: the velocity constraints let {pose.body!r} move in every direction: "
-                               "no manoeuvre is needed (system.configuration_space.interpolate)")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name}: the velocity constraints let {pose.body!r} move in every direction: "
+            "no manoeuvre is needed (system.configuration_space.interpolate)"
+        )
     if counts == {1} and steering is not None:
         _, s, Vt = svd(np.concatenate([N.T / unit[:3] for N in twists]))
         if s[2] < SAME * s[0] and s[1] > RANK * s[0]:
             return Vt[2] / unit[:3], False
         name = system.structure.velocity_names[steering]
-        raise UnsupportedError(f"{system.name}: no point of {pose.body!r} is without sideslip for every value of "
-                               f"{name!r}: a manoeuvre is known for a body with an axle of its own")  # fmt: skip
+        raise UnsupportedError(
+            f"{system.name}: no point of {pose.body!r} is without sideslip for every value of "
+            f"{name!r}: a manoeuvre is known for a body with an axle of its own"
+        )
     left = counted(min(counts), "freedom")
-    raise UnsupportedError(f"{system.name}: the velocity constraints leave {pose.body!r} {left} of motion: "
-                           "it moves along one curve only")  # fmt: skip
+    raise UnsupportedError(
+        f"{system.name}: the velocity constraints leave {pose.body!r} {left} of motion: "
+        "it moves along one curve only"
+    )

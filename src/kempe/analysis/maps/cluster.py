@@ -20,14 +20,17 @@ HOSTS = ("tcp", "tls")
 SECURED = ("tls", "wss")
 """Ways to a scheduler that are encrypted, with certificates of both sides."""
 PATIENCE = 10.0
-"""Seconds in which a scheduler must answer, and after which a cluster without workers is mentioned."""
+"""Seconds in which a scheduler must answer, and after which a cluster without workers is
+mentioned."""
 
 SHOWN = 5
 """Workers that a message names, at most."""
 
 
 def connected(client: Any) -> Any:
-    """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody answers there."""
+    """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody
+    answers there.
+    """
     try:
         from distributed import Client, Security
         from distributed.comm.addressing import parse_address, parse_host_port
@@ -38,27 +41,43 @@ def connected(client: Any) -> Any:
         such = "give one such as 'tcp://127.0.0.1:8786'"
         try:
             scheme, place = parse_address(client)
-            backend = get_backend(scheme)  # a client for what is no address waits long until it goes
+            backend = get_backend(
+                scheme
+            )  # a client for what is no address waits long until it goes
             if scheme in HOSTS:
                 parse_host_port(place)
         except ValueError as error:
-            raise InputError(f"{shown(client)} is no address of a scheduler ({error}); {such}") from None
+            raise InputError(
+                f"{shown(client)} is no address of a scheduler ({error}); {such}"
+            ) from None
         try:
             backend.get_connector()
-        except (TypeError, RuntimeError, ImportError) as error:  # it is not installed, or not completely
-            raise InputError(f"{shown(client)}: no client can be made for {scheme!r} here ({error}); {such}") from None
+        except (
+            TypeError,
+            RuntimeError,
+            ImportError,
+        ) as error:  # it is not installed, or not completely
+            raise InputError(
+                f"{shown(client)}: no client can be made for {scheme!r} here ({error}); {such}"
+            ) from None
         security: Any = Security()
         if scheme in SECURED and security.get_connection_args("client").get("ssl_context") is None:
             raise InputError(
-                f"{shown(client)}: {scheme!r} needs certificates: name them in Dask's configuration "
-                "(distributed.comm.tls), or give a distributed.Client(..., security=...)"
+                f"{shown(client)}: {scheme!r} needs certificates: name them in Dask's "
+                "configuration (distributed.comm.tls), or give a distributed.Client(..., "
+                "security=...)"
             )
         try:
             return Client(client, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
-            raise InputError(f"no scheduler answers at {client!r} within {PATIENCE:g} s: {error}") from None
+            raise InputError(
+                f"no scheduler answers at {client!r} within {PATIENCE:g} s: {error}"
+            ) from None
     if not isinstance(client, Client):
-        raise InputError(f"client is {shown(client)}; it must be a distributed.Client, or the address of a scheduler")
+        raise InputError(
+            f"client is {shown(client)}; it must be a distributed.Client, or the address of a "
+            "scheduler"
+        )
     if client.status != "running":
         raise InputError(f"the client is {client.status}: it has no scheduler")
     return client
@@ -67,7 +86,8 @@ def connected(client: Any) -> Any:
 class ClusterWorkers:
     """The workers of a cluster, given at most `most` tasks at once, or else two a thread.
 
-    Workers that could not do the work are refused, those that join later too. Errors: `KernelsError`.
+    Workers that could not do the work are refused, those that join later too. Errors:
+    `KernelsError`.
     """
 
     finishes = False
@@ -95,7 +115,10 @@ class ClusterWorkers:
         elif time.monotonic() - self.alone > PATIENCE:
             self.alone = inf  # said once, until workers have joined
             address = self.client.scheduler.address
-            warn(f"the scheduler {address} has no workers; the work goes on when one joins", UserWarning)
+            warn(
+                f"the scheduler {address} has no workers; the work goes on when one joins",
+                UserWarning,
+            )
 
     def wait(self, futures: list[Any]) -> set[Any]:
         """Those that are done, after a while perhaps none."""
@@ -104,13 +127,17 @@ class ClusterWorkers:
         tasks: Any = distributed
         self._look()
         try:
-            with self.client.as_current():  # the function looks for a client, not for that of its tasks
+            with (
+                self.client.as_current()
+            ):  # the function looks for a client, not for that of its tasks
                 return tasks.wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             return set()
 
     def share(self, thing: Any, key: str | None = None) -> Any:
-        """The future of a thing that many tasks read: it travels once, and is made again where workers end."""
+        """The future of a thing that many tasks read: it travels once, and is made again where
+        workers end.
+        """
         return self.client.submit(_itself, thing, key=key, pure=False, retries=RETRIES)
 
     def lost(self, future: Any) -> bool:
@@ -144,7 +171,9 @@ def probe() -> Callable[[], tuple[str, str]]:
 
 
 def refuse_workers(client: Any, workers: Iterable[str]) -> None:
-    """Refuse to work where one of these workers has no Kempe, or another one. Errors: `KernelsError`."""
+    """Refuse to work where one of these workers has no Kempe, or another one. Errors:
+    `KernelsError`.
+    """
     found = client.run(probe(), workers=sorted(workers), on_error="return")
     wrong: list[str] = []
     for worker, has in sorted(found.items()):
@@ -157,8 +186,8 @@ def refuse_workers(client: Any, workers: Iterable[str]) -> None:
     if wrong:
         more = [f"and {counted(len(wrong) - SHOWN, 'other worker')}"] * (len(wrong) > SHOWN)
         raise KernelsError(
-            f"{'; '.join([*wrong[:SHOWN], *more])}. Each worker needs Kempe {__version__} with the extra [scale] and "
-            f"the kernels {VARIANT!r} (KEMPE_KERNELS={VARIANT})"
+            f"{'; '.join([*wrong[:SHOWN], *more])}. Each worker needs Kempe {__version__} with the "
+            f"extra [scale] and the kernels {VARIANT!r} (KEMPE_KERNELS={VARIANT})"
         )
 
 
@@ -166,7 +195,7 @@ def refuse_kernels(variant: str, version: str) -> None:
     """Refuse to work with kernels that would round otherwise than these. Errors: `KernelsError`."""
     if (variant, version) != (VARIANT, __version__):
         raise KernelsError(
-            f"the map is made by the kernels {variant!r} of Kempe {version}, and here run {VARIANT!r} of "
-            f"{__version__}, which round otherwise: set KEMPE_KERNELS={variant} and install that version, or make the "
-            f"map anew"
+            f"the map is made by the kernels {variant!r} of Kempe {version}, and here run "
+            f"{VARIANT!r} of {__version__}, which round otherwise: set KEMPE_KERNELS={variant} and "
+            "install that version, or make the map anew"
         )

@@ -1,4 +1,6 @@
-"""Verbs over files larger than memory: rows in, answers out as Zarr, gone on with after any interruption."""
+"""Verbs over files larger than memory: rows in, answers out as Zarr, gone on with after any
+interruption.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +40,9 @@ MANY = 2**16
 class FileMap(Report):
     """What a verb answered to the rows of a file, and where that is.
 
-    `rows` of the `requested` ones are done, in chunks of `chunk` rows; `outcomes` says how many of them came to which
-    `Status`, by its name. Where the work was `interrupted`, or the time limit came (`late`), the same call goes on.
+    `rows` of the `requested` ones are done, in chunks of `chunk` rows; `outcomes` says how many of
+    them came to which `Status`, by its name. Where the work was `interrupted`, or the time limit
+    came (`late`), the same call goes on.
     """
 
     __repr__ = brief
@@ -59,7 +62,9 @@ class FileMap(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all rows are, `PARTLY` where some are not; `INTERRUPTED` or `OUT_OF_TIME` if rows are left."""
+        """`SOLVED` where all rows are, `PARTLY` where some are not; `INTERRUPTED` or `OUT_OF_TIME`
+        if rows are left.
+        """
         if self.interrupted or self.late:
             return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME
         return Status.SOLVED if set(self.outcomes) <= {Status.SOLVED.name} else Status.PARTLY
@@ -69,55 +74,76 @@ class FileMap(Report):
         """How many rows are done, and what became of them."""
         of = f"{self.rows} of {counted(self.requested, 'row')}"
         found = ", ".join(f"{n} {name}" for name, n in self.outcomes.items())
-        return f"{self.verb} of {of} of {self.source.name}: {found or 'nothing'}{partial(self.interrupted, self.late)}"
+        return (
+            f"{self.verb} of {of} of {self.source.name}: "
+            f"{found or 'nothing'}{partial(self.interrupted, self.late)}"
+        )
 
     def _cells(self) -> Cells:
         rows = [("answers", str(self.path)), ("chunks", f"{counted(self.chunk, 'row')} each")]
-        return (), rows + [("redone", f"{counted(self.redone, 'chunk')} that was damaged on disk")] * bool(self.redone)
+        return (), rows + [
+            ("redone", f"{counted(self.redone, 'chunk')} that was damaged on disk")
+        ] * bool(self.redone)
 
     def _data(self) -> dict[str, Any]:
         names = ("verb", "rows", "requested", "chunk", "outcomes", "redone")
         return {"system": self.system.name, "source": str(self.source), "path": str(self.path)} | {
-            name: getattr(self, name) for name in names}  # fmt: skip
+            name: getattr(self, name) for name in names
+        }
 
 
 @explained
 @interruptible
 def map_file(
-    system: System, verb: str, source: str | Path, path: str | Path, frame: FrameLike | None = None, *,
-    columns: Iterable[str] | None = None, options: Mapping[str, Any] | None = None, degrees: bool = False,
-    client: Any = None, budget: Budget | None = None,
-) -> FileMap:  # fmt: skip
-    """A `FileMap`: what a verb answers to each row of a file of any size, written to a path as Zarr.
+    system: System,
+    verb: str,
+    source: str | Path,
+    path: str | Path,
+    frame: FrameLike | None = None,
+    *,
+    columns: Iterable[str] | None = None,
+    options: Mapping[str, Any] | None = None,
+    degrees: bool = False,
+    client: Any = None,
+    budget: Budget | None = None,
+) -> FileMap:
+    """A `FileMap`: what a verb answers to each row of a file of any size, written to a path as
+    Zarr.
 
-    `verb` is "fk", "ik", "ik_all" or "assemble"; `source` a .parquet, .npy or .csv file, a folder of .parquet files, or
-    Zarr: an array, or a group whose arrays of one axis are columns. Rows are configurations for "fk": all coordinates
-    in the order of `q`, or columns that have their names (those that are missing are neutral). For "ik" and "ik_all"
-    they are targets of a `frame`: x, y, z, with roll, pitch, yaw or with qw, qx, qy, qz, in the plane also x, y and x,
-    y, angle, or poses (n, 4, 4) and (n, 3, 4). For "assemble" they are known coordinates. In radians and metres, or
-    angles in `degrees`. `columns` are those that count, or the names of columns that have none. `options` are those of
-    the verb: form, dtype; task, start, method, tolerance, limits, fixed; branch, prefer.
+    `verb` is "fk", "ik", "ik_all" or "assemble"; `source` a .parquet, .npy or .csv file, a folder
+    of .parquet files, or Zarr: an array, or a group whose arrays of one axis are columns. Rows are
+    configurations for "fk": all coordinates in the order of `q`, or columns that have their names
+    (those that are missing are neutral). For "ik" and "ik_all" they are targets of a `frame`: x, y,
+    z, with roll, pitch, yaw or with qw, qx, qy, qz, in the plane also x, y and x, y, angle, or
+    poses (n, 4, 4) and (n, 3, 4). For "assemble" they are known coordinates. In radians and metres,
+    or angles in `degrees`. `columns` are those that count, or the names of columns that have none.
+    `options` are those of the verb: form, dtype; task, start, method, tolerance, limits, fixed;
+    branch, prefer.
 
-    At `path` then are arrays with a row for each row, which xarray opens: the answer, `code` (`Status`), errors, and
-    what made them. A row that is no number gives NaN and the code BAD_INPUT. Chunks have 65 536 rows ("ik" 16 384,
-    others 4096), and at most 8 MB of rows and 8 MB of answers; of these the memory holds two a thread. A block of the
-    file (a row group of Parquet, a chunk of Zarr) is held besides, 1 GB at most.
+    At `path` then are arrays with a row for each row, which xarray opens: the answer, `code`
+    (`Status`), errors, and what made them. A row that is no number gives NaN and the code
+    BAD_INPUT. Chunks have 65 536 rows ("ik" 16 384, others 4096), and at most 8 MB of rows and 8 MB
+    of answers; of these the memory holds two a thread. A block of the file (a row group of Parquet,
+    a chunk of Zarr) is held besides, 1 GB at most.
 
-    What is done is written beside the path chunk by chunk, with checksums: after any interruption the same call goes
-    on, and makes damaged chunks again. Answers do not depend on threads or workers: with a `client`, a
-    `distributed.Client` or the address of a scheduler, those of a Dask cluster answer. Of the `budget` are read: rng
-    (0), threads, time_limit (none), progress(rows, n).
+    What is done is written beside the path chunk by chunk, with checksums: after any interruption
+    the same call goes on, and makes damaged chunks again. Answers do not depend on threads or
+    workers: with a `client`, a `distributed.Client` or the address of a scheduler, those of a Dask
+    cluster answer. Of the `budget` are read: rng (0), threads, time_limit (none), progress(rows,
+    n).
 
-    Errors: `InputError` and `UnknownNameError` for what the file is not, and for what is at the path; those of the verb
-    for its options; `DiskError`; `DamagedError` for a source that cannot be read; `MissingExtraError` without the extra
-    [scale].
+    Errors: `InputError` and `UnknownNameError` for what the file is not, and for what is at the
+    path; those of the verb for its options; `DiskError`; `DamagedError` for a source that cannot be
+    read; `MissingExtraError` without the extra [scale].
     """
     spend = USUAL.of(budget)
     own = isinstance(client, str)
     clock = TimeLimit(spend.time_limit)
     threads = thread_count(spend.threads)
     rows = open_rows(source, None if columns is None else listed(columns, "columns"))
-    job = job_of(system, verb, frame, options, rows, flag(degrees, "degrees"), seed_number(spend.rng))
+    job = job_of(
+        system, verb, frame, options, rows, flag(degrees, "degrees"), seed_number(spend.rng)
+    )
     store = RowStore(expanded(path), job, rows, _chunk(job, rows))
     client = None if client is None else connected(client)
     broken = None
@@ -129,12 +155,25 @@ def map_file(
         if own and client is not None:
             client.close()
     interrupted = isinstance(broken, KeyboardInterrupt)
-    return FileMap(system, verb, rows.path, store.path, store.count(rows.n), rows.n, store.chunk, store.outcomes(),
-                   interrupted, broken is not None and not interrupted, store.damaged)  # fmt: skip
+    return FileMap(
+        system,
+        verb,
+        rows.path,
+        store.path,
+        store.count(rows.n),
+        rows.n,
+        store.chunk,
+        store.outcomes(),
+        interrupted,
+        broken is not None and not interrupted,
+        store.damaged,
+    )
 
 
 def _chunk(job: RowJob, rows: RowSource) -> int:
-    """Rows of a chunk: what a verb takes at once, more where there are very many, as the memory allows."""
+    """Rows of a chunk: what a verb takes at once, more where there are very many, as the memory
+    allows.
+    """
     most = 1 << max(0, (CHUNK_BYTES // max(rows.row_bytes, *job.row_bytes)).bit_length() - 1)
     wanted = max(VERBS[job.verb].rows, 1 << (rows.n // MANY).bit_length())
     return max(1, min(wanted, most, rows.n))
@@ -155,14 +194,20 @@ def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: Time
         return
     done = store.count(n)
     tasks = store.missing(n, store.chunk, store.chunk)
-    for part in _local(store, tasks, threads, clock) if client is None else _far(store, tasks, client, clock):
+    for part in (
+        _local(store, tasks, threads, clock)
+        if client is None
+        else _far(store, tasks, client, clock)
+    ):
         store.add(part)
         done += part.last - part.first
         pace(done, at_once=done == n)
     store.finish()
 
 
-def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: TimeLimit) -> Iterator[DonePart]:
+def _local(
+    store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: TimeLimit
+) -> Iterator[DonePart]:
     """The parts that threads of this process make of ranges of rows."""
     with ThreadWorkers(threads, spare=1, stops=True) as workers:
 
@@ -176,8 +221,12 @@ def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: T
             yield part
 
 
-def _far(store: RowStore, tasks: list[tuple[int, int]], client: Any, clock: TimeLimit) -> Iterator[DonePart]:
-    """The parts of which the workers of a cluster give the answers: rows go there, and answers come back."""
+def _far(
+    store: RowStore, tasks: list[tuple[int, int]], client: Any, clock: TimeLimit
+) -> Iterator[DonePart]:
+    """The parts of which the workers of a cluster give the answers: rows go there, and answers come
+    back.
+    """
     sent: dict[int, Any] = {}
     workers = ClusterWorkers(client)
     jobs: dict[int, Any] = {}

@@ -1,8 +1,10 @@
-"""What is done of long work, on disk: parts with checksums, found again after any end of the process.
+"""What is done of long work, on disk: parts with checksums, found again after any end of the
+process.
 
-A folder beside what is made holds a list: a line that says what the work is, and one for each part that is done, each
-with a checksum of its own. Lines are added whole; other files are written under another name first and then renamed. A
-line that is cut off counts as not written, and a part that is not what was written is made again.
+A folder beside what is made holds a list: a line that says what the work is, and one for each part
+that is done, each with a checksum of its own. Lines are added whole; other files are written under
+another name first and then renamed. A line that is cut off counts as not written, and a part that
+is not what was written is made again.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ LIST = "parts.jsonl"
 
 
 class DonePart(NamedTuple):
-    """Number `first` to `last` of the work, the checksum of what was made, and that of what it was made of."""
+    """Number `first` to `last` of the work, the checksum of what was made, and that of what it was
+    made of.
+    """
 
     first: int
     last: int
@@ -33,8 +37,9 @@ class DonePart(NamedTuple):
 class PartLog:
     """The folder of the parts of what is made at a path.
 
-    `said` is what the work is, as plain data, and `needed` the bytes that the disk must have free. After `begin`,
-    `done` are the parts that are whole, `damaged` says how many were not, and `header` is what they were said to be.
+    `said` is what the work is, as plain data, and `needed` the bytes that the disk must have free.
+    After `begin`, `done` are the parts that are whole, `damaged` says how many were not, and
+    `header` is what they were said to be.
     """
 
     loose: tuple[str, ...] = ()
@@ -55,9 +60,15 @@ class PartLog:
         raise NotImplementedError
 
     def begin(self) -> None:
-        """Find what is done, and make the folder. Errors: `InputError` where it is of another map; `DiskError`."""
+        """Find what is done, and make the folder. Errors: `InputError` where it is of another map;
+        `DiskError`.
+        """
         try:
-            lines = (self.folder / LIST).read_bytes().split(b"\n") if (self.folder / LIST).exists() else [b""]
+            lines = (
+                (self.folder / LIST).read_bytes().split(b"\n")
+                if (self.folder / LIST).exists()
+                else [b""]
+            )
         except OSError as error:
             raise DiskError(f"{self.folder / LIST} cannot be read: {error.strerror}") from error
         torn = lines.pop()
@@ -67,7 +78,9 @@ class PartLog:
         whole = header != [None]  # else all is done anew
         self.header = header[0] if whole and header else self.said
         refuse_other(self.header, self.said, str(self.folder), self.keys)
-        found: dict[int, DonePart] = {x[0]: DonePart(*x) for x in rest if x is not None} if whole else {}
+        found: dict[int, DonePart] = (
+            {x[0]: DonePart(*x) for x in rest if x is not None} if whole else {}
+        )
         self._make()
         self.done = [part for part in sorted(found.values()) if self.sound(part)]
         self.damaged += len(found) - len(self.done) + rest.count(None) if whole else 1
@@ -78,8 +91,10 @@ class PartLog:
         """Make the folder, on a disk that has enough room. Errors: `DiskError`."""
         free = shutil.disk_usage(self.path.parent).free
         if free < self.needed:
-            raise DiskError(f"{self.path.parent}: {free / 1e6:.3g} MB are free on this disk; the map needs up to "
-                            f"{self.needed / 1e6:.3g} MB while it is made")  # fmt: skip
+            raise DiskError(
+                f"{self.path.parent}: {free / 1e6:.3g} MB are free on this disk; the map needs up "
+                f"to {self.needed / 1e6:.3g} MB while it is made"
+            )
         try:
             self.folder.mkdir(exist_ok=True)
         except OSError as error:
@@ -155,18 +170,31 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
 def not_written(path: Path, error: OSError) -> DiskError:
     """The error for a part that could not be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    why = "the disk is full" if full else error.strerror or "not all of it was taken: the disk may be full"
-    return DiskError(f"{path} cannot be written: {why}; what was written before stands, and the same call goes on from "
-                     f"there")  # fmt: skip
+    why = (
+        "the disk is full"
+        if full
+        else error.strerror or "not all of it was taken: the disk may be full"
+    )
+    return DiskError(
+        f"{path} cannot be written: {why}; what was written before stands, and the same call goes "
+        "on from there"
+    )
 
 
-def refuse_other(of: dict[str, Any], said: dict[str, Any], where: str, keys: Iterable[str] | None = None) -> None:
-    """Refuse to add to a map of something else, by these keys, or all. Errors: `InputError` that says what differs."""
+def refuse_other(
+    of: dict[str, Any], said: dict[str, Any], where: str, keys: Iterable[str] | None = None
+) -> None:
+    """Refuse to add to a map of something else, by these keys, or all. Errors: `InputError` that
+    says what differs.
+    """
     different = [key for key in (said if keys is None else keys) if of.get(key) != said[key]]
     if different:
         key = different[0]
         if key == "system":
-            why = f"it is of another system, or that system has changed since (hash {of.get(key)}, here {said[key]})"
+            why = (
+                f"it is of another system, or that system has changed since (hash {of.get(key)}, "
+                f"here {said[key]})"
+            )
         else:
             why = f"its {key} is {of.get(key)!r}, and here it is {said[key]!r}"
         raise InputError(f"{where} belongs to another map: {why}; take another path, or remove it")

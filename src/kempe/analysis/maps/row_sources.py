@@ -33,7 +33,12 @@ class RowSource:
     """
 
     def __init__(
-        self, path: Path, edges: Any, tail: tuple[int, ...], names: tuple[str, ...] | None, block: Callable[[int], Any]
+        self,
+        path: Path,
+        edges: Any,
+        tail: tuple[int, ...],
+        names: tuple[str, ...] | None,
+        block: Callable[[int], Any],
     ):
         self.path = path
         self.edges = np.asarray(edges)
@@ -49,14 +54,23 @@ class RowSource:
         return 8 * int(np.prod(self.tail))
 
     def identity(self) -> dict[str, Any]:
-        """Name, size [bytes] and time of the last change [ns] of the file, or of all files of a folder."""
-        files = [p for p in self.path.rglob("*") if p.is_file()] if self.path.is_dir() else [self.path]
+        """Name, size [bytes] and time of the last change [ns] of the file, or of all files of a
+        folder.
+        """
+        files = (
+            [p for p in self.path.rglob("*") if p.is_file()] if self.path.is_dir() else [self.path]
+        )
         stats = [os.stat(p) for p in files]
-        return {"file": self.path.name, "size": sum(s.st_size for s in stats),
-                "changed": max((s.st_mtime_ns for s in stats), default=0)}  # fmt: skip
+        return {
+            "file": self.path.name,
+            "size": sum(s.st_size for s in stats),
+            "changed": max((s.st_mtime_ns for s in stats), default=0),
+        }
 
     def read(self, first: int, last: int) -> Array:
-        """The rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text that is no number."""
+        """The rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text that
+        is no number.
+        """
         out = np.empty((last - first, *self.tail))
         at = first
         while at < last:
@@ -77,9 +91,11 @@ class RowSource:
 
 
 def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSource:
-    """The rows of a file, of which only these `columns` count, or whose columns, where they have no names, these are.
+    """The rows of a file, of which only these `columns` count, or whose columns, where they have no
+    names, these are.
 
-    Errors: `InputError` for what is no such file, `UnknownNameError` for columns, `MissingExtraError`.
+    Errors: `InputError` for what is no such file, `UnknownNameError` for columns,
+    `MissingExtraError`.
     """
     path = expanded(path)
     if not path.exists():
@@ -126,7 +142,9 @@ def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tu
 
 def _numeric(path: Path, dtype: np.dtype, what: str) -> None:
     if dtype.kind not in "fiu":
-        raise InputError(f"{path}: {what} holds {KINDS.get(dtype.kind, str(dtype))}; it must hold real numbers")
+        raise InputError(
+            f"{path}: {what} holds {KINDS.get(dtype.kind, str(dtype))}; it must hold real numbers"
+        )
 
 
 def _steps(n: int, step: int) -> list[int]:
@@ -143,22 +161,31 @@ def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
         array: Any = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError as error:
         if "Python objects" in str(error):
-            raise InputError(f"{path}: it holds Python objects; it must hold an array of real numbers") from None
+            raise InputError(
+                f"{path}: it holds Python objects; it must hold an array of real numbers"
+            ) from None
         if "pickle" in str(error):  # of which numpy says how to run code that may be in the file
             raise ValueError("it does not begin as such a file does") from None
         raise
     if not hasattr(array, "shape"):
-        raise InputError(f"{path}: this is a .npz archive of arrays, whatever its name says; save one array as .npy")
+        raise InputError(
+            f"{path}: this is a .npz archive of arrays, whatever its name says; save one array as "
+            ".npy"
+        )
     return _of_array(path, array, [0, len(array)] if array.ndim else [0])
 
 
 def _of_array(path: Path, array: Any, edges: list[int]) -> RowSource:
     """The rows of an array (n,), (n, k) or (n, j, k)."""
     if array.ndim not in (1, 2, 3):
-        raise InputError(f"{path}: it holds an array of shape {array.shape}; needed is a row for each question")
+        raise InputError(
+            f"{path}: it holds an array of shape {array.shape}; needed is a row for each question"
+        )
     _numeric(path, array.dtype, "it")
     tail = array.shape[1:] or (1,)
-    return RowSource(path, edges, tail, None, lambda k: array[edges[k] : edges[k + 1]].reshape(-1, *tail))
+    return RowSource(
+        path, edges, tail, None, lambda k: array[edges[k] : edges[k + 1]].reshape(-1, *tail)
+    )
 
 
 def _zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
@@ -168,15 +195,21 @@ def _zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
     if isinstance(node, zarr.Array):
         return _of_array(path, node, _zarr_edges(path, node, node.shape[1:]))
     arrays = {name: array for name, array in node.arrays() if columns is None or name in columns}
-    if columns is None and (len({a.shape for a in arrays.values()}) != 1 or next(iter(arrays.values())).ndim != 1):
+    if columns is None and (
+        len({a.shape for a in arrays.values()}) != 1 or next(iter(arrays.values())).ndim != 1
+    ):
         held = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "no arrays"
         such = max(arrays, key=lambda name: arrays[name].ndim, default="q")
-        raise InputError(f"{path}: it holds {held}; name columns of one length, or give the path of an array, such as "
-                         f"{path / such}")  # fmt: skip
+        raise InputError(
+            f"{path}: it holds {held}; name columns of one length, or give the path of an array, "
+            f"such as {path / such}"
+        )
     names = _chosen(path, list(arrays), columns)
     shapes = {arrays[name].shape for name in names}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-        raise InputError(f"{path}: the columns have the shapes {sorted(shapes)}; they must have one, (n,)")
+        raise InputError(
+            f"{path}: the columns have the shapes {sorted(shapes)}; they must have one, (n,)"
+        )
     for name in names:
         _numeric(path, arrays[name].dtype, f"column {name!r}")
     edges = _zarr_edges(path, arrays[names[0]], (len(names),))
@@ -199,8 +232,10 @@ def _zarr_edges(path: Path, array: Any, tail: tuple[int, ...]) -> list[int]:
 def _not_too_large(path: Path, rows: int, tail: tuple[int, ...], what: str) -> None:
     size = 8 * rows * int(np.prod(tail))
     if size > BLOCK_BYTES:
-        raise InputError(f"{path}: a {what} of it has {rows} rows, {size / 1e9:.3g} GB; at most "
-                         f"{BLOCK_BYTES / 1e9:.3g} GB are read at once: write it in smaller ones")  # fmt: skip
+        raise InputError(
+            f"{path}: a {what} of it has {rows} rows, {size / 1e9:.3g} GB; at most "
+            f"{BLOCK_BYTES / 1e9:.3g} GB are read at once: write it in smaller ones"
+        )
 
 
 def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
@@ -234,7 +269,9 @@ def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
 
 def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
     """Text, which is gone through once to find where its blocks begin."""
-    places: list[tuple[int, int]] = []  # of each block its place in the file, and the number of its first line
+    places: list[
+        tuple[int, int]
+    ] = []  # of each block its place in the file, and the number of its first line
     names = None
     width = 0
     n = 0
@@ -263,7 +300,9 @@ def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
         lines = [(i, line) for i, line in enumerate(text.split("\n"), places[k][1]) if line.strip()]
         return rows_of_text(path, lines, width)[:, pick]
 
-    return RowSource(path, _steps(n, BLOCK_ROWS), (width if chosen is None else len(chosen),), chosen, block)
+    return RowSource(
+        path, _steps(n, BLOCK_ROWS), (width if chosen is None else len(chosen),), chosen, block
+    )
 
 
 READERS = {".parquet": _parquet, ".npy": _npy, ".csv": _csv}

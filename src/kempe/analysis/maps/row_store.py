@@ -39,7 +39,8 @@ SUMS = {
 
 
 PIECES = 8
-"""Pieces of a chunk, as a verb takes one at once: what is done of them is kept where the work is stopped."""
+"""Pieces of a chunk, as a verb takes one at once: what is done of them is kept where the work is
+stopped."""
 
 
 def _joined(parts: list[Arrays]) -> Arrays:
@@ -79,9 +80,11 @@ class RowStore(PartLog):
     # ---- what is there
 
     def begin(self) -> None:
-        """Find what is done, check it, and make room for the rest; `whole` says that nothing is left to do.
+        """Find what is done, check it, and make room for the rest; `whole` says that nothing is
+        left to do.
 
-        Errors: `InputError` where the path, or the folder beside it, is of another map, or the rows have changed.
+        Errors: `InputError` where the path, or the folder beside it, is of another map, or the rows
+        have changed.
         """
         if self.path.exists() and self._finished():
             return
@@ -96,8 +99,10 @@ class RowStore(PartLog):
             group = zarr_library().open_group(str(self.path), mode="r")
             self.header = json.loads(group.attrs["kempe"])
         except UNREADABLE as error:
-            raise DamagedError(f"{self.path} is damaged: it does not say what made it; take another path, or remove "
-                               f"it") from error  # fmt: skip
+            raise DamagedError(
+                f"{self.path} is damaged: it does not say what made it; take another path, or "
+                "remove it"
+            ) from error
         refuse_other(self.header, self.said, str(self.path), self.keys)
         try:
             sums = [np.asarray(group[name][...]) for name in SUMS]
@@ -108,8 +113,10 @@ class RowStore(PartLog):
             self.damaged = 1
             return False
         starts = range(0, self.source.n, self.chunk)
-        parts = [DonePart(at, min(at + self.chunk, self.source.n), f"{a:016x}", f"{b:016x}")
-                 for at, a, b in zip(starts, *(s.tolist() for s in sums), strict=False)]  # fmt: skip
+        parts = [
+            DonePart(at, min(at + self.chunk, self.source.n), f"{a:016x}", f"{b:016x}")
+            for at, a, b in zip(starts, *(s.tolist() for s in sums), strict=False)
+        ]
         self.done = [part for part in parts if self.sound(part)]
         self._refuse_changed()
         self.whole = len(self.done) == len(starts)
@@ -141,14 +148,16 @@ class RowStore(PartLog):
         return checksum_of_arrays(found) == part.checksum
 
     def _refuse_changed(self) -> None:
-        """Refuse rows that are not those of which parts are done, where the file is not the same. Errors as `begin`."""
+        """Refuse rows that are not those of which parts are done, where the file is not the same.
+        Errors as `begin`.
+        """
         if self.header.get("source") == self.said["source"]:
             return
         for part in self.done:
             if checksum_of_arrays({"rows": self.source.read(part.first, part.last)}) != part.source:
                 raise InputError(
-                    f"{self.path} belongs to another map: the rows {part.first} to {part.last} of {self.source.path} "
-                    f"have changed since; take another path, or remove it"
+                    f"{self.path} belongs to another map: the rows {part.first} to {part.last} of "
+                    f"{self.source.path} have changed since; take another path, or remove it"
                 )
         if not self.path.exists():
             self.write_list()  # the same rows in another file
@@ -156,7 +165,9 @@ class RowStore(PartLog):
     def _make_arrays(self) -> None:
         """Make a new group, which fills up, and its arrays. Errors: `DiskError`."""
         try:
-            self._describe(zarr_library().open_group(str(self.folder / ROWS), mode="w", zarr_format=3))
+            self._describe(
+                zarr_library().open_group(str(self.folder / ROWS), mode="w", zarr_format=3)
+            )
         except OSError as error:
             raise not_written(self.folder / ROWS, error) from error
 
@@ -164,17 +175,33 @@ class RowStore(PartLog):
         n = self.source.n
         job = self.job
         made = {**self.said, "toml": description_of(job.system)}
-        group.attrs.update({"title": f"{job.verb} of {job.frame or job.system.name}", "format": FORMAT,
-                            "kempe": json.dumps(made)})  # fmt: skip
+        group.attrs.update(
+            {
+                "title": f"{job.verb} of {job.frame or job.system.name}",
+                "format": FORMAT,
+                "kempe": json.dumps(made),
+            }
+        )
         for name, empty in job.layout.items():
             _, what, unit = AXES[name]
             more: dict[str, Any] = {"long_name": what, "units": unit}
             if name == "code":
-                more |= {"flag_values": [int(s) for s in MEMBERS], "flag_meanings": " ".join(s.name for s in MEMBERS)}
+                more |= {
+                    "flag_values": [int(s) for s in MEMBERS],
+                    "flag_meanings": " ".join(s.name for s in MEMBERS),
+                }
             tail = empty.shape[1:]
             packed = "auto" if empty.itemsize == 1 else None  # configurations do not get smaller
-            self.arrays[name] = add_array(group, name, (n, *tail), empty.dtype, (self.chunk, *tail),
-                                          axes_of(name, empty), packed, **more)  # fmt: skip
+            self.arrays[name] = add_array(
+                group,
+                name,
+                (n, *tail),
+                empty.dtype,
+                (self.chunk, *tail),
+                axes_of(name, empty),
+                packed,
+                **more,
+            )
         for name, words in self._words():
             dims = ("coordinate",) if name == "unit" else (name,)
             add_array(group, name, (len(words),), str, (len(words),), dims)[...] = np.array(words)
@@ -182,13 +209,18 @@ class RowStore(PartLog):
     def _words(self) -> list[tuple[str, list[str]]]:
         """The axes that have words, such as names of coordinates, and these."""
         used = {axis for name, empty in self.job.layout.items() for axis in axes_of(name, empty)}
-        return [(name, words) for name, words in self.job.axes().items()
-                if name in used or (name == "unit" and "coordinate" in used)]  # fmt: skip
+        return [
+            (name, words)
+            for name, words in self.job.axes().items()
+            if name in used or (name == "unit" and "coordinate" in used)
+        ]
 
     # ---- what is done
 
     def answers(self, first: int, rows: Any) -> Arrays:
-        """Answers to the rows of a chunk that begins at row `first`; after a stop the next call goes on with them."""
+        """Answers to the rows of a chunk that begins at row `first`; after a stop the next call
+        goes on with them.
+        """
         piece = max(1, VERBS[self.job.verb].rows // PIECES)
         kept = self.folder / f"begun_{first}.npz"
         parts = self._begun(kept, rows)
@@ -205,11 +237,16 @@ class RowStore(PartLog):
         return _joined(parts)
 
     def _begun(self, path: Path, rows: Any) -> list[Arrays]:
-        """The answers to the first rows of a chunk that a stop has left; none where the file or the rows changed."""
+        """The answers to the first rows of a chunk that a stop has left; none where the file or the
+        rows changed.
+        """
         if not path.exists():
             return []
         try:
-            with path.open("rb") as opened, np.load(opened) as file:  # np.load leaves a damaged file open
+            with (
+                path.open("rb") as opened,
+                np.load(opened) as file,
+            ):  # np.load leaves a damaged file open
                 found = {name: file[name] for name in file.files}
             own = [str(found.pop(name)) for name in ("sum", "of")]
             count = len(found["code"])
@@ -219,7 +256,9 @@ class RowStore(PartLog):
         return [found] if good else []
 
     def _keep(self, path: Path, found: Arrays, rows: Any) -> None:
-        """Keep the answers to the first rows of a chunk; where there is no room they are found again."""
+        """Keep the answers to the first rows of a chunk; where there is no room they are found
+        again.
+        """
         sums = dict(zip(("sum", "of"), self._sums(found, rows[: len(found["code"])]), strict=True))
         try:
             np.savez(path, **found, **sums)  # type: ignore[arg-type]
@@ -230,7 +269,9 @@ class RowStore(PartLog):
         return [checksum_of_arrays(found), checksum_of_arrays({"rows": rows})]
 
     def made(self, first: int, last: int, rows: Any, arrays: Arrays) -> DonePart:
-        """Write the answers to the rows `first` to `last`; to be added when that is done. Errors: `DiskError`."""
+        """Write the answers to the rows `first` to `last`; to be added when that is done. Errors:
+        `DiskError`.
+        """
         try:
             for name, array in arrays.items():
                 self.arrays[name][first:last] = array
@@ -242,7 +283,9 @@ class RowStore(PartLog):
         """How many rows have which outcome, by its name, of those that are done."""
         counts = np.zeros(len(MEMBERS), dtype=np.int64)
         for part in self.done:
-            counts += np.bincount(self.arrays["code"][part.first : part.last], minlength=len(MEMBERS))
+            counts += np.bincount(
+                self.arrays["code"][part.first : part.last], minlength=len(MEMBERS)
+            )
         return {MEMBERS[k].name: int(c) for k, c in enumerate(counts) if c}
 
     def finish(self) -> None:
@@ -256,7 +299,9 @@ class RowStore(PartLog):
                     del group[name]
                 sums = np.array([int(getattr(part, of), 16) for part in parts], dtype=np.uint64)
                 chunks = (max(1, len(sums)),)
-                added = add_array(group, name, sums.shape, sums.dtype, chunks, ("chunk",), long_name=what)
+                added = add_array(
+                    group, name, sums.shape, sums.dtype, chunks, ("chunk",), long_name=what
+                )
                 added[...] = sums
             consolidate(folder)
             take_place(folder, self.path)

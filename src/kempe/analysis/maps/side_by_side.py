@@ -1,4 +1,6 @@
-"""Tasks done side by side, a few at a time, in threads or by a cluster; stopped without loss, with the time left."""
+"""Tasks done side by side, a few at a time, in threads or by a cluster; stopped without loss, with
+the time left.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class Pace:
 
 
 class Workers(Protocol):
-    """Who does tasks: at most `most` at once; what is begun is finished where `finishes` says so, else given up."""
+    """Who does tasks: at most `most` at once; what is begun is finished where `finishes` says so,
+    else given up.
+    """
 
     most: int
     finishes: bool
@@ -62,7 +66,8 @@ class Workers(Protocol):
 class ThreadWorkers:
     """Threads of this process; `spare` tasks wait for the next that is free.
 
-    What is begun is finished; with `stops` it is left where it takes long, to be begun again another time.
+    What is begun is finished; with `stops` it is left where it takes long, to be begun again
+    another time.
     """
 
     finishes = True
@@ -101,12 +106,16 @@ class ThreadWorkers:
 
 
 def finished(
-    workers: Workers, tasks: Iterable[Task], begin: Callable[[Task, int], Any], check: Callable[[], None]
+    workers: Workers,
+    tasks: Iterable[Task],
+    begin: Callable[[Task, int], Any],
+    check: Callable[[], None],
 ) -> Iterator[tuple[Task, Any]]:
-    """Each task and its result, as they come; `begin` gives the future of a task and the number of the attempt.
+    """Each task and its result, as they come; `begin` gives the future of a task and the number of
+    the attempt.
 
-    `check` is called now and then, and raises what ends the work early: what workers finish comes before that is
-    raised. Errors: those of the tasks, for which the others are given up.
+    `check` is called now and then, and raises what ends the work early: what workers finish comes
+    before that is raised. Errors: those of the tasks, for which the others are given up.
     """
     todo = iter(tasks)
     running: dict[Any, tuple[Task, int]] = {}

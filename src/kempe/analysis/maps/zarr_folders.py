@@ -1,4 +1,6 @@
-"""Results as folders of Zarr (version 3) with named axes, which xarray opens: there whole or not at all."""
+"""Results as folders of Zarr (version 3) with named axes, which xarray opens: there whole or not at
+all.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def zarr_library() -> Any:
 
 
 def description_of(system: System) -> str | None:
-    """The system as TOML text, to be read again; None where it holds what no file can, such as functions."""
+    """The system as TOML text, to be read again; None where it holds what no file can, such as
+    functions.
+    """
     from kempe.description.toml.toml_writer import write_toml
 
     try:
@@ -43,35 +47,68 @@ def format_of(path: Path) -> str | None:
 
 
 OTHER_FORMATS = {
-    ".csv", ".tsv", ".txt", ".json", ".xlsx", ".xls", ".npy", ".npz", ".parquet", ".feather", ".arrow", ".h5", ".hdf5",
-    ".mat", ".pkl", ".zip", ".gz", ".bz2", ".xz", ".zst",
-}  # fmt: skip
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".json",
+    ".xlsx",
+    ".xls",
+    ".npy",
+    ".npz",
+    ".parquet",
+    ".feather",
+    ".arrow",
+    ".h5",
+    ".hdf5",
+    ".mat",
+    ".pkl",
+    ".zip",
+    ".gz",
+    ".bz2",
+    ".xz",
+    ".zst",
+}
 """Endings of files that are no folders of Zarr."""
 
 
 def refuse_place(path: Path, format: str) -> None:
-    """Refuse a path that has no folder, or where something else than this format is. Errors: `InputError`."""
+    """Refuse a path that has no folder, or where something else than this format is. Errors:
+    `InputError`.
+    """
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
     stem = path
     while stem.suffix.lower() in OTHER_FORMATS:
         stem = stem.with_suffix("")
     if stem != path:
-        raise InputError(f"{path}: results are written as a folder of Zarr; give it a name such as "
-                         f"{stem.name + '.zarr'!r}, and open it with xarray.open_zarr")  # fmt: skip
+        raise InputError(
+            f"{path}: results are written as a folder of Zarr; give it a name such as "
+            f"{stem.name + '.zarr'!r}, and open it with xarray.open_zarr"
+        )
     if path.exists() and format_of(path) != format:
         raise InputError(f"{path}: there is something else than a map; take another path")
 
 
 def add_array(
-    group: Any, name: str, shape: tuple[int, ...], dtype: Any, chunks: tuple[int, ...], dims: tuple[str, ...],
-    compressors: Any = "auto", **attributes: Any,
-) -> Any:  # fmt: skip
+    group: Any,
+    name: str,
+    shape: tuple[int, ...],
+    dtype: Any,
+    chunks: tuple[int, ...],
+    dims: tuple[str, ...],
+    compressors: Any = "auto",
+    **attributes: Any,
+) -> Any:
     """A new array of a group, with names of its axes and what else is said of it."""
     return group.create_array(
-        name, shape=shape, dtype=dtype, chunks=chunks, dimension_names=dims, attributes=attributes,
+        name,
+        shape=shape,
+        dtype=dtype,
+        chunks=chunks,
+        dimension_names=dims,
+        attributes=attributes,
         compressors=compressors,
-    )  # fmt: skip
+    )
 
 
 def consolidate(folder: Path) -> None:

@@ -1,9 +1,11 @@
-"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far free velocities reach.
+"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far free
+velocities reach.
 
-Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed configurations. What brackets of its
-fields span at q is tangent to the set that motions from q reach (Chow, 1939; Nagano, 1966; Sussmann, 1973). Where it is
-no more than the distribution, at a configuration drawn at random and so everywhere, since all is analytic, the rows are
-the rates of functions of q (Frobenius, 1877): positions in disguise.
+Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed configurations.
+What brackets of its fields span at q is tangent to the set that motions from q reach (Chow, 1939;
+Nagano, 1966; Sussmann, 1973). Where it is no more than the distribution, at a configuration drawn
+at random and so everywhere, since all is analytic, the rows are the rates of functions of q
+(Frobenius, 1877): positions in disguise.
 """
 
 from __future__ import annotations
@@ -45,9 +47,10 @@ UNILATERAL = "unilateral"
 class ConstraintKind(InWords):
     """What one constraint is, alone beside what holds positions.
 
-    `rows` are the names of its equations, `independent` of them take a freedom of velocity each. With rows of velocity,
-    `integrable` of the freedoms that these take are rates of functions of position; `reaches` is the dimension of what
-    motions reach that obey this constraint, `growth` their growth vector, both at configurations around.
+    `rows` are the names of its equations, `independent` of them take a freedom of velocity each.
+    With rows of velocity, `integrable` of the freedoms that these take are rates of functions of
+    position; `reaches` is the dimension of what motions reach that obey this constraint, `growth`
+    their growth vector, both at configurations around.
     """
 
     name: str
@@ -76,16 +79,18 @@ class ConstraintKind(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Classification(Worded):
-    """What the constraints of a system are, each alone and all together, with the reasoning; ``print`` it.
+    """What the constraints of a system are, each alone and all together, with the reasoning;
+    ``print`` it.
 
-    `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that of the velocities
-    that all constraints leave free there. `growth` is their growth vector at `q`: dimensions of what brackets of up to
-    1, 2, ... of them span; `growth_around` that at configurations drawn at random. `degree` is the length of brackets
-    after which nothing is added (None where it is beyond the limit of work), and `reachable_dimension` the dimension of
-    the set that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints of velocity
-    are together.
-    `constraints[name].kind` is "holonomic", "integrable" (of velocity, but positions in disguise), "nonholonomic" or
-    "unilateral". Where `why` says why not, growth and what is reached are None.
+    `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that
+    of the velocities that all constraints leave free there. `growth` is their growth vector at `q`:
+    dimensions of what brackets of up to 1, 2, ... of them span; `growth_around` that at
+    configurations drawn at random. `degree` is the length of brackets after which nothing is added
+    (None where it is beyond the limit of work), and `reachable_dimension` the dimension of the set
+    that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints
+    of velocity are together.
+    `constraints[name].kind` is "holonomic", "integrable" (of velocity, but positions in disguise),
+    "nonholonomic" or "unilateral". Where `why` says why not, growth and what is reached are None.
     """
 
     name: str
@@ -101,24 +106,31 @@ class Classification(Worded):
     doubtful: bool
     why: str = ""
     one_sided: OneSidedReport | None = field(default=None, repr=False)
-    """Which one-sided constraints are closed at `q` and what they still allow; None where there are none."""
+    """Which one-sided constraints are closed at `q` and what they still allow; None where there are
+    none."""
     moved: float = 0.0
     """How far `q` is from the configuration that was given, where that was not closed."""
     late: bool = False
-    """Whether the time limit ended the search for growth vectors; `constraints` has those that were looked at."""
+    """Whether the time limit ended the search for growth vectors; `constraints` has those that were
+    looked at."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
     within: Nearest | None = field(default=None, repr=False)
-    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None:
+    it was itself."""
 
     @property
     def singular(self) -> bool:
-        """Whether the growth vector at `q` differs from that at configurations drawn at random, beyond doubt."""
+        """Whether the growth vector at `q` differs from that at configurations drawn at random,
+        beyond doubt.
+        """
         return not self.doubtful and self.growth != self.growth_around
 
     @property
     def integrals(self) -> int | None:
-        """How many independent functions of position keep their value along every motion, around `q`."""
+        """How many independent functions of position keep their value along every motion, around
+        `q`.
+        """
         return None if self.reachable_around is None else self.position_dof - self.reachable_around
 
     @property
@@ -141,19 +153,29 @@ USUAL = Usual("classify", time_limit=SHORT)
 @time_limited(USUAL)
 @tolerant("q")
 def classify(
-    system: System, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
-    tolerance: float | str | None = None, budget: Budget | None = None,
-) -> Classification:  # fmt: skip
-    """Which kind each constraint of a system is, and how far velocities that are free reach, with the reasoning.
+    system: System,
+    q: Any = None,
+    *,
+    t: float = 0.0,
+    project: bool = False,
+    rng: np.random.Generator | int = 0,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Classification:
+    """Which kind each constraint of a system is, and how far velocities that are free reach, with
+    the reasoning.
 
-    `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where constraints depend on it.
-    A `q` that misses what holds positions by more than rounding is refused, or with `project` replaced by the nearest
-    closed one that is found; `moved` says how far that is.
-    `rng` draws letters of brackets and configurations around. Ranks are decided by the size of singular values against
-    an estimate of rounding; `doubtful` says that one is not clearly on either side. Of the `budget` the time_limit
-    (30 s) is read: where it ends the search for growth vectors, `late` is true, growth and what is reached are None,
-    and the freedoms and those constraints that were looked at are known. Errors: `InputError`; `UnsupportedError` for
-    constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are not known by then.
+    `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where
+    constraints depend on it. A `q` that misses what holds positions by more than rounding is
+    refused, or with `project` replaced by the nearest closed one that is found; `moved` says how
+    far that is.
+    `rng` draws letters of brackets and configurations around. Ranks are decided by the size of
+    singular values against an estimate of rounding; `doubtful` says that one is not clearly on
+    either side. Of the `budget` the time_limit (30 s) is read: where it ends the search for growth
+    vectors, `late` is true, growth and what is reached are None, and the freedoms and those
+    constraints that were looked at are known. Errors: `InputError`; `UnsupportedError` for
+    constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are
+    not known by then.
     """
     time_of(USUAL).put_in_order()  # there is nothing to do afterwards
     if not is_real(t):
@@ -161,11 +183,16 @@ def classify(
     given = None if q is None else one_finite(system, q)
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
-        raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")
+        raise InputError(
+            f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}"
+        )
     moved = 0.0 if given is None else float(distance(system, given, at.q))
     if at.given > NEAR and given is not None and not project:
-        raise InputError(f"q misses what holds positions by {at.given:.3g} (radians and characteristic lengths); the "
-                         f"nearest closed configuration found is {moved:.3g} away: project=True takes it")  # fmt: skip
+        raise InputError(
+            f"q misses what holds positions by {at.given:.3g} (radians and characteristic "
+            f"lengths); the nearest closed configuration found is {moved:.3g} away: project=True "
+            "takes it"
+        )
     found = _Classifier(system, at.q, float(t), generator(rng), time_of(USUAL)).found()
     return replace(found, one_sided=if_any(system, at.q), moved=moved)
 
@@ -173,7 +200,9 @@ def classify(
 class _Classifier:
     """The rows of a system at a closed configuration, and around it."""
 
-    def __init__(self, system: System, q: Array, t: float, rng: np.random.Generator, time: TimeLimit):
+    def __init__(
+        self, system: System, q: Array, t: float, rng: np.random.Generator, time: TimeLimit
+    ):
         self.system = system
         self.rows = tangent_rows(system)
         self.rng = rng
@@ -184,7 +213,11 @@ class _Classifier:
         names = self.rows.names
         self.moving = {c for c, rows in self.of.items() if any(names[i].velocity for i in rows)}
         # what rolls touches: its one-sided rows hold while it does
-        held = (i for i, r in enumerate(names) if not r.velocity and (not r.sided or r.of in self.moving))
+        held = (
+            i
+            for i, r in enumerate(names)
+            if not r.velocity and (not r.sided or r.of in self.moving)
+        )
         self.place = EvaluationPoint(self.rows, q, t, tuple(held), self._closed)
 
     def _closed(self, q: Array) -> Array | None:
@@ -207,36 +240,65 @@ class _Classifier:
         away = whole.dimension if around is None else around.null_space().dimension
         which = self.velocity_rows(self.moving)
         free = place.null_space(which).dimension - place.extra
-        made: dict[str, Any] = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
+        made: dict[str, Any] = {
+            "name": system.name,
+            "q": place.q,
+            "position_dof": positions,
+            "velocity_dof": free,
+        }
         if away < whole.dimension:
             count = f"{counted(positions, 'freedom')}, around {away - place.extra}"
             why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):
-            return self._without("the velocities that are requested contradict each other at q", made, around)
+            return self._without(
+                "the velocities that are requested contradict each other at q", made, around
+            )
         try:
             total = reach(place, around, which, self.rng)
         except TimeUp:
             if not self.time.spent:
                 raise
-            said = f"the time limit of {self.time.limit:g} s ended the search for what brackets of velocities span"
+            said = (
+                f"the time limit of {self.time.limit:g} s ended the search for what brackets of "
+                "velocities span"
+            )
             return replace(self._without(said, made, around), late=True)
         kind = self._together(total)
-        lost = "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
+        lost = (
+            "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
+        )
         why = "" if total.growth is not None else lost
         each = self._each(around or place)
         return Classification(
-            **made, kind=kind, growth=total.growth, growth_around=total.around, reachable_dimension=total.dimension,
-            degree=total.degree, constraints=each, late=self.time.spent, doubtful=total.doubtful, why=why,
+            **made,
+            kind=kind,
+            growth=total.growth,
+            growth_around=total.around,
+            reachable_dimension=total.dimension,
+            degree=total.degree,
+            constraints=each,
+            late=self.time.spent,
+            doubtful=total.doubtful,
+            why=why,
             reachable_around=total.dimension_around,
-        )  # fmt: skip
+        )
 
-    def _without(self, why: str, made: dict[str, Any], around: EvaluationPoint | None) -> Classification:
+    def _without(
+        self, why: str, made: dict[str, Any], around: EvaluationPoint | None
+    ) -> Classification:
         """What can be said where growth is not defined."""
         return Classification(
-            **made, kind="", growth=None, growth_around=None, reachable_dimension=None, degree=None,
-            constraints=self._each(around or self.place), doubtful=False, why=why,
-        )  # fmt: skip
+            **made,
+            kind="",
+            growth=None,
+            growth_around=None,
+            reachable_dimension=None,
+            degree=None,
+            constraints=self._each(around or self.place),
+            doubtful=False,
+            why=why,
+        )
 
     def _together(self, total: Reach) -> str:
         """What all constraints are together."""
@@ -266,14 +328,24 @@ class _Classifier:
             held = [i for i in own if not rows[i].sided]
             others = replace(place, holding=tuple(i for i in place.holding if i not in own))
             return ConstraintKind(
-                name, HOLONOMIC if held else UNILATERAL, names, others.null_space().dimension - whole if held else 0
-            )  # fmt: skip
+                name,
+                HOLONOMIC if held else UNILATERAL,
+                names,
+                others.null_space().dimension - whole if held else 0,
+            )
         alone = place.null_space(which)
         grown = growth(alone, self.rng, whole, False)
         found = grown.dimensions
         kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
         extra = place.extra
         return ConstraintKind(
-            name, kind, names, whole - alone.dimension, whole - found[-1], found[-1] - extra,
-            tuple(d - extra for d in found), grown.doubtful and found[-1] < whole, any(rows[i].sided for i in own),
-        )  # fmt: skip
+            name,
+            kind,
+            names,
+            whole - alone.dimension,
+            whole - found[-1],
+            found[-1] - extra,
+            tuple(d - extra for d in found),
+            grown.doubtful and found[-1] < whole,
+            any(rows[i].sided for i in own),
+        )

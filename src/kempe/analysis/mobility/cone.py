@@ -1,9 +1,11 @@
-"""What active one-sided constraints leave to velocities: the cone {v : E v = 0, G v >= 0}, by linear programming.
+"""What active one-sided constraints leave to velocities: the cone {v : E v = 0, G v >= 0}, by
+linear programming.
 
-Columns are scaled velocities (slides in lengths of a link), so that rows of turns and slides compare. Facts used:
-a one-sided row is zero on the whole cone where it takes part in a nonnegative combination of rows that vanishes
-(Stiemke, 1915); where no row is, and E has full rank, the cone is what curves of the set {e = 0, g >= 0} leave with
-(Mangasarian and Fromovitz, 1967); otherwise it says to first order what may move.
+Columns are scaled velocities (slides in lengths of a link), so that rows of turns and slides
+compare. Facts used: a one-sided row is zero on the whole cone where it takes part in a nonnegative
+combination of rows that vanishes (Stiemke, 1915); where no row is, and E has full rank, the cone is
+what curves of the set {e = 0, g >= 0} leave with (Mangasarian and Fromovitz, 1967); otherwise it
+says to first order what may move.
 """
 
 from __future__ import annotations
@@ -20,8 +22,9 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 NOTHING = 1e-6
-"""Rows, components and openings below this part of what they are measured against count as zero: at a configuration
-that is 1e-14 from a singular one, where equations are quadratic, rows that vanish there are 1e-7."""
+"""Rows, components and openings below this part of what they are measured against count as zero: at
+a configuration that is 1e-14 from a singular one, where equations are quadratic, rows that vanish
+there are 1e-7."""
 MOST = 3000
 """Sets of rows that are tried for extreme rays; where there are more the rays are not listed."""
 PRECISE = 1e-10
@@ -45,11 +48,12 @@ _WORDS = (("neither up nor down", "down but not up"), ("up but not down", "up an
 class Cone:
     """The velocities v (n,) with E v = 0 and G v >= 0; rows of G are named by their places.
 
-    `dimension` is that of the cone, `lineality` that of the velocities whose opposite is allowed, too, with the basis
-    `free` (lineality, n). `implicit` rows are zero at all allowed velocities though E v = 0 does not say so (opposite
-    contacts, a wedge that has closed), `implied` ones because E v = 0 says so; `vanishing` rows are zero themselves:
-    they say nothing to first order. `redundant` rows follow from the others. `rays` (k, n) are the extreme ones (unit
-    vectors, across `free`), None where they are too many. `exact`: each of these velocities begins a motion.
+    `dimension` is that of the cone, `lineality` that of the velocities whose opposite is allowed,
+    too, with the basis `free` (lineality, n). `implicit` rows are zero at all allowed velocities
+    though E v = 0 does not say so (opposite contacts, a wedge that has closed), `implied` ones
+    because E v = 0 says so; `vanishing` rows are zero themselves: they say nothing to first order.
+    `redundant` rows follow from the others. `rays` (k, n) are the extreme ones (unit vectors,
+    across `free`), None where they are too many. `exact`: each of these velocities begins a motion.
     """
 
     size: int
@@ -65,10 +69,13 @@ class Cone:
     across: Array = field(repr=False)
     """Basis (dimension - lineality, n) of the cone's span across `free`."""
     rows: Array = field(repr=False)
-    """The rows that are needed, in that basis: the cone across `free` is where they are not negative."""
+    """The rows that are needed, in that basis: the cone across `free` is where they are not
+    negative."""
 
     def ways(self, row: ArrayLike) -> ConeDirections:
-        """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row` (n,)."""
+        """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row`
+        (n,).
+        """
         row = np.asarray(row, dtype=float)
         size = float(np.linalg.norm(row))
         if size == 0.0:
@@ -77,15 +84,19 @@ class Cone:
             return ConeDirections(True, True)
         if self.rays is not None:
             rates = self.rays @ row
-            return ConeDirections(bool(np.any(rates < -NOTHING * size)), bool(np.any(rates > NOTHING * size)))
+            return ConeDirections(
+                bool(np.any(rates < -NOTHING * size)), bool(np.any(rates > NOTHING * size))
+            )
         own = self.across @ row / size
         return ConeDirections(_least(own, self.rows) < -NOTHING, _least(-own, self.rows) < -NOTHING)
 
 
 def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Cone:
-    """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >= 0.
+    """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >=
+    0.
 
-    Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to unit length.
+    Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to
+    unit length.
     """
     E = np.asarray(equal, dtype=float)
     G = np.asarray(one_sided, dtype=float)
@@ -113,11 +124,19 @@ def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Con
     rays = _rays(C)
     names = used.tolist()
     return Cone(
-        n, len(free) + wide, len(free), tuple(names[i] for i in closed), tuple(np.flatnonzero(implied).tolist()),
-        tuple(np.flatnonzero(vanishing).tolist()), tuple(names[i] for i in redundant),
+        n,
+        len(free) + wide,
+        len(free),
+        tuple(names[i] for i in closed),
+        tuple(np.flatnonzero(implied).tolist()),
+        tuple(np.flatnonzero(vanishing).tolist()),
+        tuple(names[i] for i in redundant),
         bool(full and not closed and not vanishing.any() and not implied.any()),
-        None if rays is None else rays @ across @ N, free @ N, across @ N, C,
-    )  # fmt: skip
+        None if rays is None else rays @ across @ N,
+        free @ N,
+        across @ N,
+        C,
+    )
 
 
 def _unit(rows: Array, ignore: float) -> tuple[Array, Array]:
@@ -150,7 +169,8 @@ def _kernel_in(rows: Array, basis: Array) -> tuple[int, Array]:
 def _closed(B: Array) -> list[int]:
     """The rows of a pointed cone {B w >= 0} that are zero on all of it.
 
-    One program: raise as many rows to 1 as can be at once, with w as long as the narrowest opening that counts needs.
+    One program: raise as many rows to 1 as can be at once, with w as long as the narrowest opening
+    that counts needs.
     """
     k, r = B.shape
     if k == r:  # independent: each can be raised alone
@@ -158,9 +178,12 @@ def _closed(B: Array) -> list[int]:
     from scipy import optimize
 
     answer = cast(Any, optimize).linprog(
-        np.concatenate([np.zeros(r), -np.ones(k)]), np.hstack([-B, np.eye(k)]), np.zeros(k),
-        bounds=[(-1.0 / NOTHING, 1.0 / NOTHING)] * r + [(0.0, 1.0)] * k, **_METHOD,
-    )  # fmt: skip
+        np.concatenate([np.zeros(r), -np.ones(k)]),
+        np.hstack([-B, np.eye(k)]),
+        np.zeros(k),
+        bounds=[(-1.0 / NOTHING, 1.0 / NOTHING)] * r + [(0.0, 1.0)] * k,
+        **_METHOD,
+    )
     return np.flatnonzero(answer.x[r:] < 0.5).tolist()
 
 
@@ -178,17 +201,21 @@ def _least(row: Array, rows: Array) -> float:
     """The least of row @ w where rows @ w >= 0, for w within a box of unit size."""
     from scipy import optimize
 
-    answer = cast(Any, optimize).linprog(row, -rows, np.zeros(len(rows)), bounds=[(-1.0, 1.0)] * len(row), **_METHOD)
+    answer = cast(Any, optimize).linprog(
+        row, -rows, np.zeros(len(rows)), bounds=[(-1.0, 1.0)] * len(row), **_METHOD
+    )
     return float(answer.fun)
 
 
 _METHOD: dict[str, Any] = {
-    "method": "highs", "options": {"primal_feasibility_tolerance": PRECISE, "dual_feasibility_tolerance": PRECISE},
-}  # fmt: skip
+    "method": "highs",
+    "options": {"primal_feasibility_tolerance": PRECISE, "dual_feasibility_tolerance": PRECISE},
+}
 
 
 def _rays(C: Array) -> Array | None:
-    """Unit vectors (k, r) along the edges of a cone {C w >= 0} of full dimension without a line; None: too many.
+    """Unit vectors (k, r) along the edges of a cone {C w >= 0} of full dimension without a line;
+    None: too many.
 
     Along an edge r - 1 independent rows are zero.
     """

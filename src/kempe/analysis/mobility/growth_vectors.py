@@ -1,9 +1,11 @@
-"""Growth vectors: how Lie brackets of the velocities that rows A(q) v = 0 leave free span more and more directions.
+"""Growth vectors: how Lie brackets of the velocities that rows A(q) v = 0 leave free span more and
+more directions.
 
-The fields X_c(q) are velocities in the null space of A(q). D^1 is what they span at q, D^s what brackets of up to s of
-them span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random letters span, one after the other, all
-brackets of their length: words [X_1, [X_2, ... [X_(s-1), Y]]] of letters from a basis do (the Jacobi identity), they
-are linear in each letter, and values of a polynomial at random points span what all its values do.
+The fields X_c(q) are velocities in the null space of A(q). D^1 is what they span at q, D^s what
+brackets of up to s of them span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random
+letters span, one after the other, all brackets of their length: words [X_1, [X_2, ... [X_(s-1),
+Y]]] of letters from a basis do (the Jacobi identity), they are linear in each letter, and values of
+a polynomial at random points span what all its values do.
 """
 
 from __future__ import annotations
@@ -25,11 +27,13 @@ SEEN = 3.0
 DOUBT = 300.0
 """Between how many times its rounding a direction is doubtful, whether it counts or not."""
 EXACT = 1e-15
-"""How far a configuration is from where it should be, in units, up to which all error of brackets is their rounding."""
+"""How far a configuration is from where it should be, in units, up to which all error of brackets
+is their rounding."""
 SHARE = 1e-3
 """The least part of an estimate of rounding that is believed."""
 BLIND = 1e-6
-"""Part of a bracket that a direction must be long at most, for it to be beyond doubt that there is none."""
+"""Part of a bracket that a direction must be long at most, for it to be beyond doubt that there is
+none."""
 AGAIN = 3
 """How often a doubtful growth vector is sought again."""
 MORE = 2
@@ -40,15 +44,17 @@ PIECE = 3e7
 """Products of series between two looks at the clock."""
 VANISHED = 1e-13
 ROUNDED = 1e-14
-"""Rows of a size below this part of the largest are rounding, as those are that say twice that a motion is flat;
-others have rounding of the other size."""
+"""Rows of a size below this part of the largest are rounding, as those are that say twice that a
+motion is flat; others have rounding of the other size."""
 CONDITION = 1e-9
 """Smallest singular value, as part of the largest of scaled rows, that counts for the rank of A."""
 
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """The null space of some of the rows at q: fields with these coefficients, smooth where `pivots` stay regular."""
+    """The null space of some of the rows at q: fields with these coefficients, smooth where
+    `pivots` stay regular.
+    """
 
     rows: VelocityRows
     q: Array
@@ -67,7 +73,8 @@ class Distribution:
     error: float = 1e-15
     """How far q is from where it should be, in units."""
     doubtful: bool = False
-    """Whether a row that the user wrote is left out as rounding, because it is so much smaller than others."""
+    """Whether a row that the user wrote is left out as rounding, because it is so much smaller than
+    others."""
 
     @property
     def dimension(self) -> int:
@@ -76,16 +83,26 @@ class Distribution:
 
 
 def distribution(
-    rows: VelocityRows, q: Array, which: Sequence[int] | None = None, t: float = 0.0, error: float = 1e-15
+    rows: VelocityRows,
+    q: Array,
+    which: Sequence[int] | None = None,
+    t: float = 0.0,
+    error: float = 1e-15,
 ) -> Distribution:
-    """The null space of some `rows`, or of all, at q (nq,) and the time t, which are right up to an `error`."""
+    """The null space of some `rows`, or of all, at q (nq,) and the time t, which are right up to an
+    `error`.
+    """
     requested = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
     A, b = rows.values(q, t)
-    whole = A[requested] if rows.steady else np.concatenate([A[requested], -b[requested, None]], axis=1)
+    whole = (
+        A[requested] if rows.steady else np.concatenate([A[requested], -b[requested, None]], axis=1)
+    )
     return _null_space(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
 
 
-def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:
+def _null_space(
+    rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float
+) -> Distribution:
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))
@@ -102,12 +119,18 @@ def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scale
     chosen = which[real[independent]]
     columns = np.sort(_pivots(Vt[:rank], rank))
     units = rows.units[:n]
-    square: Array = scaled[independent][:, columns] * sizes[real[independent], None] / units[columns]
+    square: Array = (
+        scaled[independent][:, columns] * sizes[real[independent], None] / units[columns]
+    )
     pivots = np.full(n, -1, dtype=np.int64)
     pivots[columns] = np.arange(rank)
-    inverse = np.ascontiguousarray(np.linalg.inv(square), dtype=np.float64) if rank else np.zeros((0, 0))
+    inverse = (
+        np.ascontiguousarray(np.linalg.inv(square), dtype=np.float64) if rank else np.zeros((0, 0))
+    )
     condition = float(values[0] / values[rank - 1]) if rank else 1.0
-    return Distribution(rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error, doubtful)
+    return Distribution(
+        rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error, doubtful
+    )
 
 
 def _pivots(matrix: Array, count: int) -> np.ndarray:
@@ -135,8 +158,15 @@ class Words:
         self.at = at
         self.rng = rng
         place = {int(row): i for i, row in enumerate(at.chosen)}
-        outputs = [k for k, (row, column) in enumerate(rows.entries.tolist()) if row in place and column < n]
-        entries = [(place[int(rows.entries[k, 0])], rows.entries[k, 1], rows.tape.outputs[k]) for k in outputs]
+        outputs = [
+            k
+            for k, (row, column) in enumerate(rows.entries.tolist())
+            if row in place and column < n
+        ]
+        entries = [
+            (place[int(rows.entries[k, 0])], rows.entries[k, 1], rows.tape.outputs[k])
+            for k in outputs
+        ]
         self.entries = np.array(entries, dtype=np.int64).reshape(-1, 3)
         self.order = rows.needed(outputs)
         state = np.append(at.q, at.t)
@@ -147,7 +177,9 @@ class Words:
         self.units = np.ascontiguousarray(rows.units[:n])
 
     def __call__(self, count: int, length: int) -> tuple[Array, Array]:
-        """Brackets (count, length, columns) of `length`, ..., 1 random letters, and their rounding (count, length)."""
+        """Brackets (count, length, columns) of `length`, ..., 1 random letters, and their rounding
+        (count, length).
+        """
         letters = self.rng.normal(size=(count, length, self.at.dimension))
         letters /= np.linalg.norm(letters, axis=-1, keepdims=True)
         return self.of(letters @ self.at.basis.T)
@@ -166,17 +198,30 @@ class Words:
         for i in range(0, count, piece):
             look()
             lie_brackets.words(
-                *at.rows.packed, self.order, self.entries, at.pivots, at.inverse, self.slots, at.rows.balls, self.state,
-                self.inputs, self.units, letters[i : i + piece], found[i : i + piece], noise[i : i + piece],
-            )  # fmt: skip
+                *at.rows.packed,
+                self.order,
+                self.entries,
+                at.pivots,
+                at.inverse,
+                self.slots,
+                at.rows.balls,
+                self.state,
+                self.inputs,
+                self.units,
+                letters[i : i + piece],
+                found[i : i + piece],
+                noise[i : i + piece],
+            )
         return found, noise
 
 
 @dataclass(frozen=True)
 class Growth:
-    """A growth vector: `dimensions` (dim D^1, dim D^2, ...), with the time among the directions or not.
+    """A growth vector: `dimensions` (dim D^1, dim D^2, ...), with the time among the directions or
+    not.
 
-    It ends where `reached` directions are spanned, or where nothing was found up to a `limit` of letters.
+    It ends where `reached` directions are spanned, or where nothing was found up to a `limit` of
+    letters.
     """
 
     dimensions: tuple[int, ...]
@@ -189,8 +234,8 @@ class Growth:
 class _GrowingSpan:
     """Directions found so far, orthonormal, with estimates of their rounding.
 
-    Words that are known to be in the span show how large its rounding truly is: `shares` are the largest parts of the
-    estimates that the latest of them had.
+    Words that are known to be in the span show how large its rounding truly is: `shares` are the
+    largest parts of the estimates that the latest of them had.
     """
 
     def __init__(self, basis: Array, rounding: float, least: float):
@@ -207,7 +252,9 @@ class _GrowingSpan:
         """
         sizes = np.linalg.norm(words, axis=0)
         real = sizes > ROUNDING * np.maximum(noise, self.least)
-        if not known and self.least <= EXACT:  # too short to count, and longer than its own rounding
+        if (
+            not known and self.least <= EXACT
+        ):  # too short to count, and longer than its own rounding
             self.doubtful |= bool(np.any(~real & (sizes > SEEN * noise) & (sizes > 0.0)))
         words = words[:, real] / sizes[real]
         noise = noise[real] / sizes[real]
@@ -232,11 +279,12 @@ class _GrowingSpan:
 
 
 def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
-    """The growth vector at the point of a distribution, up to `enough` directions; again where it is doubtful.
+    """The growth vector at the point of a distribution, up to `enough` directions; again where it
+    is doubtful.
 
-    Where nothing is added by one more letter, all brackets of any length are in the span if the point is generic, for
-    the span is then involutive around it. If `patient`, longer ones are tried all the same, up to a limit of work: at
-    singular points the growth may rest and go on.
+    Where nothing is added by one more letter, all brackets of any length are in the span if the
+    point is generic, for the span is then involutive around it. If `patient`, longer ones are tried
+    all the same, up to a limit of work: at singular points the growth may rest and go on.
     """
     found = _growth(at, rng, enough, patient)
     for _ in range(AGAIN):

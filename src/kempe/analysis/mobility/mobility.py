@@ -1,4 +1,6 @@
-"""Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is redundant, idle, driven."""
+"""Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is
+redundant, idle, driven.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,12 @@ import numpy as np
 from kempe.analysis.first_order.constraint_graph import ConstraintGraph, called, structure
 from kempe.analysis.first_order.control import Control, control, driven
 from kempe.analysis.first_order.counting import Counting, LoopCount, counting, loop_counts
-from kempe.analysis.first_order.generic_configurations import NearestClosed, around, close, find_closed
+from kempe.analysis.first_order.generic_configurations import (
+    NearestClosed,
+    around,
+    close,
+    find_closed,
+)
 from kempe.analysis.first_order.idle_freedoms import IdleFreedom, idle_freedoms
 from kempe.analysis.first_order.rank import Rank, rank_at
 from kempe.analysis.first_order.redundant_constraints import Redundancy, redundancy
@@ -43,7 +50,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClusterMobility:
-    """Loops that share joints: the joints, how many loops, the count of these alone, their rank DoF, redundancy.
+    """Loops that share joints: the joints, how many loops, the count of these alone, their rank
+    DoF, redundancy.
 
     `rank_dof` and `redundant` are None where the mechanism is open.
     """
@@ -60,11 +68,12 @@ class ClusterMobility:
 class Mobility(Worded):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
-    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum
-    at other configurations around; `dof` the true local number: the dimension of the set of closed configurations at
-    `q` (None where it was not requested, or the mechanism cannot be closed). `redundant` constraints depend on others
-    at generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
-    the others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
+    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`,
+    `generic_rank_dof` its minimum at other configurations around; `dof` the true local number: the
+    dimension of the set of closed configurations at `q` (None where it was not requested, or the
+    mechanism cannot be closed). `redundant` constraints depend on others at generic configurations,
+    to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are the
+    others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
     """
 
     name: str
@@ -88,20 +97,26 @@ class Mobility(Worded):
     singular: bool | None
     kind: str
     velocity_dof: int | None = None
-    """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without such constraints."""
+    """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without
+    such constraints."""
     regular: bool = False
-    """Whether the rank is full beyond rounding, so that the implicit function theorem gives `dof`."""
+    """Whether the rank is full beyond rounding, so that the implicit function theorem gives
+    `dof`."""
     one_sided: OneSidedReport | None = field(default=None, repr=False)
-    """What one-sided constraints are closed and still allow; None where there are none but limits that are not reached.
+    """What one-sided constraints are closed and still allow; None where there are none but limits
+    that are not reached.
 
-    The freedoms above do not count them: a side that is open takes nothing away, a closed one only a direction.
+    The freedoms above do not count them: a side that is open takes nothing away, a closed one only
+    a direction.
     """
     called: tuple[str, ...] = ()
     """Constraints that are functions without series, because of which `dof` is not known."""
     wrenches: Wrenches | None = field(default=None, repr=False)
-    """What joints and constraints transmit at `q`, their self-stresses among it; None where it cannot be closed."""
+    """What joints and constraints transmit at `q`, their self-stresses among it; None where it
+    cannot be closed."""
     within: Nearest | None = field(default=None, repr=False)
-    """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given one."""
+    """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given
+    one."""
 
     late: bool = False
     """Whether the time limit came before the true number was known."""
@@ -113,7 +128,9 @@ class Mobility(Worded):
 
     @property
     def gruebler_spatial(self) -> int:
-        """What the mechanism counts to in space; for a planar one each loop has three more equations there."""
+        """What the mechanism counts to in space; for a planar one each loop has three more
+        equations there.
+        """
         return self.counting.gruebler_spatial
 
     @property
@@ -143,21 +160,28 @@ class Mobility(Worded):
 
     @property
     def certain(self) -> bool:
-        """Whether `dof` is proven, for the mechanism in which what is zero to rounding is exactly zero.
+        """Whether `dof` is proven, for the mechanism in which what is zero to rounding is exactly
+        zero.
 
-        Either the rank is full, the smallest singular value being above a bound of all rounding and an exactly closed
-        configuration near by (Newton and Kantorovich), or a theorem about singular or overconstrained mechanisms
-        holds, whose hypotheses were checked: see `kempe.analysis.local.dof_proofs`. Otherwise `dof` is known to an
-        order only. What is true `within` a tolerance only is not proven of the mechanism as given.
+        Either the rank is full, the smallest singular value being above a bound of all rounding and
+        an exactly closed configuration near by (Newton and Kantorovich), or a theorem about
+        singular or overconstrained mechanisms holds, whose hypotheses were checked: see
+        `kempe.analysis.local.dof_proofs`. Otherwise `dof` is known to an order only. What is true
+        `within` a tolerance only is not proven of the mechanism as given.
         """
         return self.within is None and (self.regular if self.local is None else self.local.certain)
 
     @property
     def unproven(self) -> str:
         """Why `dof` is not proven where the rank is full."""
-        bent = [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
+        bent = (
+            [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
+        )
         if bent:
-            return f"no bound is known of how {', '.join(map(repr, bent))} {verb(len(bent), 'bends', 'bend')}"
+            return (
+                f"no bound is known of how {', '.join(map(repr, bent))} "
+                f"{verb(len(bent), 'bends', 'bend')}"
+            )
         return "a singular value is too near zero to be distinguished from it"
 
     @property
@@ -168,15 +192,18 @@ class Mobility(Worded):
         return Status.SOLVED if self.closed else Status.NOT_FOUND
 
     def relative(self, body: FrameLike, to: FrameLike) -> RelativeMotion:
-        """How a body can move relative to another one at `q`: "1 DoF of B5 relative to B0: a slide along x".
+        """How a body can move relative to another one at `q`: "1 DoF of B5 relative to B0: a slide
+        along x".
 
-        See `kempe.analysis.motion.relative_motion`. Errors: `InputError` where the mechanism cannot be closed,
-        `UnknownNameError`, `UnsupportedError` for frames of particles.
+        See `kempe.analysis.motion.relative_motion`. Errors: `InputError` where the mechanism cannot
+        be closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
         """
         from kempe.analysis.motion.relative_motion import relative_motion
 
         if self.wrenches is None:
-            raise InputError(f"{self.name} cannot be closed here: nothing is known of how its bodies move")
+            raise InputError(
+                f"{self.name} cannot be closed here: nothing is known of how its bodies move"
+            )
         found = relative_motion(self.wrenches.system, self.wrenches.q, body, to)
         return replace(found, within=found.within or self.within)
 
@@ -193,7 +220,10 @@ def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any)
     """The count alone: the time was up before more was known."""
     given = None if q is None else _given(system, q)
     tree = own_tree(system)
-    why = f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were known"
+    why = (
+        f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were "
+        "known"
+    )
     at = NearestClosed(home_of(tree) if given is None else given, False, math.nan, math.nan, why)
     return replace(_open(tree, system, at), late=True)
 
@@ -202,19 +232,26 @@ def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any)
 @time_limited(USUAL, _counted)
 @tolerant()
 def mobility(
-    system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
-    rng: np.random.Generator | int = 0, tolerance: float | str | None = None, budget: Budget | None = None,
-) -> Mobility:  # fmt: skip
+    system: System,
+    q: Any = None,
+    actuated: Iterable[str] | None = None,
+    *,
+    local: bool = True,
+    rng: np.random.Generator | int = 0,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Mobility:
     """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
 
-    `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed configuration is searched);
-    where it is not exactly closed the nearest closed configuration is taken, and where there is none only the count is
-    given. `actuated` names joints or coordinates whose control is looked at (default: those marked in the file).
-    `local=False` leaves out the true number, where the rank does not prove it, and is faster. `rng` draws the generic
-    configurations. Of the `budget` the time_limit (30 s) is read: where it ends the search for the true number, `late`
-    is true, `dof` is None, and the count is known, mostly the ranks, too. Where three angles of a ball joint are
-    singular coordinates, it is looked at in others: `rank` and `local` are then about angles measured from there.
-    Errors: `InputError`, `UnknownNameError`.
+    `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed
+    configuration is searched); where it is not exactly closed the nearest closed configuration is
+    taken, and where there is none only the count is given. `actuated` names joints or coordinates
+    whose control is looked at (default: those marked in the file). `local=False` leaves out the
+    true number, where the rank does not prove it, and is faster. `rng` draws the generic
+    configurations. Of the `budget` the time_limit (30 s) is read: where it ends the search for the
+    true number, `late` is true, `dof` is None, and the count is known, mostly the ranks, too. Where
+    three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
+    `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
     """
     time = time_of(USUAL)
     time.put_in_order()  # there is nothing to do afterwards
@@ -226,9 +263,14 @@ def mobility(
 
 
 def _looked_at(
-    system: System, shown: System, given: Array | None, actuated: Iterable[str] | None, local: bool,
-    rng: np.random.Generator, time: TimeLimit,
-) -> Mobility:  # fmt: skip
+    system: System,
+    shown: System,
+    given: Array | None,
+    actuated: Iterable[str] | None,
+    local: bool,
+    rng: np.random.Generator,
+    time: TimeLimit,
+) -> Mobility:
     """Everything, at the closed configuration that is given, or one that is searched."""
     at = close(system, given) if given is not None else find_closed(system)
     if not at.closed:
@@ -244,10 +286,17 @@ def _looked_at(
 
 
 def _found(
-    system: System, shown: System, at: NearestClosed, actuated: Iterable[str] | None, local: bool,
-    rng: np.random.Generator, time: TimeLimit,
-) -> Mobility:  # fmt: skip
-    """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
+    system: System,
+    shown: System,
+    at: NearestClosed,
+    actuated: Iterable[str] | None,
+    local: bool,
+    rng: np.random.Generator,
+    time: TimeLimit,
+) -> Mobility:
+    """Everything, at a closed configuration whose coordinates are regular; counted over the tree of
+    `shown`.
+    """
     s = structure(system)
     motors = driven(system, actuated)
     rank = rank_at(system, at.q)
@@ -262,37 +311,83 @@ def _found(
         late = True
     best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
     idle = idle_freedoms(system, [rank, *generic], motors)
-    dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
+    dof = (
+        truth.dim
+        if truth is not None
+        else rank.nullity
+        if not rank.dependent or not rank.nullity
+        else None
+    )
     singular, kind = _kind(rank, best, truth)
     sure = truth is None and dof is not None and regular(system, rank, at.residual)
     return Mobility(
-        system.name, system.dim, at.q, True, at.residual, at.given, "", counting(shown),
-        loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
-        redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
-        velocity_freedoms(system, at.q), sure, if_any(shown, at.q),
-        called(system) if dof is None and local else (), Wrenches(system, at.q), late=late,
-    )  # fmt: skip
+        system.name,
+        system.dim,
+        at.q,
+        True,
+        at.residual,
+        at.given,
+        "",
+        counting(shown),
+        loop_counts(shown, rank.screws),
+        _clusters(s, rank),
+        _outside(system, s),
+        rank,
+        best.nullity,
+        truth,
+        dof,
+        redundancy(system, best),
+        idle,
+        control(system, rank, generic, idle, actuated),
+        singular,
+        kind,
+        velocity_freedoms(system, at.q),
+        sure,
+        if_any(shown, at.q),
+        called(system) if dof is None and local else (),
+        Wrenches(system, at.q),
+        late=late,
+    )
 
 
 def _given(system: System, q: Any) -> Array:
     given = as_q(system, q)
     if given.ndim != 1:
-        raise InputError(f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)")
+        raise InputError(
+            f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)"
+        )
     return given
 
 
 def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
     s = structure(system)
     return Mobility(
-        system.name, system.dim, at.q, False, at.residual, at.given, at.why, counting(shown),
-        loop_counts(shown, None), _clusters(s, None), _outside(system, s), None, None, None, None, None, (), None,
-        None, "",
-    )  # fmt: skip
+        system.name,
+        system.dim,
+        at.q,
+        False,
+        at.residual,
+        at.given,
+        at.why,
+        counting(shown),
+        loop_counts(shown, None),
+        _clusters(s, None),
+        _outside(system, s),
+        None,
+        None,
+        None,
+        None,
+        None,
+        (),
+        None,
+        None,
+        "",
+    )
 
 
 def _local(
     system: System, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
-) -> LocalDimension | None:  # fmt: skip
+) -> LocalDimension | None:
     """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
     if not wanted or not rank.dependent or not rank.nullity or called(system):
         return None
@@ -316,10 +411,13 @@ def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, .
         r = None if rank is None else rank.clusters[k]
         out.append(
             ClusterMobility(
-                tuple(s.edges[i].name for i in c.edges), tuple(s.edges[s.loops[i].edge].name for i in c.loops),
-                len(c.velocities) - rows, None if r is None else r.nullity, None if r is None else r.dependent,
+                tuple(s.edges[i].name for i in c.edges),
+                tuple(s.edges[s.loops[i].edge].name for i in c.loops),
+                len(c.velocities) - rows,
+                None if r is None else r.nullity,
+                None if r is None else r.dependent,
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 
@@ -329,9 +427,11 @@ def _outside(system: System, s: ConstraintGraph) -> int:
 
 
 def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
-    """Whether the configuration is a singular point of the configuration space, and its kind in words.
+    """Whether the configuration is a singular point of the configuration space, and its kind in
+    words.
 
-    `best` is the rank of least nullity around it, `truth` the local dimension, where it was computed.
+    `best` is the rank of least nullity around it, `truth` the local dimension, where it was
+    computed.
     """
     drop = rank.nullity - best.nullity
     if truth is None:
@@ -354,7 +454,10 @@ def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, s
 def _kind_of(branch: Branch) -> str:
     """What the only branch does here."""
     if branch.multiple:
-        return "shaky at every configuration of the branch: it can move more to first order than it truly does"
+        return (
+            "shaky at every configuration of the branch: it can move more to first order than it "
+            "truly does"
+        )
     if branch.cusp:
         return "cusp: the motion comes to rest here and goes back beside the way it came"
     if branch.ends == 1:

@@ -24,8 +24,9 @@ def sentence(m: Mobility) -> str:
         return f"Gruebler says {m.gruebler}; {m.why_open}"
     if not m.closed:
         return (
-            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual {m.residual:.2g}), "
-            f"so nothing is said about rank and true freedoms{f'; {m.why_open}' if m.why_open else ''}"
+            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual "
+            f"{m.residual:.2g}), so nothing is said about rank and true "
+            f"freedoms{f'; {m.why_open}' if m.why_open else ''}"
         )
     if m.dof is None:
         why_not = "the time limit came" if m.late else "not tested further"
@@ -35,18 +36,44 @@ def sentence(m: Mobility) -> str:
     why: list[str] = []
     if (m.redundant or 0) > false:
         some = f", {false} of them to first order only" if false else ""
-        why.append(f"{counted(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} redundant{some}")
+        why.append(
+            f"{counted(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} "
+            f"redundant{some}"
+        )
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
         meet = "that meet here" if m.local.counted else "found here"
-        why.append(f"the largest of {len(m.local.branches)} branches {meet} has {counted(m.dof, 'dimension')}")
-    doubtful = m.local is None or m.local.doubts or m.local.more or (m.rank is not None and m.rank.doubtful)
+        why.append(
+            f"the largest of {len(m.local.branches)} branches {meet} has "
+            f"{counted(m.dof, 'dimension')}"
+        )
+    doubtful = (
+        m.local is None
+        or m.local.doubts
+        or m.local.more
+        or (m.rank is not None and m.rank.doubtful)
+    )
     sure = "probably " if not m.certain and doubtful or m.within is not None else ""
-    order = "" if m.certain or m.local is None or m.within is not None else f" to order {m.local.order}"
-    said = f"the truth is {sure}{m.dof}{order}" if m.gruebler != m.dof else f"which is {sure}the truth{order}"
-    rank = _without_motion(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof) if false else ""
+    order = (
+        "" if m.certain or m.local is None or m.within is not None else f" to order {m.local.order}"
+    )
+    said = (
+        f"the truth is {sure}{m.dof}{order}"
+        if m.gruebler != m.dof
+        else f"which is {sure}the truth{order}"
+    )
+    rank = (
+        _without_motion(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof)
+        if false
+        else ""
+    )
     least = "" if m.within is None else f" {m.within.least}"
     exactly = "" if m.within is None else f"; {m.within.exactly}"
-    return f"Gruebler says {m.gruebler}, {said}{least}" + (": " + ", ".join(why) if why else "") + rank + exactly
+    return (
+        f"Gruebler says {m.gruebler}, {said}{least}"
+        + (": " + ", ".join(why) if why else "")
+        + rank
+        + exactly
+    )
 
 
 def _without_motion(rank: int, false: int, nearby: bool) -> str:
@@ -55,7 +82,10 @@ def _without_motion(rank: int, false: int, nearby: bool) -> str:
     if rank == false == 1:
         return f"; the rank says 1{where}, a velocity that leads to no motion"
     verb = "is a velocity that leads" if false == 1 else "are velocities that lead"
-    return f"; the rank says {rank}{where}, but {'all' if false == rank else false} of these {verb} to no motion"
+    return (
+        f"; the rank says {rank}{where}, but {'all' if false == rank else false} of these {verb} "
+        "to no motion"
+    )
 
 
 def how_known(m: Mobility) -> str:
@@ -74,7 +104,10 @@ def how_known(m: Mobility) -> str:
         return "no loops: each joint moves as it likes"
     unsure = "" if m.certain else f"; not proven: {m.unproven}"
     if not m.rank.dependent:
-        why = "all constraints are independent here, so the configurations are a manifold (implicit function theorem)"
+        why = (
+            "all constraints are independent here, so the configurations are a manifold (implicit "
+            "function theorem)"
+        )
         return why + unsure
     return "no velocity keeps all loops closed: rigid" + unsure
 
@@ -86,17 +119,27 @@ def rank_text(m: Mobility) -> str:
         return ""
     equations = sum(len(c.jacobian) for c in r.clusters)
     if not equations:
-        return f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
+        return (
+            f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
+        )
     many = counted(len(r.units), "coordinate")
     left = counted(r.nullity, "freedom")
     text = f"{many} - rank {r.rank} of {counted(equations, 'equation')} = {left}"
     text += " to first order"
-    gap = "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
+    gap = (
+        "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
+    )
     if r.doubtful:
-        gap += f"; doubtful: the smallest that counts is {r.smallest:.1g} of the largest, {r.gap:.1g} times the next"
+        gap += (
+            f"; doubtful: the smallest that counts is {r.smallest:.1g} of the largest, {r.gap:.1g} "
+            "times the next"
+        )
         gap += ", which is not clearly zero" if r.rest > 1e-8 else ""
     elif r.smallest < 1e-4:
-        gap += f"; close to a singular configuration: the smallest that counts is {r.smallest:.1g} of the largest"
+        gap += (
+            f"; close to a singular configuration: the smallest that counts is {r.smallest:.1g} of "
+            "the largest"
+        )
     if m.generic_rank_dof != m.rank_dof:
         gap += f"; {m.generic_rank_dof} at other configurations nearby"
     return text + gap
@@ -107,10 +150,15 @@ def _of_velocity(m: Mobility) -> list[str]:
     if m.velocity_dof is None or m.rank_dof is None:
         return []
     if m.velocity_dof < 0:
-        return ["no velocity satisfies all constraints of velocity here: they contradict each other"]
+        return [
+            "no velocity satisfies all constraints of velocity here: they contradict each other"
+        ]
     taken = m.rank_dof - m.velocity_dof
-    return [f"{counted(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: constraints of velocity take "
-            f"{taken} of them at every moment; what motions reach all the same says `classify`"]  # fmt: skip
+    return [
+        f"{counted(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: constraints "
+        f"of velocity take {taken} of them at every moment; what motions reach all the same says "
+        "`classify`"
+    ]
 
 
 def lines(m: Mobility) -> list[tuple[str, list[str]]]:
@@ -125,7 +173,12 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if not m.closed:
         return out
     if m.given_residual > 1e-9:
-        out.append(("closed", [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"]))
+        out.append(
+            (
+                "closed",
+                [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"],
+            )
+        )
     if m.within is not None:
         out.append(("within", cut(m.within.lines, SHOWN)))
     out.append(("rank", [rank_text(m)]))
@@ -141,7 +194,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.redundancy is not None and m.redundancy.number:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))
         if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
-            out[-1][1].append("redundant to first order only: such a release would set something free")
+            out[-1][1].append(
+                "redundant to first order only: such a release would set something free"
+            )
     if m.redundant_here and m.wrenches is not None:
         out.append(("self-stress", m.wrenches.lines()))
     if m.idle:
@@ -154,7 +209,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(("control", str(m.control).split("\n")))
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
             seen = counted(m.rank_dof or 0, "freedom")
-            out[-1][1].append(f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}")
+            out[-1][1].append(
+                f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}"
+            )
     return out
 
 
@@ -164,29 +221,82 @@ def data(m: Mobility) -> dict[str, Any]:
     local = m.local
     c = m.control
     return {
-        "name": m.name, "dim": m.dim, "sentence": sentence(m), "q": m.q.tolist(), "closed": m.closed,
-        "residual": m.residual, "given_residual": m.given_residual, "dof": m.dof, "useful": m.useful, "idle": m.idle,
-        "gruebler": m.gruebler, "gruebler_spatial": m.gruebler_spatial, "rank_dof": m.rank_dof,
-        "velocity_dof": m.velocity_dof, "within": None if m.within is None else m.within.data(),
-        "generic_rank_dof": m.generic_rank_dof, "redundant": m.redundant, "redundant_here": m.redundant_here,
-        "singular": m.singular, "kind": m.kind, "certain": m.certain, "how": how_known(m),
-        "gap": None if r is None or r.gap == float("inf") else r.gap, "counting": list(m.counting.steps),
-        "loops": [{"name": x.name, "joints": list(x.joints), "freedoms": x.freedoms, "equations": x.equations,
-                   "count": x.count, "motion": x.motion} for x in m.loops],
-        "clusters": [{"joints": list(x.joints), "loops": list(x.loops), "gruebler": x.gruebler,
-                      "rank_dof": x.rank_dof, "redundant": x.redundant} for x in m.clusters],
+        "name": m.name,
+        "dim": m.dim,
+        "sentence": sentence(m),
+        "q": m.q.tolist(),
+        "closed": m.closed,
+        "residual": m.residual,
+        "given_residual": m.given_residual,
+        "dof": m.dof,
+        "useful": m.useful,
+        "idle": m.idle,
+        "gruebler": m.gruebler,
+        "gruebler_spatial": m.gruebler_spatial,
+        "rank_dof": m.rank_dof,
+        "velocity_dof": m.velocity_dof,
+        "within": None if m.within is None else m.within.data(),
+        "generic_rank_dof": m.generic_rank_dof,
+        "redundant": m.redundant,
+        "redundant_here": m.redundant_here,
+        "singular": m.singular,
+        "kind": m.kind,
+        "certain": m.certain,
+        "how": how_known(m),
+        "gap": None if r is None or r.gap == float("inf") else r.gap,
+        "counting": list(m.counting.steps),
+        "loops": [
+            {
+                "name": x.name,
+                "joints": list(x.joints),
+                "freedoms": x.freedoms,
+                "equations": x.equations,
+                "count": x.count,
+                "motion": x.motion,
+            }
+            for x in m.loops
+        ],
+        "clusters": [
+            {
+                "joints": list(x.joints),
+                "loops": list(x.loops),
+                "gruebler": x.gruebler,
+                "rank_dof": x.rank_dof,
+                "redundant": x.redundant,
+            }
+            for x in m.clusters
+        ],
         "branches": None if local is None else [b.dim for b in local.branches],
-        "releases": [] if m.redundancy is None else [
-            {"joint": x.joint, "reactions": list(x.reactions), "pair": x.pair} for x in m.redundancy.releases],
+        "releases": []
+        if m.redundancy is None
+        else [
+            {"joint": x.joint, "reactions": list(x.reactions), "pair": x.pair}
+            for x in m.redundancy.releases
+        ],
         "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
         "self_stress": [] if not m.redundant_here or m.wrenches is None else m.wrenches.data(),
-        "idle_freedoms": [{"bodies": list(f.bodies), "joints": list(f.joints), "point": list(f.point),
-                           "direction": list(f.direction)} for f in m.idle_freedoms],
+        "idle_freedoms": [
+            {
+                "bodies": list(f.bodies),
+                "joints": list(f.joints),
+                "point": list(f.point),
+                "direction": list(f.direction),
+            }
+            for f in m.idle_freedoms
+        ],
         "one_sided": None if m.one_sided is None else m.one_sided.data(),
-        "control": None if c is None else {
-            "actuated": list(c.actuated), "useful": c.useful, "controlled": c.controlled, "excess": c.excess,
-            "singular": c.singular, "complete": c.complete, "free": [dict(f) for f in c.free]},
-    }  # fmt: skip
+        "control": None
+        if c is None
+        else {
+            "actuated": list(c.actuated),
+            "useful": c.useful,
+            "controlled": c.controlled,
+            "excess": c.excess,
+            "singular": c.singular,
+            "complete": c.complete,
+            "free": [dict(f) for f in c.free],
+        },
+    }
 
 
 def _cluster(c: Any) -> str:

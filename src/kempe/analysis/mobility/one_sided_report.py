@@ -1,4 +1,6 @@
-"""One-sided constraints at a configuration: which are closed, how far others are open, what is still allowed."""
+"""One-sided constraints at a configuration: which are closed, how far others are open, what is
+still allowed.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,11 @@ BLIND = "its gradient vanishes or is not defined here: nothing is known to first
 
 @dataclass(frozen=True)
 class Side(InWords):
-    """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it, in `unit`.
+    """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it,
+    in `unit`.
 
-    `slack` is how far it is inside, negative where it is violated. `state` is "open", "closed" or "violated", `ways`
-    what a closed one still lets its value do, to first order.
+    `slack` is how far it is inside, negative where it is violated. `state` is "open", "closed" or
+    "violated", `ways` what a closed one still lets its value do, to first order.
     """
 
     name: str
@@ -60,10 +63,11 @@ class Side(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class OneSidedReport(Report):
-    """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print`` it.
+    """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print``
+    it.
 
-    `sides` are all of them, `cone` the velocities that equations, those of rolling among them, and closed sides leave,
-    to first order. Sides that are open take nothing away.
+    `sides` are all of them, `cone` the velocities that equations, those of rolling among them, and
+    closed sides leave, to first order. Sides that are open take nothing away.
     """
 
     system: System = field(repr=False)
@@ -97,10 +101,15 @@ class OneSidedReport(Report):
     def coordinates(self) -> dict[str, ConeDirections]:
         """What each coordinate may do, to first order: whether it may fall, and rise."""
         each = np.eye(self.system.nv)
-        return {n: self.cone.ways(row) for n, row in zip(self.system.structure.velocity_names, each, strict=True)}
+        return {
+            n: self.cone.ways(row)
+            for n, row in zip(self.system.structure.velocity_names, each, strict=True)
+        }
 
     def frame(self, frame: FrameLike) -> dict[str, ConeDirections]:
-        """What the origin of a frame may do along the axes of the ground, and its turns about them, to first order."""
+        """What the origin of a frame may do along the axes of the ground, and its turns about them,
+        to first order.
+        """
         J = jacobian(self.system, self.q, frame) * self.scale
         large = np.abs(J).max(axis=1, initial=0.0)
         J = np.where((large > 1e-9 * large.max(initial=1e-300))[:, None], J, 0.0)
@@ -111,7 +120,9 @@ class OneSidedReport(Report):
     def status(self) -> str:
         """The result in one sentence."""
         bad = (s for s in self.sides if s.state == "violated")
-        if which := ", ".join(f"{s.name} by {abs(s.slack):.6g} {s.unit}".removesuffix(" 1") for s in bad):
+        if which := ", ".join(
+            f"{s.name} by {abs(s.slack):.6g} {s.unit}".removesuffix(" 1") for s in bad
+        ):
             return f"violated: {which}"
         declared = [s for s in self.sides if not s.limit]
         touching = sum(s.state == "closed" for s in declared)
@@ -119,7 +130,10 @@ class OneSidedReport(Report):
         parts: list[str] = []
         if declared:
             verb = "are" if touching > 1 else "is"
-            parts.append(f"{touching or 'none'} of {counted(len(declared), 'one-sided constraint')} {verb} closed")
+            parts.append(
+                f"{touching or 'none'} of {counted(len(declared), 'one-sided constraint')} {verb} "
+                "closed"
+            )
         if reached:
             parts.append(f"{counted(reached, 'limit')} {'is' if reached == 1 else 'are'} reached")
         text = " and ".join(parts) or "no limit is reached"
@@ -130,20 +144,39 @@ class OneSidedReport(Report):
         if self.dimension == 0:
             return "nothing can move"
         one_way = self.dimension - self.lineality
-        how = f"{self.lineality} both ways and {one_way} one way only" if one_way else "all both ways"
+        how = (
+            f"{self.lineality} both ways and {one_way} one way only" if one_way else "all both ways"
+        )
         return f"what may move has {counted(self.dimension, 'dimension')}, {how}"
 
     def _data(self) -> dict[str, Any]:
         return {
-            "sentence": self.sentence, "active": list(self.active), "violated": list(self.violated),
-            "dimension": self.dimension, "lineality": self.lineality, "exact": self.cone.exact,
-            "sides": [{"name": s.name, "state": s.state, "value": s.value, "bound": s.bound, "unit": s.unit,
-                       "slack": s.slack, "allowed": str(s.ways), "why": s.why} for s in self.sides],
-        }  # fmt: skip
+            "sentence": self.sentence,
+            "active": list(self.active),
+            "violated": list(self.violated),
+            "dimension": self.dimension,
+            "lineality": self.lineality,
+            "exact": self.cone.exact,
+            "sides": [
+                {
+                    "name": s.name,
+                    "state": s.state,
+                    "value": s.value,
+                    "bound": s.bound,
+                    "unit": s.unit,
+                    "slack": s.slack,
+                    "allowed": str(s.ways),
+                    "why": s.why,
+                }
+                for s in self.sides
+            ],
+        }
 
     @property
     def lines(self) -> list[str]:
-        """What is said of each side but limits that are open; those that are violated and closed come first."""
+        """What is said of each side but limits that are open; those that are violated and closed
+        come first.
+        """
         order = {"violated": 0, "closed": 1, "open": 2}
         shown = [s for s in self.sides if s.state != "open" or not s.limit]
         out = [str(s) for s in sorted(shown, key=lambda s: order[s.state])]
@@ -160,17 +193,20 @@ class OneSidedReport(Report):
 
 @explained
 def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
-    """What one-sided constraints leave at a configuration: which are closed, by how much others are open.
+    """What one-sided constraints leave at a configuration: which are closed, by how much others are
+    open.
 
-    `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops. Sides within `tolerance`
-    of their bound, in radians and characteristic lengths, count as closed. Limits of coordinates are among them.
-    Errors: `InputError`.
+    `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops.
+    Sides within `tolerance` of their bound, in radians and characteristic lengths, count as closed.
+    Limits of coordinates are among them. Errors: `InputError`.
     """
     from kempe.analysis.first_order.generic_configurations import find_closed
 
     at = as_q(system, q) if q is not None else find_closed(system).q
     if at.ndim != 1:
-        raise InputError(f"q has shape {at.shape}; one-sided constraints are looked at in one configuration")
+        raise InputError(
+            f"q has shape {at.shape}; one-sided constraints are looked at in one configuration"
+        )
     rows = one_sided_rows(system)
     values, J = rows.rates(at)
     found, G = _sides(rows, values, J, tolerance)
@@ -209,10 +245,27 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
             if not np.isfinite(bound):
                 continue
             slack = float(bound - values[k] if upper else values[k] - bound)
-            state = "open" if slack * scale > tolerance else "closed" if slack * scale >= -tolerance else "violated"
+            state = (
+                "open"
+                if slack * scale > tolerance
+                else "closed"
+                if slack * scale >= -tolerance
+                else "violated"
+            )
             both = ConeDirections(True, True)
-            out.append(Side(rows.side(k, upper), float(values[k]), float(bound), unit, upper, k >= rows.declared, slack,
-                            state, both))  # fmt: skip
+            out.append(
+                Side(
+                    rows.side(k, upper),
+                    float(values[k]),
+                    float(bound),
+                    unit,
+                    upper,
+                    k >= rows.declared,
+                    slack,
+                    state,
+                    both,
+                )
+            )
             if state == "closed":
                 G.append(-J[k] if upper else J[k])
     return out, np.array(G).reshape(len(G), rows.system.nv)
@@ -234,7 +287,8 @@ def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[st
 
 
 def _equations(system: System, q: Array) -> tuple[Array, bool]:
-    """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is one of them.
+    """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is
+    one of them.
 
     Where it is not, what they allow are differences of velocities.
     """

@@ -1,4 +1,6 @@
-"""How far motions reach that obey rows A(q) v = b: growth vectors at a configuration, around it, and along motions."""
+"""How far motions reach that obey rows A(q) v = b: growth vectors at a configuration, around it,
+and along motions.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 STEP = 0.7
-"""Mean length of the step of a velocity to a configuration drawn at random, in radians and characteristic lengths."""
+"""Mean length of the step of a velocity to a configuration drawn at random, in radians and
+characteristic lengths."""
 TRIES = 8
 """Draws of such a configuration."""
 PIECES = 3
@@ -29,7 +32,9 @@ DRIFT = 1e-9
 
 
 def velocity_freedoms(system: System, q: Array) -> int | None:
-    """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of velocity."""
+    """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of
+    velocity.
+    """
     if not velocity_rows(system).names:
         return None
     rows = tangent_rows(system)
@@ -39,7 +44,8 @@ def velocity_freedoms(system: System, q: Array) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class EvaluationPoint:
-    """Where rows are looked at: configuration, time, the rows that hold positions and how to close loops.
+    """Where rows are looked at: configuration, time, the rows that hold positions and how to close
+    loops.
 
     `closed` gives for a configuration one with all loops closed near it, or None.
     """
@@ -68,9 +74,11 @@ class EvaluationPoint:
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """What motions reach: growth vectors here and around, the dimension reached from here and from around.
+    """What motions reach: growth vectors here and around, the dimension reached from here and from
+    around.
 
-    `growth` and `dimension` are None where the rows lose rank here; the other numbers do not count the time.
+    `growth` and `dimension` are None where the rows lose rank here; the other numbers do not count
+    the time.
     """
 
     free: int
@@ -96,7 +104,9 @@ def random_place(place: EvaluationPoint, rng: np.random.Generator) -> Evaluation
     return None
 
 
-def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Generator) -> EvaluationPoint:
+def moved_place(
+    place: EvaluationPoint, which: Sequence[int], rng: np.random.Generator
+) -> EvaluationPoint:
     """A configuration that random motions reach which obey the rows."""
     from scipy import integrate
 
@@ -118,14 +128,20 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
             for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
                 (w, x_, y, z) = x[iq : iq + 4]
                 (a, b_, c) = v[iv : iv + 3]
-                out[iq : iq + 4] = -x_ * a - y * b_ - z * c, w * a + y * c - z * b_, w * b_ + z * a - x_ * c, \
-                    w * c + x_ * b_ - y * a  # fmt: skip
+                out[iq : iq + 4] = (
+                    -x_ * a - y * b_ - z * c,
+                    w * a + y * c - z * b_,
+                    w * b_ + z * a - x_ * c,
+                    w * c + x_ * b_ - y * a,
+                )
                 out[iq : iq + 4] *= 0.5
             out[-1] = v[layout.nv] if place.extra else 0.0
             return out
 
         begin = np.append(start, state[-1])
-        solved = cast(Any, integrate).solve_ivp(rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT)
+        solved = cast(Any, integrate).solve_ivp(
+            rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT
+        )
         end = solved.y[:, -1]
         start = layout.integrate(end[:-1], np.zeros(layout.nv))
         state[-1] = end[-1]
@@ -133,7 +149,10 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
 
 
 def reach(
-    place: EvaluationPoint, around: EvaluationPoint | None, which: Sequence[int], rng: np.random.Generator
+    place: EvaluationPoint,
+    around: EvaluationPoint | None,
+    which: Sequence[int],
+    rng: np.random.Generator,
 ) -> Reach:
     """What motions reach from a place that obey further rows; `around` is a place drawn at random."""
     extra = place.extra
@@ -147,7 +166,9 @@ def reach(
         far = max(far, more, key=lambda g: g.dimensions[-1])
     most = far.dimensions[-1]
     if here.dimension > there.dimension:  # no field of velocities at q goes on smoothly around
-        return Reach(here.dimension - extra, None, _less(far, extra), None, most - extra, None, far.doubtful)
+        return Reach(
+            here.dimension - extra, None, _less(far, extra), None, most - extra, None, far.doubtful
+        )
     near = growth(here, rng, most, False)
     doubtful = far.doubtful or near.doubtful
     least = most
@@ -159,13 +180,20 @@ def reach(
         doubtful |= near.doubtful
     found = near.dimensions
     degree = found.index(least) + 1 if least in found else None
-    if doubtful and least < whole:  # what is decided is that so many are reached, not that no more are
+    if (
+        doubtful and least < whole
+    ):  # what is decided is that so many are reached, not that no more are
         degree = None
     found = found[:degree] + (least,) * (least < whole) if degree else found
     return Reach(
-        here.dimension - extra, tuple(d - extra for d in found), _less(far, extra), least - extra, most - extra, degree,
+        here.dimension - extra,
+        tuple(d - extra for d in found),
+        _less(far, extra),
+        least - extra,
+        most - extra,
+        degree,
         doubtful,
-    )  # fmt: skip
+    )
 
 
 def _less(found: Growth, extra: int) -> tuple[int, ...]:

@@ -1,7 +1,7 @@
 """One straight segment of the inputs after the other, and the configuration continued along it.
 
-The curve lives in configurations and the length gone on the segment. Where it turns back in that length the inputs
-cannot go on (a toggle); where two of its branches cross is a change point.
+The curve lives in configurations and the length gone on the segment. Where it turns back in that
+length the inputs cannot go on (a toggle); where two of its branches cross is a change point.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.analysis.continuation.path import Event
 from kempe.analysis.continuation.spins import hold_spins, spins_held
 from kempe.errors import UnsupportedError
-from kempe.solvers.common.tracing import ACROSS, BEND, LEAST_STEP, Node, bend, correct, next_step, node, step
+from kempe.solvers.common.tracing import (
+    ACROSS,
+    BEND,
+    LEAST_STEP,
+    Node,
+    bend,
+    correct,
+    next_step,
+    node,
+    step,
+)
 from kempe.spatial import Array
 
 SAME_INPUT = 1e-9
@@ -29,16 +39,20 @@ NO_CHANGE = 1e-13
 FORWARD = 1e-6
 """Least share of a direction that the inputs must have for it to lead on."""
 STEEP = 0.02
-"""Share of the inputs below which their values do not fix a point well: near a toggle it is found otherwise."""
+"""Share of the inputs below which their values do not fix a point well: near a toggle it is found
+otherwise."""
 REGULAR = 0.1
-"""Share of the inputs in the direction above which a point is far enough from a toggle to return to."""
+"""Share of the inputs in the direction above which a point is far enough from a toggle to return
+to."""
 AT_ONCE = 1e-6
 """Distance from a change point within which the branch is taken for straight."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the motion is: configuration, values of the inputs; velocity and direction of the inputs on arrival."""
+    """Where the motion is: configuration, values of the inputs; velocity and direction of the
+    inputs on arrival.
+    """
 
     q: Array
     u: Array
@@ -48,7 +62,9 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stuck:
-    """The pose where the inputs cannot go on, their values there, why; `reached` if more was not requested."""
+    """The pose where the inputs cannot go on, their values there, why; `reached` if more was not
+    requested.
+    """
 
     q: Array
     u: Array
@@ -58,9 +74,11 @@ class Stuck:
 
 @dataclass(frozen=True, eq=False)
 class SegmentContext:
-    """What does not change from one segment to the next; `singular` collects the change points passed.
+    """What does not change from one segment to the next; `singular` collects the change points
+    passed.
 
-    `index` are the velocity indices of the inputs, `wish` (nv,) a direction that chooses among branches at the start.
+    `index` are the velocity indices of the inputs, `wish` (nv,) a direction that chooses among
+    branches at the start.
     """
 
     closure: Closure
@@ -78,9 +96,11 @@ class SegmentContext:
     def follow(
         self, state: State, stuck: Stuck | None, last: Array, u: Array, k: int
     ) -> tuple[State, Stuck | None, float]:
-        """The state after the inputs moved from `last` to `u` in sample k, what holds it, and the size of a jump.
+        """The state after the inputs moved from `last` to `u` in sample k, what holds it, and the
+        size of a jump.
 
-        While held, it waits at the last regular state until the inputs can be reached from there on a straight way.
+        While held, it waits at the last regular state until the inputs can be reached from there on
+        a straight way.
         """
         before = len(self.singular)
         if stuck is not None and len(u) == 1 and (u - stuck.u) @ (stuck.u - state.u) > 0.0:
@@ -93,20 +113,28 @@ class SegmentContext:
             same = stop.reached and not stuck.reached
             return state, stop if same else replace(stuck, reached=stop.reached), 0.0
         passed = len(self.singular)
-        back, entry = self.go(there, last, k)  # on the way that the inputs came: where did they come in again?
+        back, entry = self.go(
+            there, last, k
+        )  # on the way that the inputs came: where did they come in again?
         del self.singular[passed:]
         q = back.q if entry is None else entry.q
         return there, None, float(np.linalg.norm(self.closure.between(stuck.q, q)))
 
     def go(self, state: State, u: Array, k: int) -> tuple[State, Stuck | None]:
-        """The state with the inputs moved straight to `u`; or the last regular one, and where it is stuck."""
+        """The state with the inputs moved straight to `u`; or the last regular one, and where it is
+        stuck.
+        """
         change = (u - state.u) / self.unit
         length = float(np.linalg.norm(change))
         if length < NO_CHANGE:
             return state, None
         way, a = self._begin(state, change / length)
         if a.t[-1] < FORWARD:  # it begins at a toggle
-            ways = [n for n in (a, a.reversed()) if (b := step(way, n, self.longest)) is not None and b.x[-1] > 0.0]
+            ways = [
+                n
+                for n in (a, a.reversed())
+                if (b := step(way, n, self.longest)) is not None and b.x[-1] > 0.0
+            ]
             if not ways:
                 return state, self._stuck(way, a, "no configuration with these inputs", length)
             a = max(ways, key=lambda n: float(n.t[:-1] @ self.wish))
@@ -123,7 +151,9 @@ class SegmentContext:
             if found is None:
                 h = 0.5 * (left / float(a.t[-1]) if landing else h)
                 if h < LEAST_STEP:
-                    return self._state(way, regular), self._stuck(way, a, "the motion is not smooth here", length)
+                    return self._state(way, regular), self._stuck(
+                        way, a, "the motion is not smooth here", length
+                    )
                 continue
             for n in found:
                 stop, end = self._ends(way, a, n, length)
@@ -142,16 +172,24 @@ class SegmentContext:
         return State(a.x[:-1], way.at(float(a.x[-1])), a.t[:-1], way.direction)
 
     def _stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
-        return Stuck(a.x[:-1], way.at(float(a.x[-1])), reason, abs(float(a.x[-1]) - length) < SAME_INPUT)
+        return Stuck(
+            a.x[:-1], way.at(float(a.x[-1])), reason, abs(float(a.x[-1]) - length) < SAME_INPUT
+        )
 
     def _passed(self, n: Node, k: int) -> None:
         if n.lines is not None:
             kind = "bifurcation" if len(n.lines) > 1 else "singular"
             lines = n.lines[:, :-1] * self.closure.unit
-            self.singular.append(Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines))
+            self.singular.append(
+                Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines)
+            )
 
-    def _ends(self, way: DrivenClosure, a: Node, b: Node, length: float) -> tuple[Stuck | None, Node | None]:
-        """What ends the segment between two nodes: a limit, or that the curve turns back; or the node at its end."""
+    def _ends(
+        self, way: DrivenClosure, a: Node, b: Node, length: float
+    ) -> tuple[Stuck | None, Node | None]:
+        """What ends the segment between two nodes: a limit, or that the curve turns back; or the
+        node at its end.
+        """
         turn = None
         if b.t[-1] <= 0.0:
             turn = root(way, a, b, lambda n: float(n.t[-1])) or a
@@ -167,16 +205,21 @@ class SegmentContext:
         return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
     def _begin(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
-        """The equations of a segment and its first node; what spins idly is held, and so is the rank where it is low
-        all along."""  # fmt: skip
+        """The equations of a segment and its first node; what spins idly is held, and so is the
+        rank where it is low all along.
+        """
         spins = spins_held(self.closure)
         if spins is not None:
             spins.begin(state.q)
         way, here = self._way(state, direction)
-        loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)  # what moves may be but a spin
+        loose = here.nullity > 1 or (
+            here.nullity == 1 and abs(here.t[-1]) < FORWARD
+        )  # what moves may be but a spin
         if loose and spins is None and hold_spins(self.closure, state.q, self.index):
             way, here = self._way(state, direction)
-        if here.nullity > 1 and hold_rank(self.closure, state.q, lambda: self._way(state, direction)):
+        if here.nullity > 1 and hold_rank(
+            self.closure, state.q, lambda: self._way(state, direction)
+        ):
             way, here = self._way(state, direction)
         return way, self._first(way, here, state)
 
@@ -191,10 +234,12 @@ class SegmentContext:
         if here.nullity == 1:
             return here if here.t[-1] >= 0.0 else here.reversed()
         if here.nullity == 0:
-            names = ", ".join(repr(self.closure.system.structure.velocity_names[i]) for i in self.index)
+            names = ", ".join(
+                repr(self.closure.system.structure.velocity_names[i]) for i in self.index
+            )
             raise UnsupportedError(
-                f"{self.closure.system.name} has fewer freedoms than inputs: {names} cannot be moved independently; "
-                "drive fewer of them"
+                f"{self.closure.system.name} has fewer freedoms than inputs: {names} cannot be "
+                "moved independently; drive fewer of them"
             )
         polished = locate(way, x, here.nullity, 1e-5)
         lines = branch_lines(way, x if polished is None else polished)
@@ -213,11 +258,15 @@ class SegmentContext:
         else:
             merit = lines[:, -1]
         best = int(np.argmax(merit))
-        return Node(x, lines[best], here.sigma, max(here.nullity, 2), here.matrix, here.image, lines)
+        return Node(
+            x, lines[best], here.sigma, max(here.nullity, 2), here.matrix, here.image, lines
+        )
 
 
 def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
-    """The node of the curve at this length of the segment, or None where that is too far to be sure of it."""
+    """The node of the curve at this length of the segment, or None where that is too far to be sure
+    of it.
+    """
     size = (length - float(a.x[-1])) / float(a.t[-1])
     guess = way.move(a.x, size * a.t)
     across = np.zeros(way.n)
@@ -231,8 +280,12 @@ def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
     return b if b.t[-1] > STEEP and bend(a, b) <= BEND else None
 
 
-def _land_on_crossing(way: DrivenClosure, a: Node, guess: Array, length: float, size: float) -> Node | None:
-    """The node at this length where it is on a change point, or so near that the branch is straight."""
+def _land_on_crossing(
+    way: DrivenClosure, a: Node, guess: Array, length: float, size: float
+) -> Node | None:
+    """The node at this length where it is on a change point, or so near that the branch is
+    straight.
+    """
     x = locate(way, guess, 2, size)
     if x is None or abs(float(x[-1]) - length) > AT_ONCE:
         return None

@@ -1,8 +1,10 @@
-"""How a mechanism with one degree of freedom moves: its whole branch, by continuation; other branches by switching.
+"""How a mechanism with one degree of freedom moves: its whole branch, by continuation; other
+branches by switching.
 
-Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990): the driver is not
-special, so dead points are ordinary points. At a crossing the walk goes straight on, and where branches touch or end in
-a cusp it goes on along the half-branch that is the other half of its own; what other branches there are is recorded.
+Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990): the
+driver is not special, so dead points are ordinary points. At a crossing the walk goes straight on,
+and where branches touch or end in a cusp it goes on along the half-branch that is the other half of
+its own; what other branches there are is recorded.
 """
 
 from __future__ import annotations
@@ -46,7 +48,14 @@ from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.reals import is_mapping, is_whole
 from kempe.solvers.assembly.ideal import tolerant
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, time_limited, time_of
+from kempe.solvers.common.clock import (
+    BROKEN_OFF,
+    TIME_LIMIT,
+    TimeLimit,
+    TimeUp,
+    time_limited,
+    time_of,
+)
 from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.tracing import Node, arc, node
 from kempe.spatial import Array
@@ -61,7 +70,8 @@ SAME_POINT = 1e-6
 LOW = "the rank is low all along, so that crossings with other branches may be passed unseen"
 """What is said of a path along which the equations touch."""
 AGAIN = 4
-"""How often a path is walked again, at most, with idle spins held by directions that are farther from their lines."""
+"""How often a path is walked again, at most, with idle spins held by directions that are farther
+from their lines."""
 MOST_POINTS = 100_000
 """Points of a path unless the caller says otherwise."""
 WAYS = ("both", "forward", "branches")
@@ -85,16 +95,31 @@ class _Options:
 
 
 def _not_begun(
-    time: TimeLimit, system: System, driver: str | None = None, start: Any = None, *,
-    hold: Mapping[str, float] | None = None, ways: str = "both", limits: bool = True, budget: Budget | None = None,
+    time: TimeLimit,
+    system: System,
+    driver: str | None = None,
+    start: Any = None,
+    *,
+    hold: Mapping[str, float] | None = None,
+    ways: str = "both",
+    limits: bool = True,
+    budget: Budget | None = None,
     **_: Any,
-) -> Path:  # fmt: skip
-    """The path where the time was up before a closed configuration was known: it stays where `start` is, or at home."""
-    near = home_of(system) if start is None or isinstance(start, str) or is_mapping(start) else as_q(system, start)
+) -> Path:
+    """The path where the time was up before a closed configuration was known: it stays where
+    `start` is, or at home.
+    """
+    near = (
+        home_of(system)
+        if start is None or isinstance(start, str) or is_mapping(start)
+        else as_q(system, start)
+    )
     options = _options(system, driver, ways, limits, USUAL.of(budget))
     held = [*(hold or ())]
     equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
-    said = f"it was not followed: {time.reason(TimeUp())} came before a closed configuration was known"
+    said = (
+        f"it was not followed: {time.reason(TimeUp())} came before a closed configuration was known"
+    )
     return replace(_failed(equations, options, said, near), late=True)
 
 
@@ -103,26 +128,37 @@ def _not_begun(
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def trace(
-    system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
-    hold: Mapping[str, float] | None = None, toward: Mapping[str, float] | None = None, ways: str = "both",
-    limits: bool = True, tolerance: float | str | None = None, budget: Budget | None = None,
-) -> Path:  # fmt: skip
+    system: System,
+    driver: str | None = None,
+    start: ArrayLike | Mapping[str, float] | str | None = None,
+    *,
+    hold: Mapping[str, float] | None = None,
+    toward: Mapping[str, float] | None = None,
+    ways: str = "both",
+    limits: bool = True,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Path:
     """The `Path` of a mechanism with one degree of freedom: its whole branch through `start`.
 
-    `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default: the posture
-    "closed", else mid-range); it is closed first. `driver` is the coordinate that counts as the input: the path begins
-    with it growing, and points where it turns back are its dead points. `hold` fixes other coordinates at values.
-    `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation. The
-    path goes straight on through points where branches cross or touch, and back beside itself at a cusp; where branches
-    touch to third order, or more than two do, a path that does not start there may end, or change from one to another.
-    `ways`: "both" directions from the start, "forward" only, or "branches": both, and the branches met at bifurcations,
-    too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is
-    found to have no end (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
-    the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit (120 s for the whole
-    call), progress(points, length), called now and then. The time limit returns what was done, and says so
-    by `Path.late`; Ctrl-C raises `Interrupted`, whose `answer` is what was done.
+    `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default:
+    the posture "closed", else mid-range); it is closed first. `driver` is the coordinate that
+    counts as the input: the path begins with it growing, and points where it turns back are its
+    dead points. `hold` fixes other coordinates at values. `toward` gives rates by coordinate name
+    that choose the sense, and the branch where the start is a bifurcation. The path goes straight
+    on through points where branches cross or touch, and back beside itself at a cusp; where
+    branches touch to third order, or more than two do, a path that does not start there may end, or
+    change from one to another. `ways`: "both" directions from the start, "forward" only, or
+    "branches": both, and the branches met at bifurcations, too, see `Path.others`. The path ends
+    where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end
+    (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
+    the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit
+    (120 s for the whole call), progress(points, length), called now and then. The time limit
+    returns what was done, and says so by `Path.late`; Ctrl-C raises `Interrupted`, whose `answer`
+    is what was done.
 
-    Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.
+    Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`;
+    `InputError`.
 
     >>> from kempe import Mechanism
     >>> m = Mechanism("slider-crank", dim=2)
@@ -139,14 +175,19 @@ def trace(
     held = dict(hold or {})
     equations, q = begin(system, start, held)
     if q is None:
-        return _failed(equations, options, why_open(system, start, held), start_of(system, start, held))
+        return _failed(
+            equations, options, why_open(system, start, held), start_of(system, start, held)
+        )
     if said := OneSidedEnds(equations, limits).outside(q):
         return _failed(equations, options, f"{said} at the start", q)
     equations.budget = options.time
     try:
         return without_slip(_followed(equations, q, options, toward))
     except TimeUp as error:
-        said = f"it was not followed: {options.time.reason(error)} came before the directions at its start were known"
+        said = (
+            f"it was not followed: {options.time.reason(error)} came before the directions at its "
+            "start were known"
+        )
         return replace(_failed(equations, options, said, q), late=True)
     finally:
         equations.budget = TimeLimit(None)  # the path keeps them
@@ -157,11 +198,16 @@ def without_slip(path: Path) -> Path:
     slip = slip_of(path.system, path.q)
     if slip is None:
         return path
-    said = f"before point {slip.index} it {slip.text}: positions were traced, drive and simulate follow what rolls"
+    said = (
+        f"before point {slip.index} it {slip.text}: positions were traced, drive and simulate "
+        "follow what rolls"
+    )
     return replace(path, success=False, remark="; ".join(filter(None, [path.remark, said])))
 
 
-def _followed(equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None) -> Path:
+def _followed(
+    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
+) -> Path:
     """The path from a closed configuration on."""
     first = first_node(equations, q, options.driver, toward)
     if first is None:
@@ -171,7 +217,9 @@ def _followed(equations: Closure, q: Array, options: _Options, toward: Mapping[s
     for _ in range(AGAIN):
         if spins is None or path.late or path.interrupted or not spins.turned(path.q):
             break
-        first = first_node(equations, q, options.driver, toward) or first  # held otherwise, what spins turns less
+        first = (
+            first_node(equations, q, options.driver, toward) or first
+        )  # held otherwise, what spins turns less
         path = _trace(equations, first, options)
     if rank_held(equations):
         path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))
@@ -181,7 +229,9 @@ def _followed(equations: Closure, q: Array, options: _Options, toward: Mapping[s
     return _with_others(equations, path, options) if options.ways == "branches" else path
 
 
-def branches(system: System, driver: str | None = None, start: Any = None, **options: Any) -> tuple[Path, ...]:
+def branches(
+    system: System, driver: str | None = None, start: Any = None, **options: Any
+) -> tuple[Path, ...]:
     """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
     options["ways"] = "branches"
     path = trace(system, driver, start, **options)
@@ -191,7 +241,9 @@ def branches(system: System, driver: str | None = None, start: Any = None, **opt
 # ---- where it begins
 
 
-def _options(system: System, driver: str | None, ways: str, limits: bool, spend: Budget) -> _Options:
+def _options(
+    system: System, driver: str | None, ways: str, limits: bool, spend: Budget
+) -> _Options:
     flag(limits, "limits")
     if ways not in WAYS:
         raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
@@ -201,8 +253,16 @@ def _options(system: System, driver: str | None, ways: str, limits: bool, spend:
     points = spend.points
     if not is_whole(points) or points < 2:
         raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
-    return _Options(driver, ways, longest, limits, int(points), spend.progress, periods(system, limits),
-                    time_of(USUAL, spend))  # fmt: skip
+    return _Options(
+        driver,
+        ways,
+        longest,
+        limits,
+        int(points),
+        spend.progress,
+        periods(system, limits),
+        time_of(USUAL, spend),
+    )
 
 
 # ---- the walk
@@ -213,18 +273,32 @@ def _trace(equations: Closure, first: Node, options: _Options) -> Path:
     nodes, reason, closed, broken = _one_way(equations, first, options, options.most)
     ends = ("the start", reason)
     left = options.most - len(nodes)
-    if options.ways != "forward" and not closed and broken is None and left > 1 and not reason.startswith(NO_RETURN):
+    if (
+        options.ways != "forward"
+        and not closed
+        and broken is None
+        and left > 1
+        and not reason.startswith(NO_RETURN)
+    ):
         singular = isinstance(first, SingularNode)
-        back, other, _, broken = _one_way(equations, first.back() if singular else first.reversed(), options, left)
-        nodes = [n.reversed() for n in reversed(back[1:])] + (first.arrival() if singular else []) + nodes
+        back, other, _, broken = _one_way(
+            equations, first.back() if singular else first.reversed(), options, left
+        )
+        nodes = (
+            [n.reversed() for n in reversed(back[1:])]
+            + (first.arrival() if singular else [])
+            + nodes
+        )
         ends = (other, reason)
     return _path(equations, nodes, options, closed, ends, broken)
 
 
 def _one_way(
     equations: Closure, first: Node, options: _Options, most: int
-) -> tuple[list[Node], str, bool, BaseException | None]:  # fmt: skip
-    """Nodes from the first on, why they end, whether they came home, and what broke the walk off, if anything did."""
+) -> tuple[list[Node], str, bool, BaseException | None]:
+    """Nodes from the first on, why they end, whether they came home, and what broke the walk off,
+    if anything did.
+    """
     nodes = [first]
     limits = OneSidedEnds(equations, options.limits)
     length = 0.0
@@ -254,15 +328,22 @@ def _one_way(
 
 
 def _before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
-    return float(np.linalg.norm(equations.between(a.x, first.x) - equations.between(a.x, second.x))) < 1e-12 or (
-        float(a.t @ equations.between(a.x, first.x)) <= float(a.t @ equations.between(a.x, second.x))
+    return float(
+        np.linalg.norm(equations.between(a.x, first.x) - equations.between(a.x, second.x))
+    ) < 1e-12 or (
+        float(a.t @ equations.between(a.x, first.x))
+        <= float(a.t @ equations.between(a.x, second.x))
     )
 
 
 def _path(
-    equations: Closure, nodes: list[Node], options: _Options, closed: bool, ends: tuple[str, str],
+    equations: Closure,
+    nodes: list[Node],
+    options: _Options,
+    closed: bool,
+    ends: tuple[str, str],
     broken: BaseException | None,
-) -> Path:  # fmt: skip
+) -> Path:
     """The answer from the nodes of a branch."""
     system = equations.system
     remark = ""
@@ -291,15 +372,29 @@ def _path(
     held = tuple(system.structure.velocity_names[i] for i in equations.held)
     singular = _singular(equations, nodes[:-1] if closed else nodes, s)
     return Path(
-        track.q[once], s[once], closed, ends, turning, singular, tuple(found), options.driver, held, (),
-        broken is None, isinstance(broken, KeyboardInterrupt), track,
-        late=isinstance(broken, TimeUp), remark=remark,
-    )  # fmt: skip
+        track.q[once],
+        s[once],
+        closed,
+        ends,
+        turning,
+        singular,
+        tuple(found),
+        options.driver,
+        held,
+        (),
+        broken is None,
+        isinstance(broken, KeyboardInterrupt),
+        track,
+        late=isinstance(broken, TimeUp),
+        remark=remark,
+    )
 
 
 def _lengths(equations: Closure, nodes: list[Node]) -> Array:
     """Arc lengths (n,) of nodes."""
-    return np.concatenate([[0.0], np.cumsum([arc(equations, a, b) for a, b in zip(nodes, nodes[1:], strict=False)])])
+    return np.concatenate(
+        [[0.0], np.cumsum([arc(equations, a, b) for a, b in zip(nodes, nodes[1:], strict=False)])]
+    )
 
 
 def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
@@ -317,14 +412,27 @@ def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, .
     return tuple(out)
 
 
-def _failed(equations: Closure, options: _Options, reason: str, q: Array, success: bool = False) -> Path:
+def _failed(
+    equations: Closure, options: _Options, reason: str, q: Array, success: bool = False
+) -> Path:
     """The path of one point that could not be left."""
     track = Track(equations, q[None], np.zeros(1), np.zeros((1, equations.n)))
     held = tuple(equations.system.structure.velocity_names[i] for i in equations.held)
     return Path(
-        track.q, track.s, False, (reason, reason), (), (), (), options.driver, held, (), success, False,
+        track.q,
+        track.s,
+        False,
+        (reason, reason),
+        (),
+        (),
+        (),
+        options.driver,
+        held,
+        (),
+        success,
+        False,
         track,
-    )  # fmt: skip
+    )
 
 
 # ---- other branches
@@ -352,7 +460,14 @@ def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
     late = isinstance(broken, TimeUp) or any(p.late for p in found)
     interrupted = isinstance(broken, KeyboardInterrupt) or any(p.interrupted for p in found)
     more = "; ".join(filter(None, [path.remark, "other branches were not all followed"]))
-    return replace(path, others=tuple(found[1:]), success=False, interrupted=interrupted, late=late, remark=more)
+    return replace(
+        path,
+        others=tuple(found[1:]),
+        success=False,
+        interrupted=interrupted,
+        late=late,
+        remark=more,
+    )
 
 
 def _branches_of(equations: Closure, event: Event) -> list[Node]:
@@ -363,7 +478,9 @@ def _branches_of(equations: Closure, event: Event) -> list[Node]:
     assert event.directions is not None
     at = node(equations, event.q)
     lines = event.directions / equations.unit
-    return [Node(event.q, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines) for t in lines]
+    return [
+        Node(event.q, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines) for t in lines
+    ]
 
 
 def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
@@ -376,7 +493,10 @@ def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
             other = event.node
             own = equations.move(first.x, first.germ.samples[first.half, 1])
             back = equations.system.structure.layout.integrate(own, -np.round(turns) * period)
-            if gap < HOME_CROSSING and other.germ.half_of(equations, [back]) in (other.half, other.back().half):
+            if gap < HOME_CROSSING and other.germ.half_of(equations, [back]) in (
+                other.half,
+                other.back().half,
+            ):
                 return True
         elif gap < SAME_POINT and event.directions is not None:
             own = event.directions[0] / equations.unit

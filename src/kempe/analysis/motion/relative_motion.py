@@ -31,7 +31,9 @@ ZERO = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RelativeMotion(Report):
-    """The motions of `body` relative to `to` that all constraints allow at a configuration, to first order."""
+    """The motions of `body` relative to `to` that all constraints allow at a configuration, to
+    first order.
+    """
 
     body: str
     to: str
@@ -40,7 +42,8 @@ class RelativeMotion(Report):
     slides: int
     """Dimension of those among them that do not turn."""
     twists: Array
-    """A basis (6, dof), orthonormal in radians and typical lengths, rows [linear; angular] in axes of `to`.
+    """A basis (6, dof), orthonormal in radians and typical lengths, rows [linear; angular] in axes
+    of `to`.
 
     The linear part is the velocity of the origin of `body`.
     """
@@ -65,7 +68,10 @@ class RelativeMotion(Report):
         return self.status
 
     def _data(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("body", "to", "dof", "slides", "twists", "origin", "around")}
+        return {
+            name: getattr(self, name)
+            for name in ("body", "to", "dof", "slides", "twists", "origin", "around")
+        }
 
     def _single(self) -> str:
         v = self.twists[:3, 0]
@@ -84,14 +90,20 @@ class RelativeMotion(Report):
 @explained
 @tolerant("q")
 def relative_motion(
-    system: System, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
-) -> RelativeMotion:  # fmt: skip
+    system: System,
+    q: ArrayLike,
+    body: FrameLike,
+    to: FrameLike,
+    *,
+    tolerance: float | str | None = None,
+) -> RelativeMotion:
     """How a body or frame can move relative to another one at q (nq,), where the loops are closed.
 
-    It is the image of the velocities that all constraints allow under the difference of both Jacobians, in the frame
-    `to`. The answer is one of first order: at a singular posture some of it may be the beginning of no motion, of which
-    `mobility` tells, and there may be less of it than around, which is said. Errors: `InputError` for shapes and where
-    q is not closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
+    It is the image of the velocities that all constraints allow under the difference of both
+    Jacobians, in the frame `to`. The answer is one of first order: at a singular posture some of it
+    may be the beginning of no motion, of which `mobility` tells, and there may be less of it than
+    around, which is said. Errors: `InputError` for shapes and where q is not closed,
+    `UnknownNameError`, `UnsupportedError` for frames of particles.
 
     >>> import kempe
     >>> slider = kempe.load("slider")
@@ -108,16 +120,22 @@ def relative_motion(
     closure = Closure(system)
     size = characteristic_length(system)
     basis, origin = _basis(closure, found, names, size)
-    around = [_basis(closure, r.q, names, size)[0].shape[1]
-              for r in nearby(system, rank_at(system, found), np.random.default_rng(0))]  # fmt: skip
+    around = [
+        _basis(closure, r.q, names, size)[0].shape[1]
+        for r in nearby(system, rank_at(system, found), np.random.default_rng(0))
+    ]
     dof = basis.shape[1]
     turning = column_space(basis[3:], ZERO, 1.0).shape[1]
     twists = basis * np.repeat([size, 1.0], 3)[:, None]
-    return RelativeMotion(names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size)
+    return RelativeMotion(
+        names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size
+    )
 
 
 def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[Array, Array]:
-    """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin is (3,)."""
+    """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin
+    is (3,).
+    """
     system = closure.system
     rates = closure.unit[:, None] * allowed(closure, q)
     moved, base = (jacobian(system, q, name) @ rates for name in names)
@@ -126,7 +144,9 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     back = Y[:3, :3].T
     arm = X[:3, 3] - Y[:3, 3]
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
-    return column_space(np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0), back @ arm
+    return column_space(
+        np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0
+    ), back @ arm
 
 
 def _rounded(x: float) -> float:

@@ -1,8 +1,10 @@
-"""Inputs that follow time courses, of what rolls: all else follows by integration, and the motion must not slip.
+"""Inputs that follow time courses, of what rolls: all else follows by integration, and the motion
+must not slip.
 
-The velocities satisfy the inputs and the loops; among those that do, the ones that slip least are taken. They are
-integrated by the classical method of Runge and Kutta, and after each sample the inputs have their values and the loops
-are closed. Whether the motion slips is decided by its samples.
+The velocities satisfy the inputs and the loops; among those that do, the ones that slip least are
+taken. They are integrated by the classical method of Runge and Kutta, and after each sample the
+inputs have their values and the loops are closed. Whether the motion slips is decided by its
+samples.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ MISS = 1e-9
 
 
 class RollingSamples(NamedTuple):
-    """Configurations (n, nq) at the samples that were done, why the motion ends, if early, and what broke it off."""
+    """Configurations (n, nq) at the samples that were done, why the motion ends, if early, and what
+    broke it off.
+    """
 
     q: Array
     reason: str
@@ -46,10 +50,17 @@ class RollingSamples(NamedTuple):
 
 
 def driven(
-    system: System, names: Sequence[str], hold: Mapping[str, float], start: Any, clock: Array,
-    samples: Callable[[int, int], list[Array]], limits: bool, budget: TimeLimit,
-) -> RollingSamples | None:  # fmt: skip
-    """The motion of what rolls under inputs, by their `samples` as `drive` gives them; None where it cannot begin.
+    system: System,
+    names: Sequence[str],
+    hold: Mapping[str, float],
+    start: Any,
+    clock: Array,
+    samples: Callable[[int, int], list[Array]],
+    limits: bool,
+    budget: TimeLimit,
+) -> RollingSamples | None:
+    """The motion of what rolls under inputs, by their `samples` as `drive` gives them; None where
+    it cannot begin.
 
     Errors: `UnsupportedError` where the inputs leave freedoms.
     """
@@ -66,7 +77,9 @@ def driven(
     try:
         for k in range(1, len(clock)):
             budget.check()
-            q = follow.to(out[-1], float(clock[k - 1]), float(clock[k]), before, lambda n, k=k: samples(k, n))
+            q = follow.to(
+                out[-1], float(clock[k - 1]), float(clock[k]), before, lambda n, k=k: samples(k, n)
+            )
             before = samples(k, 1)[-1]
             if q is None:
                 reason = f"at time {clock[k]:.6g} the inputs cannot be had: the loops do not close"
@@ -74,7 +87,9 @@ def driven(
             over = rows.beyond(q, not limits)
             if over.any():
                 name = rows.names[int(np.argmax(over))]
-                reason = f"it stops before time {clock[k]:.6g}, where {name!r} would be beyond its limit"
+                reason = (
+                    f"it stops before time {clock[k]:.6g}, where {name!r} would be beyond its limit"
+                )
                 break
             out.append(q)
     except BROKEN_OFF as error:
@@ -83,14 +98,20 @@ def driven(
     slip = slip_of(system, done, clock[: len(done)])
     if slip is not None:
         speed = abs(slip.amount) / slip.time
-        reason = (f"the inputs make it slip: before time {clock[slip.index]:.6g} by {speed:.3g} {slip.unit}/s across "
-                  f"{slip.name!r}; getting there is a manoeuvre")  # fmt: skip
+        reason = (
+            f"the inputs make it slip: before time {clock[slip.index]:.6g} by {speed:.3g} "
+            f"{slip.unit}/s across {slip.name!r}; getting there is a manoeuvre"
+        )
         done = done[: slip.index]
     return RollingSamples(done, reason, broken)
 
 
-def _first(system: System, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array) -> Array | None:
-    """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None on failure."""
+def _first(
+    system: System, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array
+) -> Array | None:
+    """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None
+    on failure.
+    """
     near = start_of(system, start, hold)
     index = [angle_or_slide(system, n) for n in (*names, *hold)]
     closure = Closure(system)
@@ -102,8 +123,13 @@ class _Follow:
     """Velocities that follow from those of inputs, and steps along them."""
 
     def __init__(
-        self, system: System, index: list[int], names: Sequence[str], hold: Mapping[str, float], time: TimeLimit
-    ) -> None:  # fmt: skip
+        self,
+        system: System,
+        index: list[int],
+        names: Sequence[str],
+        hold: Mapping[str, float],
+        time: TimeLimit,
+    ) -> None:
         self.system = system
         self.index = index
         self.closure = Closure(system)
@@ -128,9 +154,13 @@ class _Follow:
         U, s, Vt = svd(M)
         rank = int(np.sum(s > RANK))
         z = Vt[:rank].T @ ((U.T @ wanted)[:rank] / s[:rank])
-        if np.abs(M @ z - wanted).max(initial=0.0) > MISS * max(1.0, float(np.abs(wanted).max(initial=0.0))):
-            raise UnsupportedError(f"the inputs {', '.join(map(repr, self.names))} fight each other: the loops do not "
-                                   "allow their velocities together")  # fmt: skip
+        if np.abs(M @ z - wanted).max(initial=0.0) > MISS * max(
+            1.0, float(np.abs(wanted).max(initial=0.0))
+        ):
+            raise UnsupportedError(
+                f"the inputs {', '.join(map(repr, self.names))} fight each other: the loops do not "
+                "allow their velocities together"
+            )
         N = Vt[rank:].T
         if not N.shape[1]:
             return z
@@ -140,19 +170,29 @@ class _Follow:
             loose = Vt[free:] @ N.T
             moving = [
                 n
-                for n, x in zip(self.system.structure.velocity_names, np.abs(loose).max(axis=0), strict=True)
+                for n, x in zip(
+                    self.system.structure.velocity_names, np.abs(loose).max(axis=0), strict=True
+                )
                 if x > 1e-6
             ]
             many = len(loose)
-            raise UnsupportedError(f"the inputs {', '.join(map(repr, self.names))} leave {many} "
-                                   f"freedom{'s' * (many != 1)} of motion, among {', '.join(map(repr, moving[:6]))}; "
-                                   "drive or hold more, or give velocities (system.simulate)")  # fmt: skip
+            raise UnsupportedError(
+                f"the inputs {', '.join(map(repr, self.names))} leave {many} "
+                f"freedom{'s' * (many != 1)} of motion, among {', '.join(map(repr, moving[:6]))}; "
+                "drive or hold more, or give velocities (system.simulate)"
+            )
         z = z + N @ np.linalg.lstsq(A @ N, b - A @ z, rcond=RANK)[0]
-        self.slips |= bool(np.abs(A @ z - b).max(initial=0.0) > MISS * max(1.0, float(np.linalg.norm(z))))
+        self.slips |= bool(
+            np.abs(A @ z - b).max(initial=0.0) > MISS * max(1.0, float(np.linalg.norm(z)))
+        )
         return z
 
-    def to(self, q: Array, t0: float, t1: float, u: Array, samples: Callable[[int], list[Array]]) -> Array | None:
-        """The configuration (nq,) at the next sample, of times t0 to t1 and inputs u to those of the `samples`."""
+    def to(
+        self, q: Array, t0: float, t1: float, u: Array, samples: Callable[[int], list[Array]]
+    ) -> Array | None:
+        """The configuration (nq,) at the next sample, of times t0 to t1 and inputs u to those of
+        the `samples`.
+        """
         end = samples(1)[-1]
         h = t1 - t0
         speed = float(np.linalg.norm(self.at(q, t0, (end - u) / h)))
@@ -163,7 +203,8 @@ class _Follow:
         for k in range(parts):
             self.time.check()
             x = self._runge_kutta(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
-        if self.slips:  # between samples of inputs that are too many, straight lines do, if those at samples do not
+        # between samples of inputs that are too many, straight lines do, if those at samples do not
+        if self.slips:
             x = self._middle(q, t0, h, u, end)
         near = x.copy()
         near[self.closure.place[self.index[: len(end)]]] = end

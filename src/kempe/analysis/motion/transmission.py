@@ -1,7 +1,9 @@
-"""Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle, dead points.
+"""Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle,
+dead points.
 
-The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that they allow. Where the
-inputs determine them, the velocity of anything is linear in those of the inputs; no number is differenced.
+The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that
+they allow. Where the inputs determine them, the velocity of anything is linear in those of the
+inputs; no number is differenced.
 """
 
 from __future__ import annotations
@@ -46,10 +48,11 @@ OPEN = 1e-8
 class LoopJacobian(Report):
     """Velocities of outputs by those of inputs, through closed loops.
 
-    `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each row is. `nullity`
-    (...) counts the first-order motions of the mechanism, `rank` (...) the independent ones among the inputs;
-    `margin` (...) is the smallest singular value of the inputs on the null space: 0 at a dead point. `code` (...) is
-    one of `Status.SOLVED`, `DEAD_POINT`, `UNDETERMINED`.
+    `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each
+    row is. `nullity` (...) counts the first-order motions of the mechanism, `rank` (...) the
+    independent ones among the inputs; `margin` (...) is the smallest singular value of the inputs
+    on the null space: 0 at a dead point. `code` (...) is one of `Status.SOLVED`, `DEAD_POINT`,
+    `UNDETERMINED`.
     """
 
     __repr__ = brief
@@ -62,13 +65,16 @@ class LoopJacobian(Report):
     margin: Any
     code: Any = field()
     within: Nearest | None = field(default=None, repr=False)
-    """The nearest mechanism that closes exactly, whose velocities these are; None: the given one's."""
+    """The nearest mechanism that closes exactly, whose velocities these are; None: the given
+    one's."""
 
     @property
     def status(self) -> Any:
         """The sentence for one configuration, an array of them for several."""
         if np.ndim(self.code) == 0:
-            return self._sentence(int(self.code), int(self.rank), int(self.nullity)) + said(self.within)
+            return self._sentence(int(self.code), int(self.rank), int(self.nullity)) + said(
+                self.within
+            )
         out = np.empty(np.shape(self.code), dtype=object)
         for i in np.ndindex(out.shape):
             out[i] = self._sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
@@ -82,7 +88,10 @@ class LoopJacobian(Report):
         if code == Status.DEAD_POINT:
             some = f"only {rank} of" if rank else "none of"
             return f"dead point: {some} the inputs ({names}) can move independently ({motions})"
-        return f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} of the inputs)"
+        return (
+            f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} "
+            "of the inputs)"
+        )
 
     def _headline(self) -> str:
         if np.ndim(self.code):
@@ -103,22 +112,32 @@ class LoopJacobian(Report):
         return [f"{name:<{width}}  " + "  ".join(f"{x:>12}" for x in row) for name, *row in lines]
 
     def _data(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")}
+        return {
+            name: getattr(self, name)
+            for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")
+        }
 
 
 @explained
 @tolerant("q")
 def loop_jacobian(
-    system: System, q: ArrayLike, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
+    system: System,
+    q: ArrayLike,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    in_frame: str = "world_aligned",
+    *,
     tolerance: float | str | None = None,
-) -> LoopJacobian:  # fmt: skip
-    """The `LoopJacobian` of closed configurations `q` (..., nq): velocities of outputs by those of inputs.
+) -> LoopJacobian:
+    """The `LoopJacobian` of closed configurations `q` (..., nq): velocities of outputs by those of
+    inputs.
 
-    `inputs` are names of angles and slides, as many as the mechanism has freedoms (more may be free where they do not
-    move the outputs: idle spins). `outputs` are names of coordinates, one row each, or of bodies and frames, six rows
-    each, [linear; angular] expressed `in_frame` as in `System.jacobian`; where a coordinate and a frame share a name
-    write "joint:name" or "frame:name". Errors: `InputError` for a configuration that is not closed or an unclear
-    name, `UnknownNameError`.
+    `inputs` are names of angles and slides, as many as the mechanism has freedoms (more may be free
+    where they do not move the outputs: idle spins). `outputs` are names of coordinates, one row
+    each, or of bodies and frames, six rows each, [linear; angular] expressed `in_frame` as in
+    `System.jacobian`; where a coordinate and a frame share a name write "joint:name" or
+    "frame:name". Errors: `InputError` for a configuration that is not closed or an unclear name,
+    `UnknownNameError`.
     """
     inputs = _listed(inputs)
     outputs = _listed(outputs)
@@ -126,7 +145,11 @@ def loop_jacobian(
     closure = Closure(system)
     index = [angle_or_slide(system, n) for n in inputs]
     kinds = [_output(system, n) for n in outputs]
-    rows = tuple(r for kind, name in kinds for r in ([name] if kind == "joint" else [f"{name}.{t}" for t in TWIST]))
+    rows = tuple(
+        r
+        for kind, name in kinds
+        for r in ([name] if kind == "joint" else [f"{name}.{t}" for t in TWIST])
+    )
     lead = q.shape[:-1]
     matrix = np.full((*lead, len(rows), len(index)), np.nan)
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
@@ -134,10 +157,14 @@ def loop_jacobian(
     for i in np.ndindex(lead):
         free = allowed(closure, q[i], index)
         motion = free * closure.unit[:, None]
-        out = np.vstack([
-            motion[[angle_or_slide(system, n)]] if kind == "joint" else jacobian(system, q[i], n, in_frame) @ motion
-            for kind, n in kinds
-        ])  # fmt: skip
+        out = np.vstack(
+            [
+                motion[[angle_or_slide(system, n)]]
+                if kind == "joint"
+                else jacobian(system, q[i], n, in_frame) @ motion
+                for kind, n in kinds
+            ]
+        )
         nullity[i] = free.shape[1]
         U, s, Vt = svd(free[index])
         rank[i] = int(np.sum(s > RANK))
@@ -152,7 +179,9 @@ def loop_jacobian(
             k = int(rank[i])
             matrix[i] = out @ (Vt[:k].T / s[:k]) @ U.T / closure.unit[index]
     if not lead:
-        return LoopJacobian(matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code))
+        return LoopJacobian(
+            matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code)
+        )
     return LoopJacobian(matrix, tuple(inputs), rows, rank, nullity, margin, code)
 
 
@@ -171,16 +200,22 @@ def _output(system: System, name: str) -> tuple[str, str]:
     coordinate = name in system.structure.velocity_names
     frame = name in system.frame_names
     if coordinate and frame:
-        raise InputError(f"{name!r} is a coordinate and a frame; write 'joint:{name}' or 'frame:{name}'")
+        raise InputError(
+            f"{name!r} is a coordinate and a frame; write 'joint:{name}' or 'frame:{name}'"
+        )
     if not coordinate and not frame:
         raise UnknownNameError(
-            "coordinate or frame", name, (*system.structure.velocity_names, *system.frame_names), system.name
+            "coordinate or frame",
+            name,
+            (*system.structure.velocity_names, *system.frame_names),
+            system.name,
         )
     return ("joint", name) if coordinate else ("frame", name)
 
 
 def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
-    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q.
+    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a
+    closed q.
 
     Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
     """
@@ -193,12 +228,16 @@ def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
     F, J = closure.both(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:
-        raise InputError(f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first")
+        raise InputError(
+            f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
+        )
     if rolls(closure.system):
         A, b = hard_rows(closure.system, q, closure.unit)
         if b.any():
-            raise UnsupportedError(f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
-                                   "not zero), so velocities are not proportional to those of inputs")  # fmt: skip
+            raise UnsupportedError(
+                f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
+                "not zero), so velocities are not proportional to those of inputs"
+            )
         J = np.concatenate([J, A])
     return null_space(J, RANK)
 
@@ -206,15 +245,23 @@ def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
 @explained
 @tolerant("q")
 def mechanical_advantage(
-    system: System, q: ArrayLike, input: str, output: str, direction: ArrayLike | None = None,
-    still: Sequence[str] = (), *, tolerance: float | str | None = None,
-) -> Any:  # fmt: skip
-    """Force (or torque) at the output per force (or torque) at the input, without losses, at `q` (..., nq).
+    system: System,
+    q: ArrayLike,
+    input: str,
+    output: str,
+    direction: ArrayLike | None = None,
+    still: Sequence[str] = (),
+    *,
+    tolerance: float | str | None = None,
+) -> Any:
+    """Force (or torque) at the output per force (or torque) at the input, without losses, at `q`
+    (..., nq).
 
-    By the principle of virtual power the velocity of the input divided by that of the output; infinite where the
-    output rests (a toggle), 0 where the input does (a dead point), NaN where the ratio is not determined. `output`
-    is a coordinate, or a frame with a `direction` (3,) in the ground frame in which it pushes. `still` names other
-    inputs that do not move. `tolerance` and errors are as those of `loop_jacobian`.
+    By the principle of virtual power the velocity of the input divided by that of the output;
+    infinite where the output rests (a toggle), 0 where the input does (a dead point), NaN where the
+    ratio is not determined. `output` is a coordinate, or a frame with a `direction` (3,) in the
+    ground frame in which it pushes. `still` names other inputs that do not move. `tolerance` and
+    errors are as those of `loop_jacobian`.
     """
     q = as_q(system, q)
     closure = Closure(system)
@@ -222,7 +269,9 @@ def mechanical_advantage(
     others = [angle_or_slide(system, n) for n in listed(still, "still")]
     kind, name = _output(system, output)
     if (kind == "frame") != (direction is not None):
-        raise InputError(f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none")
+        raise InputError(
+            f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none"
+        )
     push = np.zeros(3) if direction is None else reals(direction, "direction")
     if kind == "frame" and (push.shape != (3,) or not np.linalg.norm(push) > 0.0):
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
@@ -232,8 +281,11 @@ def mechanical_advantage(
         if others:
             _, s, Vt = svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T
-        far = motion[angle_or_slide(system, name)] if kind == "joint" else (
-            push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)  # fmt: skip
+        far = (
+            motion[angle_or_slide(system, name)]
+            if kind == "joint"
+            else (push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)
+        )
         s, Vt = svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
         if not len(s) or s[0] < RANK or (len(s) > 1 and s[1] > RANK * max(s[0], 1.0)):
             continue
@@ -255,13 +307,15 @@ def dead_points(path: Path, input: str) -> tuple[Event, ...]:
 def pressure_angle(
     system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
-    """Angle (...) in [0, pi/2] between the force that the coupler transmits at a joint and the way the output can go.
+    """Angle (...) in [0, pi/2] between the force that the coupler transmits at a joint and the way
+    the output can go.
 
-    `joint` connects the coupler, which pulls along the line to its other joint (a two-force member), and the output
-    link, whose other joint is a revolute or prismatic one and says which way the point can go. `coupler` and
-    `output` name these other joints; they need not be given where there is one each. `output` also says which
-    of the two bodies is the output link (default: the one nearer to the ground). 0 is best, pi/2 is stuck.
-    Source: Alt, *Werkstattstechnik* 1932. Errors: `UnsupportedError`, `InputError`, `UnknownNameError`.
+    `joint` connects the coupler, which pulls along the line to its other joint (a two-force
+    member), and the output link, whose other joint is a revolute or prismatic one and says which
+    way the point can go. `coupler` and `output` name these other joints; they need not be given
+    where there is one each. `output` also says which of the two bodies is the output link (default:
+    the one nearer to the ground). 0 is best, pi/2 is stuck. Source: Alt, *Werkstattstechnik* 1932.
+    Errors: `UnsupportedError`, `InputError`, `UnknownNameError`.
     """
     far, near = _dyad(system, joint, coupler, output)
     q = as_q(system, q)
@@ -281,10 +335,11 @@ def pressure_angle(
 def transmission_angle(
     system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
-    """Angle (...) in [0, pi/2] between the coupler and the output link at their joint: pi/2 less the pressure angle.
+    """Angle (...) in [0, pi/2] between the coupler and the output link at their joint: pi/2 less
+    the pressure angle.
 
-    Where the output link slides, the angle between the coupler and the normal of the slide. pi/2 is best, below
-    about 40 degrees a linkage runs badly, 0 is stuck. Arguments as in `pressure_angle`.
+    Where the output link slides, the angle between the coupler and the normal of the slide. pi/2 is
+    best, below about 40 degrees a linkage runs badly, 0 is stuck. Arguments as in `pressure_angle`.
     """
     return 0.5 * math.pi - pressure_angle(system, q, joint, coupler, output)
 
@@ -304,7 +359,9 @@ def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -
             raise UnknownNameError("joint", name, system.joint_names, system.name)
     ends = {joints[joint].parent, joints[joint].child}
     if system.body_names[0] in ends:
-        raise InputError(f"joint {joint!r} is on the ground; it must connect the coupler and the output link")
+        raise InputError(
+            f"joint {joint!r} is on the ground; it must connect the coupler and the output link"
+        )
     at: dict[str, list[str]] = {b: [] for b in ends}
     for other in joints.values():
         for body in {other.parent, other.child} & ends:
@@ -312,17 +369,28 @@ def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -
                 at[body].append(other.name)
     if output is None:
         ground = system.body_names[0]
-        grounded = [(b, n) for b, names in at.items() for n in names if ground in (joints[n].parent, joints[n].child)]
+        grounded = [
+            (b, n)
+            for b, names in at.items()
+            for n in names
+            if ground in (joints[n].parent, joints[n].child)
+        ]
         if len(grounded) != 1:
-            raise UnsupportedError(f"joint {joint!r} has {len(grounded)} bodies with a joint to the ground beside it; "
-                                   "name the other joints: coupler=..., output=...")  # fmt: skip
+            raise UnsupportedError(
+                f"joint {joint!r} has {len(grounded)} bodies with a joint to the ground beside it; "
+                "name the other joints: coupler=..., output=..."
+            )
         output = grounded[0][1]
     link = next((b for b in ends if output in at[b]), None)
     if link is None or _kind(system, output) is None:
-        raise InputError(f"{output!r} must be a revolute or prismatic joint of a body that {joint!r} connects")
+        raise InputError(
+            f"{output!r} must be a revolute or prismatic joint of a body that {joint!r} connects"
+        )
     rest = [n for b in ends - {link} for n in at[b]]
     if coupler is None and len(rest) != 1:
-        raise UnsupportedError(f"the coupler has {len(rest)} other joints: {', '.join(rest)}; name one: coupler=...")
+        raise UnsupportedError(
+            f"the coupler has {len(rest)} other joints: {', '.join(rest)}; name one: coupler=..."
+        )
     if coupler is not None and coupler not in rest:
         raise InputError(f"{coupler!r} is no joint of the coupler; these are: {', '.join(rest)}")
     return coupler or rest[0], output

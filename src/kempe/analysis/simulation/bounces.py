@@ -1,11 +1,13 @@
-"""One ball or particle that falls and bounces between planes: parabolas in closed form, and what happens between them.
+"""One ball or particle that falls and bounces between planes: parabolas in closed form, and what
+happens between them.
 
-The centre moves in a flat space of slides, on which an acceleration acts that does not depend on the mass. Planes are
-smooth and push along their normals only: an impact reverses the normal speed times the restitution (Newton), in a
-corner by Moreau's law, v' = -e v + (1 + e) proj(v) with the projection on the velocities that no touched plane
-forbids; so no mass is needed. Bounces on one plane that get smaller and smaller end at a time that is the sum of a
-geometric series: from there on the ball rests on the plane, or slides. Sources: Moreau, *Unilateral contact and dry
-friction in finite freedom dynamics*, 1988; Brogliato, *Nonsmooth Mechanics*, 2016.
+The centre moves in a flat space of slides, on which an acceleration acts that does not depend on
+the mass. Planes are smooth and push along their normals only: an impact reverses the normal speed
+times the restitution (Newton), in a corner by Moreau's law, v' = -e v + (1 + e) proj(v) with the
+projection on the velocities that no touched plane forbids; so no mass is needed. Bounces on one
+plane that get smaller and smaller end at a time that is the sum of a geometric series: from there
+on the ball rests on the plane, or slides. Sources: Moreau, *Unilateral contact and dry friction in
+finite freedom dynamics*, 1988; Brogliato, *Nonsmooth Mechanics*, 2016.
 """
 
 from __future__ import annotations
@@ -24,9 +26,11 @@ from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
 FADED = 1e-9
-"""Part of the largest impact speed below which bounces on one plane count as the rest of their geometric series."""
+"""Part of the largest impact speed below which bounces on one plane count as the rest of their
+geometric series."""
 GONE = 1e-11
-"""Part of it below which a normal speed counts as none: what falls through the rounding of places gets that fast."""
+"""Part of it below which a normal speed counts as none: what falls through the rounding of places
+gets that fast."""
 ROUNDING = 4e-15
 """Part of the distances from the origin up to which a gap is rounding."""
 TOUCH = 1e-9
@@ -36,7 +40,8 @@ SAME_TIME = 1e-13
 AGAIN = 64
 """Impacts at one instant after which the rest of them is taken as without rebound."""
 FADED_MOVING = 1e-6
-"""As `FADED`, on planes that move: the place of such a plane is known to rounding only, and so are low hops."""
+"""As `FADED`, on planes that move: the place of such a plane is known to rounding only, and so are
+low hops."""
 WINDOWS = 64
 """Parts of the duration, at least, in which impacts on moving planes are looked for."""
 LOOKS = 16
@@ -48,7 +53,9 @@ MOST = 100_000
 
 
 class Plane(NamedTuple):
-    """A plane that the centre stays above: gap = `offset` + `normal` . y; `name` is that of the contact or limit."""
+    """A plane that the centre stays above: gap = `offset` + `normal` . y; `name` is that of the
+    contact or limit.
+    """
 
     name: str
     normal: Array
@@ -56,7 +63,8 @@ class Plane(NamedTuple):
 
 
 class Impact(NamedTuple):
-    """What happened: "bounce", "lands" (and stays), "settles" (after infinitely many bounces) or "leaves".
+    """What happened: "bounce", "lands" (and stays), "settles" (after infinitely many bounces) or
+    "leaves".
 
     `planes` says which.
 
@@ -119,7 +127,9 @@ class Flight:
         return self.N @ y + self.offsets
 
     def run(self, y: Array, v: Array, duration: float) -> None:
-        """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known` up to a time."""
+        """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known`
+        up to a time.
+        """
         time = 0.0
         again = 0
         touching = set(np.flatnonzero(self.gaps(y) <= TOUCH).tolist())
@@ -194,7 +204,9 @@ class Flight:
             v = np.where(np.linalg.norm(v) <= slow and not a.any(), 0.0, v)
         return v, a, held
 
-    def _next(self, y: Array, v: Array, a: Array, touching: set[int], held: set[int]) -> tuple[float, set[int]]:
+    def _next(
+        self, y: Array, v: Array, a: Array, touching: set[int], held: set[int]
+    ) -> tuple[float, set[int]]:
         """The time to the next impact, infinite where there is none, and its planes."""
         gaps = self.gaps(y)
         times: dict[int, float] = {}
@@ -207,8 +219,10 @@ class Flight:
 
     def _settling(
         self, y: Array, v: Array, a: Array, leaving: set[int], held: set[int]
-    ) -> tuple[float, int, Array, Array] | None:  # fmt: skip
-        """Where bounces on one plane get small: the time in which they end, the plane, and the motion along it."""
+    ) -> tuple[float, int, Array, Array] | None:
+        """Where bounces on one plane get small: the time in which they end, the plane, and the
+        motion along it.
+        """
         hops = [i for i in leaving if self.N[i] @ a < 0.0]
         if len(hops) != 1 or self.restitution >= 1.0:
             return None
@@ -216,7 +230,9 @@ class Flight:
         rate = float(n @ v)
         pull = -float(n @ a)
         small = rate < FADED * self._largest * np.linalg.norm(n)
-        if not small or any(abs(self.N[j] @ n) > 1e-12 * np.linalg.norm(self.N[j]) * np.linalg.norm(n) for j in held):
+        if not small or any(
+            abs(self.N[j] @ n) > 1e-12 * np.linalg.norm(self.N[j]) * np.linalg.norm(n) for j in held
+        ):
             return None
         rest = 2.0 * rate / (pull * (1.0 - self.restitution))
         tangent = v - n * (rate / (n @ n))
@@ -224,7 +240,12 @@ class Flight:
         others = set(range(len(self.planes))) - held - set(hops)
         gaps = self.gaps(y)
         for j in others:
-            if first_zero(max(float(gaps[j]), 0.0), float(self.N[j] @ tangent), float(self.N[j] @ along)) <= rest:
+            if (
+                first_zero(
+                    max(float(gaps[j]), 0.0), float(self.N[j] @ tangent), float(self.N[j] @ along)
+                )
+                <= rest
+            ):
                 return None
         return rest, hops[0], tangent, along
 
@@ -240,9 +261,11 @@ class Flight:
 
 
 def first_zero(gap: float, rate: float, acceleration: float) -> float:
-    """The first time at which a gap, not negative now, falls through zero; infinite where it does not.
+    """The first time at which a gap, not negative now, falls through zero; infinite where it does
+    not.
 
-    A gap of zero that opens counts when it closes again. By the form of the roots that does not cancel.
+    A gap of zero that opens counts when it closes again. By the form of the roots that does not
+    cancel.
     """
     if gap <= 0.0:
         if rate > 0.0:
@@ -264,7 +287,8 @@ def nearest_in_cone(v: Array, N: Array) -> Array:
 
 
 def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
-    """The vector nearest to v (k,) of those with N x + w >= 0, N (m, k): by the sets of planes that may hold it back.
+    """The vector nearest to v (k,) of those with N x + w >= 0, N (m, k): by the sets of planes that
+    may hold it back.
 
     None where there is no such vector.
     """
@@ -289,7 +313,9 @@ def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
 
 
 class Stretch(NamedTuple):
-    """A part of a motion from `time` on: `at` gives places and velocities (n, k) at times (n,); `held` are planes."""
+    """A part of a motion from `time` on: `at` gives places and velocities (n, k) at times (n,);
+    `held` are planes.
+    """
 
     time: float
     at: Callable[[Array], tuple[Array, Array]]
@@ -297,13 +323,15 @@ class Stretch(NamedTuple):
 
 
 class MovingFlight:
-    """The motion of the centre in coordinates (k,) that have the metric of space, above planes that move.
+    """The motion of the centre in coordinates (k,) that have the metric of space, above planes that
+    move.
 
-    Between impacts it is a parabola, along planes that are touched a motion that they push along their normals
-    (integrated). An impact reverses the rate of the gap, times the restitution: v' = -e v + (1 + e) x, with x the
-    velocity nearest to v that closes no touched gap. The times of impacts are zeros of gaps, looked for at `LOOKS`
-    places of `WINDOWS` parts of the duration and between the extremes there: a gap that closes and opens again twice
-    within one such step is not seen.
+    Between impacts it is a parabola, along planes that are touched a motion that they push along
+    their normals (integrated). An impact reverses the rate of the gap, times the restitution: v' =
+    -e v + (1 + e) x, with x the velocity nearest to v that closes no touched gap. The times of
+    impacts are zeros of gaps, looked for at `LOOKS` places of `WINDOWS` parts of the duration and
+    between the extremes there: a gap that closes and opens again twice within one such step is not
+    seen.
     """
 
     def __init__(self, planes: MovingPlanes, gravity: Array, restitution: float, time: TimeLimit):
@@ -329,14 +357,19 @@ class MovingFlight:
             after = self._impact(t, y, v, touching, again > AGAIN)
             if after is None or len(self.impacts) >= MOST:
                 closing = " and ".join(repr(self.planes.names[i]) for i in sorted(touching))
-                self.reason = (f"at {t:.10g} s {closing} leave it no room" if after is None
-                               else f"broken off after {MOST} events")  # fmt: skip
+                self.reason = (
+                    f"at {t:.10g} s {closing} leave it no room"
+                    if after is None
+                    else f"broken off after {MOST} events"
+                )
                 return
             v, held = self._pressed(t, y, after, touching - leaving)
             rest = self._settling(t, y, v, touching - held - leaving, held)
             if rest is not None and t + rest[0] < duration:
                 touching = held | {rest[1]}
-                self.stretches.append(Stretch(t, partial(_parabola, t, y, v, 0.0 * v), tuple(sorted(touching))))
+                self.stretches.append(
+                    Stretch(t, partial(_parabola, t, y, v, 0.0 * v), tuple(sorted(touching)))
+                )
                 t = t + rest[0]
                 y, v = self._onto(t, y + rest[0] * v, v, touching)
                 self.impacts.append(Impact("settles", t, (rest[1],), 0.0, 0.0, y, v))
@@ -374,7 +407,9 @@ class MovingFlight:
         return (N @ y[..., None])[..., 0] + o
 
     def _rates(self, t: Array | float, y: Array, v: Array) -> tuple[Array, Array]:
-        """Normals (..., m, k) and the rates (..., m) of the gaps, at times (...), places and velocities (..., k)."""
+        """Normals (..., m, k) and the rates (..., m) of the gaps, at times (...), places and
+        velocities (..., k).
+        """
         N, _ = self.planes.at(t)
         turn, shift = self.planes.rates(t)
         return N, (N @ v[..., None] + turn @ y[..., None])[..., 0] + shift
@@ -385,7 +420,9 @@ class MovingFlight:
         more, shift = self.planes.accelerations(t)
         return 2.0 * turn @ v + more @ y + shift
 
-    def _onto(self, t: float, y: Array, v: Array, planes: set[int], places_only: bool = False) -> tuple[Array, Array]:
+    def _onto(
+        self, t: float, y: Array, v: Array, planes: set[int], places_only: bool = False
+    ) -> tuple[Array, Array]:
         """Place and velocity (k,) put onto planes that are touched, but for rounding."""
         index = sorted(planes)
         if not index:
@@ -404,11 +441,15 @@ class MovingFlight:
     # ---- what happens at an instant
 
     def _impact(self, t: float, y: Array, v: Array, touching: set[int], soft: bool) -> Array | None:
-        """The velocity after what it makes hit, None where no velocity opens all gaps; `soft`: without rebound."""
+        """The velocity after what it makes hit, None where no velocity opens all gaps; `soft`:
+        without rebound.
+        """
         index = sorted(touching)
         for k in range(AGAIN + 1):
             N, rates = (x[index] for x in self._rates(t, y, v))
-            self._largest = max(self._largest, float(np.linalg.norm(v)), float(np.abs(rates).max(initial=0.0)))
+            self._largest = max(
+                self._largest, float(np.linalg.norm(v)), float(np.abs(rates).max(initial=0.0))
+            )
             size = GONE * self._largest * np.linalg.norm(N, axis=1)
             if not (rates < -size).any():
                 return v
@@ -435,16 +476,24 @@ class MovingFlight:
         return self._onto(t, y, v, held)[1], held
 
     def _pushed(self, t: float, y: Array, v: Array, still: list[int]) -> tuple[Array, set[int]]:
-        """The acceleration (k,) with these planes touched at no rate, and those of them that stay touched."""
+        """The acceleration (k,) with these planes touched at no rate, and those of them that stay
+        touched.
+        """
         N = self.planes.at(t)[0][still]
         c = self._bending(t, y, v)[still]
         a = nearest_inside(self.gravity, N, c)
         if a is None:
             a = self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)
         strength = 1e-9 * (float(np.linalg.norm(self.gravity)) + np.abs(c))
-        return a, {i for i, x in zip(still, N @ a + c - strength * np.linalg.norm(N, axis=1), strict=True) if x <= 0.0}
+        return a, {
+            i
+            for i, x in zip(still, N @ a + c - strength * np.linalg.norm(N, axis=1), strict=True)
+            if x <= 0.0
+        }
 
-    def _settling(self, t: float, y: Array, v: Array, leaving: set[int], held: set[int]) -> tuple[float, int] | None:
+    def _settling(
+        self, t: float, y: Array, v: Array, leaving: set[int], held: set[int]
+    ) -> tuple[float, int] | None:
         """Where bounces on one plane get small: the time in which they end, and the plane."""
         if self.restitution >= 1.0 or not leaving:
             return None
@@ -458,7 +507,9 @@ class MovingFlight:
         i = hops[0]
         n = N[i]
         small = rates[i] < FADED_MOVING * self._largest * np.linalg.norm(n)
-        if not small or any(abs(N[j] @ n) > 1e-12 * np.linalg.norm(N[j]) * np.linalg.norm(n) for j in held):
+        if not small or any(
+            abs(N[j] @ n) > 1e-12 * np.linalg.norm(N[j]) * np.linalg.norm(n) for j in held
+        ):
             return None
         return 2.0 * float(rates[i]) / (float(pull[i]) * (1.0 - self.restitution)), i
 
@@ -466,14 +517,18 @@ class MovingFlight:
 
     def _go(
         self, t: float, y: Array, v: Array, touching: set[int], held: set[int], duration: float
-    ) -> tuple[float, Array, Array, set[int], set[int]]:  # fmt: skip
-        """To the next impact, or to where a held plane is left: time, place, velocity, planes that are hit, or left."""
+    ) -> tuple[float, Array, Array, set[int], set[int]]:
+        """To the next impact, or to where a held plane is left: time, place, velocity, planes that
+        are hit, or left.
+        """
         window = duration / WINDOWS
         fresh = touching - held
         if fresh:  # low hops: the window fits the first of them
             N, rates = self._rates(t, y, v)
             pull = -(N @ self._pushed(t, y, v, sorted(held))[0] + self._bending(t, y, v))
-            hops = [2.0 * float(rates[i] / pull[i]) for i in fresh if pull[i] > 0.0 and rates[i] > 0.0]
+            hops = [
+                2.0 * float(rates[i] / pull[i]) for i in fresh if pull[i] > 0.0 and rates[i] > 0.0
+            ]
             window = min([window, *(4.0 * h for h in hops)])
         begin = t
         solver: Any = self._solver(t, y, v, held, duration) if held else None
@@ -497,7 +552,10 @@ class MovingFlight:
             if stop >= duration:
                 return stop, z, w, set(), set()
             if held:
-                solver.y, solver.f = np.concatenate([z, w]), solver.fun(stop, np.concatenate([z, w]))
+                solver.y, solver.f = (
+                    np.concatenate([z, w]),
+                    solver.fun(stop, np.concatenate([z, w])),
+                )
             begin = end
             window = duration / WINDOWS
             gaps = self._gaps(begin, z)
@@ -513,10 +571,19 @@ class MovingFlight:
             """Velocity and acceleration, all held planes pushing or pulling."""
             N = self.planes.at(s)[0][index]
             c = self._bending(s, x[:k], x[k:])[index]
-            return np.concatenate([x[k:], self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)])
+            return np.concatenate(
+                [x[k:], self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)]
+            )
 
-        return cast(Any, integrate).DOP853(slope, t, np.concatenate([y, v]), duration, rtol=INTEGRATION,
-                                           atol=INTEGRATION, max_step=duration / WINDOWS)  # fmt: skip
+        return cast(Any, integrate).DOP853(
+            slope,
+            t,
+            np.concatenate([y, v]),
+            duration,
+            rtol=INTEGRATION,
+            atol=INTEGRATION,
+            max_step=duration / WINDOWS,
+        )
 
     def _step(self, solver: Any, held: set[int]) -> Callable[[Array], tuple[Array, Array]]:
         said = solver.step()
@@ -527,9 +594,16 @@ class MovingFlight:
         return lambda s: (dense(s)[:k].T, dense(s)[k:].T)
 
     def _first(
-        self, at: Callable[[Array], tuple[Array, Array]], begin: float, end: float, planes: set[int], fresh: set[int]
-    ) -> tuple[float, set[int]] | None:  # fmt: skip
-        """The first zero of a gap that closes within a step, and its planes; gaps of `fresh` planes open first."""
+        self,
+        at: Callable[[Array], tuple[Array, Array]],
+        begin: float,
+        end: float,
+        planes: set[int],
+        fresh: set[int],
+    ) -> tuple[float, set[int]] | None:
+        """The first zero of a gap that closes within a step, and its planes; gaps of `fresh` planes
+        open first.
+        """
         s = np.linspace(begin, end, LOOKS + 1)
         y, v = at(s)
         gaps = self._gaps(s, y)
@@ -553,9 +627,15 @@ class MovingFlight:
                     if gap(i, a) <= 0.0:  # a hop lower than rounding
                         found[i] = a
                         break
-                elif rates[k, i] < 0.0 < rates[k + 1, i] and gaps[k + 1, i] > 0.0 and (gaps[k, i] > 0.0 or opens):
+                elif (
+                    rates[k, i] < 0.0 < rates[k + 1, i]
+                    and gaps[k + 1, i] > 0.0
+                    and (gaps[k, i] > 0.0 or opens)
+                ):
                     b = zero_of(partial(rate, i), a, b)
-                if gap(i, b) <= 0.0 and (gap(i, a) > 0.0 or (not opens and k == 0 and rates[0, i] < 0.0)):
+                if gap(i, b) <= 0.0 and (
+                    gap(i, a) > 0.0 or (not opens and k == 0 and rates[0, i] < 0.0)
+                ):
                     found[i] = zero_of(partial(gap, i), a, b) if gap(i, a) > 0.0 else a
                     break
         if not found:
@@ -572,13 +652,19 @@ class MovingFlight:
             p, w = (z[0] for z in at(np.array([x])))
             N = self.planes.at(x)[0][held]
             c = self._bending(x, p, w)[held]
-            return np.linalg.lstsq(N @ N.T, -(N @ self.gravity + c), rcond=1e-9)[0] * np.linalg.norm(N, axis=1)
+            return np.linalg.lstsq(N @ N.T, -(N @ self.gravity + c), rcond=1e-9)[
+                0
+            ] * np.linalg.norm(N, axis=1)
 
         def least(x: float) -> float:
             return float(pushes(x).min())
 
         s = np.linspace(begin, end, LOOKS // 4 + 1).tolist()
-        weak = [k for k in range(len(s) - 1) if least(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))]
+        weak = [
+            k
+            for k in range(len(s) - 1)
+            if least(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))
+        ]
         if not weak:
             return None
         a = s[weak[0]]

@@ -1,4 +1,6 @@
-"""Motion in time without masses: inputs that are velocities, and one ball or particle that falls and bounces."""
+"""Motion in time without masses: inputs that are velocities, and one ball or particle that falls
+and bounces.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +39,12 @@ USUAL = Usual("simulate", points=200, time_limit=LONG)
 
 @dataclass(frozen=True)
 class Bounce(InWords):
-    """What happened to a ball at a `time` [s], at `q` (nq,): with the gap's rate `before` and `after` [m/s].
+    """What happened to a ball at a `time` [s], at `q` (nq,): with the gap's rate `before` and
+    `after` [m/s].
 
-    `kind` is "bounce", "lands" (it stays on the plane), "settles" (infinitely many bounces have ended), or "leaves" (a
-    plane that moves would have to pull from then on). `contacts` are the names of the planes or limits.
+    `kind` is "bounce", "lands" (it stays on the plane), "settles" (infinitely many bounces have
+    ended), or "leaves" (a plane that moves would have to pull from then on). `contacts` are the
+    names of the planes or limits.
     """
 
     kind: str
@@ -63,11 +67,12 @@ class Bounce(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Simulation(Motion):
-    """A motion in time: configurations `q` (n, nq) and velocities `v` (n, nv) at times `t` (n,) [s].
+    """A motion in time: configurations `q` (n, nq) and velocities `v` (n, nv) at times `t` (n,)
+    [s].
 
-    `events` are bounces. `success` is false where the motion ends before its time, `status` says why. `slip` is the
-    largest slip of a sample, of rows and speeds of size 1. Where the work was `interrupted`, or the time limit came
-    (`late`), these are the samples that were done.
+    `events` are bounces. `success` is false where the motion ends before its time, `status` says
+    why. `slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
+    `interrupted`, or the time limit came (`late`), these are the samples that were done.
     """
 
     also = ("t", "v", "slip", "interrupted", "late")
@@ -87,11 +92,13 @@ class Simulation(Motion):
 
     def __repr__(self) -> str:
         return (
-            f"Simulation({self.system.name!r}, {counted(len(self.t), 'sample')}, {counted(len(self.events), 'event')})"
+            f"Simulation({self.system.name!r}, {counted(len(self.t), 'sample')}, "
+            f"{counted(len(self.events), 'event')})"
         )
 
     def at(self, t: ArrayLike) -> Array:
-        """Configurations (..., nq) at times `t` (...): of a ball that falls exactly, else between samples (cubic).
+        """Configurations (..., nq) at times `t` (...): of a ball that falls exactly, else between
+        samples (cubic).
 
         Errors: `InputError` for times outside.
         """
@@ -107,7 +114,9 @@ class Simulation(Motion):
     def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
-            raise InputError(f"t is outside the motion, which is known from {self.t[0]:g} to {self.t[-1]:.9g} s")
+            raise InputError(
+                f"t is outside the motion, which is known from {self.t[0]:g} to {self.t[-1]:.9g} s"
+            )
         q, v = (self._at or self._between)(t.ravel())
         return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
 
@@ -121,7 +130,9 @@ class Simulation(Motion):
         a = h * self.v[k]
         b = h * self.v[k + 1]
         y = u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * way - u * u * (1 - u) * b
-        return self.system.structure.layout.integrate(self.q[k], y), (1 - u) * self.v[k] + u * self.v[k + 1]
+        return self.system.structure.layout.integrate(self.q[k], y), (1 - u) * self.v[
+            k
+        ] + u * self.v[k + 1]
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
@@ -133,8 +144,12 @@ class Simulation(Motion):
         if self.events:
             text += f", {counted(bounces, 'bounce')}"
             ends = [e for e in self.events if e.kind != "bounce"]
-            text += f"; from {ends[-1].time:.10g} s on it stays on {' and '.join(map(repr, ends[-1].contacts))}" if (
-                ends and ends[-1] is self.events[-1] and ends[-1].kind != "leaves") else ""  # fmt: skip
+            text += (
+                f"; from {ends[-1].time:.10g} s on it stays on "
+                f"{' and '.join(map(repr, ends[-1].contacts))}"
+                if (ends and ends[-1] is self.events[-1] and ends[-1].kind != "leaves")
+                else ""
+            )
         return text + self._partial() + (f"; {self.reason}" if self.reason else "")
 
     def _notes(self) -> Sequence[str]:
@@ -147,38 +162,53 @@ class Simulation(Motion):
 @explained
 @interruptible
 def simulate(
-    system: System, duration: float, start: ArrayLike | Mapping[str, float] | str | None = None, *,
-    inputs: Mapping[str, Any] | None = None, velocity: ArrayLike | Mapping[str, float] | None = None,
-    acceleration: ArrayLike | None = None, restitution: float = 1.0, tolerance: float | None = None,
+    system: System,
+    duration: float,
+    start: ArrayLike | Mapping[str, float] | str | None = None,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    velocity: ArrayLike | Mapping[str, float] | None = None,
+    acceleration: ArrayLike | None = None,
+    restitution: float = 1.0,
+    tolerance: float | None = None,
     budget: Budget | None = None,
-) -> Simulation:  # fmt: skip
-    """The motion of a system in time, for a `duration` [s] from a configuration on, as a `Simulation`.
+) -> Simulation:
+    """The motion of a system in time, for a `duration` [s] from a configuration on, as a
+    `Simulation`.
 
-    With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity coordinate, or a twist of
-    a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others follow from the velocity constraints and the
-    closed loops, and are integrated with the local error `tolerance` (1e-11); position constraints are met at each
-    sample to rounding. It ends where a coordinate meets its limit, or the inputs cannot be had.
+    With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity
+    coordinate, or a twist of a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others
+    follow from the velocity constraints and the closed loops, and are integrated with the local
+    error `tolerance` (1e-11); position constraints are met at each sample to rounding. It ends
+    where a coordinate meets its limit, or the inputs cannot be had.
 
-    Without `inputs`: one ball or particle that falls from `start` with a `velocity` (nv,) (default: at rest) by a
-    uniform `acceleration` (3,) [m/s^2] (default: 9.81 down z, in the plane down y), and bounces on what keeps it on one
-    side of a plane: contacts, other inequalities, limits of its slides. Smooth planes: the normal speed is reversed
-    times `restitution`, from 0 to 1. The answer is exact (times in closed form), and goes on after the infinitely many
-    bounces that end at t1 + 2 v / (a (1 - e)), v the speed after the impact at t1. What would need masses is refused.
+    Without `inputs`: one ball or particle that falls from `start` with a `velocity` (nv,) (default:
+    at rest) by a uniform `acceleration` (3,) [m/s^2] (default: 9.81 down z, in the plane down y),
+    and bounces on what keeps it on one side of a plane: contacts, other inequalities, limits of its
+    slides. Smooth planes: the normal speed is reversed times `restitution`, from 0 to 1. The answer
+    is exact (times in closed form), and goes on after the infinitely many bounces that end at t1 +
+    2 v / (a (1 - e)), v the speed after the impact at t1. What would need masses is refused.
 
-    The time is 0 at the start. Equations and inequalities in time hold at every time. Planes may move: an impact
-    reverses the rate of the gap, and a body that rests on a plane moves with it as long as the plane pushes. With
-    planes that move, times of impacts are found numerically, from the gaps at 1024 places of the duration.
+    The time is 0 at the start. Equations and inequalities in time hold at every time. Planes may
+    move: an impact reverses the rate of the gap, and a body that rests on a plane moves with it as
+    long as the plane pushes. With planes that move, times of impacts are found numerically, from
+    the gaps at 1024 places of the duration.
 
-    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many evenly spread times, and those of all
-    events. Errors: `UnsupportedError` with the reason; `InputError`, also for a start inside a plane, with the
-    distance; `UnknownNameError`.
+    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many evenly spread
+    times, and those of all events. Errors: `UnsupportedError` with the reason; `InputError`, also
+    for a start inside a plane, with the distance; `UnknownNameError`.
     """
     if not is_real(duration) or not 0.0 < duration < math.inf:
-        raise InputError(f"duration is {duration!r}; it must be a time in seconds, positive and finite")
+        raise InputError(
+            f"duration is {duration!r}; it must be a time in seconds, positive and finite"
+        )
     spend = USUAL.of(budget)
     samples = spend.points
     if not is_whole(samples) or not 2 <= samples <= MOST_SAMPLES:
-        raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST_SAMPLES}")
+        raise InputError(
+            f"points is {samples!r}; it must be a whole number, at least 2 and at most "
+            f"{MOST_SAMPLES}"
+        )
     limit = TimeLimit(spend.time_limit)
     with begun_within(USUAL, limit):
         q = start_of(system, start, {}).astype(float)
@@ -187,7 +217,9 @@ def simulate(
         allowed = TOLERANCE if tolerance is None else tolerance
         return _rolls(system, q, times, inputs, velocity, acceleration, allowed, limit)
     if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
-        raise InputError(f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)")
+        raise InputError(
+            f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)"
+        )
     v = _velocity(system, velocity)
     with begun_within(USUAL, limit):
         fall = falling(system, q, v, float(duration))
@@ -221,30 +253,62 @@ def simulate(
     x, w = fall.motion(q, v, flight, t)
     at = fall.motion(q, v, flight, happened)[0]
     names = [p.name for p in fall.planes]
-    events = tuple(Bounce(e.kind, e.time, tuple(names[i] for i in e.planes), e.before, e.after, at[k])
-                   for k, e in enumerate(flight.impacts))  # fmt: skip
-    return Simulation(system, t, x, w, events, not reason and broken is None, reason,
-                      interrupted=isinstance(broken, KeyboardInterrupt), late=isinstance(broken, TimeUp),
-                      frames=(fall.body,), _at=partial(fall.motion, q, v, flight))  # fmt: skip
+    events = tuple(
+        Bounce(e.kind, e.time, tuple(names[i] for i in e.planes), e.before, e.after, at[k])
+        for k, e in enumerate(flight.impacts)
+    )
+    return Simulation(
+        system,
+        t,
+        x,
+        w,
+        events,
+        not reason and broken is None,
+        reason,
+        interrupted=isinstance(broken, KeyboardInterrupt),
+        late=isinstance(broken, TimeUp),
+        frames=(fall.body,),
+        _at=partial(fall.motion, q, v, flight),
+    )
 
 
 def _rolls(
-    system: System, q: Array, times: Array, inputs: Any, velocity: Any, acceleration: Any, tolerance: Any,
+    system: System,
+    q: Array,
+    times: Array,
+    inputs: Any,
+    velocity: Any,
+    acceleration: Any,
+    tolerance: Any,
     time: TimeLimit,
-) -> Simulation:  # fmt: skip
+) -> Simulation:
     if not is_mapping(inputs):
-        raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name")
+        raise InputError(
+            f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name"
+        )
     if velocity is not None or acceleration is not None:
         name = "velocity" if velocity is not None else "acceleration"
-        raise InputError(f"{name} is for what falls by itself; with inputs all velocities follow from these")
+        raise InputError(
+            f"{name} is for what falls by itself; with inputs all velocities follow from these"
+        )
     if not is_real(tolerance) or not 1e-14 <= tolerance <= 1e-3:
         raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
     with begun_within(USUAL, time):
         found = roll(system, inputs, q, times, float(tolerance), time)
     late = isinstance(found.broken, TimeUp)
     interrupted = isinstance(found.broken, KeyboardInterrupt)
-    return Simulation(system, found.t, found.q, found.v, (), not found.reason and found.broken is None, found.reason,
-                      slip(system, found.t, found.q, found.v), interrupted, late)  # fmt: skip
+    return Simulation(
+        system,
+        found.t,
+        found.q,
+        found.v,
+        (),
+        not found.reason and found.broken is None,
+        found.reason,
+        slip(system, found.t, found.q, found.v),
+        interrupted,
+        late,
+    )
 
 
 def _velocity(system: System, velocity: Any) -> Array:
@@ -262,7 +326,10 @@ def _velocity(system: System, velocity: Any) -> Array:
     elif velocity is not None:
         v = reals(velocity, "velocity").astype(float)
     if v.shape != (system.nv,) or not np.isfinite(v).all():
-        raise InputError(f"velocity has shape {v.shape}; it must be ({system.nv},) finite numbers: {', '.join(names)}")
+        raise InputError(
+            f"velocity has shape {v.shape}; it must be ({system.nv},) finite numbers: "
+            f"{', '.join(names)}"
+        )
     return v
 
 
@@ -275,5 +342,7 @@ def _acceleration(system: System, acceleration: Any) -> Array:
         a = np.append(a, 0.0)
     if a.shape != (3,) or not np.isfinite(a).all():
         size = "(3,) or (2,)" if system.dim == 2 else "(3,)"
-        raise InputError(f"acceleration has shape {a.shape}; it must be {size} finite numbers in m/s^2")
+        raise InputError(
+            f"acceleration has shape {a.shape}; it must be {size} finite numbers in m/s^2"
+        )
     return a

@@ -1,4 +1,6 @@
-"""TOML text -> Mechanism: our own format for any mechanism, loops included. `docs/toml.md` describes it."""
+"""TOML text -> Mechanism: our own format for any mechanism, loops included. `docs/toml.md`
+describes it.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,13 @@ from kempe.placement import Placement, place, steps_from_data
 from kempe.values import Expression
 
 
-def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterable[str | FilePath] = ()) -> Mechanism:
+def read_toml(
+    text: str | bytes, source: str = "<text>", *, package_dirs: Iterable[str | FilePath] = ()
+) -> Mechanism:
     """Mechanism that a TOML text describes; `source` names the text in messages.
 
-    `package_dirs` are the folders in which meshes may lie. Errors: `DescriptionError` with all problems, each
-    with its line; unknown keys are problems.
+    `package_dirs` are the folders in which meshes may lie. Errors: `DescriptionError` with all
+    problems, each with its line; unknown keys are problems.
     """
     refuse_other_kinds(text, source)
     document = Document(Source(source, decode(text, source)))
@@ -51,7 +55,9 @@ def _tolerance(document: Document) -> float | str | None:
     said = document.data.get("tolerance")
     if said is None or said == "measured" or (type(said) in (int, float) and 0.0 < said < math.inf):
         return said
-    text = f"tolerance is {said!r}; it must be a positive number of metres and radians, or 'measured'"
+    text = (
+        f"tolerance is {said!r}; it must be a positive number of metres and radians, or 'measured'"
+    )
     raise fail(text, document.where("tolerance"))
 
 
@@ -119,15 +125,21 @@ class _TomlReader:
             with self.findings.guard(subject, where):
                 if table.get("particle"):
                     if center is not None or visuals or name == self.mechanism.ground.name:
-                        raise InputError("a particle has no center and no visuals, and is not the ground")
+                        raise InputError(
+                            "a particle has no center and no visuals, and is not the ground"
+                        )
                     self.mechanism.particle(name, mass, where)
                 elif name == self.mechanism.ground.name and self.mechanism.ground.where is None:
                     # the ground exists already: another mechanism checks the values
-                    checked = Mechanism(ground=f"not {name}").body(name, mass, center, visuals, where)
+                    checked = Mechanism(ground=f"not {name}").body(
+                        name, mass, center, visuals, where
+                    )
                     self.mechanism.bodies[name] = checked
                 else:
                     self.mechanism.body(name, mass, center, visuals, where)
-        if isinstance(name, str) and name.strip():  # so that joints to a wrong body are not called wrong, too
+        if (
+            isinstance(name, str) and name.strip()
+        ):  # so that joints to a wrong body are not called wrong, too
             self.mechanism.bodies.setdefault(name, Body(name))
 
     def frame(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
@@ -145,7 +157,10 @@ class _TomlReader:
             try:
                 joint_type(kind)
             except UnknownNameError as error:
-                said = f"unknown joint type {shorten(kind)}{self.findings.hint(str(kind), error.allowed)}"
+                said = (
+                    "unknown joint type "
+                    f"{shorten(kind)}{self.findings.hint(str(kind), error.allowed)}"
+                )
                 self.findings.add(said, subject, self.where(*path, "type"))
                 good = False
             except InputError as error:
@@ -188,8 +203,12 @@ class _TomlReader:
         given: dict[str, Any] = {}
         for key in needed_by(kind):
             if key not in table:
-                self.findings.add(f"the key {key!r} is missing", subject, self.where(*path),
-                                  f"it needs {', '.join(needed_by(kind))}")  # fmt: skip
+                self.findings.add(
+                    f"the key {key!r} is missing",
+                    subject,
+                    self.where(*path),
+                    f"it needs {', '.join(needed_by(kind))}",
+                )
                 good = False
         for key in how.keys() & table.keys():
             with self.findings.guard(subject, self.where(*path, key)):
@@ -211,13 +230,23 @@ class _TomlReader:
         if how in FRAMES:
             if isinstance(x, dict):
                 placed: dict[str, Any] = {k: v for k, v in entries.items() if k != "body"}
-                return End(str(entries.get("body", "")), self.placed(placed, "", entries.get("body")))
+                return End(
+                    str(entries.get("body", "")), self.placed(placed, "", entries.get("body"))
+                )
             if not isinstance(x, str):
-                raise InputError(f"{key} is {shorten(x)}; it must be the name of a frame or body, or a table")
+                raise InputError(
+                    f"{key} is {shorten(x)}; it must be the name of a frame or body, or a table"
+                )
         if how in ("bool", "str") and type(x).__name__ != how:
-            raise InputError(f"{key} is {shorten(x)}; it must be {'true or false' if how == 'bool' else 'text'}")
-        if how == "Names" and not (isinstance(x, list) and all(isinstance(n, str) for n in entries)):
-            raise InputError(f"{key} is {shorten(entries)}; it must be a list of names of coordinates")
+            raise InputError(
+                f"{key} is {shorten(x)}; it must be {'true or false' if how == 'bool' else 'text'}"
+            )
+        if how == "Names" and not (
+            isinstance(x, list) and all(isinstance(n, str) for n in entries)
+        ):
+            raise InputError(
+                f"{key} is {shorten(entries)}; it must be a list of names of coordinates"
+            )
         return tuple(entries) if isinstance(x, list) and how not in NUMBERS else entries
 
     def between(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
@@ -225,8 +254,12 @@ class _TomlReader:
         for key in ("parent", "child"):
             good &= self.known_body(table, key, path, subject)
             if key not in table:
-                self.findings.add(f"the key {key!r} is missing", subject, self.where(*path),
-                                  "it needs name, type, parent, child")  # fmt: skip
+                self.findings.add(
+                    f"the key {key!r} is missing",
+                    subject,
+                    self.where(*path),
+                    "it needs name, type, parent, child",
+                )
         kind = table.get("type")
         if kind is not None and kind not in BETWEEN:
             said = self.findings.hint(str(kind), [*BETWEEN, *constraints.KINDS])
@@ -240,7 +273,14 @@ class _TomlReader:
         try:
             none: dict[str, Any] = {}
             ends = (table["parent"], X_PF, none), (table["child"], X_CM, none)
-            between(self.mechanism, table["name"], table["type"], *ends, table.get("length"), self.where(*path))
+            between(
+                self.mechanism,
+                table["name"],
+                table["type"],
+                *ends,
+                table.get("length"),
+                self.where(*path),
+            )
         except DescriptionError as error:
             for p in error.problems:
                 about = ["length"] if "length" in table and "length" in p.message else []
@@ -254,7 +294,9 @@ class _TomlReader:
             return True
         if key in table:
             said = self.findings.hint(str(name), self.mechanism.bodies)
-            self.findings.add(f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key))
+            self.findings.add(
+                f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key)
+            )
         return False
 
     # ---- coordinates
@@ -267,7 +309,9 @@ class _TomlReader:
             if not self.known_coordinates(names, subject, (*path, key)):
                 return
         with self.findings.guard(subject, self.where(*path)):
-            made = self.mechanism.couple(table["of"], sources, table.get("offset", 0.0), self.where(*path))
+            made = self.mechanism.couple(
+                table["of"], sources, table.get("offset", 0.0), self.where(*path)
+            )
             for v in (*made.sources.values(), made.offset):
                 for name in v.names if isinstance(v, Expression) else ():
                     if name not in self.mechanism.parameters:
@@ -280,18 +324,26 @@ class _TomlReader:
             if self.known_coordinates(given, f"posture {name!r}", path):
                 with self.findings.guard("", self.where(*path)):
                     self.mechanism.posture(name, given)
-        for name, number in self.document.flat(self.document.table("locks"), ("locks",), "[locks]").items():
+        for name, number in self.document.flat(
+            self.document.table("locks"), ("locks",), "[locks]"
+        ).items():
             if self.known_coordinates([name], "[locks]", ("locks", name)):
                 with self.findings.guard("", self.where("locks", name)):
                     self.mechanism.lock({name: number})
 
     def known_coordinates(self, names: Iterable[str], subject: str, path: Path) -> bool:
-        """Whether all are coordinates; those of a joint that is wrong itself are not called wrong, too."""
-        names = [n for n in names if n not in self.failed and n.rpartition(".")[0] not in self.failed]
+        """Whether all are coordinates; those of a joint that is wrong itself are not called wrong,
+        too.
+        """
+        names = [
+            n for n in names if n not in self.failed and n.rpartition(".")[0] not in self.failed
+        ]
         unknown = [n for n in names if n not in self.coordinates]
         for name in unknown:
             said = self.findings.hint(name, self.coordinates)
-            self.findings.add(f"{shorten(name)} is no coordinate{said}", subject, self.where(*path, name))
+            self.findings.add(
+                f"{shorten(name)} is no coordinate{said}", subject, self.where(*path, name)
+            )
         return not unknown
 
     # ---- placements
@@ -321,18 +373,32 @@ class _TomlReader:
                 if item not in names:
                     raise UnknownNameError("frame", item, names, f"body {body!r}")
                 settings[key] = self.mechanism.frames[item].X_BF
-            elif key != "angle" and not isinstance(item, list) and not (key == "axis" and isinstance(item, str)):
+            elif (
+                key != "angle"
+                and not isinstance(item, list)
+                and not (key == "axis" and isinstance(item, str))
+            ):
                 or_name = " or a name, such as 'z'" if key == "axis" else ""
-                raise InputError(f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, 1]{or_name}")
+                raise InputError(
+                    f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, "
+                    f"1]{or_name}"
+                )
             elif key == "matrix":
                 rows: Any = given[key]
-                flat: list[Any] = [x for row in rows for x in row] if all(isinstance(r, list) for r in rows) else rows
+                flat: list[Any] = (
+                    [x for row in rows for x in row]
+                    if all(isinstance(r, list) for r in rows)
+                    else rows
+                )
                 if len(flat) != 9 or not all(type(x) in (int, float) for x in flat):
                     raise InputError(f"{prefix}matrix must be three rows of three numbers")
                 settings[key] = flat
             elif key == "steps" and len(given) > 1:
                 other = next(k for k in given if k != "steps")
-                raise InputError(f"{prefix}steps and {prefix}{other} are both given; steps say the whole placement")
+                raise InputError(
+                    f"{prefix}steps and {prefix}{other} are both given; steps say the whole "
+                    "placement"
+                )
         if "steps" in given:
             return self.checked(steps_from_data(given["steps"]))
         return self.checked(place(**settings))

@@ -17,11 +17,12 @@ from kempe.joints import TYPES, JointType
 
 FORMAT = 1
 NEWEST = 2
-"""Versions of the format that are read. The newer one has all kinds of constraints; files without them are written in
-the older one."""
+"""Versions of the format that are read. The newer one has all kinds of constraints; files without
+them are written in the older one."""
 
 PLACE = ("at", "rpy", "angle", "quat_wxyz", "matrix", "axis", "steps")
-"""Keys that place a frame on a body; for the frame on a joint's child with the prefix ``child_``."""
+"""Keys that place a frame on a body; for the frame on a joint's child with the prefix
+``child_``."""
 
 KEYS = {
     "": (
@@ -57,7 +58,15 @@ KEYS = {
         "cut",
     ),
     "frame": ("name", "body", *PLACE),
-    "constraint": ("name", "type", "parent", "child", "length", *PLACE, *(f"child_{k}" for k in PLACE)),
+    "constraint": (
+        "name",
+        "type",
+        "parent",
+        "child",
+        "length",
+        *PLACE,
+        *(f"child_{k}" for k in PLACE),
+    ),
     "coupling": ("of", "sources", "offset"),
     "dh": ("convention", "rows", "on", "base", "tool", "deg", "columns"),
     "screws": ("rows", "home"),
@@ -133,10 +142,16 @@ class Document:
         return self.places.where(*path)
 
     def check_format(self) -> None:
-        """Raise unless the file has our format, and holds nothing but text, numbers, lists and tables."""
+        """Raise unless the file has our format, and holds nothing but text, numbers, lists and
+        tables.
+        """
         given = self.data.get("format")
         if given is None:
-            raise fail("the file has no line 'format = 1'", self.where(), "every mechanism file starts with it")
+            raise fail(
+                "the file has no line 'format = 1'",
+                self.where(),
+                "every mechanism file starts with it",
+            )
         if type(given) is not int or not FORMAT <= given <= NEWEST:
             allowed = f"this version of Kempe reads format {FORMAT} and {NEWEST}"
             raise fail(f"format is {given!r}", self.where("format"), allowed)
@@ -156,7 +171,9 @@ class Document:
             elif isinstance(item, list):
                 stack += [((*path, i), v) for i, v in enumerate(inner)]
             elif isinstance(item, int) and abs(item) >= 2**63:
-                self.findings.add("an integer of more than 64 bits", "", self.where(*path), "write it as 1e20")
+                self.findings.add(
+                    "an integer of more than 64 bits", "", self.where(*path), "write it as 1e20"
+                )
             elif not isinstance(item, (int, float, str)):
                 message = f"{shorten(item)} is a date or a time"
                 self.findings.add(message, "", self.where(*path), "write text in quotes")
@@ -165,22 +182,41 @@ class Document:
         """Whether a table has all keys that it must have and no others, with the right types."""
         before = len(self.findings.problems)
         known = KEYS[kind] + (joint_options() if kind == "joint" else ())
-        if kind == "constraint" and "parent" not in table and table.get("type") in constraints.KINDS:
+        if (
+            kind == "constraint"
+            and "parent" not in table
+            and table.get("type") in constraints.KINDS
+        ):
             known = ("name", "type", *fields_of(constraints.KINDS[table["type"]]))
         for key, item in table.items():
-            wanted, said = (object, "") if (kind, key) == ("constraint", "of") else _VALUES.get(key, (object, ""))
+            wanted, said = (
+                (object, "")
+                if (kind, key) == ("constraint", "of")
+                else _VALUES.get(key, (object, ""))
+            )
             if key not in known:
                 place = self.where(*path, key)
-                self.findings.add(f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, place)
+                self.findings.add(
+                    f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, place
+                )
             elif not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
-                self.findings.add(f"{key} is {shorten(item)}", subject, self.where(*path, key), f"it must be {said}")
+                self.findings.add(
+                    f"{key} is {shorten(item)}",
+                    subject,
+                    self.where(*path, key),
+                    f"it must be {said}",
+                )
             elif said == "a list of texts" and not all(isinstance(x, str) for x in item):
                 place = self.where(*path, key)
-                self.findings.add(f"{key} holds something else than text", subject, place, f"it must be {said}")
+                self.findings.add(
+                    f"{key} holds something else than text", subject, place, f"it must be {said}"
+                )
         for key in REQUIRED.get(kind, ()):
             if key not in table:
                 allowed = f"it needs {', '.join(REQUIRED[kind])}"
-                self.findings.add(f"the key {key!r} is missing", subject, self.where(*path), allowed)
+                self.findings.add(
+                    f"the key {key!r} is missing", subject, self.where(*path), allowed
+                )
         return len(self.findings.problems) == before
 
     def array(self, kind: str) -> list[dict[str, Any]]:
@@ -215,7 +251,9 @@ class Document:
             if isinstance(item, dict):
                 stack += [(f"{key}.{k}", v) for k, v in reversed(inner.items())]
             elif key in out:
-                self.findings.add(f"{what} names {key!r} twice", "", self.where(*path), "name it once")
+                self.findings.add(
+                    f"{what} names {key!r} twice", "", self.where(*path), "name it once"
+                )
             else:
                 out[key] = item
         return out
@@ -225,7 +263,9 @@ def _parse(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
     try:
         return loads(source.text)
     except RecursionError:
-        raise fail("arrays or tables are nested too deep", source.where(1), "this is no mechanism") from None
+        raise fail(
+            "arrays or tables are nested too deep", source.where(1), "this is no mechanism"
+        ) from None
     except ValueError as error:  # TOMLDecodeError, and integers of too many digits
         text = str(error)
         match = _AT_LINE.search(text)

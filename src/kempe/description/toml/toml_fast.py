@@ -1,8 +1,9 @@
 """TOML of many small tables, read line by line: what `tomllib` says, several times as fast.
 
-Only lines of the plainest form are read here: a header of one bare name, or a bare key with text without escapes, a
-number, a truth value, or a list of these in one line. A table with any other line is given to `tomllib` by itself, and
-where that does not fit together, all of the text is: so the answer, or what is wrong, is that of `tomllib`.
+Only lines of the plainest form are read here: a header of one bare name, or a bare key with text
+without escapes, a number, a truth value, or a list of these in one line. A table with any other
+line is given to `tomllib` by itself, and where that does not fit together, all of the text is: so
+the answer, or what is wrong, is that of `tomllib`.
 """
 
 from __future__ import annotations
@@ -27,12 +28,14 @@ _LINE = re.compile(
 MOST_NAMES = 64
 """Names of a dotted key: the time of `tomllib` grows as their square."""
 _LONG_KEY = re.compile(
-    r"""(?:^[ \t]*+(?:\[\[?[ \t]*+)?|[{,][ \t]*+)"""  # a line, a table, or an inline table begins, or goes on
+    # a line, a table, or an inline table begins, or goes on
+    r"""(?:^[ \t]*+(?:\[\[?[ \t]*+)?|[{,][ \t]*+)"""
     rf"""(?:(?:[A-Za-z0-9_-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MOST_NAMES}}}""",
     re.MULTILINE,
 )
 _STRING_OR_COMMENT = re.compile(
-    r'''"""(?:[^\\]|\\.)*?"""|''' r"'''.*?'''" r"""|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""", re.DOTALL
+    r'''"""(?:[^\\]|\\.)*?"""|''' r"'''.*?'''" r"""|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""",
+    re.DOTALL,
 )
 _FLOAT = re.compile(r"[-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:[eE][-+]?[0-9]+)?|[eE][-+]?[0-9]+)")
 _BRACKET = re.compile(r"^[ \t]*\[", re.MULTILINE)
@@ -44,11 +47,14 @@ class _Other(Exception):
 
 
 def loads(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
-    """The data of a TOML text, as of `tomllib.loads`, and where its tables begin; None where that is not known.
+    """The data of a TOML text, as of `tomllib.loads`, and where its tables begin; None where that
+    is not known.
 
     Errors: those of `tomllib`.
     """
-    if _LONG_KEY.search(text) and (found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_hollow, text))):
+    if _LONG_KEY.search(text) and (
+        found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_hollow, text))
+    ):
         line = found.string.count("\n", 0, found.start()) + 1
         raise ValueError(f"a dotted key of more than {MOST_NAMES} names (at line {line}, column 1)")
     if text.count("\n[") >= MANY:
@@ -125,7 +131,9 @@ def _number(text: str) -> int | float | None:
 
 
 def _whole(text: str) -> dict[str, Any]:
-    """The keys of a table that has others than the plainest lines. What may be a header is of another table."""
+    """The keys of a table that has others than the plainest lines. What may be a header is of
+    another table.
+    """
     if _BRACKET.search(text):
         raise _Other
     return tomllib.loads(text)

@@ -1,4 +1,6 @@
-"""Where each table, key and array element of a TOML text stands, which the standard parser does not say."""
+"""Where each table, key and array element of a TOML text stands, which the standard parser does not
+say.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ Path = tuple[str | int, ...]
 """Keys and indices that lead to a value: ``("joint", 2, "limits")``."""
 
 DEEPEST = 16
-"""Names of a dotted key that are told apart: Kempe's own format has six at most, and a long key must not take long."""
+"""Names of a dotted key that are told apart: Kempe's own format has six at most, and a long key
+must not take long."""
 
 _TOKEN = re.compile(
     r'''(?P<string>"""(?:\\.|[^\\])*?"""(?:""|"|)|\'\'\'.*?\'\'\'(?:\'\'|\'|)|"(?:\\.|[^"\\\n])*"|'[^'\n]*')'''

@@ -24,15 +24,25 @@ from kempe.reals import is_mapping, is_sequence
 from kempe.values import Expression
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r", "\b": "\\b", "\f": "\\f"}
+_ESCAPES = {
+    "\\": "\\\\",
+    '"': '\\"',
+    "\n": "\\n",
+    "\t": "\\t",
+    "\r": "\\r",
+    "\b": "\\b",
+    "\f": "\\f",
+}
 _NEEDS_ESCAPE = re.compile(r'[\x00-\x1f\x7f"\\]')
 _NOT_LITERAL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]|'''|'$")
 
 
 def write_toml(mechanism: Mechanism) -> str:
-    """TOML text of a mechanism, to be read by `read_toml`; parameters and expressions stay what they are.
+    """TOML text of a mechanism, to be read by `read_toml`; parameters and expressions stay what
+    they are.
 
-    Errors: `DescriptionError` listing all that a file cannot hold, by `TOML.cannot` of `kempe.description.formats`.
+    Errors: `DescriptionError` listing all that a file cannot hold, by `TOML.cannot` of
+    `kempe.description.formats`.
     """
     m = mechanism
     findings = Findings()
@@ -41,7 +51,13 @@ def write_toml(mechanism: Mechanism) -> str:
         with findings.guard(f"constraint {c.name!r}", c.where):
             constraints.append(_constraint(c, m.dim))
     version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
-    head = {"format": version, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
+    head = {
+        "format": version,
+        "name": m.name,
+        "dim": m.dim,
+        "ground": m.ground.name,
+        "notes": list(m.notes),
+    }
     defaults: dict[str, Any] = {"dim": 3, "ground": "ground", "notes": []}
     head |= {} if m.tolerance is None else {"tolerance": m.tolerance}
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
@@ -58,7 +74,9 @@ def write_toml(mechanism: Mechanism) -> str:
     blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
     blocks += [_block("constraint", table) for table in constraints]
     for c in m.couplings.values():
-        table = {"of": c.of, "sources": c.sources} | ({"offset": c.offset} if c.offset != 0.0 else {})
+        table = {"of": c.of, "sources": c.sources} | (
+            {"offset": c.offset} if c.offset != 0.0 else {}
+        )
         blocks.append(_block("coupling", table))
     if m.postures:
         blocks.append("[postures]\n" + _lines(m.postures))
@@ -131,7 +149,11 @@ def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
             (row,) = constraint.of.rows(dim)
             out["length"] = getattr(constraint.of, row.equal)
         X_PF = constraint.X_PF
-        if "direction" in (own := numbers_in(constraint.of)) and own["direction"] != (0.0, 0.0, 1.0):
+        if "direction" in (own := numbers_in(constraint.of)) and own["direction"] != (
+            0.0,
+            0.0,
+            1.0,
+        ):
             X_PF = X_PF @ Placement((("align", tuple(own["direction"])),))
         out |= _placement(X_PF, dim)
         return out | {f"child_{k}": v for k, v in _placement(constraint.X_CM, dim).items()}
@@ -139,7 +161,9 @@ def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
     usual = {f.name: f.default for f in fields(constraint.of)}
     for key, how in fields_of(type(constraint.of)).items():
         x = getattr(constraint.of, key)
-        if x is not None and not (isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]):
+        if x is not None and not (
+            isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]
+        ):
             out[key] = _field(x, how, dim)
     return out
 
@@ -154,7 +178,9 @@ def _field(x: Any, how: str, dim: int) -> Any:
         reason: Any = getattr(x, "reason", None)
         why = "" if reason is None else f", which cannot be recorded: {reason}"
         allowed = TOML.cannot["Python functions that are no expression"]
-        raise DescriptionError(Fault(f"a file cannot hold the Python function {x!r}{why}", allowed=allowed))
+        raise DescriptionError(
+            Fault(f"a file cannot hold the Python function {x!r}{why}", allowed=allowed)
+        )
     if isinstance(x, Tape):
         said = f"a file cannot hold an expression of more than {TEXT_LIMIT} characters"
         raise DescriptionError(Fault(said, allowed=TOML.cannot["expressions that are too long"]))

@@ -1,4 +1,6 @@
-"""Who is joined to whom, for readers and writers of tree-shaped formats; without recursion, for any size."""
+"""Who is joined to whom, for readers and writers of tree-shaped formats; without recursion, for any
+size.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,8 @@ def choose_root(
 ) -> str | None:
     """Name of the link that is the ground, or None after recording why there is none.
 
-    `ends` are (parent, child) of each joint. The root is the only link that is nobody's child, or `root`.
-    Links that no joint connects to it are a problem.
+    `ends` are (parent, child) of each joint. The root is the only link that is nobody's child, or
+    `root`. Links that no joint connects to it are a problem.
     """
     if not links:
         return None
@@ -36,7 +38,9 @@ def choose_root(
         listed = _listed(roots, links)
         separate = len({parts[n] for n in roots}) > 1
         cure = (
-            "join them by joints (type fixed where they do not move)" if separate else f"choose with root={roots[0]!r}"
+            "join them by joints (type fixed where they do not move)"
+            if separate
+            else f"choose with root={roots[0]!r}"
         )
         findings.add(
             f"{len(roots)} links are nobody's child: {listed}",
@@ -48,7 +52,9 @@ def choose_root(
     detached = [n for n in links if parts[n] != parts[roots[0]]]
     if detached:
         message = f"no joints lead from the root {roots[0]!r} to {_listed(detached, links)}"
-        findings.add(message, "robot", links[detached[0]].where, "join them by joints, or remove them")
+        findings.add(
+            message, "robot", links[detached[0]].where, "join them by joints, or remove them"
+        )
         return None
     return roots[0]
 

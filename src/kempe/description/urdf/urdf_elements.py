@@ -1,4 +1,6 @@
-"""The parts of URDF's links and joints, read strictly: what is wrong goes to the findings with its place."""
+"""The parts of URDF's links and joints, read strictly: what is wrong goes to the findings with its
+place.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from kempe.description.urdf.xml import XmlElement
 from kempe.placement import place
 
 UNLIMITED = 1e308
-"""A limit of this size or more stands for none: URDF has no other way to say so for a prismatic joint."""
+"""A limit of this size or more stands for none: URDF has no other way to say so for a prismatic
+joint."""
 
 LENIENT = "lenient_limits=True"
 """The option of readers for limits that hold no range, as messages name it."""
@@ -107,7 +110,11 @@ def numbers(
         wrong = f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
     if wrong is None:
         return tuple(float(p) for p in pieces)
-    allowed = "it must be a finite number" if count == 1 else f"it must be {count} finite numbers separated by blanks"
+    allowed = (
+        "it must be a finite number"
+        if count == 1
+        else f"it must be {count} finite numbers separated by blanks"
+    )
     findings.add(
         f"{element.tag} {attribute} is {shorten(text)}: {wrong}",
         subject,
@@ -124,7 +131,9 @@ def _special(piece: str) -> float | None:
 
 
 def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str) -> float | None:
-    """A limit: a number, where infinity or a huge one stands for none; None where it is missing or wrong."""
+    """A limit: a number, where infinity or a huge one stands for none; None where it is missing or
+    wrong.
+    """
     if attribute not in element.attributes:
         return None
     text = element.attributes[attribute]
@@ -132,7 +141,13 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
     if special is not None and not math.isnan(special):
         return special
     found = numbers(element, attribute, 1, findings, subject)
-    return None if found is None else found[0] if abs(found[0]) < UNLIMITED else math.copysign(math.inf, found[0])
+    return (
+        None
+        if found is None
+        else found[0]
+        if abs(found[0]) < UNLIMITED
+        else math.copysign(math.inf, found[0])
+    )
 
 
 # ---- links
@@ -145,18 +160,28 @@ def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
     center = None
     for child in element.children:
         if child.tag == "origin":
-            findings.note("an <origin> directly in a link has no meaning and is not used", subject, child.where)
+            findings.note(
+                "an <origin> directly in a link has no meaning and is not used",
+                subject,
+                child.where,
+            )
         else:
             check_known("element", child.tag, _IN_LINK, findings, subject, child)
     inertials = element.of("inertial")
     if len(inertials) > 1:
-        findings.note("it has two <inertial> elements; the first is used", subject, inertials[1].where)
+        findings.note(
+            "it has two <inertial> elements; the first is used", subject, inertials[1].where
+        )
     for inertial in inertials[:1]:
         for part in inertial.of("mass")[:1]:
-            found = numbers(part, "value", 1, findings, subject) if "value" in part.attributes else None
+            found = (
+                numbers(part, "value", 1, findings, subject) if "value" in part.attributes else None
+            )
             mass = found[0] if found else None
             if mass is not None and mass < 0.0:
-                findings.add(f"mass is {mass:g}", subject, part.where_of("value"), "it must not be negative")
+                findings.add(
+                    f"mass is {mass:g}", subject, part.where_of("value"), "it must not be negative"
+                )
         center = (0.0, 0.0, 0.0)
         for part in inertial.of("origin")[:1]:
             if "xyz" in part.attributes:
@@ -169,12 +194,19 @@ def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
 
 
 def read_joint(
-    kind: str, name: str, element: XmlElement, findings: Findings, quaternions: bool = True, lenient: bool = False
+    kind: str,
+    name: str,
+    element: XmlElement,
+    findings: Findings,
+    quaternions: bool = True,
+    lenient: bool = False,
 ) -> dict[str, Any] | None:
-    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is wrong.
+    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is
+    wrong.
 
-    `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older ones. Limits that
-    hold no range are none where `lenient`; else the keyword `unstated` tells those that the file does not give.
+    `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older
+    ones. Limits that hold no range are none where `lenient`; else the keyword `unstated` tells
+    those that the file does not give.
     """
     subject = f"joint {name!r}"
     before = len(findings.problems)
@@ -185,7 +217,9 @@ def read_joint(
     return out if len(findings.problems) == before else None
 
 
-def _origin(joint: XmlElement, findings: Findings, subject: str, quaternions: bool) -> dict[str, Any]:
+def _origin(
+    joint: XmlElement, findings: Findings, subject: str, quaternions: bool
+) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for origin in joint.of("origin")[:1]:
         given = {
@@ -199,7 +233,10 @@ def _origin(joint: XmlElement, findings: Findings, subject: str, quaternions: bo
         if "quat_xyzw" not in given:
             out["rpy"] = given.get("rpy")
         elif not quaternions:
-            said = "quat_xyzw is of URDF 1.1, and this file is of version 1.0, where readers pass over it"
+            said = (
+                "quat_xyzw is of URDF 1.1, and this file is of version 1.0, where readers pass "
+                "over it"
+            )
             where = origin.where_of("quat_xyzw")
             findings.add(said, subject, where, "write <robot version='1.1' ...>, or give rpy")
         elif "rpy" in given:
@@ -212,12 +249,16 @@ def _origin(joint: XmlElement, findings: Findings, subject: str, quaternions: bo
     return out
 
 
-def _axis(kind: str, joint: XmlElement, findings: Findings, subject: str) -> tuple[float, ...] | None:
+def _axis(
+    kind: str, joint: XmlElement, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
     """Direction of the axis where the type has one; the default is x."""
     found: tuple[float, ...] | None = (1.0, 0.0, 0.0)
     axis = (joint.of("axis") or [None])[0]
     if axis is not None and "xyz" not in axis.attributes:
-        findings.add("its <axis> has no xyz", subject, axis.where, "write <axis xyz='0 0 1'/>, for example")
+        findings.add(
+            "its <axis> has no xyz", subject, axis.where, "write <axis xyz='0 0 1'/>, for example"
+        )
         return None
     if axis is not None:
         found = numbers(axis, "xyz", 3, findings, subject)
@@ -234,11 +275,17 @@ def _axis(kind: str, joint: XmlElement, findings: Findings, subject: str) -> tup
         return None
     if abs(length - 1.0) > AXIS_TOLERANCE:
         text = " ".join(f"{x:g}" for x in found)
-        findings.note(f"its axis {text} has length {length:g}; it was normalised", subject, axis.where_of("xyz"))
+        findings.note(
+            f"its axis {text} has length {length:g}; it was normalised",
+            subject,
+            axis.where_of("xyz"),
+        )
     return found
 
 
-def _limit(kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool) -> dict[str, Any]:
+def _limit(
+    kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool
+) -> dict[str, Any]:
     """Keywords `limits`, `velocity`, `effort` and `unstated`."""
     limit = (joint.of("limit") or [None])[0]
     if limit is None:
@@ -249,16 +296,25 @@ def _limit(kind: str, joint: XmlElement, findings: Findings, subject: str, lenie
                 joint.where,
             )
         return {}
-    bounds = {key: _bound(limit, key, findings, subject) for key in ("lower", "upper", "velocity", "effort")}
+    bounds = {
+        key: _bound(limit, key, findings, subject)
+        for key in ("lower", "upper", "velocity", "effort")
+    }
     if kind in ("planar", "floating", "spherical"):
-        findings.note(f"the <limit> of a {kind} joint has no defined meaning and is not used", subject, limit.where)
+        findings.note(
+            f"the <limit> of a {kind} joint has no defined meaning and is not used",
+            subject,
+            limit.where,
+        )
     if kind in ("fixed", "planar", "floating", "spherical"):
         return {}
     out: dict[str, Any] = {}
     for key in ("velocity", "effort"):
         found = bounds[key]
         if found is not None and found < 0.0:
-            findings.add(f"{key} limit is {found:g}", subject, limit.where_of(key), "it must not be negative")
+            findings.add(
+                f"{key} limit is {found:g}", subject, limit.where_of(key), "it must not be negative"
+            )
         elif found is not None and not math.isinf(found):
             out[key] = found
     if kind == "continuous":
@@ -273,9 +329,15 @@ def _limit(kind: str, joint: XmlElement, findings: Findings, subject: str, lenie
 
 
 def _range(
-    limit: XmlElement, bounds: dict[str, float | None], findings: Findings, subject: str, lenient: bool
+    limit: XmlElement,
+    bounds: dict[str, float | None],
+    findings: Findings,
+    subject: str,
+    lenient: bool,
 ) -> dict[str, Any]:
-    """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
+    """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by
+    the rules of URDF.
+    """
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower = bounds["lower"] or 0.0
     upper = bounds["upper"] or 0.0
@@ -285,12 +347,19 @@ def _range(
         findings.note(f"{said}; it is read as unlimited, as requested", subject, limit.where)
         return {}
     if not given:
-        said = "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint cannot move"
+        said = (
+            "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint "
+            "cannot move"
+        )
         findings.note(f"{said} ({LENIENT} reads it as unlimited)", subject, limit.where)
         return {"limits": (0.0, 0.0), "unstated": True}
     if lower > upper or lower == math.inf or upper == -math.inf:
         missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
-        meant = f"; for Bullet and MuJoCo that means unlimited: {LENIENT} reads it so" if lower > upper else ""
+        meant = (
+            f"; for Bullet and MuJoCo that means unlimited: {LENIENT} reads it so"
+            if lower > upper
+            else ""
+        )
         findings.add(
             f"its limits are swapped: {both}{missing}",
             subject,

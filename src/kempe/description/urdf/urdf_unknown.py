@@ -1,8 +1,9 @@
 """What a URDF file holds beside the elements that are read: passed over, noted, or refused.
 
-An element that has no part in the motion is passed over where it is known, else noted. What would be part of the
-mechanism for another reader, by its name or by what it ties together, is refused: without it the file describes
-another mechanism. The parts of blocks for one simulator, <gazebo> and <mujoco>, are for it alone, and are noted.
+An element that has no part in the motion is passed over where it is known, else noted. What would
+be part of the mechanism for another reader, by its name or by what it ties together, is refused:
+without it the file describes another mechanism. The parts of blocks for one simulator, <gazebo> and
+<mujoco>, are for it alone, and are noted.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from kempe.description.source import Findings, shorten
 from kempe.description.urdf.xml import XmlElement
 
 VERSIONS = ("1.0", "1.1", "1.2")
-"""Versions of URDF that are read. 1.1 adds `quat_xyzw` and capsules, 1.2 more kinds of limits (urdfdom's README)."""
+"""Versions of URDF that are read. 1.1 adds `quat_xyzw` and capsules, 1.2 more kinds of limits
+(urdfdom's README)."""
 
 NAMESPACE = "http://www.ros.org"
 """Namespace of URDF's own elements, by its schema."""
@@ -59,7 +61,9 @@ SIMULATORS = ("mujoco", "drake")
 """Blocks of simulators, like <gazebo>: what they tie is not part of the robot for other readers."""
 
 _OWN = re.compile(r"https?://(www\.|wiki\.)?ros\.org/?((wiki/)?urdf\b.*)?")
-_TIES = re.compile(r"constraint|loop|closure|closing|coupl|equality|gear|belt|tendon|(?<!dis)connect|weld")
+_TIES = re.compile(
+    r"constraint|loop|closure|closing|coupl|equality|gear|belt|tendon|(?<!dis)connect|weld"
+)
 _SPEAKS = re.compile(rf"{_TIES.pattern}|joint|link|mimic|limit|axis|origin|pose", re.IGNORECASE)
 _FOLLOWS = re.compile(r"mimic|gearbox|constraint", re.IGNORECASE)
 _PREFIXED = re.compile(r"<[\w.-]+:")
@@ -76,7 +80,19 @@ _ELSEWHERE = {
 }
 """Elements of the same names that say something else there: where a visual or a sensor is."""
 
-_NOT_READ = ("name", "type", "link", "joint", "xyz", "rpy", "quat_xyzw", "lower", "upper", "multiplier", "offset")
+_NOT_READ = (
+    "name",
+    "type",
+    "link",
+    "joint",
+    "xyz",
+    "rpy",
+    "quat_xyzw",
+    "lower",
+    "upper",
+    "multiplier",
+    "offset",
+)
 """Attributes that decide on the motion."""
 
 
@@ -84,9 +100,11 @@ _NOT_READ = ("name", "type", "link", "joint", "xyz", "rpy", "quat_xyzw", "lower"
 
 
 def strip_namespaces(robot: XmlElement) -> None:
-    """Give elements whose prefix is bound to URDF's namespace, or to that of the outermost element, their plain names.
+    """Give elements whose prefix is bound to URDF's namespace, or to that of the outermost element,
+    their plain names.
 
-    Names without a prefix are URDF's, whatever the default namespace is: other readers know no namespaces.
+    Names without a prefix are URDF's, whatever the default namespace is: other readers know no
+    namespaces.
     """
     text = robot.source.text
     if not _PREFIXED.search(text) or not _PREFIXED.search(_COMMENT.sub("", text)):
@@ -95,7 +113,11 @@ def strip_namespaces(robot: XmlElement) -> None:
     own: str | None = None
     while stack:
         element, bound = stack.pop()
-        new = {k[6:]: v for k, v in element.attributes.items() if k.startswith("xmlns:") or k == "xmlns"}
+        new = {
+            k[6:]: v
+            for k, v in element.attributes.items()
+            if k.startswith("xmlns:") or k == "xmlns"
+        }
         bound = {**bound, **new} if new else bound
         prefix, _, local = element.tag.rpartition(":")
         if element is robot and local == "robot":
@@ -108,14 +130,17 @@ def strip_namespaces(robot: XmlElement) -> None:
 
 
 def check_version(robot: XmlElement, findings: Findings) -> None:
-    """Refuse versions of URDF that are not known, as ROS does; without one, a file is of version 1.0."""
+    """Refuse versions of URDF that are not known, as ROS does; without one, a file is of version
+    1.0.
+    """
     given = robot.attributes.get("version")
     if given is not None and _version(robot) not in VERSIONS:
         findings.add(
             f"the version is {shorten(given)}",
             "robot",
             robot.where_of("version"),
-            f"it is the version of URDF, not of the robot, and one of {', '.join(VERSIONS)} (1.0 where it is left out)",
+            f"it is the version of URDF, not of the robot, and one of {', '.join(VERSIONS)} (1.0 "
+            "where it is left out)",
         )
 
 
@@ -135,9 +160,16 @@ def _version(robot: XmlElement) -> str:
 
 
 def check_known(
-    kind: str, name: str, known: tuple[str, ...], findings: Findings, subject: str, element: XmlElement
+    kind: str,
+    name: str,
+    known: tuple[str, ...],
+    findings: Findings,
+    subject: str,
+    element: XmlElement,
 ) -> None:
-    """Refuse a name that decides on the motion, or looks like a slip of one that is read; note any other."""
+    """Refuse a name that decides on the motion, or looks like a slip of one that is read; note any
+    other.
+    """
     if name in known or name.startswith("xmlns"):
         return
     local = name.rpartition(":")[2]
@@ -146,19 +178,32 @@ def check_known(
         return
     where = element.where_of(name)
     if local != name and local in _NOT_READ:
-        findings.add(f"the {kind} {shorten(name)} is not read, for its prefix", subject, where, f"write {local}")
-    elif near := _near(local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)):
+        findings.add(
+            f"the {kind} {shorten(name)} is not read, for its prefix",
+            subject,
+            where,
+            f"write {local}",
+        )
+    elif near := _near(
+        local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)
+    ):
         findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
     else:
         findings.note(f"the {kind} {shorten(name)} is not read", subject, where)
 
 
-def _check_element(element: XmlElement, local: str, known: tuple[str, ...], findings: Findings, subject: str) -> None:
+def _check_element(
+    element: XmlElement, local: str, known: tuple[str, ...], findings: Findings, subject: str
+) -> None:
     where = element.where
     tag = element.tag
     if local in MOTION:
         said = f"the prefix of <{tag}> hides it" if local in known else f"<{tag}> is not read here"
-        advice = f"write <{local}>, or bind the prefix to {NAMESPACE}" if local in known else MOTION[local]
+        advice = (
+            f"write <{local}>, or bind the prefix to {NAMESPACE}"
+            if local in known
+            else MOTION[local]
+        )
         findings.add(said + _speaks_of(element), subject, where, f"{advice}; or remove it")
         return
     used = tuple(k for k in known if k in MOTION or k in ("inertial", "visual"))
@@ -175,14 +220,20 @@ def _words(name: str) -> list[str]:
 
 @lru_cache(maxsize=1024)
 def _near(name: str, known: tuple[str, ...]) -> str | None:
-    """The known name that this one is a slip of. A name that holds a known one among its words is no slip."""
-    swapped = [k for k in known if sorted(k) == sorted(name)]  # 'xzy': too short to be like 'xyz' otherwise
+    """The known name that this one is a slip of. A name that holds a known one among its words is
+    no slip.
+    """
+    swapped = [
+        k for k in known if sorted(k) == sorted(name)
+    ]  # 'xzy': too short to be like 'xyz' otherwise
     if swapped:
         return swapped[0]
     mine = _words(name)
     for k in difflib.get_close_matches(name, known, n=3, cutoff=SLIP):
         own = _words(k)
-        if len(own) == len(mine) or not any(mine[i : i + len(own)] == own for i in range(len(mine))):
+        if len(own) == len(mine) or not any(
+            mine[i : i + len(own)] == own for i in range(len(mine))
+        ):
             return k
     return None
 
@@ -190,8 +241,12 @@ def _near(name: str, known: tuple[str, ...]) -> str | None:
 # ---- what stands in <robot>, and inside what is not read
 
 
-def check_top(robot: XmlElement, links: Collection[str], joints: Mapping[str, XmlElement], findings: Findings) -> None:
-    """Judge what a robot holds beside its links and joints: the names of its `links`, and its `joints` by name."""
+def check_top(
+    robot: XmlElement, links: Collection[str], joints: Mapping[str, XmlElement], findings: Findings
+) -> None:
+    """Judge what a robot holds beside its links and joints: the names of its `links`, and its
+    `joints` by name.
+    """
     names = {*links, *joints}
     for element in robot.children:
         if element.tag in ("link", "joint"):
@@ -199,13 +254,16 @@ def check_top(robot: XmlElement, links: Collection[str], joints: Mapping[str, Xm
             continue
         local = element.tag.rpartition(":")[2]
         ties = _TIES.search(local.lower()) or (
-            local not in MOTION and element.tag != "gazebo" and _held(element) >= {"parent", "child"}
+            local not in MOTION
+            and element.tag != "gazebo"
+            and _held(element) >= {"parent", "child"}
         )
         tied = [n for n in _named(element) if n in names] if ties else []
         if tied:
             shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
             findings.add(
-                f"<{element.tag}> is not read, and it ties {shown}: without it this is another mechanism",
+                f"<{element.tag}> is not read, and it ties {shown}: without it this is another "
+                "mechanism",
                 "robot",
                 element.where,
                 "give a second <joint> to a link where it closes a loop, or use TOML; or remove it",
@@ -219,18 +277,27 @@ def check_top(robot: XmlElement, links: Collection[str], joints: Mapping[str, Xm
             _note_ties(element, names, findings)
 
 
-def _note_followers(block: XmlElement, joints: Mapping[str, XmlElement], findings: Findings) -> None:
-    """Note what makes joints follow each other for a simulator alone: joints that have their own <mimic> are known."""
+def _note_followers(
+    block: XmlElement, joints: Mapping[str, XmlElement], findings: Findings
+) -> None:
+    """Note what makes joints follow each other for a simulator alone: joints that have their own
+    <mimic> are known.
+    """
     for element in block.walk():
         if element.tag not in MOTION and _FOLLOWS.search(element.tag):
             reported = [n for n in _named(element) if n in joints]
             if not reported or any(not joints[n].of("mimic") for n in reported):
-                said = f"<{element.tag}> in a <gazebo> block is not read{f': {reported[0]!r}' if reported else ''}"
+                said = (
+                    f"<{element.tag}> in a <gazebo> block is not "
+                    f"read{f': {reported[0]!r}' if reported else ''}"
+                )
                 findings.note(f"{said}; there joints follow each other", "", element.where)
 
 
 def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) -> None:
-    """Note what ties links or joints for a simulator alone, such as MuJoCo's <equality>: each tie once."""
+    """Note what ties links or joints for a simulator alone, such as MuJoCo's <equality>: each tie
+    once.
+    """
     seen: set[int] = set()
     for element in block.walk():
         local = element.tag.rpartition(":")[2]
@@ -240,12 +307,17 @@ def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) ->
         tied = [n for n in _named(element) if n in names]
         if tied:
             shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
-            said = f"<{element.tag}> in a <{block.tag}> block is not read{_speaks_of(element)}; there it ties {shown}"
+            said = (
+                f"<{element.tag}> in a <{block.tag}> block is not read{_speaks_of(element)}; there "
+                f"it ties {shown}"
+            )
             findings.note(said, "", element.where)
 
 
 def _check_inside(outer: XmlElement, findings: Findings) -> None:
-    """Refuse definitions of links, joints and followers deeper than they are read; note them in <gazebo> blocks."""
+    """Refuse definitions of links, joints and followers deeper than they are read; note them in
+    <gazebo> blocks.
+    """
     joint = outer.tag == "joint"
     holders = [c for c in outer.children if c.children] if joint or outer.tag == "link" else [outer]
     for holder in holders:  # what stands directly in a link or joint is judged with it
@@ -256,14 +328,22 @@ def _check_inside(outer: XmlElement, findings: Findings) -> None:
                 holders.append(element)
 
 
-def _judge_inside(outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings) -> None:
+def _judge_inside(
+    outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings
+) -> None:
     local = element.tag.rpartition(":")[2]
     joint = outer.tag == "joint"
     defines = local in MOTION and (joint or _defines(element, local))
-    urdf = local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
+    urdf = (
+        local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
+    )
     if not (defines or joint or urdf):
         return
-    subject = f"{outer.tag} {outer.attributes['name']!r}" if outer.attributes.get("name") else f"<{outer.tag}>"
+    subject = (
+        f"{outer.tag} {outer.attributes['name']!r}"
+        if outer.attributes.get("name")
+        else f"<{outer.tag}>"
+    )
     said = f"<{element.tag}> inside <{holder.tag}> is not read{_speaks_of(element)}"
     if defines and outer.tag != "gazebo":
         findings.add(said, subject, element.where, MOTION[local])
@@ -286,7 +366,9 @@ def _defines(element: XmlElement, local: str) -> bool:
 
 
 def _in_urdf_form(element: XmlElement) -> bool:
-    """Whether an element has what URDF writes in attributes, where SDF in <gazebo> blocks has elements."""
+    """Whether an element has what URDF writes in attributes, where SDF in <gazebo> blocks has
+    elements.
+    """
     return any(key in element.attributes for key in _NOT_READ if key not in ("name", "type"))
 
 
@@ -298,8 +380,15 @@ def _named(element: XmlElement) -> Iterator[str]:
 
 
 def _speaks_of(element: XmlElement) -> str:
-    """The tail of a message: what an element that is not read says, as far as that fits into a line."""
-    said = [f"{p.tag.rpartition(':')[2]} {k}={shorten(v, 30)}" if p is not element else f"{k}={shorten(v, 30)}"
-            for p in element.walk() for k, v in p.attributes.items()
-            if not k.startswith("xmlns") and p.tag not in ("mass", "inertia", "mesh", "material")]  # fmt: skip
+    """The tail of a message: what an element that is not read says, as far as that fits into a
+    line.
+    """
+    said = [
+        f"{p.tag.rpartition(':')[2]} {k}={shorten(v, 30)}"
+        if p is not element
+        else f"{k}={shorten(v, 30)}"
+        for p in element.walk()
+        for k, v in p.attributes.items()
+        if not k.startswith("xmlns") and p.tag not in ("mass", "inertia", "mesh", "material")
+    ]
     return f" ({', '.join(said[:5])}{', ...' if len(said) > 5 else ''})" if said else ""

@@ -38,13 +38,14 @@ class _Origin:
 
 
 def write_urdf(mechanism: Mechanism) -> str:
-    """URDF text of a mechanism; read again by `read_urdf`, all bodies and frames have the same poses.
+    """URDF text of a mechanism; read again by `read_urdf`, all bodies and frames have the same
+    poses.
 
-    Parameters are evaluated, locked joints become fixed ones, named frames become links without mass. A body
-    whose origin lies off the axis of its joint gets a link of its own for the joint's frame. Unlimited
-    prismatic joints get limits of +-1e308, since URDF demands some. Postures, notes and the marks of actuated
-    joints are left out. Errors: `DescriptionError` listing all that URDF cannot say, by `URDF.cannot` of
-    `kempe.description.formats`.
+    Parameters are evaluated, locked joints become fixed ones, named frames become links without
+    mass. A body whose origin lies off the axis of its joint gets a link of its own for the joint's
+    frame. Unlimited prismatic joints get limits of +-1e308, since URDF demands some. Postures,
+    notes and the marks of actuated joints are left out. Errors: `DescriptionError` listing all that
+    URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
     """
     return _Writer(mechanism).text()
 
@@ -79,7 +80,9 @@ class _Writer:
             try:
                 self.joint(joint)
             except FloatingPointError as error:
-                self.findings.add(str(error), f"joint {joint.name!r}", joint.where, "check its parameters")
+                self.findings.add(
+                    str(error), f"joint {joint.name!r}", joint.where, "check its parameters"
+                )
         for frame in self.m.frames.values():
             self.link(frame.name)
             origin = self.origin(frame.X_BF)
@@ -92,7 +95,9 @@ class _Writer:
     # ---- what must hold
 
     def check_tree(self) -> None:
-        """Refuse what is no tree: each body but the ground must be the child of one joint, led to from ground."""
+        """Refuse what is no tree: each body but the ground must be the child of one joint, led to
+        from ground.
+        """
         incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
         for joint in self.m.joints.values():
             incoming[joint.child].append(joint)
@@ -104,25 +109,34 @@ class _Writer:
                 last = joints[-1]
                 names = ", ".join(repr(j.name) for j in joints)
                 what = (
-                    f"{len(joints)} joints lead to it ({names}): a loop, or a joint given from child to parent"
+                    f"{len(joints)} joints lead to it ({names}): a loop, or a joint given from "
+                    "child to parent"
                     if body != ground
                     else f"joint {names} leads to it"
                 )
                 allowed = URDF.cannot["loops, joints from child to parent"]
-                self.findings.add(what, f"body {body!r}" if body != ground else f"ground {body!r}", last.where, allowed)
+                self.findings.add(
+                    what,
+                    f"body {body!r}" if body != ground else f"ground {body!r}",
+                    last.where,
+                    allowed,
+                )
         reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
             shown = ", ".join(map(repr, lost[:8])) + (", ..." if len(lost) > 8 else "")
             self.findings.add(
-                f"no joints lead from the ground to {shown} in their own direction, from parent to child",
+                f"no joints lead from the ground to {shown} in their own direction, from parent to "
+                "child",
                 "mechanism",
                 self.m.bodies[lost[0]].where,
                 URDF.cannot["bodies that no joint carries"],
             )
 
     def resolve_couplings(self) -> None:
-        """Sort couplings into constants (all sources locked) and mimics (one left); others are problems."""
+        """Sort couplings into constants (all sources locked) and mimics (one left); others are
+        problems.
+        """
         pending = dict(self.m.couplings)
         while True:
             open_: dict[str, tuple[dict[str, float], float]] = {}
@@ -167,7 +181,9 @@ class _Writer:
     def quoted(self, text: str) -> str:
         if _FORBIDDEN.search(text):
             allowed = URDF.cannot["control characters in names"]
-            self.findings.add("it has a character that XML forbids", f"name {text!r}", None, allowed)
+            self.findings.add(
+                "it has a character that XML forbids", f"name {text!r}", None, allowed
+            )
         return quoteattr(text)
 
     def link(self, name: str, inside: Iterable[str] = ()) -> None:
@@ -175,7 +191,11 @@ class _Writer:
         if not lines:
             self.lines.append(f"  <link name={self.quoted(name)}/>")
             return
-        self.lines += [f"  <link name={self.quoted(name)}>", *(f"    {line}" for line in lines), "  </link>"]
+        self.lines += [
+            f"  <link name={self.quoted(name)}>",
+            *(f"    {line}" for line in lines),
+            "  </link>",
+        ]
 
     def body(self, body: Body) -> None:
         subject = f"body {body.name!r}"
@@ -190,7 +210,12 @@ class _Writer:
         for visual in body.visuals:
             try:
                 if parse_xml(visual, subject).tag != "visual":
-                    self.findings.add("a visual is not one <visual> element", subject, body.where, "correct its text")
+                    self.findings.add(
+                        "a visual is not one <visual> element",
+                        subject,
+                        body.where,
+                        "correct its text",
+                    )
             except DescriptionError as error:
                 self.findings.add(
                     f"a visual is not XML ({error.problems[0].message})",
@@ -215,7 +240,12 @@ class _Writer:
             )
         if len(held) == len(coordinates):
             X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
-            self.fixed(joint.name, joint.parent, joint.child, self.origin(X_PC if held else _difference(joint)))
+            self.fixed(
+                joint.name,
+                joint.parent,
+                joint.child,
+                self.origin(X_PC if held else _difference(joint)),
+            )
             return
         kind = self.urdf_type(joint)
         if kind is None:
@@ -223,14 +253,24 @@ class _Writer:
         inside = self.limit(joint, kind)
         if joint.name in self.mimics:
             source, factor, offset = self.mimics[joint.name]
-            inside.append(f'<mimic joint={self.quoted(source)} multiplier="{factor!r}" offset="{offset!r}"/>')
+            inside.append(
+                f'<mimic joint={self.quoted(source)} multiplier="{factor!r}" offset="{offset!r}"/>'
+            )
         direct = self.direct(joint, kind)
         if direct is not None:
             self.write(joint.name, kind, joint.parent, joint.child, *direct, inside)
             return
         between = fresh(f"{joint.name}_frame", self.links)
         self.link(between)
-        self.write(joint.name, kind, joint.parent, between, self.origin(joint.X_PF), (0.0, 0.0, 1.0), inside)
+        self.write(
+            joint.name,
+            kind,
+            joint.parent,
+            between,
+            self.origin(joint.X_PF),
+            (0.0, 0.0, 1.0),
+            inside,
+        )
         end = self.origin(joint.X_CM.inverse())
         self.fixed(fresh(f"{joint.name}_fixed", self.joints), between, joint.child, end)
 
@@ -244,9 +284,13 @@ class _Writer:
         primitives = joint.type.layout(self.m.dim, self.m.bodies[joint.child].particle)[1]
         for kind, axis, first, multiplier in primitives:
             if kind == Q:
-                steps.append(("quat_wxyz", tuple(self.held[c] for c in coordinates[first : first + 4])))
+                steps.append(
+                    ("quat_wxyz", tuple(self.held[c] for c in coordinates[first : first + 4]))
+                )
             else:
-                steps.append(("r" * (kind == R) + axis, (multiplier * self.held[coordinates[first]],)))
+                steps.append(
+                    ("r" * (kind == R) + axis, (multiplier * self.held[coordinates[first]],))
+                )
         return Placement(tuple(steps))
 
     def urdf_type(self, joint: Joint) -> str | None:
@@ -273,12 +317,16 @@ class _Writer:
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free", "spherical") and bounded:
             allowed = URDF.cannot["limits of joints with several coordinates"]
-            self.findings.add(f"limits of a {name} joint do not exist in URDF", subject, joint.where, allowed)
+            self.findings.add(
+                f"limits of a {name} joint do not exist in URDF", subject, joint.where, allowed
+            )
         return kinds[name]
 
     def limit(self, joint: Joint, kind: str) -> list[str]:
         given = {"velocity": joint.velocity_limits.get(""), "effort": joint.effort_limits.get("")}
-        if kind in ("planar", "floating", "spherical") or (kind == "continuous" and set(given.values()) == {None}):
+        if kind in ("planar", "floating", "spherical") or (
+            kind == "continuous" and set(given.values()) == {None}
+        ):
             return []
         lower, upper = joint.limits.get("", (-math.inf, math.inf))
         bounds = {} if kind == "continuous" else {"lower": lower, "upper": upper}
@@ -287,7 +335,9 @@ class _Writer:
         return [f"<limit {said}/>"]
 
     def direct(self, joint: Joint, kind: str) -> tuple[_Origin, Sequence[float]] | None:
-        """Origin and axis of a joint that needs no link of its own for its frame, or None where it does."""
+        """Origin and axis of a joint that needs no link of its own for its frame, or None where it
+        does.
+        """
         on_child = joint.X_CM.steps
         before = joint.X_PF.steps[: len(joint.X_PF.steps) - len(on_child)]
         if joint.X_PF.steps == before + on_child and len(on_child) <= 1:
@@ -313,7 +363,9 @@ class _Writer:
     def origin(self, X: Placement) -> _Origin:
         """Numbers of a placement: its own where it is a shift, roll, pitch, yaw; else worked out."""
         steps = X.simplified().steps
-        if [s[0] for s in steps] == [k for k in ("x", "y", "z", "rz", "ry", "rx") if k in dict(steps)]:
+        if [s[0] for s in steps] == [
+            k for k in ("x", "y", "z", "rz", "ry", "rx") if k in dict(steps)
+        ]:
             given = {k: float(evaluate(v[0], self.m.parameters)) for k, v in steps}
             numbers = [given.get(k, 0.0) for k in ("x", "y", "z", "rx", "ry", "rz")]
         else:
@@ -336,10 +388,16 @@ class _Writer:
         inside: list[str],
     ) -> None:
         if kind == "spherical":
-            self.lines.append("  <!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->")
+            self.lines.append(
+                "  <!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->"
+            )
         self.lines.append(f'  <joint name={self.quoted(name)} type="{kind}">')
-        self.lines.append(f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>")
-        self.lines.append(f'    <origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>')
+        self.lines.append(
+            f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>"
+        )
+        self.lines.append(
+            f'    <origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>'
+        )
         if axis is not None and kind not in WITHOUT_AXIS:
             self.lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
         self.lines += [f"    {line}" for line in inside]

@@ -1,4 +1,6 @@
-"""xacro text -> URDF text. xacro is a program, not data: it runs in a process with limits, and on request."""
+"""xacro text -> URDF text. xacro is a program, not data: it runs in a process with limits, and on
+request.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,16 @@ from kempe.description.source import SIZE_LIMIT, fail, folders_of
 from kempe.errors import DescriptionError, MissingExtraError, Where
 
 SECONDS = 20
-"""Seconds that an expansion may take, of waiting and so of processor time, too; large robots take about two."""
+"""Seconds that an expansion may take, of waiting and so of processor time, too; large robots take
+about two."""
 
 MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
 
-XACRO_ADVICE = "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it: xacro is a program"
+XACRO_ADVICE = (
+    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it: xacro is a "
+    "program"
+)
 """What to do with a xacro file that was given in place of URDF."""
 
 ROS_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "ROS_ROOT")
@@ -68,11 +74,13 @@ def expand_xacro(
 ) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
-    Only for files that you trust: xacro is a program. It runs in a process with little environment, bounded in time,
-    memory and output, which opens files in `folders_to_read` only. `package_dirs` are searched by
-    ``$(find package)``: for a package.xml with that name at any depth, then for a folder of that name in them or above
-    the file.
-    Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.
+    Only for files that you trust: xacro is a program. It runs in a process with little environment,
+    bounded in time, memory and output, which opens files in `folders_to_read` only. `package_dirs`
+    are searched by
+    ``$(find package)``: for a package.xml with that name at any depth, then for a folder of that
+    name in them or above the file.
+    Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own
+    message.
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
@@ -88,13 +96,25 @@ def expand_xacro(
     }
     ended = run_limited(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
     if ended.reason == "time":
-        raise fail(f"xacro did not finish in {seconds:g} s", where, "it may call itself without end")
+        raise fail(
+            f"xacro did not finish in {seconds:g} s", where, "it may call itself without end"
+        )
     if ended.reason == "output":
-        raise fail(f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end")
+        raise fail(
+            f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end"
+        )
     if ended.reason == "memory":
-        raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
+        raise fail(
+            f"xacro needs more than {MEMORY >> 30} GiB of memory",
+            where,
+            "it may call itself without end",
+        )
     if "RecursionError" in ended.said:
-        raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
+        raise fail(
+            "xacro calls itself without end (RecursionError)",
+            where,
+            "look for a macro that calls itself",
+        )
     if ended.reason:
         raise _failed(last_words(ended.said), where, package_dirs)
     return ended.output.decode("utf-8", "replace")
@@ -103,16 +123,23 @@ def expand_xacro(
 def folders_to_read(path: Path, package_dirs: Iterable[str | Path]) -> list[Path]:
     """The folders of which an expansion may read files.
 
-    These are `package_dirs`, the folders of packages that ROS names in the environment, and the folder that holds the
-    file's package (the nearest folder above with a package.xml) and its neighbours; of a file without a package, the
-    folder that holds its own. A home folder and the first level of a disk are never taken as a whole, unless
-    `package_dirs` or ROS name them: of a file that lies there itself, the files beside it are read, and no folders.
+    These are `package_dirs`, the folders of packages that ROS names in the environment, and the
+    folder that holds the file's package (the nearest folder above with a package.xml) and its
+    neighbours; of a file without a package, the folder that holds its own. A home folder and the
+    first level of a disk are never taken as a whole, unless `package_dirs` or ROS name them: of a
+    file that lies there itself, the files beside it are read, and no folders.
     """
     found = [Path(d).resolve() for d in package_dirs]
-    found += [Path(d) for name in ROS_PATHS for d in os.environ.get(name, "").split(os.pathsep) if d]
+    found += [
+        Path(d) for name in ROS_PATHS for d in os.environ.get(name, "").split(os.pathsep) if d
+    ]
     package = next((d for d in path.parents if (d / "package.xml").is_file()), path.parent)
     home = Path.home()
-    whole = (d for d in (package.parent, package, path.parent) if len(d.parts) > 2 and d not in (home, *home.parents))
+    whole = (
+        d
+        for d in (package.parent, package, path.parent)
+        if len(d.parts) > 2 and d not in (home, *home.parents)
+    )
     return [*found, *whole]
 
 
@@ -120,7 +147,9 @@ def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> De
     """The error with what xacro says, or for a package that is not found where it was looked for."""
     missing = _PACKAGE.search(said)
     if missing is None:
-        return fail(f"xacro failed: {said}", where, "correct the file, or name its folders by package_dirs")
+        return fail(
+            f"xacro failed: {said}", where, "correct the file, or name its folders by package_dirs"
+        )
     looked = ", ".join(repr(str(d)) for d in package_dirs)
     return fail(
         f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),

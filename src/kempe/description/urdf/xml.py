@@ -1,4 +1,6 @@
-"""A small safe XML reader on expat: no DTD, no entities, bounded; every element knows its line and column."""
+"""A small safe XML reader on expat: no DTD, no entities, bounded; every element knows its line and
+column.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,10 @@ _TRUNCATED = {
     )
 }
 _EXPLANATIONS = {
-    _CODES[expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE]: ("an attribute is given twice", "give it once"),
+    _CODES[expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE]: (
+        "an attribute is given twice",
+        "give it once",
+    ),
     _CODES[expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT]: (
         "the file goes on after the end of its outermost element",
         "a file has one outermost element",
@@ -52,7 +57,9 @@ _EXPLANATIONS = {
 
 
 class XmlElement:
-    """One XML element: `tag`, `attributes`, `children` (elements only), and its place in its `source`."""
+    """One XML element: `tag`, `attributes`, `children` (elements only), and its place in its
+    `source`.
+    """
 
     __slots__ = ("_end", "_start", "attributes", "children", "source", "tag")
 
@@ -106,9 +113,9 @@ class XmlElement:
 def parse_xml(data: bytes | str, name: str) -> XmlElement:
     """The outermost element of an XML text; `name` is the file's name, for messages.
 
-    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError` with line and
-    column for what is not well-formed, truncated, too large or too deep, and for every DTD and entity
-    declaration.
+    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError`
+    with line and column for what is not well-formed, truncated, too large or too deep, and for
+    every DTD and entity declaration.
     """
     refuse_other_kinds(data, name)
     source = Source(name, decode(data, name, _DECLARED))
@@ -149,9 +156,17 @@ class _XmlBuilder:
         self.stack.append(element)
         self.count += 1
         if self.count > ELEMENT_LIMIT:
-            raise fail(f"the file has more than {ELEMENT_LIMIT} elements", element.where, "this is no robot's file")
+            raise fail(
+                f"the file has more than {ELEMENT_LIMIT} elements",
+                element.where,
+                "this is no robot's file",
+            )
         if len(self.stack) > DEPTH_LIMIT:
-            raise fail(f"elements are nested more than {DEPTH_LIMIT} deep", element.where, "this is no robot's file")
+            raise fail(
+                f"elements are nested more than {DEPTH_LIMIT} deep",
+                element.where,
+                "this is no robot's file",
+            )
 
     def _end(self, tag: str) -> None:
         self.stack.pop()._end = self._here()
@@ -175,7 +190,9 @@ class _XmlBuilder:
                 self.source.where_offset(error.start),
                 "remove it",
             ) from None
-        finally:  # the parser holds methods of this object, which holds the parser: without the cycle both go at once
+        # the parser holds methods of this object, which holds the parser: without the cycle both go
+        # at once
+        finally:
             self.parser.StartElementHandler = self.parser.EndElementHandler = None
             self.parser.StartDoctypeDeclHandler = None
         assert self.root is not None, "expat refuses a text without elements"
@@ -185,12 +202,18 @@ class _XmlBuilder:
         where = self.source.where(error.lineno, error.offset + 1)
         inner = self.stack[-1] if self.stack else None
         if "<" not in self.source.text:
-            return fail("the file holds no XML element", self.source.where(1), "URDF starts with <robot name=...>")
+            return fail(
+                "the file holds no XML element",
+                self.source.where(1),
+                "URDF starts with <robot name=...>",
+            )
         if error.code in _TRUNCATED:
             inside = f" inside <{inner.tag}> opened on line {inner.where.line}" if inner else ""
             return fail(f"the file ends{inside}: it is truncated", where, "get the whole file")
         if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:
-            close = re.match(r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :])
+            close = re.match(
+                r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :]
+            )
             found = shorten(close[0] + ">") if close else "another closing tag"
             return fail(
                 f"{found} closes <{inner.tag}> opened on line {inner.where.line}",

@@ -1,1 +1,3 @@
-"""Arithmetic that all kernels share: the compiler's decorators, vectors, angles, random numbers, small matrices."""
+"""Arithmetic that all kernels share: the compiler's decorators, vectors, angles, random numbers,
+small matrices.
+"""

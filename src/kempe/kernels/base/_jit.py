@@ -1,8 +1,9 @@
-"""The one way to compile: one signature each, safe fast-math flags. Only builds and edited checkouts come here.
+"""The one way to compile: one signature each, safe fast-math flags. Only builds and edited
+checkouts come here.
 
-What is said of a kernel (`declare`) is turned into Numba's types, and helpers are compiled into the kernels that call
-them (`_link`). The builder of the library takes over at `compile_entry`; without it kernels are compiled in this
-process, into memory.
+What is said of a kernel (`declare`) is turned into Numba's types, and helpers are compiled into the
+kernels that call them (`_link`). The builder of the library takes over at `compile_entry`; without
+it kernels are compiled in this process, into memory.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def signature_of(entry: Entry) -> Any:
 
 @contextmanager
 def garbage_stays() -> Iterator[None]:
-    """Collect no garbage meanwhile: the compiler's many objects live on, and to walk them takes a tenth of its time."""
+    """Collect no garbage meanwhile: the compiler's many objects live on, and to walk them takes a
+    tenth of its time.
+    """
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -68,7 +71,8 @@ compile_entry: Callable[[Entry], Callable] = in_memory
 def kernel(*takes: Array | Number, returns: bool = True, nogil: bool = True) -> Callable:
     """Decorator: an entry point that takes exactly this and returns a whole number, or nothing.
 
-    `nogil=False` is for kernels of a fraction of a microsecond: to hand the lock over and back costs 40 ns.
+    `nogil=False` is for kernels of a fraction of a microsecond: to hand the lock over and back
+    costs 40 ns.
     """
     return lambda function: compile_entry(Entry(function, takes, returns, nogil))
 
@@ -91,8 +95,9 @@ def device(function: Callable) -> Callable:
 def routine(function: Callable) -> Callable:
     """Decorator: a helper too large to be copied into callers; compiled once a kernel.
 
-    `forceinline` is said aloud, for Numba hands a `device`'s wish to be copied down to all that it calls. Constants
-    among its arguments are numbers like others: Numba would compile it again for each of them.
+    `forceinline` is said aloud, for Numba hands a `device`'s wish to be copied down to all that it
+    calls. Constants among its arguments are numbers like others: Numba would compile it again for
+    each of them.
     """
     helper: Any = numba.njit(forceinline=False, **_HELPER)(function)
     template = helper.get_call_template

@@ -1,9 +1,11 @@
-"""Compile helpers cheaply: their code is optimised where it is used, once a kernel, and not at every level of calls.
+"""Compile helpers cheaply: their code is optimised where it is used, once a kernel, and not at
+every level of calls.
 
-Numba makes of each compiled function a library that holds all its callees, optimises it as a whole and emits machine
-code, also where only another compiled function calls it: what lies n calls deep is optimised n times. Here a helper's
-library keeps the helper's own code and the list of what it needs, and hands out all of it to the kernel that asks.
-Numba's passes for what no helper here contains (closures, array expressions, parallel loops ...) are left out.
+Numba makes of each compiled function a library that holds all its callees, optimises it as a whole
+and emits machine code, also where only another compiled function calls it: what lies n calls deep
+is optimised n times. Here a helper's library keeps the helper's own code and the list of what it
+needs, and hands out all of it to the kernel that asks. Numba's passes for what no helper here
+contains (closures, array expressions, parallel loops ...) are left out.
 """
 
 from __future__ import annotations
@@ -18,10 +20,19 @@ _Library: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.Compiler
 
 _NOT_NEEDED = {
-    "DumpParforDiagnostics", "FindLiterallyCalls", "InlineClosureLikes", "InlineInlinables", "InlineOverloads",
-    "LiteralPropagationSubPipelinePass", "LiteralUnroll", "MakeFunctionToJitFunction",
-    "NoPythonSupportedFeatureValidation", "NopythonRewrites", "RewriteDynamicRaises", "WithLifting",
-}  # fmt: skip
+    "DumpParforDiagnostics",
+    "FindLiterallyCalls",
+    "InlineClosureLikes",
+    "InlineInlinables",
+    "InlineOverloads",
+    "LiteralPropagationSubPipelinePass",
+    "LiteralUnroll",
+    "MakeFunctionToJitFunction",
+    "NoPythonSupportedFeatureValidation",
+    "NopythonRewrites",
+    "RewriteDynamicRaises",
+    "WithLifting",
+}
 """Numba's passes that would find nothing to do. A pass that it may gain one day stays in."""
 
 
@@ -54,7 +65,9 @@ class _HelperLibrary(CodeOnly):
         self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
-        """Optimise all functions with one manager of passes, none that is but declared; else as Numba does."""
+        """Optimise all functions with one manager of passes, none that is but declared; else as
+        Numba does.
+        """
         module.data_layout = self._codegen._data_layout
         manager, builder = self._codegen._function_pass_manager()
         for function in module.functions:
@@ -79,7 +92,9 @@ class _HelperLibrary(CodeOnly):
                 whole.link_in(library._get_module_for_linking(), preserve=True)
             for function in whole.functions:
                 if not function.is_declaration and function.linkage == Linkage.external:
-                    function.linkage = "linkonce_odr"  # a kernel may get the same code from several helpers
+                    function.linkage = (
+                        "linkonce_odr"  # a kernel may get the same code from several helpers
+                    )
             self._shared_module = whole
         return self._shared_module
 

@@ -1,4 +1,6 @@
-"""What an entry point takes and returns, said once: for the compiler, and for the C layer that is made of it."""
+"""What an entry point takes and returns, said once: for the compiler, and for the C layer that is
+made of it.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 Length = int | str
-"""Length of an axis: a number; a letter, the same wherever the letter stands; "1|N", one or that many; "n+3", three
-more; "_", any."""
+"""Length of an axis: a number; a letter, the same wherever the letter stands; "1|N", one or that
+many; "n+3", three more; "_", any."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,9 @@ def OUTI(*shape: Length) -> Array:
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry point: its function, what it takes, whether it returns a whole number, whether other threads may run."""
+    """An entry point: its function, what it takes, whether it returns a whole number, whether other
+    threads may run.
+    """
 
     function: Callable
     takes: tuple[Array | Number, ...]

@@ -1,8 +1,8 @@
 """Eigenvalues of small real matrices: balancing, Hessenberg form, QR steps with two shifts.
 
-Up to some thirty rows the calls of a library cost more than the arithmetic. A matrix lies row by row at a stride that
-is a multiple of eight; what follows a row must be finite, is read and written, and means nothing: so rows are whole
-vectors.
+Up to some thirty rows the calls of a library cost more than the arithmetic. A matrix lies row by
+row at a stride that is a multiple of eight; what follows a row must be finite, is read and written,
+and means nothing: so rows are whole vectors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ TINY = 1e-140
 SMALL = 1e-60
 LARGE = 1e60
 HUGE = 1e140
-"""Between the outer two, squares neither vanish nor overflow; between the inner two, products of four."""
+"""Between the outer two, squares neither vanish nor overflow; between the inner two, products of
+four."""
 
 SWEEPS = 8
 """Rounds of balancing at most; two or three are usual."""
@@ -35,7 +36,8 @@ SWEEPS = 8
 
 @routine
 def balance(a, n, stride):
-    """Scale rows and columns by powers of two until they weigh alike; the diagonal and so the eigenvalues stay.
+    """Scale rows and columns by powers of two until they weigh alike; the diagonal and so the
+    eigenvalues stay.
 
     Parlett and Reinsch 1969, "Balancing a matrix for calculation of eigenvalues and eigenvectors".
     """
@@ -72,7 +74,8 @@ def balance(a, n, stride):
 
 @routine
 def hessenberg(a, n, stride, v):
-    """Overwrite a with a similar matrix that is zero below the first subdiagonal (Householder 1958).
+    """Overwrite a with a similar matrix that is zero below the first subdiagonal (Householder
+    1958).
 
     v: scratch of LARGEST_SIZE numbers.
     """
@@ -103,7 +106,9 @@ def hessenberg(a, n, stride, v):
 
 @routine
 def _reflect(a, n, stride, v, k, start, scale):
-    """Apply 1 - scale v v^T from both sides to the columns from `start` on, v being zero up to entry k."""
+    """Apply 1 - scale v v^T from both sides to the columns from `start` on, v being zero up to
+    entry k.
+    """
     w = beyond(v, LARGEST_SIZE)
     for c in range(start, n, LANES):
         sum_ = spread_lanes(0.0)
@@ -124,7 +129,9 @@ def _reflect(a, n, stride, v, k, start, scale):
 
 @device
 def _three(p, q, r):
-    """(x, y, z, u, v, size): the reflection 1 - (x, y, z)^T (1, u, v) takes (p, q, r) to (size, 0, 0)."""
+    """(x, y, z, u, v, size): the reflection 1 - (x, y, z)^T (1, u, v) takes (p, q, r) to (size, 0,
+    0).
+    """
     square = p * p + q * q + r * r
     if not TINY * TINY < square < HUGE * HUGE:
         largest = max(abs(p), max(abs(q), abs(r)))
@@ -148,7 +155,9 @@ def _three(p, q, r):
 
 @routine
 def _qr_step(a, stride, low, high, x, y, w, numbers):
-    """Take an implicit QR step on rows low to high, shifts of sum x + y and product x y - w (Francis 1961)."""
+    """Take an implicit QR step on rows low to high, shifts of sum x + y and product x y - w
+    (Francis 1961).
+    """
     m = high - 2
     p = q = r = 0.0
     while m >= low:
@@ -193,12 +202,13 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
 
 @device
 def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
-    """What the next reflection has to clear; applies 1 - (f, g, h)^T (1, u, v) at k, from both sides.
+    """What the next reflection has to clear; applies 1 - (f, g, h)^T (1, u, v) at k, from both
+    sides.
 
-    Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read from memory that was
-    just written number by number would have to wait. So their part of the reflection from the right is computed
-    beforehand, from the corner that it needs. Columns left of k are zero there or set by the caller, those right of
-    `high` are of no use.
+    Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read
+    from memory that was just written number by number would have to wait. So their part of the
+    reflection from the right is computed beforehand, from the corner that it needs. Columns left of
+    k are zero there or set by the caller, those right of `high` are of no use.
     """
     i0 = k * stride + k
     i1 = i0 + stride
@@ -243,7 +253,9 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
 
 @device
 def _pair(x, y, w):
-    """Real parts and imaginary parts of a 2x2 block's eigenvalues: diagonal y, x, and w the product of the others."""
+    """Real parts and imaginary parts of a 2x2 block's eigenvalues: diagonal y, x, and w the product
+    of the others.
+    """
     p = 0.5 * (y - x)
     q = p * p + w
     z = math.sqrt(abs(q))
@@ -256,10 +268,11 @@ def _pair(x, y, w):
 
 @routine
 def shifted_qr(a, n, stride, re, im, numbers):
-    """Eigenvalues that were not found, 0 as a rule; writes those of the Hessenberg matrix a, which is lost.
+    """Eigenvalues that were not found, 0 as a rule; writes those of the Hessenberg matrix a, which
+    is lost.
 
-    Wilkinson's shifts, and exceptional ones after 10, 20 and 30 steps (Martin, Peters and Wilkinson 1970, "The QR
-    algorithm for real Hessenberg matrices"). Eigenvalues that were not found are NaN.
+    Wilkinson's shifts, and exceptional ones after 10, 20 and 30 steps (Martin, Peters and Wilkinson
+    1970, "The QR algorithm for real Hessenberg matrices"). Eigenvalues that were not found are NaN.
     """
     norm = 0.0
     for i in range(n):
@@ -326,7 +339,8 @@ EIGEN_SCRATCH = 2 * LARGEST_SIZE
 def eigenvalues(a, n, stride, re, im, scratch):
     """Eigenvalues that were not found, 0 as a rule; writes the n eigenvalues of a, which is lost.
 
-    Pairs of conjugates stand together, the positive imaginary part first. A matrix that is not finite gives NaN.
+    Pairs of conjugates stand together, the positive imaginary part first. A matrix that is not
+    finite gives NaN.
     """
     balance(a, n, stride)
     hessenberg(a, n, stride, scratch)

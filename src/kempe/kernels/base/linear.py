@@ -10,8 +10,29 @@ def solve6(a, b):
     """Solution (6 numbers) of A y = b by A = L D L^T, A symmetric positive definite.
 
     a: its lower triangle, row by row (21 numbers)."""
-    (a00, a10, a11, a20, a21, a22, a30, a31, a32, a33,
-     a40, a41, a42, a43, a44, a50, a51, a52, a53, a54, a55) = a  # fmt: skip
+    (
+        a00,
+        a10,
+        a11,
+        a20,
+        a21,
+        a22,
+        a30,
+        a31,
+        a32,
+        a33,
+        a40,
+        a41,
+        a42,
+        a43,
+        a44,
+        a50,
+        a51,
+        a52,
+        a53,
+        a54,
+        a55,
+    ) = a
     # u = L D, l = L below the diagonal; d = 1 / D
     d0 = 1.0 / a00
     l10 = a10 * d0
@@ -61,7 +82,8 @@ def solve6(a, b):
 
 @device
 def factor(a, n):
-    """Whether the symmetric n by n matrix a is positive definite; overwrites its lower triangle with L and D.
+    """Whether the symmetric n by n matrix a is positive definite; overwrites its lower triangle
+    with L and D.
 
     a: pointer to n * n numbers, row by row; A = L D L^T, D on the diagonal.
     """

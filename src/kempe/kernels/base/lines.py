@@ -1,8 +1,9 @@
-"""Joint axes as lines in space: short vectors as tuples, motions about lines, 3x4 matrices behind pointers.
+"""Joint axes as lines in space: short vectors as tuples, motions about lines, 3x4 matrices behind
+pointers.
 
-A chain is T = E_1(theta_1) ... E_n(theta_n) M, the product of exponentials of Brockett (1984): E_i turns by theta_i
-about the line through o_i along the unit vector h_i, or slides by theta_i along h_i. Everything here holds for floats
-and for vectors of lanes alike.
+A chain is T = E_1(theta_1) ... E_n(theta_n) M, the product of exponentials of Brockett (1984): E_i
+turns by theta_i about the line through o_i along the unit vector h_i, or slides by theta_i along
+h_i. Everything here holds for floats and for vectors of lanes alike.
 """
 
 from __future__ import annotations
@@ -107,7 +108,9 @@ def write3(p, k, v):
 
 @device
 def foot(o, h, a, g):
-    """The point of the line (o, h) that is nearest to the line (a, g); o itself where they are parallel."""
+    """The point of the line (o, h) that is nearest to the line (a, g); o itself where they are
+    parallel.
+    """
     n = cross(h, g)
     square = dot(n, n)
     if square < 1e-18:

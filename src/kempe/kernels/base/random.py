@@ -1,7 +1,8 @@
-"""Random numbers as a pure function of counters: no state, so answers depend on nothing but the arguments.
+"""Random numbers as a pure function of counters: no state, so answers depend on nothing but the
+arguments.
 
-The generator is SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators"),
-whose numbers can be had in any order; one sequence for each seed, goal and start.
+The generator is SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number
+generators"), whose numbers can be had in any order; one sequence for each seed, goal and start.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ _S11 = np.uint64(11)
 
 @device
 def mix(state, counter):
-    """Number `counter` of the sequence from `state`, all uint64; it can be the state of another sequence."""
+    """Number `counter` of the sequence from `state`, all uint64; it can be the state of another
+    sequence.
+    """
     z = state + _STEP * (counter + _ONE)
     z = (z ^ (z >> _S30)) * _MUL_A
     z = (z ^ (z >> _S27)) * _MUL_B

@@ -1,4 +1,6 @@
-"""Rotations as numbers: the rotation vector of a matrix, unit quaternions (w, x, y, z) turned and drawn."""
+"""Rotations as numbers: the rotation vector of a matrix, unit quaternions (w, x, y, z) turned and
+drawn.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ def logarithm(m):
             sine = math.sqrt(square)
             factor = atan2(sine, cosine) / sine
         return x * factor, y * factor, z * factor
-    # Near pi the antisymmetric part fades: four times a quaternion, from its largest entry (Shepperd 1978).
+    # Near pi the antisymmetric part fades: four times a quaternion, from its largest entry
+    # (Shepperd 1978).
     if m[0] >= m[4] and m[0] >= m[8]:
         x = 1.0 + m[0] - m[4] - m[8]
         y = m[1] + m[3]

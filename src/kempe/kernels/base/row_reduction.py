@@ -58,6 +58,8 @@ def lane_of(typingctx, vector, value):
         spread = builder.shuffle_vector(spread, spread, order)
         bits = builder.bitcast(builder.fcmp_ordered("==", vector, spread), ir.IntType(LANES))
         bits = builder.zext(bits, INT64)
-        return builder.cttz(builder.or_(bits, ir.Constant(INT64, 1 << LANES)), ir.Constant(ir.IntType(1), 0))
+        return builder.cttz(
+            builder.or_(bits, ir.Constant(INT64, 1 << LANES)), ir.Constant(ir.IntType(1), 0)
+        )
 
     return types.int64(Vec(LANES), types.float64), codegen

@@ -25,7 +25,9 @@ ALIGNMENT = 64
 
 @intrinsic
 def aligned(typingctx, pointer):
-    """The first place from where the pointer points on that lies at a border; up to 7 numbers are passed over."""
+    """The first place from where the pointer points on that lies at a border; up to 7 numbers are
+    passed over.
+    """
 
     def codegen(context, builder, sig, args):
         whole = ir.IntType(64)

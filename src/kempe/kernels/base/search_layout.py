@@ -16,7 +16,8 @@ ANSWER = 5
 """What follows the configuration in the answer for one frame, and how many numbers."""
 
 DESCENTS = 16
-"""Descents to the configuration of one frame that is nearest to its target, at most as many as starts.
+"""Descents to the configuration of one frame that is nearest to its target, at most as many as
+starts.
 
 The best of 16 is the best of 1000 for at least 95 of 100 goals out of reach of five real arms."""
 
@@ -25,10 +26,12 @@ UNFINISHED = -1
 
 NOTHING = 0
 AHEAD = 1
-"""What is lowered when all tasks are held: nothing; the way to a goal in the coordinates. Else a function's address."""
+"""What is lowered when all tasks are held: nothing; the way to a goal in the coordinates. Else a
+function's address."""
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R^T R - I that a goal's rotation may have."""
 
 LARGEST = 1e100
-"""Size from which a number is no coordinate and a limit no limit: squares of such numbers overflow."""
+"""Size from which a number is no coordinate and a limit no limit: squares of such numbers
+overflow."""

@@ -1,6 +1,7 @@
 """Sine with cosine, and the angle of a point, for floats and vectors alike, without branches.
 
-The functions of the C library do not vectorise. These do: some 40 operations for both sine and cosine.
+The functions of the C library do not vectorise. These do: some 40 operations for both sine and
+cosine.
 """
 
 from __future__ import annotations
@@ -11,18 +12,20 @@ from kempe.kernels.base._jit import device
 from kempe.kernels.base.vectors import negative, where, with_sign_of
 
 REACH = 1e8
-"""Largest |x| for which `sincos` is right; there the quarter turns are counted exactly (fewer than 2**26)."""
+"""Largest |x| for which `sincos` is right; there the quarter turns are counted exactly (fewer than
+2**26)."""
 
 ROUND = 1.5 * 2.0**52
 """x + ROUND - ROUND is x rounded to the nearest integer, for |x| < 2**51."""
 
-# pi/2 in three parts (Cody and Waite 1980): the first two have at most 27 bits, so that their products with a
-# count below 2**26 are exact with or without fused multiply-add.
+# pi/2 in three parts (Cody and Waite 1980): the first two have at most 27 bits, so that their
+# products with a count below 2**26 are exact with or without fused multiply-add.
 QUARTER_1 = 1.570796325802803
 QUARTER_2 = 9.920935184482005e-10
 QUARTER_3 = 6.123233995736766e-17
 
-# Minimax polynomials (Remez exchange, 60 digits) of (sin r / r - 1) / z and (cos r - 1 + z/2) / z**2,
+# Minimax polynomials (Remez exchange, 60 digits) of (sin r / r - 1) / z and (cos r - 1 + z/2) /
+# z**2,
 # z = r**2, |r| <= pi/4; relative errors 3.4e-18 of sin r and 5.6e-20 of cos r.
 S0 = -0.16666666666666632
 S1 = 0.008333333333322425
@@ -40,7 +43,8 @@ C5 = -1.1358537420591712e-11
 
 @device
 def sincos(x):
-    """(sin x, cos x) of a float or vector, |x| <= REACH; error below 1.8e-16. NaN and infinity give NaN.
+    """(sin x, cos x) of a float or vector, |x| <= REACH; error below 1.8e-16. NaN and infinity give
+    NaN.
 
     Beyond REACH the result is meaningless: there use `sincos_far`. The sign of sin(-0.0) is lost.
     """
@@ -49,7 +53,8 @@ def sincos(x):
     z = r * r
     sine = r + r * z * (S0 + z * (S1 + z * (S2 + z * (S3 + z * (S4 + z * S5)))))
     cosine = (1.0 - 0.5 * z) + z * z * (C0 + z * (C1 + z * (C2 + z * (C3 + z * (C4 + z * C5)))))
-    # quarter is -2 .. 2, the count modulo 4; its sine and cosine (in quarter turns) are polynomials in it
+    # quarter is -2 .. 2, the count modulo 4; its sine and cosine (in quarter turns) are polynomials
+    # in it
     quarter = count - 4.0 * ((count * 0.25 + ROUND) - ROUND)
     size = abs(quarter)
     quarter_cosine = 1.0 - size
@@ -75,7 +80,8 @@ EIGHTH_2 = 3.061616997868383e-17
 BEND = 0.66
 """Ratio of the sides above which the angle is measured from the diagonal."""
 
-# (atan t / t - 1) / z with z = t**2, |t| <= BEND (Remez exchange, 60 digits): relative error 1.3e-18
+# (atan t / t - 1) / z with z = t**2, |t| <= BEND (Remez exchange, 60 digits): relative error
+# 1.3e-18
 A0 = -0.33333333333333237
 A1 = 0.19999999999976537
 A2 = -0.1428571428372518
@@ -95,9 +101,11 @@ A14 = -0.0019014914592634848
 
 @device
 def atan2(y, x):
-    """Angle of the point (x, y) in [-pi, pi], of floats or vectors; error below 2 ulp, signed zeros as in C.
+    """Angle of the point (x, y) in [-pi, pi], of floats or vectors; error below 2 ulp, signed zeros
+    as in C.
 
-    NaN gives NaN, and so do arguments that are infinite or have an infinite sum (where C gives an angle).
+    NaN gives NaN, and so do arguments that are infinite or have an infinite sum (where C gives an
+    angle).
     """
     ax = abs(x)
     ay = abs(y)
@@ -113,7 +121,8 @@ def atan2(y, x):
     p = A0 + z * (A1 + z * (A2 + z * (A3 + z * (A4 + z * (A5 + z * (A6 + z * (A7 + z * p)))))))
     # 0 * bottom is NaN where an argument is not finite
     angle = t + (t * z * p + 0.0 * bottom)
-    # the angle is eighths * pi/4 +- that, with the signs of the reflections at the diagonal and at the y axis
+    # the angle is eighths * pi/4 +- that, with the signs of the reflections at the diagonal and at
+    # the y axis
     left = negative(x)
     eighths = where(bent, 1.0, 0.0)
     eighths = where(steep, 2.0 - eighths, eighths)

@@ -1,10 +1,12 @@
-"""Short vectors of float64 as a type of compiled code: `Vec`, its operators, loads, stores and shuffles.
+"""Short vectors of float64 as a type of compiled code: `Vec`, its operators, loads, stores and
+shuffles.
 
-LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and straight-line code stays scalar. Here
-a kernel says outright what is one vector: four columns of a matrix row (`load4`, `pack4`) or `LANES` configurations
-side by side (`load_lanes`, `gather`). Formulas written with + - * / abs and `where` hold for plain floats too, so that
-none is written twice. Loads and stores take the pointer that `raw` makes of a C-contiguous array, and a flat index:
-arrays handed on cost reference counting in loops, pointers nothing. Nothing checks bounds.
+LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and straight-line code
+stays scalar. Here a kernel says outright what is one vector: four columns of a matrix row (`load4`,
+`pack4`) or `LANES` configurations side by side (`load_lanes`, `gather`). Formulas written with + -
+* / abs and `where` hold for plain floats too, so that none is written twice. Loads and stores take
+the pointer that `raw` makes of a C-contiguous array, and a flat index: arrays handed on cost
+reference counting in loops, pointers nothing. Nothing checks bounds.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ SIGN_BIT = -(2**63)
 
 def _lanes() -> int:
     """Configurations swept side by side: eight with 512-bit registers, else four."""
-    if settings.CPU_NAME or settings.CPU_FEATURES:  # the user compiles for another processor than this
+    if (
+        settings.CPU_NAME or settings.CPU_FEATURES
+    ):  # the user compiles for another processor than this
         wide = "+avx512f" in (settings.CPU_FEATURES or "")
     else:
         wide = llvmlite.binding.get_host_cpu_features().get("avx512f", False)
@@ -93,14 +97,18 @@ def _splat(builder, value, width: int):
 
 def _shuffle(builder, a, b, order: list[int]):
     """Entries `order` of a and b laid end to end."""
-    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order))
+    return builder.shuffle_vector(
+        a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order)
+    )
 
 
 def _llvm(builder, name: str, value):
     """LLVM's own function `name` of a number or vector."""
     lanes = f"v{value.type.count}" if isinstance(value.type, ir.VectorType) else ""
     call = ir.FunctionType(value.type, [value.type])
-    return builder.call(cgutils.get_or_insert_function(builder.module, call, f"llvm.{name}.{lanes}f64"), [value])
+    return builder.call(
+        cgutils.get_or_insert_function(builder.module, call, f"llvm.{name}.{lanes}f64"), [value]
+    )
 
 
 def _like(context, builder, value, its_type, width: int):
@@ -118,7 +126,10 @@ def _binary(operation, emit, result) -> None:
         def generic(self, args, kws):
             if len(args) == 2 and not kws and any(isinstance(a, Vec) for a in args):
                 width = next(a.width for a in args if isinstance(a, Vec))
-                if all(a == Vec(width) if isinstance(a, Vec) else isinstance(a, types.Number) for a in args):
+                if all(
+                    a == Vec(width) if isinstance(a, Vec) else isinstance(a, types.Number)
+                    for a in args
+                ):
                     return signature(result(width), *args)
             return None
 
@@ -161,7 +172,8 @@ FLOATS = types.CPointer(types.float64)
 def raw(typingctx, array):
     """Pointer to the first entry of a C-contiguous array; p[k] is entry k of the flattened array.
 
-    The pointer does not keep the array alive: a scratch array must be named again after its last use: `keep`.
+    The pointer does not keep the array alive: a scratch array must be named again after its last
+    use: `keep`.
     """
     if not (isinstance(array, types.Array) and array.layout == "C"):
         return None
@@ -232,7 +244,9 @@ def gather(typingctx, pointer, index, stride):
 
 @intrinsic
 def store_columns(typingctx, pointer, index, stride, a, b, c, d):
-    """Write (a, b, c, d) of lane l to p[k + l stride : k + l stride + 4]: a transposition in registers."""
+    """Write (a, b, c, d) of lane l to p[k + l stride : k + l stride + 4]: a transposition in
+    registers.
+    """
     if any(v != Vec(LANES) for v in (a, b, c, d)):
         return None
 
@@ -340,7 +354,9 @@ def rarely(typingctx, condition):
 
     def codegen(context, builder, sig, args):
         bit = ir.IntType(1)
-        expect = cgutils.get_or_insert_function(builder.module, ir.FunctionType(bit, [bit, bit]), "llvm.expect.i1")
+        expect = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(bit, [bit, bit]), "llvm.expect.i1"
+        )
         return builder.call(expect, [args[0], ir.Constant(bit, 0)])
 
     return types.boolean(types.boolean), codegen
@@ -348,14 +364,19 @@ def rarely(typingctx, condition):
 
 @intrinsic
 def where(typingctx, condition, yes, no):
-    """`yes` where the condition holds, else `no`: a selection, never a branch. Of numbers or vectors."""
+    """`yes` where the condition holds, else `no`: a selection, never a branch. Of numbers or
+    vectors.
+    """
     widths = [v.width for v in (condition, yes, no) if isinstance(v, (Vec, Mask))]
     result = Vec(widths[0]) if widths else types.float64
 
     def codegen(context, builder, sig, args):
         yes, no = args[1:]
         if widths:
-            yes, no = (_like(context, builder, v, t, widths[0]) for v, t in zip(args[1:], sig.args[1:], strict=True))
+            yes, no = (
+                _like(context, builder, v, t, widths[0])
+                for v, t in zip(args[1:], sig.args[1:], strict=True)
+            )
         return builder.select(args[0], yes, no)
 
     pair = [v if isinstance(v, Vec) else types.float64 for v in (yes, no)]
@@ -366,7 +387,9 @@ def _as_integer(builder, value):
     """The bits of a number or a vector."""
     if isinstance(value.type, ir.VectorType):
         integer = ir.VectorType(INT64, value.type.count)
-        return builder.bitcast(value, integer), lambda k: ir.Constant(integer, [k] * value.type.count)
+        return builder.bitcast(value, integer), lambda k: ir.Constant(
+            integer, [k] * value.type.count
+        )
     return builder.bitcast(value, INT64), lambda k: ir.Constant(INT64, k)
 
 

@@ -1,11 +1,13 @@
-"""Where the numbers of a plan of the analytical inverse model lie. Imports nothing, like `table_layout`.
+"""Where the numbers of a plan of the analytical inverse model lie. Imports nothing, like
+`table_layout`.
 
     ints    header (see the places below), kind of each line, then 1 for each joint of the chain that is unknown
     floats  rows of the tip's pose (12), rows of the task (6), length, origin (3), the lines (LINE_STRIDE each), then
             for each joint of the chain: offset, multiplier, lower and upper limit
 
-Lines are scaled by the length, and seen from the origin. The joints of the chain come first; the others complete it to
-six, and belong to nobody: the target must leave those marked REST at zero, those marked FREE may take any value.
+Lines are scaled by the length, and seen from the origin. The joints of the chain come first; the
+others complete it to six, and belong to nobody: the target must leave those marked REST at zero,
+those marked FREE may take any value.
 """
 
 N_LINES = 0
@@ -23,7 +25,8 @@ ORDER = 10
 ROLES = 16
 FORMS = 22
 PLAN_HEADER = 32
-"""Places in the header: which line stands at each of the six places, its role, the formulations of an elimination."""
+"""Places in the header: which line stands at each of the six places, its role, the formulations of
+an elimination."""
 
 JOINT = 0
 REST = 1
@@ -52,8 +55,8 @@ X_FIRST = 0
 Z_FIRST = 1
 COUPLED = 2
 AT_REST = 3
-"""How the outer equations are solved, MODE in the header: one of them has x alone, or z alone, or none; AT_REST: the
-joints do not move."""
+"""How the outer equations are solved, MODE in the header: one of them has x alone, or z alone, or
+none; AT_REST: the joints do not move."""
 
 FORMULATIONS = 36
 """Ways to write the elimination of a chain."""
@@ -74,5 +77,5 @@ INSIDE_BIT = 1.0
 WEAK_BIT = 2.0
 SLOT_UNIT = 4.0
 MULTIPLICITY_UNIT = 128.0
-"""A code: UNUSED, or INSIDE_BIT inside the limits + WEAK_BIT near a singularity + SLOT_UNIT (slot + 1, 0 for none) +
-MULTIPLICITY_UNIT times how many roots it is (0: a sample of a family)."""
+"""A code: UNUSED, or INSIDE_BIT inside the limits + WEAK_BIT near a singularity + SLOT_UNIT (slot +
+1, 0 for none) + MULTIPLICITY_UNIT times how many roots it is (0: a sample of a family)."""

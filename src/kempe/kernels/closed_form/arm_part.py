@@ -1,14 +1,17 @@
-"""Three joints that must bring a point or a plane back: the outer half of a closed-form inverse model.
+"""Three joints that must bring a point or a plane back: the outer half of a closed-form inverse
+model.
 
-Where three consecutive axes meet in a point, or all lie across one plane, that point or plane does not feel these
-joints. Along the loop that the target closes, the other three joints x, y, z then have to satisfy
+Where three consecutive axes meet in a point, or all lie across one plane, that point or plane does
+not feel these joints. Along the loop that the target closes, the other three joints x, y, z then
+have to satisfy
 
     E_y E_z e1 = E_x^-1 e0,     e0 the point or plane, e1 = G^-1 e0.
 
-Two numbers of an element do not change under E_y: of a point, its height along the axis of y and its squared distance
-from it; of a plane, the cosine of its normal with the axis and its distance from a point of the axis; where y slides,
-two components across. So two equations are left, each a sum of a term in x and a term in z (subproblem 6 of Elias and
-Wen, 2022; for points Pieper, 1968). Where neighbouring axes meet or are parallel, one of them has one unknown only.
+Two numbers of an element do not change under E_y: of a point, its height along the axis of y and
+its squared distance from it; of a plane, the cosine of its normal with the axis and its distance
+from a point of the axis; where y slides, two components across. So two equations are left, each a
+sum of a term in x and a term in z (subproblem 6 of Elias and Wen, 2022; for points Pieper, 1968).
+Where neighbouring axes meet or are parallel, one of them has one unknown only.
 """
 
 from __future__ import annotations
@@ -19,29 +22,37 @@ from typing import NamedTuple
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.lines import LINE_STRIDE, cross, dot, foot, minus, plus, three, turned
 from kempe.kernels.closed_form.analytic_layout import PLANE
-from kempe.kernels.closed_form.subproblems import align, cone_roots, orbit, parabola_roots, trig_roots
+from kempe.kernels.closed_form.subproblems import (
+    align,
+    cone_roots,
+    orbit,
+    parabola_roots,
+    trig_roots,
+)
 from kempe.kernels.forward.table_layout import SLIDE
 
 VOID = 1e-10
 NOTHING = 1e-13
 WIDE = 1e-5
-"""Amplitude below which an equation says so little that samples are taken as well, and below which they are all there
-is; how far beyond its edge an equation is still tried (the residual decides)."""
+"""Amplitude below which an equation says so little that samples are taken as well, and below which
+they are all there is; how far beyond its edge an equation is still tried (the residual decides)."""
 
 VALUE_STRIDE = 4
 SAMPLED = 3
-"""A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and is a sample, or
-OPEN if there is a root that it may lead to."""
+"""A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and
+is a sample, or OPEN if there is a root that it may lead to."""
 
 FAINT = 1e-5
-"""Size below which the square root of rounding leaves open what a joint does between others: values are tried."""
+"""Size below which the square root of rounding leaves open what a joint does between others: values
+are tried."""
 
 SAMPLES = 4
 MOST = 6
 OPEN = 0.25
 REPEATED = 1e-3
-"""Samples of a joint that is free; values of one joint at most: samples after roots; marks in the place of SAMPLED: of
-a sample that may lead to a root, and of a value that may lead to a root that is a candidate already."""
+"""Samples of a joint that is free; values of one joint at most: samples after roots; marks in the
+place of SAMPLED: of a sample that may lead to a root, and of a value that may lead to a root that
+is a candidate already."""
 
 
 class PointOrPlane(NamedTuple):
@@ -61,13 +72,17 @@ def carried(kind, h, o, e, c, s, theta):
 
 @device
 def measures(kind, what, h, o, option, hx, kx, hz, kz):
-    """Two vectors: what y measures. A turning y: its axis h and point; a sliding y: two directions across it."""
+    """Two vectors: what y measures. A turning y: its axis h and point; a sliding y: two directions
+    across it.
+    """
     if kind != SLIDE:
         return h, o
     other, slides = (hz, kz == SLIDE) if option == 0 else (hx, kx == SLIDE)
     across = cross(h, other)
     size = dot(across, across)
-    if what == PLANE:  # the normal is constant: measured along the axis of a neighbour, which it turns about
+    if (
+        what == PLANE
+    ):  # the normal is constant: measured along the axis of a neighbour, which it turns about
         first = other
     elif size < 1e-18:
         first = cross(h, (0.0, 0.0, 1.0)) if abs(h[2]) < 0.8 else cross(h, (1.0, 0.0, 0.0))
@@ -78,15 +93,19 @@ def measures(kind, what, h, o, option, hx, kx, hz, kz):
     first = plus((0.0, 0.0, 0.0), 1.0 / math.sqrt(dot(first, first)), first)
     second = cross(h, first)
     if what == PLANE and dot(second, second) < 1e-18:
-        second = cross(first, (0.0, 0.0, 1.0)) if abs(first[2]) < 0.8 else cross(first, (1.0, 0.0, 0.0))
+        second = (
+            cross(first, (0.0, 0.0, 1.0)) if abs(first[2]) < 0.8 else cross(first, (1.0, 0.0, 0.0))
+        )
     return first, second
 
 
 @routine
 def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
-    """Write to out[0:3], out[3:6] the constant, first and second factor of both measures of the element under a joint.
+    """Write to out[0:3], out[3:6] the constant, first and second factor of both measures of the
+    element under a joint.
 
-    The factors belong to cos and sin of a turn, to d and d^2 of a slide; `sign` -1 for the inverse motion.
+    The factors belong to cos and sin of a turn, to d and d^2 of a slide; `sign` -1 for the inverse
+    motion.
     """
     if kind == SLIDE:
         v = plus((0.0, 0.0, 0.0), sign, h)
@@ -149,7 +168,8 @@ def put_angle(out, k, c, s, sampled):
 
 @routine
 def put_samples(slides, count, out, mark, centre):
-    """New number of values of a joint that is free: a few more, of which no two differ by half a turn.
+    """New number of values of a joint that is free: a few more, of which no two differ by half a
+    turn.
 
     centre: near which a slide has to be for the other joints to reach.
     """
@@ -165,7 +185,8 @@ def put_samples(slides, count, out, mark, centre):
 
 @routine
 def one_unknown(slides, a, b, k, wide, centre, out):
-    """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of a slide.
+    """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of
+    a slide.
 
     wide: how far beyond its edge the equation may be. centre: where a free slide is tried.
     """
@@ -193,7 +214,9 @@ def one_unknown(slides, a, b, k, wide, centre, out):
 
 @routine
 def cone(k, h, n, w, sign, wide, out):
-    """Number of turns about h (inverse turns for `sign` -1) that make the angle of n with k that of w with k."""
+    """Number of turns about h (inverse turns for `sign` -1) that make the angle of n with k that of
+    w with k.
+    """
     c0, s0, c1, s1, d2 = cone_roots(k, h, n, w)
     a = cross(k, h)
     b = cross(h, n)
@@ -246,7 +269,22 @@ def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
     else:
         oy = foot(oy, hy, ox, hx)
     first, second = measures(ky, what, hy, oy, option, hx, kx, hz, kz)
-    return Outer(what, kx, hx, ox, ky, hy, oy, kz, hz, oz, PointOrPlane(p0, n0), PointOrPlane(p1, n1), first, second)
+    return Outer(
+        what,
+        kx,
+        hx,
+        ox,
+        ky,
+        hy,
+        oy,
+        kz,
+        hz,
+        oz,
+        PointOrPlane(p0, n0),
+        PointOrPlane(p1, n1),
+        first,
+        second,
+    )
 
 
 @device
@@ -286,7 +324,9 @@ def first_values(o, mode, j, tx, tz, out):
     if mode == 0:
         if cones(o, j, o.kx):
             return cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, WIDE, out)
-        return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, x_centre(o), out)
+        return one_unknown(
+            o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, x_centre(o), out
+        )
     if cones(o, j, o.kz):
         return cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, WIDE, out)
     return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], WIDE, z_centre(o), out)
@@ -301,7 +341,9 @@ def second_values(o, mode, j, tx, tz, first, out):
         if cones(o, 1 - j, o.kz):
             return cone(o.hy, o.hz, o.e1.n, e.n, 1.0, WIDE, out)
         known = tx[k] + tx[k + 1] * first[0] + tx[k + 2] * first[1]
-        return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, z_centre(o), out)
+        return one_unknown(
+            o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, z_centre(o), out
+        )
     e = carried(o.kz, o.hz, o.oz, o.e1, first[0], first[1], first[2])
     if cones(o, 1 - j, o.kx):
         return cone(o.hy, o.hx, o.e0.n, e.n, -1.0, WIDE, out)
@@ -324,7 +366,11 @@ def middle_values(o, x, z, out):
             t = dot(left.n, d) / dot(left.n, o.hy) if slope > NOTHING else nearest
         put(out, 0, t, t * t, t, 0.0)
         count = 1 if slope > NOTHING else 0
-        return count if slope > FAINT else put_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
+        return (
+            count
+            if slope > FAINT
+            else put_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
+        )
     u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
     c, s, size = align(o.hy, u, v)
     size = math.sqrt(size)

@@ -1,9 +1,11 @@
-"""Closed forms of arms with six turning joints, `LANES` targets side by side: eight slots a target, no branches.
+"""Closed forms of arms with six turning joints, `LANES` targets side by side: eight slots a target,
+no branches.
 
-It is `closed` for the plans that most robots have, in straight lines: one joint of the outer three comes from one
-equation, both roots of each of three quadratics are carried along, and no function of the C library is called. Slots:
-4 first + 2 second + inner. A target for which anything is not plain (a root that is nearly double, an axis through the
-point that it should move, an error above rounding) is marked, and left to the careful path.
+It is `closed` for the plans that most robots have, in straight lines: one joint of the outer three
+comes from one equation, both roots of each of three quadratics are carried along, and no function
+of the C library is called. Slots: 4 first + 2 second + inner. A target for which anything is not
+plain (a root that is nearly double, an axis through the point that it should move, an error above
+rounding) is marked, and left to the careful path.
 """
 
 from __future__ import annotations
@@ -61,20 +63,31 @@ AT_LINES = 12
 AT_JOINTS = AT_LINES + 6 * LINE_STRIDE
 AT_SHIFT = AT_JOINTS + 6 * JOINT_FLOATS
 SIX = AT_SHIFT + 13
-"""Places in the numbers of the six unknowns: the tip's pose, lines, joints, a motion and an angle; how many."""
+"""Places in the numbers of the six unknowns: the tip's pose, lines, joints, a motion and an angle;
+how many."""
 
 
 @routine
 def take_targets(targets, at, floats, tip, lanes):
     """1 in lanes whose target is sound, else 0; writes the goals G = T M^-1."""
     r = (
-        gather(targets, at, 16), gather(targets, at + 1, 16), gather(targets, at + 2, 16),
-        gather(targets, at + 4, 16), gather(targets, at + 5, 16), gather(targets, at + 6, 16),
-        gather(targets, at + 8, 16), gather(targets, at + 9, 16), gather(targets, at + 10, 16),
-    )  # fmt: skip
+        gather(targets, at, 16),
+        gather(targets, at + 1, 16),
+        gather(targets, at + 2, 16),
+        gather(targets, at + 4, 16),
+        gather(targets, at + 5, 16),
+        gather(targets, at + 6, 16),
+        gather(targets, at + 8, 16),
+        gather(targets, at + 9, 16),
+        gather(targets, at + 10, 16),
+    )
     p = (gather(targets, at + 3, 16), gather(targets, at + 7, 16), gather(targets, at + 11, 16))
     scale = 1.0 / floats[LENGTH]
-    p = ((p[0] - floats[ORIGIN]) * scale, (p[1] - floats[ORIGIN + 1]) * scale, (p[2] - floats[ORIGIN + 2]) * scale)
+    p = (
+        (p[0] - floats[ORIGIN]) * scale,
+        (p[1] - floats[ORIGIN + 1]) * scale,
+        (p[2] - floats[ORIGIN + 2]) * scale,
+    )
     x = (r[0], r[3], r[6])
     y = (r[1], r[4], r[7])
     z = (r[2], r[5], r[8])
@@ -99,7 +112,9 @@ def take_targets(targets, at, floats, tip, lanes):
 
 @routine
 def reduced(ints, floats, moves, locked, six):
-    """Write to six (SIX numbers) the tip's pose, lines and joints of the unknowns, moved by the locked joints."""
+    """Write to six (SIX numbers) the tip's pose, lines and joints of the unknowns, moved by the
+    locked joints.
+    """
     n = ints[N_JOINTS]
     order = beyond(ints, ORDER)
     shift = beyond(six, AT_SHIFT)
@@ -148,8 +163,24 @@ def problem_of(ints, floats, six, lanes, out, near, near_step):
     oy = foot(oy, hy, three(lines, LINE_STRIDE * other + 4), three(lines, LINE_STRIDE * other))
     normal = three(lines, LINE_STRIDE * k)
     p = ball_centre(lines, k) if what == POINT else three(lines, LINE_STRIDE * k + 4)
-    return SharedTargets(lines, beyond(six, AT_JOINTS), lanes, out, near, near_step, beyond(ints, ORDER), k, what,
-                         ints[MODE], ints[MEASURE], oy, p, normal, translation(six), floats[LENGTH])  # fmt: skip
+    return SharedTargets(
+        lines,
+        beyond(six, AT_JOINTS),
+        lanes,
+        out,
+        near,
+        near_step,
+        beyond(ints, ORDER),
+        k,
+        what,
+        ints[MODE],
+        ints[MEASURE],
+        oy,
+        p,
+        normal,
+        translation(six),
+        floats[LENGTH],
+    )
 
 
 @routine
@@ -167,14 +198,24 @@ def spread_rows(answers, n, order, moves, locked, count, out):
         row[n], row[n + 1] = from_[6], from_[7]
 
 
-@kernel(I("_"), F("_"), F("N", 4, 4), F("_", "n"), F("_", "n"), INT, OUT("N", "_", f"n+{INFO}"), OUTI("N"))
+@kernel(
+    I("_"),
+    F("_"),
+    F("N", 4, 4),
+    F("_", "n"),
+    F("_", "n"),
+    INT,
+    OUT("N", "_", f"n+{INFO}"),
+    OUTI("N"),
+)
 def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
-    """Number of targets left to the careful path, whose numbers are written to `left` (N,); the others are done.
+    """Number of targets left to the careful path, whose numbers are written to `left` (N,); the
+    others are done.
 
-    ints, floats: plan, see `analytic_layout`, of six unknown turning joints with an equation in one unknown. targets:
-    (N, 4, 4). near: (1 or N, n), at least LANES rows if not one and locked is one. locked: (1 or N, n), of which the
-    locked joints count. sort: 1 for rows in order; if none are left, -1 less the rows in use of the last target is
-    returned. out: (N, SLOTS, n + INFO).
+    ints, floats: plan, see `analytic_layout`, of six unknown turning joints with an equation in one
+    unknown. targets: (N, 4, 4). near: (1 or N, n), at least LANES rows if not one and locked is
+    one. locked: (1 or N, n), of which the locked joints count. sort: 1 for rows in order; if none
+    are left, -1 less the rows in use of the last target is returned. out: (N, SLOTS, n + INFO).
     """
     scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES + SIX)
     n_targets = targets.shape[0]
@@ -204,12 +245,23 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
                     goals[16 * i + j] = wanted[16 * min(i, group - 1) + j]
         for i in range(0, group, LANES):
             at = 0 if few else min(i, group - LANES)
-            pr = problem_of(raw(ints), raw(floats), six, lanes, beyond(rows, width * at) if direct else answers,
-                            beyond(raw(near), step * (first + at)), next_)  # fmt: skip
-            sound = take_targets(goals if few else beyond(wanted, 16 * at), 0, raw(floats), six, lanes)
+            pr = problem_of(
+                raw(ints),
+                raw(floats),
+                six,
+                lanes,
+                beyond(rows, width * at) if direct else answers,
+                beyond(raw(near), step * (first + at)),
+                next_,
+            )
+            sound = take_targets(
+                goals if few else beyond(wanted, 16 * at), 0, raw(floats), six, lanes
+            )
             clear = sound * block(pr, 0)
             if not direct:
-                spread_rows(answers, n, pr.order, moves, held, min(LANES, group), beyond(rows, width * at))
+                spread_rows(
+                    answers, n, pr.order, moves, held, min(LANES, group), beyond(rows, width * at)
+                )
             for lane in range(i - at, min(LANES, group - at)):
                 if not entry(clear, lane) > 0.5:
                     left[count] = first + at + lane
@@ -217,7 +269,13 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
     if sort != 0:
         joints = beyond(raw(floats), LINES + LINE_STRIDE * ints[N_LINES])
         for i in range(n_targets):
-            used = arrange(n, joints, beyond(raw(near), step * i), beyond(raw(out), SLOTS * (n + INFO) * i), SLOTS)
+            used = arrange(
+                n,
+                joints,
+                beyond(raw(near), step * i),
+                beyond(raw(out), SLOTS * (n + INFO) * i),
+                SLOTS,
+            )
             if count == 0:
                 done = -1 - used
     keep(scratch)

@@ -1,7 +1,8 @@
-"""All branches of a closed form for `LANES` targets side by side: eight slots, written as rows of the answer.
+"""All branches of a closed form for `LANES` targets side by side: eight slots, written as rows of
+the answer.
 
-Slots: 4 first + 2 second + inner. A target for which anything is not plain (a root that is nearly double, an axis
-through the point that it should move, an error above rounding) is marked.
+Slots: 4 first + 2 second + inner. A target for which anything is not plain (a root that is nearly
+double, an axis through the point that it should move, an error above rounding) is marked.
 """
 
 from __future__ import annotations
@@ -12,7 +13,16 @@ from typing import NamedTuple
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.lines import LINE_STRIDE, dot, minus, plus, three, turned
 from kempe.kernels.base.trig import ROUND, atan2
-from kempe.kernels.base.vectors import LANES, gather, load_lanes, spread_lanes, square_root, store, store_columns, where
+from kempe.kernels.base.vectors import (
+    LANES,
+    gather,
+    load_lanes,
+    spread_lanes,
+    square_root,
+    store,
+    store_columns,
+    where,
+)
 from kempe.kernels.closed_form.analytic_layout import (
     FACTOR,
     HIGH,
@@ -50,7 +60,8 @@ from kempe.kernels.closed_form.wrist_part import across
 
 ROUNDING = 1e-12
 EDGE = 1e-10
-"""The largest error that is left as it is; how far beyond a limit rounding may push a coordinate."""
+"""The largest error that is left as it is; how far beyond a limit rounding may push a
+coordinate."""
 
 SLOTS = 8
 ROW = 8
@@ -59,7 +70,8 @@ ROW = 8
 AT_COORDINATES = LANE_ROWS
 AT_FITS = LANE_ROWS + 6
 ROWS = LANE_ROWS + 12
-"""Rows of scratch: those of `candidate_lanes`, the joints' coordinates, and whether these are inside the limits."""
+"""Rows of scratch: those of `candidate_lanes`, the joints' coordinates, and whether these are
+inside the limits."""
 
 
 class SharedTargets(NamedTuple):
@@ -85,10 +97,12 @@ class SharedTargets(NamedTuple):
 
 @device
 def coordinate(pr, joint, theta, near):
-    """(q, inside): the coordinate of a joint at the angle `theta`, by as many periods as suit limits and `near`.
+    """(q, inside): the coordinate of a joint at the angle `theta`, by as many periods as suit
+    limits and `near`.
 
-    Of the values q + k * period, the one inside the limits nearest to `near`, with inside 1; where none is inside, the
-    one nearest to `near`, with inside 0. `pr` is the problem with the table of joints.
+    Of the values q + k * period, the one inside the limits nearest to `near`, with inside 1; where
+    none is inside, the one nearest to `near`, with inside 0. `pr` is the problem with the table of
+    joints.
     """
     at = JOINT_FLOATS * joint
     low = pr.joints[at + LOW]
@@ -97,7 +111,8 @@ def coordinate(pr, joint, theta, near):
     per = 1.0 / period
     q = (theta - pr.joints[at + OFFSET]) * (1.0 / pr.joints[at + FACTOR])
     q = q + period * (((near - q) * per + ROUND) - ROUND)
-    # one period back inside is tried from either side; where none fits, q stays as it is and is outside
+    # one period back inside is tried from either side; where none fits, q stays as it is and is
+    # outside
     over = (q - (high + EDGE)) * per
     under = ((low - EDGE) - q) * per
     down = q - period * (((over + 0.5) + ROUND) - ROUND)
@@ -116,7 +131,9 @@ def write_row(pr, at, slot, valid, error):
     inside = load_lanes(pr.lanes, AT_FITS * LANES)
     for joint in range(1, 6):
         inside = inside * load_lanes(pr.lanes, (AT_FITS + joint) * LANES)
-    code = where(valid > 0.5, MULTIPLICITY_UNIT + SLOT_UNIT * (slot + 1) + INSIDE_BIT * inside, UNUSED)
+    code = where(
+        valid > 0.5, MULTIPLICITY_UNIT + SLOT_UNIT * (slot + 1) + INSIDE_BIT * inside, UNUSED
+    )
     q = load3(pr.lanes, AT_COORDINATES)
     last = load3(pr.lanes, AT_COORDINATES + 3)
     store_columns(pr.out, place, SLOTS * ROW, q[0], q[1], q[2], last[0])
@@ -142,7 +159,9 @@ def put_angle(pr, at, joint, c, s):
 
 @routine
 def error_of(pr, a, b, c, w, dr, dp, r):
-    """The error of one solution: a probe point and two directions moved by the inner joints, against where they go."""
+    """The error of one solution: a probe point and two directions moved by the inner joints,
+    against where they go.
+    """
     ha, oa = joint_line(pr.lines, pr.k)
     hb, ob = joint_line(pr.lines, pr.k + 1)
     hc, oc = joint_line(pr.lines, pr.k + 2)
@@ -159,7 +178,9 @@ def error_of(pr, a, b, c, w, dr, dp, r):
 
 @routine
 def inner_pair(pr, at, slot, valid, clear):
-    """`clear` after both solutions of the inner joints were written; the outer angles are in the scratch."""
+    """`clear` after both solutions of the inner joints were written; the outer angles are in the
+    scratch.
+    """
     ha, oa = joint_line(pr.lines, pr.k)
     hb, ob = joint_line(pr.lines, pr.k + 1)
     hc, oc = joint_line(pr.lines, pr.k + 2)
@@ -184,7 +205,9 @@ def inner_pair(pr, at, slot, valid, clear):
         y = 2.0 * dot(fixed, w0)
         rho2 = dot(goal, goal)
         d2 = triangle(square_root(dot(fixed, fixed)), square_root(dot(u0, u0)), rho2)
-        c0, s0, c1, s1, d2 = trig_roots_of(one * x, one * y, rho2 - dot(fixed, fixed) - dot(u0, u0), d2)
+        c0, s0, c1, s1, d2 = trig_roots_of(
+            one * x, one * y, rho2 - dot(fixed, fixed) - dot(u0, u0), d2
+        )
         size = one * (x * x + y * y)
         middle = fixed
     there = where(d2 > 0.0, one, 0.0)

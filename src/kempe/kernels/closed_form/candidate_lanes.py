@@ -25,7 +25,8 @@ from kempe.kernels.closed_form.subproblems import cone_roots, orbit, trig_roots
 
 CLEAR = 1e-7
 FAR = 1e-5
-"""A discriminant, relative, that is clearly not zero; a distance from an axis that gives an angle."""
+"""A discriminant, relative, that is clearly not zero; a distance from an axis that gives an
+angle."""
 
 M = 0
 U = 3
@@ -33,7 +34,8 @@ W = 6
 MEASURE_2 = 9
 AXIS = 12
 SIDE = 15
-"""A side, lanes: orbit m + u cos + w sin of the point (from y's point) or normal; terms of the second measure; axis."""
+"""A side, lanes: orbit m + u cos + w sin of the point (from y's point) or normal; terms of the
+second measure; axis."""
 
 GOAL = 0
 CS = 12
@@ -71,7 +73,9 @@ def goal_lanes(p):
 
 @device
 def write_side(p, at, what, m, u, w, sign, oy, o, constant, h):
-    """Write one side from its orbit: m a point of the orbit's centre, or the normal's mean; all in y's frame."""
+    """Write one side from its orbit: m a point of the orbit's centre, or the normal's mean; all in
+    y's frame.
+    """
     if what == POINT:
         m = minus(m, oy)
         second = (dot(m, m) + dot(u, u), 2.0 * dot(m, u), 2.0 * sign * dot(m, w))
@@ -102,10 +106,11 @@ def joint_line(lines, i):
 
 @routine
 def sides(lines, k, what, n, p, oy, lanes):
-    """Write both sides for the goals in the lanes. k: place of the first inner joint; (n, p) what it keeps.
+    """Write both sides for the goals in the lanes. k: place of the first inner joint; (n, p) what
+    it keeps.
 
-    The goal stands before x (k = 3), between x and y (2), between y and z (1) or after z (0); y's frame is that of its
-    own neighbour on the side where the goal is not.
+    The goal stands before x (k = 3), between x and y (2), between y and z (1) or after z (0); y's
+    frame is that of its own neighbour on the side where the goal is not.
     """
     x = (k + 3) % 6
     z = (k + 5) % 6
@@ -139,15 +144,37 @@ def sides(lines, k, what, n, p, oy, lanes):
         write_side(lanes, X_SIDE, what, m1, u1, w1, -1.0, oy, ox, dot(n, minus(ox, p)), hx)
         m2, u2, w2 = static_orbit(what, hz, oz, p, n)
         centre = unmapped(g, m2) if what == POINT else unrotated(g, m2)
-        write_side(lanes, Z_SIDE, what, centre, unrotated(g, u2), unrotated(g, w2), 1.0, oy, unmapped(g, oz),
-                   dot(n, minus(oz, p)), unrotated(g, hz))  # fmt: skip
+        write_side(
+            lanes,
+            Z_SIDE,
+            what,
+            centre,
+            unrotated(g, u2),
+            unrotated(g, w2),
+            1.0,
+            oy,
+            unmapped(g, oz),
+            dot(n, minus(oz, p)),
+            unrotated(g, hz),
+        )
     else:  # E_y E_z e = G (E_x^-1 e)
         m1, u1, w1 = static_orbit(what, hz, oz, p, n)
         write_side(lanes, Z_SIDE, what, m1, u1, w1, 1.0, oy, oz, dot(n, minus(oz, p)), hz)
         m2, u2, w2 = static_orbit(what, hx, ox, p, n)
         centre = mapped(g, m2) if what == POINT else rotated(g, m2)
-        write_side(lanes, X_SIDE, what, centre, rotated(g, u2), rotated(g, w2), -1.0, oy, mapped(g, ox),
-                   dot(n, minus(ox, p)), rotated(g, hx))  # fmt: skip
+        write_side(
+            lanes,
+            X_SIDE,
+            what,
+            centre,
+            rotated(g, u2),
+            rotated(g, w2),
+            -1.0,
+            oy,
+            mapped(g, ox),
+            dot(n, minus(ox, p)),
+            rotated(g, hx),
+        )
 
 
 @device
@@ -155,24 +182,39 @@ def term(lanes, side, hy, j):
     """Constant, cosine and sine factor of measure j of a side."""
     if j == 1:
         return load3(lanes, side + MEASURE_2)
-    return dot(hy, load3(lanes, side + M)), dot(hy, load3(lanes, side + U)), dot(hy, load3(lanes, side + W))
+    return (
+        dot(hy, load3(lanes, side + M)),
+        dot(hy, load3(lanes, side + U)),
+        dot(hy, load3(lanes, side + W)),
+    )
 
 
 @device
 def on_orbit(lanes, side, c, s):
     """The point or normal of a side at an angle."""
-    return mix3(load3(lanes, side + M), spread_lanes(1.0), load3(lanes, side + U), c, load3(lanes, side + W), s)
+    return mix3(
+        load3(lanes, side + M),
+        spread_lanes(1.0),
+        load3(lanes, side + U),
+        c,
+        load3(lanes, side + W),
+        s,
+    )
 
 
 @device
 def clear_of(d2, size):
-    """1 in lanes where the discriminant is neither nearly zero nor NaN and the amplitude does not vanish, else 0."""
+    """1 in lanes where the discriminant is neither nearly zero nor NaN and the amplitude does not
+    vanish, else 0.
+    """
     return where(abs(d2) > CLEAR * size, where(size > FAR * FAR, 1.0, spread_lanes(0.0)), 0.0)
 
 
 @routine
 def roots_of(lanes, side, sign, hy, what, j, known, w):
-    """(c0, s0, c1, s1, valid, clear): both angles of a side for which measure j is `known`; w: a normal that has it."""
+    """(c0, s0, c1, s1, valid, clear): both angles of a side for which measure j is `known`; w: a
+    normal that has it.
+    """
     a = term(lanes, side, hy, j)
     if what == PLANE and j == 0:
         n = plus(load3(lanes, side + M), 1.0, load3(lanes, side + U))

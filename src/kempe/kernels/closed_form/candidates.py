@@ -1,7 +1,9 @@
-"""All candidates of a six-joint chain with three consecutive joints that leave a point or a plane in place.
+"""All candidates of a six-joint chain with three consecutive joints that leave a point or a plane
+in place.
 
-Joints are counted around the loop that the goal closes: the three before the inner ones, taken round the goal, are the
-outer ones. Nothing is decided here: candidates are polished and judged by whoever calls.
+Joints are counted around the loop that the goal closes: the three before the inner ones, taken
+round the goal, are the outer ones. Nothing is decided here: candidates are polished and judged by
+whoever calls.
 """
 
 from __future__ import annotations
@@ -46,15 +48,21 @@ from kempe.kernels.closed_form.arm_part import (
     z_centre,
     z_terms,
 )
-from kempe.kernels.closed_form.quartic import coupled_pairs, faint, steadiness, uncoupled, uncoupled_pairs
+from kempe.kernels.closed_form.quartic import (
+    coupled_pairs,
+    faint,
+    steadiness,
+    uncoupled,
+    uncoupled_pairs,
+)
 from kempe.kernels.closed_form.wrist_part import ANY, ball_triple, planar_triple
 from kempe.kernels.forward.table_layout import SLIDE
 
 CANDIDATE = 8
 SLOT = 6
 SAMPLE = 7
-"""Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint, less if that may lead
-to a root, REPEATED if it may be one of those before."""
+"""Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint,
+less if that may lead to a root, REPEATED if it may be one of those before."""
 
 DEPENDENT = 1e-7
 """Steadiness of both outer joints below which their two equations are nearly one."""
@@ -74,8 +82,8 @@ AT_DOUBT = 240
 AT_SOME = 241
 AT_APART = 265
 SCRATCH = 313
-"""Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion, doubt,
-samples, values of two equations that are solved apart."""
+"""Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work,
+a motion, doubt, samples, values of two equations that are solved apart."""
 
 
 @device
@@ -106,7 +114,9 @@ def ball_centre(lines, k):
 
 @routine
 def loop_lines(lines, goal, first, out):
-    """Write the lines to out, those of joints before `first` taken round the goal: mapped by its inverse."""
+    """Write the lines to out, those of joints before `first` taken round the goal: mapped by its
+    inverse.
+    """
     for i in range(6):
         at = LINE_STRIDE * i
         h = three(lines, at)
@@ -150,9 +160,20 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
     if what == POINT:
         return ball_triple(three(lines, a), three(lines, b), three(lines, c), d, wide, work, out)
     return planar_triple(
-        kinds[k], three(lines, a), three(lines, a + 4), kinds[k + 1], three(lines, b), three(lines, b + 4),
-        kinds[k + 2], three(lines, c), three(lines, c + 4), d, wide, work, out,
-    )  # fmt: skip
+        kinds[k],
+        three(lines, a),
+        three(lines, a + 4),
+        kinds[k + 1],
+        three(lines, b),
+        three(lines, b + 4),
+        kinds[k + 2],
+        three(lines, c),
+        three(lines, c + 4),
+        d,
+        wide,
+        work,
+        out,
+    )
 
 
 @routine
@@ -184,13 +205,28 @@ def with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
     """New number of candidates, after those for one pair of values of x and z."""
     y = beyond(scratch, AT_Y)
     for i in range(middle_values(outer, x, z, y)):
-        count = emit(kinds, lines, goal, k, outer.what, x, beyond(y, VALUE_STRIDE * i), z, slot, scratch, out, count)
+        count = emit(
+            kinds,
+            lines,
+            goal,
+            k,
+            outer.what,
+            x,
+            beyond(y, VALUE_STRIDE * i),
+            z,
+            slot,
+            scratch,
+            out,
+            count,
+        )
     return count
 
 
 @device
 def nearly_silent(t):
-    """Whether an equation says hardly anything of a joint: that there is no solution is then not to be trusted."""
+    """Whether an equation says hardly anything of a joint: that there is no solution is then not to
+    be trusted.
+    """
     a = math.hypot(t[1], t[2])
     b = math.hypot(t[4], t[5])
     return NOTHING < a < FAINT or NOTHING < b < FAINT
@@ -202,8 +238,8 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
 
     In doubt are goals for which the equations degenerate in a way that is not taken apart here.
 
-    k: place of the first inner joint; what: POINT or PLANE; mode, measure, option: how the outer equations are solved,
-    see `arm_part`. scratch: SCRATCH numbers.
+    k: place of the first inner joint; what: POINT or PLANE; mode, measure, option: how the outer
+    equations are solved, see `arm_part`. scratch: SCRATCH numbers.
     """
     around = beyond(scratch, AT_LINES)
     loop_lines(lines, goal, k, around)
@@ -215,16 +251,31 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
             xs[i] = 1.0 if i == 0 else 0.0
         count = emit(kinds, lines, goal, k, what, xs, xs, xs, 0, scratch, out, 0)
         return count, scratch[AT_DOUBT] != 0.0
-    n, p = plane_normal(kinds, lines, k) if what == PLANE else (three(lines, 0), ball_centre(lines, k))
-    outer = outer_of(what, kinds, around, (k + 3) % 6, (k + 4) % 6, (k + 5) % 6, option, p, n,
-                     unmapped(goal, p), unrotated(goal, n))  # fmt: skip
+    n, p = (
+        plane_normal(kinds, lines, k) if what == PLANE else (three(lines, 0), ball_centre(lines, k))
+    )
+    outer = outer_of(
+        what,
+        kinds,
+        around,
+        (k + 3) % 6,
+        (k + 4) % 6,
+        (k + 5) % 6,
+        option,
+        p,
+        n,
+        unmapped(goal, p),
+        unrotated(goal, n),
+    )
     tx = beyond(scratch, AT_TERMS)
     tz = beyond(scratch, AT_TERMS + 6)
     x_terms(outer, tx)
     z_terms(outer, tz)
     count = 0
     if mode == COUPLED:
-        pairs = coupled_pairs(outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, beyond(scratch, AT_WORK), xs, zs)
+        pairs = coupled_pairs(
+            outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, beyond(scratch, AT_WORK), xs, zs
+        )
         for i in range(pairs):
             x = beyond(xs, VALUE_STRIDE * i)
             z = beyond(zs, VALUE_STRIDE * i)
@@ -234,20 +285,35 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
             if faint(tx):
                 for j in range(put_samples(outer.kx == SLIDE, 0, some, OPEN, x[2])):
                     x = beyond(some, VALUE_STRIDE * j)
-                    count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+                    count = with_middles(
+                        kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
+                    )
             elif faint(tz):
                 for j in range(put_samples(outer.kz == SLIDE, 0, some, OPEN, z[2])):
                     z = beyond(some, VALUE_STRIDE * j)
-                    count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+                    count = with_middles(
+                        kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
+                    )
         apart = uncoupled(tx, tz)
         if apart:
             work = beyond(scratch, AT_APART)
-            pairs = uncoupled_pairs(outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, x_centre(outer), z_centre(outer),
-                                    work, xs, zs)  # fmt: skip
+            pairs = uncoupled_pairs(
+                outer.kx == SLIDE,
+                outer.kz == SLIDE,
+                tx,
+                tz,
+                x_centre(outer),
+                z_centre(outer),
+                work,
+                xs,
+                zs,
+            )
             for i in range(pairs):
                 x = beyond(xs, VALUE_STRIDE * i)
                 z = beyond(zs, VALUE_STRIDE * i)
-                count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+                count = with_middles(
+                    kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
+                )
         dependent = not apart and max(steadiness(tx), steadiness(tz)) < DEPENDENT
         return count, dependent or scratch[AT_DOUBT] != 0.0
     firsts = zs if mode == Z_FIRST else xs
@@ -257,7 +323,9 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
         for j in range(second_values(outer, mode, measure, tx, tz, first, seconds)):
             second = beyond(seconds, VALUE_STRIDE * j)
             x, z = (second, first) if mode == Z_FIRST else (first, second)
-            slot = (0 if first[SAMPLED] != 0.0 else 2 * (i % 2)) + (0 if second[SAMPLED] != 0.0 else j % 2)
+            slot = (0 if first[SAMPLED] != 0.0 else 2 * (i % 2)) + (
+                0 if second[SAMPLED] != 0.0 else j % 2
+            )
             count = with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count)
     unsure = count == 0 and (nearly_silent(tx) or nearly_silent(tz))
     return count, unsure or scratch[AT_DOUBT] != 0.0
@@ -265,15 +333,28 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
 
 @kernel(I(6), F(6 * LINE_STRIDE), F(12), INT, INT, INT, OUT(12), returns=False)
 def outer_terms(kinds, lines, goal, k, what, option, out):
-    """Write the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are missing."""
+    """Write the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are
+    missing.
+    """
     scratch = np.empty(SCRATCH)
     around = raw(scratch)
     l_ = raw(lines)
     g_ = raw(goal)
     loop_lines(l_, g_, k, around)
     n, p = plane_normal(raw(kinds), l_, k) if what == PLANE else (three(l_, 0), ball_centre(l_, k))
-    outer = outer_of(what, raw(kinds), around, (k + 3) % 6, (k + 4) % 6, (k + 5) % 6, option, p, n,
-                     unmapped(g_, p), unrotated(g_, n))  # fmt: skip
+    outer = outer_of(
+        what,
+        raw(kinds),
+        around,
+        (k + 3) % 6,
+        (k + 4) % 6,
+        (k + 5) % 6,
+        option,
+        p,
+        n,
+        unmapped(g_, p),
+        unrotated(g_, n),
+    )
     x_terms(outer, raw(out))
     z_terms(outer, beyond(raw(out), 6))
     keep(scratch)

@@ -6,14 +6,24 @@ import math
 
 from kempe.kernels.base._jit import routine
 from kempe.kernels.base.scratch import beyond
-from kempe.kernels.closed_form.merging import ERROR, MERGED, MOST_SOLUTIONS, SAME, SOLUTION, TURNS, WEAKEST, distance
+from kempe.kernels.closed_form.merging import (
+    ERROR,
+    MERGED,
+    MOST_SOLUTIONS,
+    SAME,
+    SOLUTION,
+    TURNS,
+    WEAKEST,
+    distance,
+)
 from kempe.kernels.closed_form.polish import AT_AXES, columns_at, error_at, orthogonal_step, tangent
 
 SETTLED = 1e-14
 STEPS = 24
 ASIDE = 1e-3
-"""Error, in lengths of the chain, up to which a singular solution may be a double root; undamped steps from so far
-aside along its tangent, each of which halves the distance to a root on that side."""
+"""Error, in lengths of the chain, up to which a singular solution may be a double root; undamped
+steps from so far aside along its tangent, each of which halves the distance to a root on that
+side."""
 
 BETTER = 0.1
 """By how much the error of a root on one side must be smaller than between the two."""
@@ -21,7 +31,9 @@ BETTER = 0.1
 
 @routine
 def one_side(m, start, sign, theta):
-    """The error where undamped steps lead from a point aside of `start`, written to theta, infinite if they leave."""
+    """The error where undamped steps lead from a point aside of `start`, written to theta, infinite
+    if they leave.
+    """
     error_at(m, start)
     if not tangent(m, theta):
         return math.inf
@@ -58,12 +70,19 @@ def split(found, count):
         row = beyond(found.rows, stride * k)
         roots = 0
         error = math.hypot(row[ERROR], row[ERROR + 1])
-        if row[WEAKEST] > MERGED or row[TURNS] == 0.0 or error <= SETTLED or count == MOST_SOLUTIONS:
+        if (
+            row[WEAKEST] > MERGED
+            or row[TURNS] == 0.0
+            or error <= SETTLED
+            or count == MOST_SOLUTIONS
+        ):
             continue
         other = beyond(found.rows, stride * count)
         for side in range(2):
             theta = beyond(other if side == 0 else spare, SOLUTION)
-            roots += int(one_side(m, beyond(row, SOLUTION), 1.0 - 2.0 * side, theta) < BETTER * error)
+            roots += int(
+                one_side(m, beyond(row, SOLUTION), 1.0 - 2.0 * side, theta) < BETTER * error
+            )
         if roots < 2 or distance(m, beyond(other, SOLUTION), beyond(spare, SOLUTION)) <= SAME:
             continue
         for i in range(SOLUTION):

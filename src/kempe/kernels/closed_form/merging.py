@@ -1,4 +1,6 @@
-"""Solutions of one target, each once: candidates polished, judged, merged, and turned into coordinates."""
+"""Solutions of one target, each once: candidates polished, judged, merged, and turned into
+coordinates.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,15 @@ from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.scratch import beyond
-from kempe.kernels.closed_form.analytic_layout import CODE, FACTOR, HIGH, INFO, JOINT_FLOATS, LOW, OFFSET
+from kempe.kernels.closed_form.analytic_layout import (
+    CODE,
+    FACTOR,
+    HIGH,
+    INFO,
+    JOINT_FLOATS,
+    LOW,
+    OFFSET,
+)
 from kempe.kernels.closed_form.polish import Model, error_at, polish, sharpen, tangent, weakest
 from kempe.kernels.forward.table_layout import SLIDE
 
@@ -15,17 +25,18 @@ EQUAL = 1e-9
 SAME = 1e-6
 NEAR = 2e-3
 INDISTINCT = 1e-15
-"""Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
-that merge cannot be distinguished at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
+"""Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target
+to INDISTINCT: roots that merge cannot be distinguished at the square root of rounding. Their mean
+stands for both, unless they are EQUAL."""
 
 MERGED = 1e-8
 CLOSE = 1e-4
 UNSURE = 1e-12
 STUCK = 1e-13
-"""Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve
-of solutions; error up to which such a candidate is worth undamped steps, for the damped ones may have been too short;
-error from which it may still be on its way along the curve; and from which it may be stuck halfway between two roots,
-if one of them is there."""
+"""Bound of the smallest singular value squared of a solution in which roots may have merged, or
+that lies near a curve of solutions; error up to which such a candidate is worth undamped steps, for
+the damped ones may have been too short; error from which it may still be on its way along the
+curve; and from which it may be stuck halfway between two roots, if one of them is there."""
 
 MOST_SOLUTIONS = 48
 ERROR = 0
@@ -33,24 +44,29 @@ TURNS = 2
 SIGNS = 3
 WEAKEST = 4
 SOLUTION = 6
-"""A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
+"""A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then
+the variables."""
 
 ROOT = 0
 AGAIN = 1
 SAMPLED = 2
 OPENED = 3
-"""Kinds of candidates: a root; one of another formulation, where it may be a root met before; from a free joint; from a
-joint that is nearly free: a sample if it is on target as it is, else it may lead to a root."""
+"""Kinds of candidates: a root; one of another formulation, where it may be a root met before; from
+a free joint; from a joint that is nearly free: a sample if it is on target as it is, else it may
+lead to a root."""
 
 EDGE = 1e-10
-"""How far beyond a limit rounding may push a coordinate: it is put on the limit. Where roots merge rounding may push it
-by up to SAME: there the solution is led back to the limit if it reaches the target so."""
+"""How far beyond a limit rounding may push a coordinate: it is put on the limit. Where roots merge
+rounding may push it by up to SAME: there the solution is led back to the limit if it reaches the
+target so."""
 
 TWO_PI = 2.0 * math.pi
 
 
 class FoundSolutions(NamedTuple):
-    """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the tolerances."""
+    """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the
+    tolerances.
+    """
 
     model: Model
     rows: object
@@ -88,7 +104,8 @@ def sampled_already(found, count, slot):
 
 @routine
 def made_exact(found, theta, kind):
-    """(linear, angular, bound of the smallest singular value squared, kind) of a candidate that is polished in place.
+    """(linear, angular, bound of the smallest singular value squared, kind) of a candidate that is
+    polished in place.
 
     Errors are infinite for one that is still on its way.
     """
@@ -104,7 +121,9 @@ def made_exact(found, theta, kind):
         weak = weakest(m)
     if kind == AGAIN and weak < MERGED and max(linear, angular) > UNSURE:
         return math.inf, math.inf, 0.0, kind
-    if kind == SAMPLED and weak > MERGED:  # a free joint that was not free after all: polishing has found its value
+    if (
+        kind == SAMPLED and weak > MERGED
+    ):  # a free joint that was not free after all: polishing has found its value
         kind = AGAIN
     return linear, angular, weak, kind
 
@@ -113,7 +132,8 @@ def made_exact(found, theta, kind):
 def add(found, count, theta, slot, kind):
     """New number of solutions, after a candidate was polished in place and judged.
 
-    kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted before; SAMPLED.
+    kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted
+    before; SAMPLED.
     """
     m = found.model
     stride = SOLUTION + found.model.n
@@ -152,7 +172,9 @@ def add(found, count, theta, slot, kind):
             row[ERROR], row[ERROR + 1] = error_at(m, spare)
             for i in range(m.n):
                 other[i] = spare[i]
-        if kind == ROOT and min(weak, row[WEAKEST]) < MERGED:  # where the Jacobian is regular a root is simple
+        if (
+            kind == ROOT and min(weak, row[WEAKEST]) < MERGED
+        ):  # where the Jacobian is regular a root is simple
             row[TURNS] += 1.0
         return count
     if count >= MOST_SOLUTIONS or (kind == SAMPLED and sampled_already(found, count, slot)):
@@ -170,7 +192,9 @@ def add(found, count, theta, slot, kind):
 
 @routine
 def united(found, count):
-    """New number of solutions: those that came to be the same, as means of roots that merge moved, are one."""
+    """New number of solutions: those that came to be the same, as means of roots that merge moved,
+    are one.
+    """
     m = found.model
     stride = SOLUTION + found.model.n
     k = 1
@@ -178,7 +202,10 @@ def united(found, count):
         row = beyond(found.rows, stride * k)
         same = -1
         for j in range(k if row[WEAKEST] < MERGED else 0):
-            if distance(m, beyond(row, SOLUTION), beyond(found.rows, stride * j + SOLUTION)) <= SAME:
+            if (
+                distance(m, beyond(row, SOLUTION), beyond(found.rows, stride * j + SOLUTION))
+                <= SAME
+            ):
                 same = j
         if same < 0:
             k += 1
@@ -208,10 +235,11 @@ def drop(found, count, k):
 
 @device
 def coordinate(slides, theta, numbers, near, edge):
-    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`.
+    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest
+    to `near`.
 
-    What is beyond a limit by no more than `edge` is put on it; slides of a chain that is longer than 1 by as much more
-    as the chain is longer, since rounding is.
+    What is beyond a limit by no more than `edge` is put on it; slides of a chain that is longer
+    than 1 by as much more as the chain is longer, since rounding is.
     """
     q = (theta - numbers[OFFSET]) / numbers[FACTOR]
     low = numbers[LOW]
@@ -235,7 +263,9 @@ def coordinate(slides, theta, numbers, near, edge):
 
 @routine
 def within(m, joints, row, near, edge, q):
-    """Whether all are inside the limits, or beyond by `edge`; writes the coordinates of one solution."""
+    """Whether all are inside the limits, or beyond by `edge`; writes the coordinates of one
+    solution.
+    """
     inside = True
     for i in range(m.n):
         slides = m.kinds[i] == SLIDE
@@ -247,9 +277,11 @@ def within(m, joints, row, near, edge, q):
 
 @routine
 def onto_limits(found, joints, row, near, q, out):
-    """Whether a double root nearer than SAME to the limits reaches the target inside them; writes that solution to out.
+    """Whether a double root nearer than SAME to the limits reaches the target inside them; writes
+    that solution to out.
 
-    The tip does not feel a motion along its tangent: along it goes what is farthest beyond its limit, all the way.
+    The tip does not feel a motion along its tangent: along it goes what is farthest beyond its
+    limit, all the way.
     """
     m = found.model
     theta = beyond(out, SOLUTION)
@@ -271,7 +303,11 @@ def onto_limits(found, joints, row, near, q, out):
     linear, angular = error_at(m, theta)
     out[ERROR] = linear
     out[ERROR + 1] = angular
-    return linear <= found.linear and angular <= found.angular and within(m, joints, out, near, EDGE, q)
+    return (
+        linear <= found.linear
+        and angular <= found.angular
+        and within(m, joints, out, near, EDGE, q)
+    )
 
 
 @routine
@@ -314,7 +350,9 @@ def arrange(n, joints, near, out, slots):
         swap(out, width, used, k)
         at = used
         used += 1
-        while at > 0 and precedes(n, joints, near, beyond(out, width * at), beyond(out, width * (at - 1))):
+        while at > 0 and precedes(
+            n, joints, near, beyond(out, width * at), beyond(out, width * (at - 1))
+        ):
             swap(out, width, at, at - 1)
             at -= 1
     return used

@@ -68,7 +68,8 @@ from kempe.kernels.closed_form.polish import Model, model_scratch
 from kempe.kernels.forward.table_layout import SLIDE
 
 OFF_ZERO = 0.2
-"""How far from zero a joint that must rest there may be in a candidate: polishing may still bring it to a solution."""
+"""How far from zero a joint that must rest there may be in a candidate: polishing may still bring
+it to a solution."""
 
 WEAK = 1e-6
 """Bound of the smallest singular value squared below which a solution is near a singularity."""
@@ -79,7 +80,9 @@ ROTATION_TOLERANCE = 1e-6
 
 @routine
 def take_target(targets, k, floats, out):
-    """Whether the 4x4 pose at targets[k:] is sound; writes its rows, seen from the plan's origin in its length."""
+    """Whether the 4x4 pose at targets[k:] is sound; writes its rows, seen from the plan's origin in
+    its length.
+    """
     sound = True
     for i in range(3):
         for j in range(4):
@@ -91,7 +94,11 @@ def take_target(targets, k, floats, out):
             product = out[i] * out[j] + out[4 + i] * out[4 + j] + out[8 + i] * out[8 + j]
             sound = sound and abs(product - (1.0 if i == j else 0.0)) <= ROTATION_TOLERANCE
     z = out[0] * out[5] - out[1] * out[4]
-    det = out[10] * z + out[6] * (out[1] * out[8] - out[0] * out[9]) + out[2] * (out[4] * out[9] - out[5] * out[8])
+    det = (
+        out[10] * z
+        + out[6] * (out[1] * out[8] - out[0] * out[9])
+        + out[2] * (out[4] * out[9] - out[5] * out[8])
+    )
     return sound and det > 0.0
 
 
@@ -110,7 +117,8 @@ def goal_of(target, tip, goal):
 
 @routine
 def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
-    """Write the six lines of the plan with the locked joints at their values, and the goal without these.
+    """Write the six lines of the plan with the locked joints at their values, and the goal without
+    these.
 
     A locked joint carries all lines that follow it: E_1 E_l E_2 = E_1 (E_l E_2 E_l^-1) E_l.
     """
@@ -143,7 +151,9 @@ def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
 
 @device
 def rank_of(row):
-    """0 for a solution that is isolated beyond doubt, 1 for one that may lie on a curve of them, 2 for a sample."""
+    """0 for a solution that is isolated beyond doubt, 1 for one that may lie on a curve of them, 2
+    for a sample.
+    """
     if row[TURNS] == 0.0:
         return 2
     return 1 if row[WEAKEST] < MERGED else 0
@@ -151,7 +161,9 @@ def rank_of(row):
 
 @routine
 def write_out(found, floats, joints, count, near, out, slots, placed):
-    """Number of rows written: each solution in the row of its slot where that is free, else in the first free one."""
+    """Number of rows written: each solution in the row of its slot where that is free, else in the
+    first free one.
+    """
     m = found.model
     stride = SOLUTION + found.model.n
     width = found.model.n + INFO
@@ -161,7 +173,10 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
             out[width * k + i] = math.nan
         out[width * k + m.n + CODE] = UNUSED
     written = 0
-    for rank in range(3):  # what may lie on a curve of solutions comes after the isolated ones, as far as there is room
+    for rank in range(
+        3
+        # what may lie on a curve of solutions comes after the isolated ones, as far as there is room
+    ):
         for k in range(count):
             row = beyond(found.rows, stride * k)
             sampled = int(rank == 2)
@@ -175,7 +190,9 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
             placed[at] = 1
             q = beyond(out, width * at)
             inside = coordinates(found, joints, row, near, q)
-            code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (max(row[SIGNS] + 1.0, 0.0) if sampled == 0 else 0.0)
+            code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (
+                max(row[SIGNS] + 1.0, 0.0) if sampled == 0 else 0.0
+            )
             code += (INSIDE_BIT if inside else 0.0) + (WEAK_BIT if row[WEAKEST] < WEAK else 0.0)
             q[m.n + ERROR_AT] = math.hypot(row[ERROR] * floats[LENGTH], row[ERROR + 1])
             q[m.n + CODE] = code
@@ -205,7 +222,13 @@ class TargetScratch(NamedTuple):
 @device
 def target_scratch_size(n):
     """Numbers of scratch that a target needs."""
-    return CANDIDATE * MOST_CANDIDATES + (SOLUTION + n) * (MOST_SOLUTIONS + 1) + model_scratch(n) + 2 * n + 96
+    return (
+        CANDIDATE * MOST_CANDIDATES
+        + (SOLUTION + n) * (MOST_SOLUTIONS + 1)
+        + model_scratch(n)
+        + 2 * n
+        + 96
+    )
 
 
 @device
@@ -220,11 +243,33 @@ def target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
     rows = beyond(candidates, CANDIDATE * MOST_CANDIDATES)
     moves = beyond(ints, PLAN_HEADER + ints[N_LINES])
     joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
-    model = Model(beyond(ints, PLAN_HEADER), beyond(floats, LINES), moves, beyond(floats, TIP), beyond(floats, TASK),
-                  beyond(goal, 12), beyond(rows, stride * (MOST_SOLUTIONS + 1)), n)  # fmt: skip
+    model = Model(
+        beyond(ints, PLAN_HEADER),
+        beyond(floats, LINES),
+        moves,
+        beyond(floats, TIP),
+        beyond(floats, TASK),
+        beyond(goal, 12),
+        beyond(rows, stride * (MOST_SOLUTIONS + 1)),
+        n,
+    )
     found = FoundSolutions(model, rows, tol_linear / floats[LENGTH], tol_angular)
-    return TargetScratch(ints, floats, moves, joints, goal, beyond(goal, 24), beyond(goal, 36), theta, fixed,
-                         candidates, flags, beyond(flags, 6), found, n)  # fmt: skip
+    return TargetScratch(
+        ints,
+        floats,
+        moves,
+        joints,
+        goal,
+        beyond(goal, 24),
+        beyond(goal, 36),
+        theta,
+        fixed,
+        candidates,
+        flags,
+        beyond(flags, 6),
+        found,
+        n,
+    )
 
 
 @routine
@@ -233,7 +278,9 @@ def begin(d, target, near, locked):
     sound = take_target(target, 0, d.floats, d.found.model.target)
     for j in range(d.n):
         at = JOINT_FLOATS * j
-        d.fixed[j] = d.joints[at + FACTOR] * locked[j] + d.joints[at + OFFSET] if d.moves[j] == 0 else 0.0
+        d.fixed[j] = (
+            d.joints[at + FACTOR] * locked[j] + d.joints[at + OFFSET] if d.moves[j] == 0 else 0.0
+        )
         sound = sound and abs(d.fixed[j]) < 1e15 and abs(near[j]) < 1e15
     if sound:
         goal_of(d.found.model.target, d.found.model.tip, d.goal)
@@ -246,7 +293,9 @@ def end(d, count, near, out, slots, sort):
     """Number of rows written."""
     count = united(d.found, count)
     for i in range(6):
-        if d.ints[ROLES + i] != JOINT:  # lines that stand for no joint have double zeros, or two ways, of their own
+        if (
+            d.ints[ROLES + i] != JOINT
+        ):  # lines that stand for no joint have double zeros, or two ways, of their own
             for k in range(count):
                 row = beyond(d.found.rows, (SOLUTION + d.n) * k)
                 row[TURNS] = min(row[TURNS], 2.0)
@@ -258,7 +307,9 @@ def end(d, count, near, out, slots, sort):
 
 @routine
 def take_candidates(d, order, first, last, kind, count):
-    """New number of solutions after the candidates from `first` to before `last`; `kind` as in `merging.add`."""
+    """New number of solutions after the candidates from `first` to before `last`; `kind` as in
+    `merging.add`.
+    """
     for k in range(first, last):
         row = beyond(d.candidates, CANDIDATE * k)
         for i in range(d.n):

@@ -1,6 +1,8 @@
-"""Candidates made exact on the chain itself, and judged: damped Newton steps on the product of exponentials.
+"""Candidates made exact on the chain itself, and judged: damped Newton steps on the product of
+exponentials.
 
-Damping: Levenberg (1944). A step counts only if it brings the tip nearer, so a candidate that is exact stays as it is.
+Damping: Levenberg (1944). A step counts only if it brings the tip nearer, so a candidate that is
+exact stays as it is.
 """
 
 from __future__ import annotations
@@ -31,13 +33,15 @@ STEPS = 40
 IDLE = 10
 EXACT = 3e-15
 LONGEST = 0.5
-"""Steps at most; those in a row that bring nothing; the error at which nothing is left to do; the longest step."""
+"""Steps at most; those in a row that bring nothing; the error at which nothing is left to do; the
+longest step."""
 
 LEAST = 1e-26
 NOISE = 1e-14
 SHORTEST = 1e-4
-"""Square of the smallest singular value, over that of the largest, below which there is no undamped step; the error
-from which one may be long, and how long it may be below that: there rounding is no reason to go far."""
+"""Square of the smallest singular value, over that of the largest, below which there is no undamped
+step; the error from which one may be long, and how long it may be below that: there rounding is no
+reason to go far."""
 
 FLOOR = 1e-15
 DAMPING = 1e-3
@@ -45,9 +49,11 @@ DAMPING = 1e-3
 
 
 class Model(NamedTuple):
-    """A chain to be polished; pointers. `moves`: joints that are unknown; `rows`: which of the six errors count.
+    """A chain to be polished; pointers. `moves`: joints that are unknown; `rows`: which of the six
+    errors count.
 
-    Rows are [linear; angular] in the frame of the tip; with rows 3 and 4 but not 5, the direction of its z axis counts.
+    Rows are [linear; angular] in the frame of the tip; with rows 3 and 4 but not 5, the direction
+    of its z axis counts.
     """
 
     kinds: object
@@ -64,12 +70,15 @@ AT_POSE = 0
 AT_HERE = 12
 AT_ERROR = 24
 AT_AXES = 30
-"""Places in a model's scratch: the pose on the way, that of the tip, the error, axes and points of the joints."""
+"""Places in a model's scratch: the pose on the way, that of the tip, the error, axes and points of
+the joints."""
 
 
 @device
 def model_scratch(n):
-    """Numbers of scratch for a chain of n joints: axes, Jacobian, equations, right side, order, kept variables."""
+    """Numbers of scratch for a chain of n joints: axes, Jacobian, equations, right side, order,
+    kept variables.
+    """
     return AT_AXES + 6 * n + 6 * n + n * n + 3 * n
 
 
@@ -85,7 +94,15 @@ def place(m, theta):
         write3(axes, 6 * i, rotated(g, h))
         write3(axes, 6 * i + 3, mapped(g, o))
         slides = m.kinds[i] == SLIDE
-        follow(g, h, o, slides, theta[i], 1.0 if slides else math.cos(theta[i]), 0.0 if slides else math.sin(theta[i]))
+        follow(
+            g,
+            h,
+            o,
+            slides,
+            theta[i],
+            1.0 if slides else math.cos(theta[i]),
+            0.0 if slides else math.sin(theta[i]),
+        )
     here = beyond(m.scratch, AT_HERE)
     p = mapped(g, translation(m.tip))
     for j in range(3):
@@ -100,7 +117,9 @@ def place(m, theta):
 
 @routine
 def error_at(m, theta):
-    """(linear, angular): how far the tip is from the target; the six errors are left in the scratch."""
+    """(linear, angular): how far the tip is from the target; the six errors are left in the
+    scratch.
+    """
     place(m, theta)
     here = beyond(m.scratch, AT_HERE)
     e = beyond(m.scratch, AT_ERROR)
@@ -121,12 +140,16 @@ def error_at(m, theta):
     for i in range(3):
         e[i] = rows[i] * linear[i]
         e[3 + i] = rows[3 + i] * angular[i]
-    return math.sqrt(e[0] ** 2 + e[1] ** 2 + e[2] ** 2), math.sqrt(e[3] ** 2 + e[4] ** 2 + e[5] ** 2)
+    return math.sqrt(e[0] ** 2 + e[1] ** 2 + e[2] ** 2), math.sqrt(
+        e[3] ** 2 + e[4] ** 2 + e[5] ** 2
+    )
 
 
 @routine
 def columns_at(m):
-    """Number of unknowns; writes their columns of the Jacobian, rows in the frame of the tip, six numbers each."""
+    """Number of unknowns; writes their columns of the Jacobian, rows in the frame of the tip, six
+    numbers each.
+    """
     axes = beyond(m.scratch, AT_AXES)
     here = beyond(m.scratch, AT_HERE)
     jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
@@ -218,10 +241,12 @@ def polish(m, theta):
 
 @routine
 def orthogonal_step(m, n, along):
-    """Whether there is one; the undamped step of the unknowns is left in the scratch, the Jacobian is lost.
+    """Whether there is one; the undamped step of the unknowns is left in the scratch, the Jacobian
+    is lost.
 
-    There is none for want of rank. Gram-Schmidt's method, modified, the longest column first: the normal equations
-    would square what is small. With `along` it is not the step to the target, but one that moves the tip least.
+    There is none for want of rank. Gram-Schmidt's method, modified, the longest column first: the
+    normal equations would square what is small. With `along` it is not the step to the target, but
+    one that moves the tip least.
     """
     e = beyond(m.scratch, AT_ERROR)
     jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
@@ -264,17 +289,24 @@ def orthogonal_step(m, n, along):
 @device
 def product(a, i, b, j):
     """The scalar product of six numbers at a[i:] and at b[j:]."""
-    return a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2] + a[i + 3] * b[j + 3] + (
-        a[i + 4] * b[j + 4] + a[i + 5] * b[j + 5])  # fmt: skip
+    return (
+        a[i] * b[j]
+        + a[i + 1] * b[j + 1]
+        + a[i + 2] * b[j + 2]
+        + a[i + 3] * b[j + 3]
+        + (a[i + 4] * b[j + 4] + a[i + 5] * b[j + 5])
+    )
 
 
 @routine
 def sharpen(m, theta):
-    """(linear, angular) errors after undamped steps; theta is replaced by the nearest met, given up after IDLE steps.
+    """(linear, angular) errors after undamped steps; theta is replaced by the nearest met, given up
+    after IDLE steps.
 
-    For a theta that is polished but close to where roots meet: there it is off by the square root of its error. Near a
-    curve of solutions too, along which the root may be far. On the way a step may bring the tip farther away: damped
-    steps make that good, which lead back to the curve or valley but hardly along it.
+    For a theta that is polished but close to where roots meet: there it is off by the square root
+    of its error. Near a curve of solutions too, along which the root may be far. On the way a step
+    may bring the tip farther away: damped steps make that good, which lead back to the curve or
+    valley but hardly along it.
     """
     step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     kept = beyond(m.scratch, AT_AXES + 14 * m.n + m.n * m.n)
@@ -316,7 +348,9 @@ def sharpen(m, theta):
 
 @routine
 def tangent(m, out):
-    """Whether there is one; writes the unit vector of motion (n) that moves the tip least. It has to be placed."""
+    """Whether there is one; writes the unit vector of motion (n) that moves the tip least. It has
+    to be placed.
+    """
     n = columns_at(m)
     k = 0
     square = 0.0
@@ -335,7 +369,8 @@ def tangent(m, out):
 
 @routine
 def weakest(m):
-    """The smallest pivot of the normal equations: an upper bound of the square of the smallest singular value.
+    """The smallest pivot of the normal equations: an upper bound of the square of the smallest
+    singular value.
 
     The tip has to have been placed before, which `polish` does.
     """

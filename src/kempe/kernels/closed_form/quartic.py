@@ -1,4 +1,6 @@
-"""Real roots of polynomials up to degree four, double ones included, and two equations in two joint variables."""
+"""Real roots of polynomials up to degree four, double ones included, and two equations in two joint
+variables.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +45,11 @@ def value_and_slope(p, x):
 
 @routine
 def quartic_roots(p, roots):
-    """Number of real roots of p[0] + ... + p[4] x^4, written to roots (4): double ones twice, p[4] not zero.
+    """Number of real roots of p[0] + ... + p[4] x^4, written to roots (4): double ones twice, p[4]
+    not zero.
 
-    All four roots together by the method of Ehrlich (1967) and Aberth (1973), from points on a circle.
+    All four roots together by the method of Ehrlich (1967) and Aberth (1973), from points on a
+    circle.
     """
     size = 0.0
     for k in range(4):
@@ -101,23 +105,29 @@ def eliminated(t, other):
 
 @device
 def steadiness(t):
-    """Sine of the angle between the two rows of factors of one joint, 0 to 1; less where a row is below SMALL."""
+    """Sine of the angle between the two rows of factors of one joint, 0 to 1; less where a row is
+    below SMALL.
+    """
     size = max(math.hypot(t[1], t[2]), SMALL) * max(math.hypot(t[4], t[5]), SMALL)
     return abs(t[1] * t[5] - t[2] * t[4]) / size
 
 
 @device
 def faint(t):
-    """Whether a joint hardly moves what is measured: rounding of the square roots then leaves its value open."""
+    """Whether a joint hardly moves what is measured: rounding of the square roots then leaves its
+    value open.
+    """
     return math.hypot(t[1], t[2]) + math.hypot(t[4], t[5]) < FAINT
 
 
 @routine
 def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
-    """Number of pairs of values that satisfy both equations, the joint `gone` eliminated; up to four.
+    """Number of pairs of values that satisfy both equations, the joint `gone` eliminated; up to
+    four.
 
-    gone, kept: terms of the two joints. Both factors f, g of `gone` are linear in those of `kept`; f^2 + g^2 = 1 for a
-    turn, g = f^2 for a slide, is then a polynomial of degree four in the slide or in the tangent of the half angle.
+    gone, kept: terms of the two joints. Both factors f, g of `gone` are linear in those of `kept`;
+    f^2 + g^2 = 1 for a turn, g = f^2 for a slide, is then a polynomial of degree four in the slide
+    or in the tangent of the half angle.
     """
     p0, p1, p2 = eliminated(gone, kept)
     if gone_slides:  # f^2 - g
@@ -143,8 +153,15 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
         p[2] = q01 + q20
         p[3] = q11
         p[4] = q02
-    else:  # the angle is counted from a quarter turn for which half a turn, the infinite tangent, is far from a root
-        sizes = (abs(q00 - q10 + q20), abs(q00 - q01 + q02), abs(q00 + q10 + q20), abs(q00 + q01 + q02))
+    # the angle is counted from a quarter turn for which half a turn, the infinite tangent, is far
+    # from a root
+    else:
+        sizes = (
+            abs(q00 - q10 + q20),
+            abs(q00 - q01 + q02),
+            abs(q00 + q10 + q20),
+            abs(q00 + q01 + q02),
+        )
         for k in range(1, 4):
             if sizes[k] > sizes[quarter]:
                 quarter = k
@@ -190,14 +207,17 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
 
 @device
 def coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
-    """Number of pairs of values of x and z that satisfy both outer equations; writes them to out_x and out_z."""
+    """Number of pairs of values of x and z that satisfy both outer equations; writes them to out_x
+    and out_z.
+    """
     if steadiness(tx) >= steadiness(tz):
         return pairs_of(x_slides, z_slides, tx, tz, work, out_x, out_z)
     return pairs_of(z_slides, x_slides, tz, tx, work, out_z, out_x)
 
 
 UNCOUPLED = 1e-2
-"""What a joint may add to the equation of the other, relative to its part in its own, for these to be solved apart."""
+"""What a joint may add to the equation of the other, relative to its part in its own, for these to
+be solved apart."""
 
 
 @device
@@ -224,10 +244,12 @@ def amplitude(row):
 
 @device
 def uncoupled(tx, tz):
-    """Whether a combination of the equations has hardly anything of z, and another one hardly anything of x.
+    """Whether a combination of the equations has hardly anything of z, and another one hardly
+    anything of x.
 
-    The polynomial of degree four then nearly is a square: its roots lie in pairs, which rounding moves by its root,
-    and with each root the other joint has two values, between which the pair decides.
+    The polynomial of degree four then nearly is a square: its roots lie in pairs, which rounding
+    moves by its root, and with each root the other joint has two values, between which the pair
+    decides.
     """
     without_x = least_row(tx)
     without_z = least_row(tz)
@@ -235,14 +257,20 @@ def uncoupled(tx, tz):
     z_alone = amplitude(combined(without_x, tz))
     z_left = amplitude(combined(without_z, tz))
     x_left = amplitude(combined(without_x, tx))
-    return x_left < UNCOUPLED * x_alone and z_left < UNCOUPLED * z_alone and min(x_alone, z_alone) > FAINT
+    return (
+        x_left < UNCOUPLED * x_alone
+        and z_left < UNCOUPLED * z_alone
+        and min(x_alone, z_alone) > FAINT
+    )
 
 
 @routine
 def uncoupled_pairs(x_slides, z_slides, tx, tz, x_centre, z_centre, work, out_x, out_z):
-    """Number of pairs of values of x and z, up to four, that satisfy both equations where these are `uncoupled`.
+    """Number of pairs of values of x and z, up to four, that satisfy both equations where these are
+    `uncoupled`.
 
-    Either has one unknown if the little that the other joint adds is left out of that for x: pairs to be polished.
+    Either has one unknown if the little that the other joint adds is left out of that for x: pairs
+    to be polished.
     """
     without_x = least_row(tx)
     without_z = least_row(tz)
@@ -256,7 +284,9 @@ def uncoupled_pairs(x_slides, z_slides, tx, tz, x_centre, z_centre, work, out_x,
     for i in range(one_unknown(x_slides, x[1], x[2], z[0] - x[0], WIDE, x_centre, firsts)):
         first = beyond(firsts, VALUE_STRIDE * i)
         known = own_x[0] + own_x[1] * first[0] + own_x[2] * first[1]
-        for j in range(one_unknown(z_slides, own_z[1], own_z[2], known - own_z[0], WIDE, z_centre, seconds)):
+        for j in range(
+            one_unknown(z_slides, own_z[1], own_z[2], known - own_z[0], WIDE, z_centre, seconds)
+        ):
             second = beyond(seconds, VALUE_STRIDE * j)
             put(out_x, found, first[0], first[1], first[2], REPEATED)
             put(out_z, found, second[0], second[1], second[2], 0.0)

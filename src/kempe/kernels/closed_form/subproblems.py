@@ -1,9 +1,11 @@
-"""The subproblems to which closed-form inverse models reduce: equations in one or two joint variables.
+"""The subproblems to which closed-form inverse models reduce: equations in one or two joint
+variables.
 
-They go back to Paden (1986) and Kahan (1983), as numbered by Murray, Li and Sastry (1994) and, extended, by Elias and
-Wen ("IK-Geo", 2022). Angles are pairs (cosine, sine): no function of the C library is called, so that the same code
-serves floats and vectors of lanes. Rounding may push a problem with a double root over the edge: discriminants are
-taken as zero where they are negative, and whoever calls decides by the residual whether that is a solution.
+They go back to Paden (1986) and Kahan (1983), as numbered by Murray, Li and Sastry (1994) and,
+extended, by Elias and Wen ("IK-Geo", 2022). Angles are pairs (cosine, sine): no function of the C
+library is called, so that the same code serves floats and vectors of lanes. Rounding may push a
+problem with a double root over the edge: discriminants are taken as zero where they are negative,
+and whoever calls decides by the residual whether that is a solution.
 """
 
 from __future__ import annotations
@@ -28,11 +30,12 @@ def root(x):
 
 @device
 def trig_roots(a, b, k):
-    """(c0, s0, c1, s1, d2): both solutions of a c + b s = k, c^2 + s^2 = 1; two iff d2 = a^2 + b^2 - k^2 > 0.
+    """(c0, s0, c1, s1, d2): both solutions of a c + b s = k, c^2 + s^2 = 1; two iff d2 = a^2 + b^2
+    - k^2 > 0.
 
-    A circle meets a line: (c, s) = (a k -+ b d, b k +- a d) / (a^2 + b^2), d = sqrt(d2). The first has the smaller
-    angle against (a, b), counted anticlockwise from it. With d2 < 0 both are the point of the circle nearest to the
-    line; with a = b = 0 they mean nothing.
+    A circle meets a line: (c, s) = (a k -+ b d, b k +- a d) / (a^2 + b^2), d = sqrt(d2). The first
+    has the smaller angle against (a, b), counted anticlockwise from it. With d2 < 0 both are the
+    point of the circle nearest to the line; with a = b = 0 they mean nothing.
     """
     r2 = a * a + b * b
     r = square_root(r2)
@@ -64,9 +67,10 @@ def triangle(r1, r2, rho2):
 def align(h, u, v):
     """(c, s, size): the turn about the unit vector h that brings u into the half plane of v.
 
-    tan = h.(u' x v') / u'.v' with u' = h x u, v' = h x v: one solution, and all angles where u or v lies along h: then
-    `size`, the product of their distances from h, vanishes. The lengths of u and v do not matter. The textbooks' u.v -
-    (h.u)(h.v) in place of u'.v' would lose all digits near that singularity.
+    tan = h.(u' x v') / u'.v' with u' = h x u, v' = h x v: one solution, and all angles where u or v
+    lies along h: then `size`, the product of their distances from h, vanishes. The lengths of u and
+    v do not matter. The textbooks' u.v - (h.u)(h.v) in place of u'.v' would lose all digits near
+    that singularity.
     """
     u = cross(h, u)
     v = cross(h, v)
@@ -84,10 +88,11 @@ def align(h, u, v):
 def cone_roots(k, h, n, w):
     """(c0, s0, c1, s1, d2): turns about h after which n makes the same angle with k as w does.
 
-    k.Rot(h, theta) n = k.w; unit vectors. Two solutions, one where the three axes lie in a plane, none where the angle
-    is out of range. The discriminant is Heron's formula on the sphere, 4 d2 = (|k - w|^2 - (2 sin((a - b)/2))^2)
-    (|k + w|^2 - (2 cos((a + b)/2))^2) with a = angle(k, h), b = angle(h, n): differences of vectors do not lose the
-    digits that 1 - cos^2 would lose where w comes close to k, which is where wrists are singular.
+    k.Rot(h, theta) n = k.w; unit vectors. Two solutions, one where the three axes lie in a plane,
+    none where the angle is out of range. The discriminant is Heron's formula on the sphere, 4 d2 =
+    (|k - w|^2 - (2 sin((a - b)/2))^2) (|k + w|^2 - (2 cos((a + b)/2))^2) with a = angle(k, h), b =
+    angle(h, n): differences of vectors do not lose the digits that 1 - cos^2 would lose where w
+    comes close to k, which is where wrists are singular.
     """
     cos_a = dot(k, h)
     cos_b = dot(h, n)

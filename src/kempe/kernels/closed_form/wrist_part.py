@@ -1,8 +1,9 @@
-"""Three joints whose joint motion is known: three axes through a point, or three joints of one plane.
+"""Three joints whose joint motion is known: three axes through a point, or three joints of one
+plane.
 
-Both have two solutions. A rotation as three turns about given axes: the generalised Euler angles (Davenport, 1973;
-Piovan and Bullo, 2012). A planar motion as three turns across the plane: the triangle of a two-link arm; slides take
-the place of turns.
+Both have two solutions. A rotation as three turns about given axes: the generalised Euler angles
+(Davenport, 1973; Piovan and Bullo, 2012). A planar motion as three turns across the plane: the
+triangle of a two-link arm; slides take the place of turns.
 """
 
 from __future__ import annotations
@@ -11,15 +12,25 @@ import math
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.lines import cross, dot, mapped, minus, plus, rotated, turned, unmapped
-from kempe.kernels.closed_form.arm_part import NOTHING, VALUE_STRIDE, VOID, cone, one_unknown, put, put_angle
+from kempe.kernels.closed_form.arm_part import (
+    NOTHING,
+    VALUE_STRIDE,
+    VOID,
+    cone,
+    one_unknown,
+    put,
+    put_angle,
+)
 from kempe.kernels.closed_form.subproblems import align, orbit, triangle, trig_roots_of
 from kempe.kernels.forward.table_layout import SLIDE
 
 LOST = -1
-"""In place of a number of solutions: parallel slides leave none or infinitely many, which is not decided here."""
+"""In place of a number of solutions: parallel slides leave none or infinitely many, which is not
+decided here."""
 
 ANY = 1e3
-"""How far beyond its edge the equation of the inner joints is tried where an outer joint is a sample: others may do."""
+"""How far beyond its edge the equation of the inner joints is tried where an outer joint is a
+sample: others may do."""
 
 
 @device
@@ -49,7 +60,9 @@ def value(out, k):
 
 @routine
 def ball_triple(ha, hb, hc, d, wide, work, out):
-    """Number of ways to write the rotation of d as turns about ha, hb, hc; three values each in out."""
+    """Number of ways to write the rotation of d as turns about ha, hb, hc; three values each in
+    out.
+    """
     w = rotated(d, hc)
     count = cone(ha, hb, hc, w, 1.0, wide, work)
     for k in range(count):
@@ -73,7 +86,9 @@ def flat(h, v):
 
 @routine
 def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
-    """Number of ways to bring p to goal, both across h, by joint a after joint b; values a, b of each at 3k, 3k + 1."""
+    """Number of ways to bring p to goal, both across h, by joint a after joint b; values a, b of
+    each at 3k, 3k + 1.
+    """
     if ka == SLIDE and kb == SLIDE:
         d = flat(h, minus(goal, p))
         n = cross(ha, hb)
@@ -113,8 +128,13 @@ def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
         at = VALUE_STRIDE * k
         if ka == SLIDE:
             put(out, 3 * k, a, a * a, a, work[at + 3])
-            put_turn(hb, flat(h, minus(p, ob)), flat(h, minus(minus(goal, ob), plus((0.0, 0.0, 0.0), a, ha))), out,
-                     3 * k + 1)  # fmt: skip
+            put_turn(
+                hb,
+                flat(h, minus(p, ob)),
+                flat(h, minus(minus(goal, ob), plus((0.0, 0.0, 0.0), a, ha))),
+                out,
+                3 * k + 1,
+            )
             continue
         for i in range(VALUE_STRIDE):
             out[VALUE_STRIDE * (3 * k + 1) + i] = work[at + i]
@@ -143,8 +163,20 @@ def planar_forward(h, ka, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out):
 @routine
 def planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out):
     """The same where c slides and a turns: the inverse motion, joints in reverse order."""
-    count = planar_point(h, SLIDE, minus((0.0, 0.0, 0.0), hc), oc, kb, minus((0.0, 0.0, 0.0), hb), ob, oa,
-                         unmapped(d, oa), wide, work, out)  # fmt: skip
+    count = planar_point(
+        h,
+        SLIDE,
+        minus((0.0, 0.0, 0.0), hc),
+        oc,
+        kb,
+        minus((0.0, 0.0, 0.0), hb),
+        ob,
+        oa,
+        unmapped(d, oa),
+        wide,
+        work,
+        out,
+    )
     r = across(ha)
     for k in range(count):
         for i in range(VALUE_STRIDE):
@@ -159,7 +191,9 @@ def planar_backward(h, ha, oa, kb, hb, ob, hc, oc, d, wide, work, out):
 
 @routine
 def planar_swing(h, ha, hb, ob, hc, d, out):
-    """The one way to write the planar motion d by a slide, a turn and a slide; LOST where the slides are parallel."""
+    """The one way to write the planar motion d by a slide, a turn and a slide; LOST where the
+    slides are parallel.
+    """
     r = across(hb)
     put_turn(hb, r, rotated(d, r), out, 1)
     c, s = value(out, 1)
@@ -177,7 +211,9 @@ def planar_swing(h, ha, hb, ob, hc, d, out):
 
 @routine
 def planar_triple(ka, ha, oa, kb, hb, ob, kc, hc, oc, d, wide, work, out):
-    """Number of ways to write the planar motion d by three joints of the plane; three values each in out."""
+    """Number of ways to write the planar motion d by three joints of the plane; three values each
+    in out.
+    """
     h = hc if kc != SLIDE else ha if ka != SLIDE else hb
     # the part of d that leaves the plane belongs to a target out of reach: the residual says so
     if kc != SLIDE:

@@ -1,1 +1,3 @@
-"""Equations of loops, and of all that holds frames and coordinates: values, Jacobians, and how they are solved."""
+"""Equations of loops, and of all that holds frames and coordinates: values, Jacobians, and how they
+are solved.
+"""

@@ -18,11 +18,20 @@ from kempe.kernels.forward.table_rows import poses_at, row_poses, scratch_size
 
 
 @kernel(
-    I("_"), F("_"), I("_"), F("_"), F("1|N", "_"), F("N", "nq"), FLAG, OUT("N", "m"), OUT("_", "m", "_"),
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_"),
+    F("1|N", "_"),
+    F("N", "nq"),
+    FLAG,
+    OUT("N", "m"),
+    OUT("_", "m", "_"),
     returns=False,
-)  # fmt: skip
+)
 def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jacobian):
-    """Write the residual (N, m) at q (N, nq) and, if requested, the Jacobian (N, m, nv), both scaled as `weights` say.
+    """Write the residual (N, m) at q (N, nq) and, if requested, the Jacobian (N, m, nv), both
+    scaled as `weights` say.
 
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k): as in
     `loop_layout`.
@@ -39,8 +48,21 @@ def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jac
     for i in range(q.shape[0]):
         start = beyond(raw(q), i * nq)
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
-        loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, start, scratch,
-                            beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
+        loops = LoopScratch(
+            raw(ints),
+            raw(floats),
+            raw(plan),
+            raw(weights),
+            pin,
+            start,
+            scratch,
+            beyond(scratch, poses_at(n_rows)),
+            error,
+            blocks,
+            n_rows,
+            nq,
+            nv,
+        )
         row_poses(loops.ints, loops.floats, start, 0, scratch)
         fill(loops, with_jacobian)
         for r in range(m):

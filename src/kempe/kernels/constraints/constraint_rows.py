@@ -1,10 +1,12 @@
-"""Constraint equations of loops and their Jacobian at one configuration, tie by tie (`loop_layout`).
+"""Constraint equations of loops and their Jacobian at one configuration, tie by tie
+(`loop_layout`).
 
-A tie holds frame B in frame A: rows of p = R_A^T (p_B - p_A) and of the rotation R = R_A^T R_B. Between them lie the
-joints of the loop. The twist that a joint gives B against A, at the origin of B and in axes of A, is
-v = f z x (p_B - o), w = f z for a turn about z through o, and v = f z for a slide; f is negative on the way to A
-(Featherstone, 2008, chapter 8). Then dp/dt = v and dR/dt = w x R exactly, so the rows below have exact derivatives
-everywhere.
+A tie holds frame B in frame A: rows of p = R_A^T (p_B - p_A) and of the rotation R = R_A^T R_B.
+Between them lie the joints of the loop. The twist that a joint gives B against A, at the origin of
+B and in axes of A, is
+v = f z x (p_B - o), w = f z for a turn about z through o, and v = f z for a slide; f is negative on
+the way to A (Featherstone, 2008, chapter 8). Then dp/dt = v and dR/dt = w x R exactly, so the rows
+below have exact derivatives everywhere.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ from kempe.kernels.forward.table_layout import (
 from kempe.kernels.forward.table_rows import placed, placement
 
 ANTIPODE = 1e-12
-"""Square of the sine below which two axes count as opposite: the way back is arbitrary there, its length is not."""
+"""Square of the sine below which two axes count as opposite: the way back is arbitrary there, its
+length is not."""
 MEETS = 1e-12
 """Distance in metres below which there is no direction from one point to another."""
 
@@ -89,14 +92,27 @@ def unturned(row, i):
 @device
 def matrix(a, b, c):
     """The nine entries of the rotation in the rows a, b, c."""
-    return (entry(a, 0), entry(a, 1), entry(a, 2), entry(b, 0), entry(b, 1), entry(b, 2), entry(c, 0), entry(c, 1),
-            entry(c, 2))  # fmt: skip
+    return (
+        entry(a, 0),
+        entry(a, 1),
+        entry(a, 2),
+        entry(b, 0),
+        entry(b, 1),
+        entry(b, 2),
+        entry(c, 0),
+        entry(c, 1),
+        entry(c, 2),
+    )
 
 
 @device
 def back(r, x, y, z):
     """R^T (x, y, z)."""
-    return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
+    return (
+        r[0] * x + r[3] * y + r[6] * z,
+        r[1] * x + r[4] * y + r[7] * z,
+        r[2] * x + r[5] * y + r[8] * z,
+    )
 
 
 @device
@@ -126,19 +142,24 @@ def ends_of(loops, k):
         a, b, c = frame_of(loops, 2 * k)
     else:
         a, b, c = placement(loops.pins, 12 * pin)
-        if loops.ints[HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * 2 * k] >= 0:  # pinned to a body that moves
+        if (
+            loops.ints[HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * 2 * k] >= 0
+        ):  # pinned to a body that moves
             d, e, f = frame_of(loops, 2 * k)
             a, b, c = on(d, a, b, c), on(e, a, b, c), on(f, a, b, c)
     d, e, f = frame_of(loops, 2 * k + 1)
     return (
-        matrix(a, b, c), (entry(a, 3), entry(b, 3), entry(c, 3)), matrix(d, e, f),
+        matrix(a, b, c),
+        (entry(a, 3), entry(b, 3), entry(c, 3)),
+        matrix(d, e, f),
         (entry(d, 3), entry(e, 3), entry(f, 3)),
-    )  # fmt: skip
+    )
 
 
 @device
 def lengthening(x, y, c):
-    """What makes (x, y), as long as the sine of an angle of cosine c, as long as twice the sine of its half.
+    """What makes (x, y), as long as the sine of an angle of cosine c, as long as twice the sine of
+    its half.
 
     Zero where the axes are opposite: there (2, 0) takes its place.
     """
@@ -161,7 +182,9 @@ def lengthened(x, y, c):
 
 @device
 def lengthened_rates(x, y, c, dx, dy, dc):
-    """The rates of `lengthened`; where the axes are opposite, those of a way back that no simple mechanism lacks."""
+    """The rates of `lengthened`; where the axes are opposite, those of a way back that no simple
+    mechanism lacks.
+    """
     k = lengthening(x, y, c)
     if k == 0.0:
         return 0.8 * dx + 0.6 * dy, 0.8 * dy - 0.6 * dx
@@ -171,7 +194,9 @@ def lengthened_rates(x, y, c, dx, dy, dc):
 
 @device
 def sight(p, r):
-    """Distance from B to A and the unit vector there in axes of B; where they meet, the axis counts as opposite."""
+    """Distance from B to A and the unit vector there in axes of B; where they meet, the axis counts
+    as opposite.
+    """
     x, y, z = back(r, -p[0], -p[1], -p[2])
     far = math.sqrt(x * x + y * y + z * z)
     if far < MEETS:
@@ -181,7 +206,8 @@ def sight(p, r):
 
 @routine
 def write_error(loops, tie, at, p, r):
-    """Write the equations of one tie, p and R the pose of B in A; returns what `add_rates` needs of it.
+    """Write the equations of one tie, p and R the pose of B in A; returns what `add_rates` needs of
+    it.
 
     That is the rotation vector where all is held, and p where B looks at A.
     """
@@ -221,7 +247,11 @@ def inverse_left(phi, w):
     else:
         half = 0.5 * math.sqrt(square)
         rest = (1.0 - half / math.tan(half)) / square
-    c = (phi[1] * w[2] - phi[2] * w[1], phi[2] * w[0] - phi[0] * w[2], phi[0] * w[1] - phi[1] * w[0])
+    c = (
+        phi[1] * w[2] - phi[2] * w[1],
+        phi[2] * w[0] - phi[0] * w[2],
+        phi[0] * w[1] - phi[1] * w[0],
+    )
     return (
         w[0] - 0.5 * c[0] + rest * (phi[1] * c[2] - phi[2] * c[1]),
         w[1] - 0.5 * c[1] + rest * (phi[2] * c[0] - phi[0] * c[2]),
@@ -231,7 +261,9 @@ def inverse_left(phi, w):
 
 @device
 def add_rates(loops, tie, at, r, phi, v, w):
-    """Add the rates of the equations of a tie under the twist (v, w), already scaled, to the column at blocks[at:]."""
+    """Add the rates of the equations of a tie under the twist (v, w), already scaled, to the column
+    at blocks[at:].
+    """
     j = loops.blocks
     short = loops.weights[L.INVERSE_LENGTH]
     mask = loops.plan[tie + L.MASK]
@@ -258,7 +290,11 @@ def add_rates(loops, tie, at, r, phi, v, w):
         j[at] += w[1] * r[7] - w[2] * r[4]
     elif turns == L.LOOK:
         far, x, y, z = sight(phi, r)
-        c = (w[1] * phi[2] - w[2] * phi[1], w[2] * phi[0] - w[0] * phi[2], w[0] * phi[1] - w[1] * phi[0])
+        c = (
+            w[1] * phi[2] - w[2] * phi[1],
+            w[2] * phi[0] - w[0] * phi[2],
+            w[0] * phi[1] - w[1] * phi[0],
+        )
         dx, dy, dz = back(r, (c[0] - v[0]) / far, (c[1] - v[1]) / far, (c[2] - v[2]) / far)
         along = x * dx + y * dy + z * dz
         rates = lengthened_rates(-y, x, z, along * y - dy, dx - along * x, dz - along * z)
@@ -268,7 +304,9 @@ def add_rates(loops, tie, at, r, phi, v, w):
 
 @device
 def axes_of(loops, row):
-    """Three axes and their point of a row: of its frame, or for a reversed ball of the frame before its motion."""
+    """Three axes and their point of a row: of its frame, or for a reversed ball of the frame before
+    its motion.
+    """
     k = HEADER + ROW_INTS * row
     f = ROW_FLOATS * row
     if loops.ints[k + KIND] == BALL and loops.floats[f + MULTIPLIER] < 0.0:
@@ -281,15 +319,20 @@ def axes_of(loops, row):
 
 @device
 def lever(loops, tie, row, sign, a, b, c, p_b):
-    """Which part of B the row moves, all or its share of the mass, and that part times the arm from the row's point."""
+    """Which part of B the row moves, all or its share of the mass, and that part times the arm from
+    the row's point.
+    """
     centre = loops.plan[tie + L.CENTRE]
     if centre < 0 or sign < 0.0:
         return 1.0, (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
     at = loops.plan[L.AT_CENTRES] + (L.CENTRE_FLOATS * loops.n_rows + 3) * centre
     share = loops.weights[at + L.CENTRE_FLOATS * row + 4]
     s = loops.scratch
-    return share, (s[3 * row] - share * entry(a, 3), s[3 * row + 1] - share * entry(b, 3),
-                   s[3 * row + 2] - share * entry(c, 3))  # fmt: skip
+    return share, (
+        s[3 * row] - share * entry(a, 3),
+        s[3 * row + 1] - share * entry(b, 3),
+        s[3 * row + 2] - share * entry(c, 3),
+    )
 
 
 @routine
@@ -317,7 +360,9 @@ def fill_block(loops, k, r_a, p_b, r, phi):
         there = block + rows * column
         if kind != BALL:
             factor *= weights[L.SCALES + plan[local + column]]
-        for n in range(0 if kind == BALL else 2, 3):  # a ball turns about three axes, all others are about z
+        for n in range(
+            0 if kind == BALL else 2, 3
+        ):  # a ball turns about three axes, all others are about z
             x = factor * entry(a, n)
             y = factor * entry(b, n)
             z = factor * entry(c, n)
@@ -327,7 +372,9 @@ def fill_block(loops, k, r_a, p_b, r, phi):
             else:
                 v = (y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
                 w = (x, y, z)
-            add_rates(loops, tie, there, r, phi, back(r_a, v[0], v[1], v[2]), back(r_a, w[0], w[1], w[2]))
+            add_rates(
+                loops, tie, there, r, phi, back(r_a, v[0], v[1], v[2]), back(r_a, w[0], w[1], w[2])
+            )
             there += rows
 
 
@@ -352,7 +399,11 @@ def fill_along(loops, k, x, p_b):
         a, b, c = axes_of(loops, row)
         share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
         # x . (z x arm) = z . (arm x x)
-        m = (arm[1] * x[2] - arm[2] * x[1], arm[2] * x[0] - arm[0] * x[2], arm[0] * x[1] - arm[1] * x[0])
+        m = (
+            arm[1] * x[2] - arm[2] * x[1],
+            arm[2] * x[0] - arm[0] * x[2],
+            arm[0] * x[1] - arm[1] * x[0],
+        )
         if kind == BALL:
             for n in range(3):
                 rate = entry(a, n) * m[0] + entry(b, n) * m[1] + entry(c, n) * m[2]
@@ -361,12 +412,16 @@ def fill_along(loops, k, x, p_b):
         if kind != TURN:
             m = (share * x[0], share * x[1], share * x[2])
         factor *= weights[L.SCALES + plan[local + column]]
-        loops.blocks[block + column] += factor * (entry(a, 2) * m[0] + entry(b, 2) * m[1] + entry(c, 2) * m[2])
+        loops.blocks[block + column] += factor * (
+            entry(a, 2) * m[0] + entry(b, 2) * m[1] + entry(c, 2) * m[2]
+        )
 
 
 @routine
 def fill_twist(loops, k, r_a, p_b, along, about, row):
-    """Add to one row of the block of tie k what (along, about) makes of the twist of B against A, in axes of A."""
+    """Add to one row of the block of tie k what (along, about) makes of the twist of B against A,
+    in axes of A.
+    """
     plan = loops.plan
     weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -394,7 +449,9 @@ def fill_twist(loops, k, r_a, p_b, along, about, row):
                 v = back(r_a, x, y, z)
                 loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]
             else:
-                v = back(r_a, y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
+                v = back(
+                    r_a, y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0]
+                )
                 w = back(r_a, x, y, z)
                 loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]
                 loops.blocks[there] += about[0] * w[0] + about[1] * w[1] + about[2] * w[2]

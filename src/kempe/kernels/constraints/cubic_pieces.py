@@ -1,4 +1,6 @@
-"""Points of curves made of cubic pieces: the nearest to a place, and entries of tables (`tape_layout`)."""
+"""Points of curves made of cubic pieces: the nearest to a place, and entries of tables
+(`tape_layout`).
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,11 @@ def square_to(floats, at, u, x, y, z):
     ey = y - cy
     ez = z - cz
     slope = -(ex * dx + ey * dy + ez * dz)
-    return (ex * ex + ey * ey + ez * ez, slope,
-            dx * dx + dy * dy + dz * dz - (ex * ddx + ey * ddy + ez * ddz))  # fmt: skip
+    return (
+        ex * ex + ey * ey + ez * ez,
+        slope,
+        dx * dx + dy * dy + dz * dz - (ex * ddx + ey * ddy + ez * ddz),
+    )
 
 
 @routine
@@ -71,7 +76,9 @@ def refined(floats, p, low, high, x, y, z):
 
 @routine
 def nearest_on_curve(floats, first, count, x, y, z):
-    """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first : first + count]."""
+    """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first :
+    first + count].
+    """
     n = (count - 1) // PIECE
     endless = floats[first] != 0.0
     best = math.inf
@@ -86,7 +93,9 @@ def nearest_on_curve(floats, first, count, x, y, z):
                 best = far
                 s = i + u
             continue
-        away = math.sqrt(far) - floats[p + 12]  # no point is nearer than the ball that contains the piece
+        away = (
+            math.sqrt(far) - floats[p + 12]
+        )  # no point is nearer than the ball that contains the piece
         if away > 0.0 and away * away >= best:
             continue
         for k in range(SAMPLES):

@@ -1,4 +1,6 @@
-"""J J^T of packed loops within its envelope (Jennings, 1966), and its factors: what shares nothing costs nothing."""
+"""J J^T of packed loops within its envelope (Jennings, 1966), and its factors: what shares nothing
+costs nothing.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def product(loops, v, y):
 
 @device
 def add_product(loops, v, x, y, stride):
-    """Add x times column v of the scaled Jacobian to every `stride`-th number of y; the others are not touched."""
+    """Add x times column v of the scaled Jacobian to every `stride`-th number of y; the others are
+    not touched.
+    """
     plan = loops.plan
     at = plan[L.AT_VARS] + v
     for use in range(plan[at], plan[at + 1]):
@@ -42,7 +46,8 @@ def add_product(loops, v, x, y, stride):
 
 @routine
 def normal(loops, step, damping, a, column):
-    """Write the lower triangle of J J^T + damping I, row by row within its envelope; without columns marked NaN.
+    """Write the lower triangle of J J^T + damping I, row by row within its envelope; without
+    columns marked NaN.
 
     Each column is spread out first, so that the inner loop runs over neighbours.
     """
@@ -101,7 +106,9 @@ def dot(a, b, n):
 
 @routine
 def factor(loops, a, least):
-    """Overwrite the matrix by L and D, A = L D L^T; pivots below `least` are rounding and become it."""
+    """Overwrite the matrix by L and D, A = L D L^T; pivots below `least` are rounding and become
+    it.
+    """
     plan = loops.plan
     rows_at = plan[L.AT_ROWS]
     for i in range(plan[L.N_ROWS]):

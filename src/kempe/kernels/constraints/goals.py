@@ -1,5 +1,5 @@
-"""All equations at one configuration: those between frames (`constraint_rows`), rods, relations, own coordinates,
-functions, and ties whose end B is a centre of mass.
+"""All equations at one configuration: those between frames (`constraint_rows`), rods, relations,
+own coordinates, functions, and ties whose end B is a centre of mass.
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ def number_of(loops, k):
 
 @routine
 def centre_of(loops, centre):
-    """Where a centre is; writes the first moment of all that a row moves to scratch[3 * row:], in place of angles."""
+    """Where a centre is; writes the first moment of all that a row moves to scratch[3 * row:], in
+    place of angles.
+    """
     n = loops.n_rows
     w = loops.weights
     s = loops.scratch
@@ -138,7 +140,9 @@ def fill_linear(loops, k, at, with_blocks):
 
 @routine
 def fill_own(loops, k, at, with_blocks):
-    """Write the equations, and the block, of a coordinate held at a number, or a ball at a quaternion."""
+    """Write the equations, and the block, of a coordinate held at a number, or a ball at a
+    quaternion.
+    """
     plan = loops.plan
     q = loops.q
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -166,7 +170,8 @@ def fill_own(loops, k, at, with_blocks):
     if with_blocks:
         for n in range(3):
             unit = (1.0 if n == 0 else 0.0, 1.0 if n == 1 else 0.0, 1.0 if n == 2 else 0.0)
-            # the ball turns in its own axes: the rate from the right is that from the left of the opposite vector
+            # the ball turns in its own axes: the rate from the right is that from the left of the
+            # opposite vector
             rate = inverse_left((-phi[0], -phi[1], -phi[2]), unit)
             for j in range(3):
                 loops.blocks[block + 3 * n + j] = rate[j]
@@ -174,7 +179,9 @@ def fill_own(loops, k, at, with_blocks):
 
 @routine
 def read_inputs(loops, k, data, p, r, work):
-    """Write the inputs of the tape of tie k: the pose (p, R) of B in A, coordinates, numbers of the call."""
+    """Write the inputs of the tape of tie k: the pose (p, R) of B in A, coordinates, numbers of the
+    call.
+    """
     plan = loops.plan
     n = loops.plan[loops.plan[data + L.TAPE_INTS] + N_INPUTS]
     for i in range(n):
@@ -252,13 +259,17 @@ def fill_tape(loops, k, at, with_blocks):
                     w1 = w1 - g * x
             elif what == L.COORDINATE and plan[entry_at + 2] >= 0:
                 column = plan[entry_at + 2]
-                loops.blocks[block + rows * column + o] += g * weights[L.SCALES + plan[local + column]]
+                loops.blocks[block + rows * column + o] += (
+                    g * weights[L.SCALES + plan[local + column]]
+                )
         fill_twist(loops, k, r_a, p_b, (v0, v1, v2), (w0, w1, w2), o)
 
 
 @routine
 def fill(loops, with_blocks):
-    """Square of the residual at the poses last written; writes it and, if requested, the Jacobian's blocks."""
+    """Square of the residual at the poses last written; writes it and, if requested, the Jacobian's
+    blocks.
+    """
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k

@@ -1,8 +1,10 @@
-"""Assembly: a configuration that closes all loops, by damped least squares over the unknown coordinates.
+"""Assembly: a configuration that closes all loops, by damped least squares over the unknown
+coordinates.
 
-Step: -J^T (J J^T + mu I)^-1 phi, of minimum norm, so that redundant equations are no obstacle; mu falls with the
-square of the residual, so that convergence is quadratic (Nakamura and Hanafusa, 1986; Sugihara, 2011). J J^T is kept
-within its envelope (Jennings, 1966): rows that share no coordinates cost nothing.
+Step: -J^T (J J^T + mu I)^-1 phi, of minimum norm, so that redundant equations are no obstacle; mu
+falls with the square of the residual, so that convergence is quadratic (Nakamura and Hanafusa,
+1986; Sugihara, 2011). J J^T is kept within its envelope (Jennings, 1966): rows that share no
+coordinates cost nothing.
 """
 
 from __future__ import annotations
@@ -44,13 +46,16 @@ FLOOR = 1e-30
 LEAST = 1e-14
 """Floor of the damping, which holds up J J^T where the equations are redundant."""
 MANY = 60
-"""Equations from which on the clock is looked at before each step: then a step takes far longer than that."""
+"""Equations from which on the clock is looked at before each step: then a step takes far longer
+than that."""
 LONGEST_SLIDE = 2.0
 """Longest step of a slide, in characteristic lengths."""
 
 
 class ClosingScratch(NamedTuple):
-    """Pointers to the scratch of a solver: steps, the way home, two columns of J J^T's size, the matrix, two q's."""
+    """Pointers to the scratch of a solver: steps, the way home, two columns of J J^T's size, the
+    matrix, two q's.
+    """
 
     step: object
     target: object
@@ -70,7 +75,9 @@ def evaluate(loops, with_blocks):
 
 @routine
 def mark(loops, step):
-    """Mark NaN the steps of coordinates that stay: held ones, and those at a limit that the gradient pushes out."""
+    """Mark NaN the steps of coordinates that stay: held ones, and those at a limit that the
+    gradient pushes out.
+    """
     for v in range(loops.nv):
         step[v] = 0.0
         if is_held(loops, v):
@@ -89,14 +96,18 @@ def mark(loops, step):
 
 @routine
 def move(loops, step, y, target, with_target):
-    """Size of the step -J^T y (+ target), as a part of the longest; takes it, cut to that and at the limits."""
+    """Size of the step -J^T y (+ target), as a part of the longest; takes it, cut to that and at
+    the limits.
+    """
     size = 0.0
     for v in range(loops.nv):
         if step[v] == step[v]:
             step[v] = -product(loops, v, y)
             if with_target:
                 step[v] += target[v]
-            size = max(size, abs(step[v]) / (LONGEST_SLIDE if sort_of(loops, v) == L.SLIDE else LONGEST))
+            size = max(
+                size, abs(step[v]) / (LONGEST_SLIDE if sort_of(loops, v) == L.SLIDE else LONGEST)
+            )
     part = 1.0 / max(size, 1.0)
     q = loops.q
     for v in range(loops.nv):
@@ -114,7 +125,9 @@ def move(loops, step, y, target, with_target):
 
 @routine
 def damped_step(loops, work, damping):
-    """Size of the step -J^T (J J^T + damping I)^-1 phi, which is taken; for the equations written last."""
+    """Size of the step -J^T (J J^T + damping I)^-1 phi, which is taken; for the equations written
+    last.
+    """
     mark(loops, work.step)
     normal(loops, work.step, damping, work.a, work.column)
     factor(loops, work.a, LEAST)
@@ -125,9 +138,11 @@ def damped_step(loops, work, damping):
 
 @routine
 def close(loops, work, limit, accepted, kept, stop):
-    """Least square of the residual reached from q, steps taken, and whether it was the last one evaluated.
+    """Least square of the residual reached from q, steps taken, and whether it was the last one
+    evaluated.
 
-    `kept` is where it was reached; where it was the last one, poses and equations are those of that configuration.
+    `kept` is where it was reached; where it was the last one, poses and equations are those of that
+    configuration.
     """
     best = np.inf
     before = np.inf
@@ -159,7 +174,8 @@ def close(loops, work, limit, accepted, kept, stop):
 
 @routine
 def descend(loops, work, limit, kept, stop):
-    """Least square of the residual near q and steps taken, where it does not vanish; `kept` is where.
+    """Least square of the residual near q and steps taken, where it does not vanish; `kept` is
+    where.
 
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
     """
@@ -189,10 +205,11 @@ def descend(loops, work, limit, kept, stop):
 
 @routine
 def approach(loops, work, limit, accepted, kept, stop):
-    """Steps taken along the closed configurations towards the one nearest to `home`, from the closed one in `kept`.
+    """Steps taken along the closed configurations towards the one nearest to `home`, from the
+    closed one in `kept`.
 
-    Each goes the way to `home` as far as the tangent space allows, shortened where that leads away, and is closed again
-    (a projected gradient: Luenberger, 1972). `kept` is where it ends.
+    Each goes the way to `home` as far as the tangent space allows, shortened where that leads away,
+    and is closed again (a projected gradient: Luenberger, 1972). `kept` is where it ends.
     """
     m = loops.plan[L.N_ROWS]
     steps = 0
@@ -233,9 +250,11 @@ def approach(loops, work, limit, accepted, kept, stop):
 
 @routine
 def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, stop):
-    """Square of the residual, steps, starts of the assembly that begins at q, and whether the time was up.
+    """Square of the residual, steps, starts of the assembly that begins at q, and whether the time
+    was up.
 
-    `best_q` is where it ends, and, of an assembly that goes on after `first` starts, where these have led.
+    `best_q` is where it ends, and, of an assembly that goes on after `first` starts, where these
+    have led.
     """
     best = np.inf
     steps = 0
@@ -283,25 +302,59 @@ def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, sto
 
 
 @kernel(
-    I("_"), F("_"), I("_"), F("_"), F("N", "nq"), F("1|N", "_"), INT, INT, INT, FLOAT, INT, INT, INT,
-    FLAG, INT, OUT("N", "nq"), OUT("N"), OUTI("N", 3),
-)  # fmt: skip
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_"),
+    F("N", "nq"),
+    F("1|N", "_"),
+    INT,
+    INT,
+    INT,
+    FLOAT,
+    INT,
+    INT,
+    INT,
+    FLAG,
+    INT,
+    OUT("N", "nq"),
+    OUT("N"),
+    OUTI("N", 3),
+)
 def assemble(
-    ints, floats, plan, weights, starts, pins, first, tries, limit, tolerance, nearest, seed, offset, follow, stop,
-    out_q, out_residual, info
-):  # fmt: skip
+    ints,
+    floats,
+    plan,
+    weights,
+    starts,
+    pins,
+    first,
+    tries,
+    limit,
+    tolerance,
+    nearest,
+    seed,
+    offset,
+    follow,
+    stop,
+    out_q,
+    out_residual,
+    info,
+):
     """Number of starts that were not closed.
 
-    ints, floats: the table; plan, weights: the loops (`loop_layout`). starts: (N, nq), with the held coordinates. pins:
-    (N or 1, 12 pins) the poses (3x4) of pinned frames. tries: starts at most, the first at `starts`, the others drawn
-    from (seed, offset + row), wider and wider about it. first: how many of them were made before: `out_q` is then where
-    these led. limit: steps of a start. tolerance: largest norm of the residual, in radians and characteristic lengths.
-    nearest: steps at most towards the closed configuration nearest to the start; UNFINISHED: none, and what is open is
-    not led nearer to closing, for further starts follow. follow: each row after the first starts where the two before
-    it lead, with its own held coordinates. stop: address of a function that writes whether the work must end, or 0: it
-    is read before each start but the first, and, of many equations, before each step; rows after that are not begun.
-    out_q: (N, nq), the closed configuration, else the nearest to closing. out_residual: (N,). info: (N, 3)
-    status (+ LATE where the work ended before all starts), steps, starts.
+    ints, floats: the table; plan, weights: the loops (`loop_layout`). starts: (N, nq), with the
+    held coordinates. pins: (N or 1, 12 pins) the poses (3x4) of pinned frames. tries: starts at
+    most, the first at `starts`, the others drawn from (seed, offset + row), wider and wider about
+    it. first: how many of them were made before: `out_q` is then where these led. limit: steps of a
+    start. tolerance: largest norm of the residual, in radians and characteristic lengths. nearest:
+    steps at most towards the closed configuration nearest to the start; UNFINISHED: none, and what
+    is open is not led nearer to closing, for further starts follow. follow: each row after the
+    first starts where the two before it lead, with its own held coordinates. stop: address of a
+    function that writes whether the work must end, or 0: it is read before each start but the
+    first, and, of many equations, before each step; rows after that are not begun. out_q: (N, nq),
+    the closed configuration, else the nearest to closing. out_residual: (N,). info: (N, 3) status
+    (+ LATE where the work ended before all starts), steps, starts.
     """
     nq = ints[NQ]
     nv = ints[NV]
@@ -314,25 +367,53 @@ def assemble(
     step = beyond(q, 4 * nq)
     error = beyond(step, 2 * nv)
     blocks = beyond(error, 3 * m)
-    work = ClosingScratch(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m),
-                          beyond(blocks, plan[L.BLOCKS]), beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
+    work = ClosingScratch(
+        step,
+        beyond(step, nv),
+        beyond(error, m),
+        beyond(error, 2 * m),
+        beyond(blocks, plan[L.BLOCKS]),
+        beyond(q, nq),
+        beyond(q, 2 * nq),
+    )
     best_q = beyond(q, 3 * nq)
     accepted = tolerance * tolerance
     missed = 0
     ended = False
     for i in range(starts.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
-        loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
-                            beyond(scratch, poses_at(n_rows)), error, blocks, n_rows, nq, nv)  # fmt: skip
+        loops = LoopScratch(
+            raw(ints),
+            raw(floats),
+            raw(plan),
+            raw(weights),
+            pin,
+            q,
+            scratch,
+            beyond(scratch, poses_at(n_rows)),
+            error,
+            blocks,
+            n_rows,
+            nq,
+            nv,
+        )
         copy(q, beyond(raw(starts), i * nq), 0, nq)
         if follow and i > 0:
             lead_on(loops, raw(out_q), i)
         key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
         copy(best_q, beyond(raw(out_q), i * nq) if first > 0 else q, 0, nq)
         best, steps, count, late = search(
-            loops, work, key, first, first if ended else tries, limit, accepted, UNFINISHED if ended else nearest,
-            best_q, stop,
-        )  # fmt: skip
+            loops,
+            work,
+            key,
+            first,
+            first if ended else tries,
+            limit,
+            accepted,
+            UNFINISHED if ended else nearest,
+            best_q,
+            stop,
+        )
         ended = ended or late
         status = BAD_INPUT if not best < np.inf else (SOLVED if best <= accepted else NOT_FOUND)
         if ended and status == NOT_FOUND:

@@ -1,4 +1,6 @@
-"""The coordinates of packed loops: where they are and how far apart, where starts are drawn, how they are read off."""
+"""The coordinates of packed loops: where they are and how far apart, where starts are drawn, how
+they are read off.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def is_held(loops, v):
 
 @device
 def number(loops, list_, v):
-    """Entry v of a list of velocities in `weights`: 0 scales, 1 lower, 2 upper limits, 3 and 4 ends to draw from."""
+    """Entry v of a list of velocities in `weights`: 0 scales, 1 lower, 2 upper limits, 3 and 4 ends
+    to draw from.
+    """
     return loops.weights[L.SCALES + list_ * loops.nv + v]
 
 
@@ -67,7 +71,9 @@ def ball_difference(q, home, i, to, at):
 
 @routine
 def distance(loops, home, target):
-    """Square of the distance from q to `home`, scaled; writes the way there to `target`. Held ones do not count."""
+    """Square of the distance from q to `home`, scaled; writes the way there to `target`. Held ones
+    do not count.
+    """
     far = 0.0
     for v in range(loops.nv):
         if is_held(loops, v):
@@ -122,7 +128,8 @@ def quaternion_of(r, q, i, home):
 
 @routine
 def read_off(loops, home):
-    """Write the coordinates of cut joints to q, and bring angles that a turn brings back near to `home`.
+    """Write the coordinates of cut joints to q, and bring angles that a turn brings back near to
+    `home`.
 
     The poses must be those of q. Angles of crosses and of three turns are as in `joints`.
     """
@@ -167,7 +174,9 @@ def read_off(loops, home):
 
 @routine
 def draw(loops, home, spread, key):
-    """Write a random configuration to q: unknowns within `spread` of their range about `home`, or anywhere for 1."""
+    """Write a random configuration to q: unknowns within `spread` of their range about `home`, or
+    anywhere for 1.
+    """
     q = loops.q
     copy(q, home, 0, loops.nq)
     for v in range(loops.nv):
@@ -197,7 +206,9 @@ def draw(loops, home, spread, key):
 
 @routine
 def sound(loops, home):
-    """Whether the start at q is finite; brings unknowns inside their limits, quaternions to norm 1, keeps `home`."""
+    """Whether the start at q is finite; brings unknowns inside their limits, quaternions to norm 1,
+    keeps `home`.
+    """
     q = loops.q
     good = True
     for v in range(loops.nv):

@@ -1,7 +1,7 @@
 """Where the numbers of packed loop closures lie. Needs no compiler, as `table_layout`.
 
-Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B of tie k, there are `plan` (int64) and
-`weights` (float64):
+Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B of tie k, there are
+`plan` (int64) and `weights` (float64):
 
     plan     head, then, from the places that the head gives:
              a tie:      MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN, LENGTHS, NUMBER,
@@ -12,9 +12,10 @@ Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B 
              a matrix row: its first column and where it begins in the envelope
              a reading:  code, place in q, tie; a velocity: place in q, sort, held
     weights  1/length, length; scales, lower, upper, low and high ends to draw from of all velocities; a number for each
-             tie; a factor for each entry (for a LINEAR tie for each local); low and high of each row of a tie with
-             BOUND; for each CENTRE and each row of the table its mass, first moment (3) in its axes and the mass of all
-             that it moves, then the first moment (3) of what stands
+             tie; a factor for each entry (for a LINEAR tie for each local); low and high of each
+             row of a tie with BOUND; for each CENTRE and each row of the table its mass, first
+             moment (3) in its axes and the mass of all that it moves, then the first moment (3) of
+             what stands
     pins     (an argument) the poses (3x4) of pinned ties, then the numbers of ties with NUMBER
 """
 
@@ -64,8 +65,9 @@ USE_INTS = 2
 ENVELOPE_INTS = 2
 READING_INTS = 3
 PLACE_INTS = 3
-"""A tie: LENGTHS counts its first rows, which are lengths; NUMBER, BOUND and CENTRE are -1 where it has none; DATA is
-the velocity coordinate of an OWN tie, the address of the function of a FUNCTION tie, what a TAPE tie reads."""
+"""A tie: LENGTHS counts its first rows, which are lengths; NUMBER, BOUND and CENTRE are -1 where it
+has none; DATA is the velocity coordinate of an OWN tie, the address of the function of a FUNCTION
+tie, what a TAPE tie reads."""
 
 CENTRE_FLOATS = 5
 
@@ -76,7 +78,9 @@ SCALES = 2
 
 
 def velocity_lists(weights: np.ndarray, nv: int) -> np.ndarray:
-    """Scales, lower and upper limits, low and high ends to draw from (5, nv) of all velocities; a view."""
+    """Scales, lower and upper limits, low and high ends to draw from (5, nv) of all velocities; a
+    view.
+    """
     return weights[SCALES : SCALES + 5 * nv].reshape(5, nv)
 
 
@@ -85,31 +89,45 @@ BOUND_TURN = 1
 CIRCLE = 2
 BALL_FIRST = 3
 BALL_MORE = 4
-"""Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the others of a ball."""
+"""Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the
+others of a ball."""
 
 NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR, LOOK, OWN, FUNCTION, TAPE = range(11)
-"""What of the rotation of B in A a tie holds: nothing; the angle about z; z parallel to z; y of B normal to x of A;
-all. LOOK: z of B towards the origin of A. The others are of another kind: DISTANCE and LINEAR have one row each; OWN
-holds one coordinate, or a quaternion, at given values; FUNCTION has the rows of a function of q, TAPE those of a
-recorded expression (`tape_layout`) of the pose of B in A and of coordinates."""
+"""What of the rotation of B in A a tie holds: nothing; the angle about z; z parallel to z; y of B
+normal to x of A; all. LOOK: z of B towards the origin of A. The others are of another kind:
+DISTANCE and LINEAR have one row each; OWN holds one coordinate, or a quaternion, at given values;
+FUNCTION has the rows of a function of q, TAPE those of a recorded expression (`tape_layout`) of the
+pose of B in A and of coordinates."""
 
 TAPE_INTS = 0
 TAPE_FLOATS = 1
 TAPE_WORK = 2
 TAPE_INPUTS = 3
 INPUT_INTS = 3
-"""What DATA of a TAPE tie leads to: where the integers and the numbers of its tape lie, where its work area begins
-(in `jet` only), then for each input three integers: what it is, and for a coordinate its place in q and its column.
-The rows of the tie are the outputs of the tape in their order."""
+"""What DATA of a TAPE tie leads to: where the integers and the numbers of its tape lie, where its
+work area begins (in `jet` only), then for each input three integers: what it is, and for a
+coordinate its place in q and its column. The rows of the tie are the outputs of the tape in their
+order."""
 PLACE = 0
 COORDINATE = 12
 GIVEN = 13
-"""What an input is: the place (3) of B in A and the entries (9) of its rotation row by row, from PLACE on; a
-coordinate; a number that comes with the call, counted from NUMBER on."""
+"""What an input is: the place (3) of B in A and the entries (9) of its rotation row by row, from
+PLACE on; a coordinate; a number that comes with the call, counted from NUMBER on."""
 
-READ_X, READ_Y, READ_Z, READ_ANGLE, READ_RX, READ_RY, READ_QUATERNION, READ_YAW, READ_PITCH, READ_ROLL = range(10)
-"""How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the turns of a cross
-about x and y, a quaternion, the three turns about z, y', x''."""
+(
+    READ_X,
+    READ_Y,
+    READ_Z,
+    READ_ANGLE,
+    READ_RX,
+    READ_RY,
+    READ_QUATERNION,
+    READ_YAW,
+    READ_PITCH,
+    READ_ROLL,
+) = range(10)
+"""How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the
+turns of a cross about x and y, a quaternion, the three turns about z, y', x''."""
 
 DAMPING = 0.6
 MOST_DAMPING = 0.1

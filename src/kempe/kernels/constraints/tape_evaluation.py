@@ -1,8 +1,9 @@
 """Recorded expressions: values, gradients and Taylor series of a tape (`tape_layout`).
 
-Gradients are one reverse sweep (Griewank, Walther, 2008, chapter 3). Orders of series follow the recurrences of their
-chapter 13: a function y = f(x) whose derivative is the series g(t) obeys y' = g x', hence k y_k = sum of j x_j g_(k-j)
-over j = 1 ... k, and a tape holds g as a node of its own. What is not defined comes out as NaN or infinity.
+Gradients are one reverse sweep (Griewank, Walther, 2008, chapter 3). Orders of series follow the
+recurrences of their chapter 13: a function y = f(x) whose derivative is the series g(t) obeys y' =
+g x', hence k y_k = sum of j x_j g_(k-j) over j = 1 ... k, and a tape holds g as a node of its own.
+What is not defined comes out as NaN or infinity.
 
 Pointers `ints` and `floats` are read from the places `at` and `fat` on.
 """
@@ -100,7 +101,9 @@ def function_value(op, x):
 
 @routine
 def leaf_value(ints, at, floats, fat, i, width, work):
-    """The value of what has no rates of its own, or of the node NEAREST; operands are at `width` times their place."""
+    """The value of what has no rates of its own, or of the node NEAREST; operands are at `width`
+    times their place.
+    """
     k = node_at(ints, at, i)
     op = ints[k + OP]
     left = ints[k + LEFT]
@@ -163,10 +166,11 @@ def power_rates(ints, at, i, right, base, exponent, value):
 
 @routine
 def tape_gradient(ints, at, floats, fat, output, work, adjoint):
-    """Write the gradient of an output by the inputs to adjoint[: n_inputs]; `work` holds the values of all nodes.
+    """Write the gradient of an output by the inputs to adjoint[: n_inputs]; `work` holds the values
+    of all nodes.
 
-    `adjoint` has room for 2 n_nodes numbers; its second half says which nodes the output is computed from: of all
-    others the derivatives, which may be infinite, have no part in it.
+    `adjoint` has room for 2 n_nodes numbers; its second half says which nodes the output is
+    computed from: of all others the derivatives, which may be infinite, have no part in it.
     """
     n = ints[at + N_INPUTS]
     last = ints[at + TAPE_HEAD + output]
@@ -234,7 +238,8 @@ def chain_order(k, width, series, operand, derivative):
 def power_order(k, width, series, i, left, right):
     """Order k of a power with a constant exponent c, k > 0; the power of order 0 is there.
 
-    A base that begins at order m is t^m u(t), and its power t^(m c) u^c; c u' w = u w' holds for w = u^c.
+    A base that begins at order m is t^m u(t), and its power t^(m c) u^c; c u' w = u w' holds for w
+    = u^c.
     """
     c = series[width * right]
     for j in range(1, k + 1):
@@ -263,7 +268,8 @@ def power_order(k, width, series, i, left, right):
 def tape_order(ints, at, floats, fat, k, width, series):
     """Write order k of the Taylor series of all nodes: series[width * place + k].
 
-    Orders 0 ... k of the inputs and orders 0 ... k - 1 of the nodes are there; width is at least k + 1.
+    Orders 0 ... k of the inputs and orders 0 ... k - 1 of the nodes are there; width is at least k
+    + 1.
     """
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
@@ -293,7 +299,11 @@ def tape_order(ints, at, floats, fat, k, width, series):
             else:
                 series[y] = power_order(k, width, series, i, left, right)
         elif k == 0 and (op == ATAN2 or op == HYPOT):
-            series[y] = math.atan2(series[a], series[b]) if op == ATAN2 else math.hypot(series[a], series[b])
+            series[y] = (
+                math.atan2(series[a], series[b])
+                if op == ATAN2
+                else math.hypot(series[a], series[b])
+            )
         elif op <= NEAREST:
             if k == 0:
                 series[y] = leaf_value(ints, at, floats, fat, i, width, series)
@@ -302,7 +312,9 @@ def tape_order(ints, at, floats, fat, k, width, series):
             else:
                 first = ints[p + NODE_INTS + LEFT]
                 second = ints[p + NODE_INTS + RIGHT]
-                series[y] = chain_order(k, width, series, left, first) + chain_order(k, width, series, right, second)
+                series[y] = chain_order(k, width, series, left, first) + chain_order(
+                    k, width, series, right, second
+                )
         elif k == 0:
             series[y] = function_value(op, series[a])
         else:
@@ -334,7 +346,9 @@ def tapes(ints, floats, inputs, values, gradients):
 
 @kernel(I("_"), F("_"), INT, F("N", "n", "k"), OUT("N", "m", "k"), returns=False)
 def tape_series(ints, floats, order, inputs, outputs):
-    """Write orders 0 ... order, which is below k, of the outputs of a tape along N curves given by their series."""
+    """Write orders 0 ... order, which is below k, of the outputs of a tape along N curves given by
+    their series.
+    """
     ints_ = raw(ints)
     floats_ = raw(floats)
     n = ints[N_INPUTS]

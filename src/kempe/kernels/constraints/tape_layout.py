@@ -1,4 +1,5 @@
-"""Where the numbers of a tape lie: a recorded expression as a small program. Imports nothing, like `table_layout`.
+"""Where the numbers of a tape lie: a recorded expression as a small program. Imports nothing, like
+`table_layout`.
 
     ints     N_INPUTS, N_NODES, N_OUTPUTS; then the places of the outputs; then three integers for each node that is
              no input: its operation, left, right
@@ -18,9 +19,9 @@ Places count inputs first, then nodes. What left and right are is said by the op
     AT, NEAREST          the same: NEAREST(AT(AT(table, x), y), z) is the parameter of the point of a curve that is
                          nearest to (x, y, z); what lies between has no value of its own, only rates
 
-The table of a curve is 1 where its first and last piece go on without end, else 0; then PIECE numbers for each piece:
-four coefficients of its polynomial for each of x, y, z, and the radius of a ball about its start that contains it.
-Piece i is for parameters from i to i + 1.
+The table of a curve is 1 where its first and last piece go on without end, else 0; then PIECE
+numbers for each piece: four coefficients of its polynomial for each of x, y, z, and the radius of a
+ball about its start that contains it. Piece i is for parameters from i to i + 1.
 """
 
 N_INPUTS = 0
@@ -37,7 +38,9 @@ RIGHT = 2
 
 NUMBER, ADD, SUB, MUL, DIV, POW, NEG, PARTIALS, TABLE, LOOKUP = range(10)
 ATAN2, HYPOT, AT, NEAREST = range(10, 14)
-EXP, LOG, SQRT, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, ASINH, ACOSH, ATANH = range(14, 29)
+EXP, LOG, SQRT, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, ASINH, ACOSH, ATANH = range(
+    14, 29
+)
 """Operations."""
 
 PIECE = 13

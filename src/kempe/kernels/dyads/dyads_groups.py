@@ -1,24 +1,38 @@
 """Rings of three rigid clusters, and clusters that are joined twice, closed by circles and lines.
 
-Three bodies, joined in a circle by pins and rails, form the dyads of Assur (1914): `circles` (RRR), `line_circle` (one
-rail) and `lines` (two rails). What cannot close is put where it nearly touches. The functions return nothing; numbers
-in their docstrings are places in the integers of the operation, from 1.
+Three bodies, joined in a circle by pins and rails, form the dyads of Assur (1914): `circles` (RRR),
+`line_circle` (one rail) and `lines` (two rails). What cannot close is put where it nearly touches.
+The functions return nothing; numbers in their docstrings are places in the integers of the
+operation, from 1.
 """
 
 from __future__ import annotations
 
 from kempe.kernels.base._jit import routine
 from kempe.kernels.base.vectors import square_root, where
-from kempe.kernels.dyads.dyads_poses import TINY, brought, flag, part_by, pin, positive, put_pose, rail, unit, vector
+from kempe.kernels.dyads.dyads_poses import (
+    TINY,
+    brought,
+    flag,
+    part_by,
+    pin,
+    positive,
+    put_pose,
+    rail,
+    unit,
+    vector,
+)
 
 
 @routine
 def circles(v, ints, i, floats, f):
-    """Join two links by a pin: circle meets circle. Pins 1 and 2: A and C of the base; 3 and 4: A and B of a link;
-    5 and 6: B and C of the other. The sign 7 is the orientation of A, C, B. Out: registers 8 and 9 of the links.
+    """Join two links by a pin: circle meets circle. Pins 1 and 2: A and C of the base; 3 and 4: A
+    and B of a link; 5 and 6: B and C of the other. The sign 7 is the orientation of A, C, B. Out:
+    registers 8 and 9 of the links.
 
-    The height of B above AC comes from the product of four sums of the sides, which loses nothing where the triangle
-    is a needle (Kahan, "Miscalculating area and angles of a needle-like triangle", 2014).
+    The height of B above AC comes from the product of four sums of the sides, which loses nothing
+    where the triangle is a needle (Kahan, "Miscalculating area and angles of a needle-like
+    triangle", 2014).
     """
     ax, ay = pin(v, ints[i + 1], floats, f)
     cx, cy = pin(v, ints[i + 2], floats, f + 2)
@@ -57,9 +71,9 @@ def circles(v, ints, i, floats, f):
 
 @routine
 def line_circle(v, ints, i, floats, f):
-    """Join a slider and a link: line meets circle. Rails 1 (base) and 2 (slider); pins 3 and 4: B of the slider and of
-    the link; 5 and 6: A of the link and of the base. The sign 7 is that of B - A along the rail: + slides farther.
-    Out: registers 8 of the slider and 9 of the link.
+    """Join a slider and a link: line meets circle. Rails 1 (base) and 2 (slider); pins 3 and 4: B
+    of the slider and of the link; 5 and 6: A of the link and of the base. The sign 7 is that of B -
+    A along the rail: + slides farther. Out: registers 8 of the slider and 9 of the link.
     """
     px, py, dx, dy = rail(v, ints[i + 1], floats, f)
     qx, qy, ex, ey = rail(v, ints[i + 2], floats, f + 4)
@@ -90,8 +104,8 @@ def line_circle(v, ints, i, floats, f):
 
 @routine
 def lines(v, ints, i, floats, f):
-    """Pin two sliders on one base together: line meets line. Rails 1 (base) and 2 (first slider), 3 (base) and 4
-    (second); pins 5 and 6 of the first and of the second. Out: registers 7 and 8.
+    """Pin two sliders on one base together: line meets line. Rails 1 (base) and 2 (first slider), 3
+    (base) and 4 (second); pins 5 and 6 of the first and of the second. Out: registers 7 and 8.
     """
     p1x, p1y, d1x, d1y = rail(v, ints[i + 1], floats, f)
     q1x, q1y, e1x, e1y = rail(v, ints[i + 2], floats, f + 4)
@@ -118,7 +132,9 @@ def lines(v, ints, i, floats, f):
 
 @routine
 def pin_pin(v, ints, i, floats, f):
-    """Place a body on two pins. Pins 1 and 2 of the base, 3 and 4 of the body; exact at the first. Out: register 5."""
+    """Place a body on two pins. Pins 1 and 2 of the base, 3 and 4 of the body; exact at the first.
+    Out: register 5.
+    """
     ax, ay = pin(v, ints[i + 1], floats, f)
     bx, by = pin(v, ints[i + 2], floats, f + 2)
     a1x, a1y = pin(v, ints[i + 3], floats, f + 4)
@@ -131,7 +147,9 @@ def pin_pin(v, ints, i, floats, f):
 
 @routine
 def pin_rail(v, ints, i, floats, f):
-    """Place a body by a pin and a rail: its pin 4 on pin 3 of the base, its rail 2 along rail 1. Out: register 5."""
+    """Place a body by a pin and a rail: its pin 4 on pin 3 of the base, its rail 2 along rail 1.
+    Out: register 5.
+    """
     _, _, dx, dy = rail(v, ints[i + 1], floats, f)
     _, _, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     ax, ay = pin(v, ints[i + 3], floats, f + 8)
@@ -141,7 +159,9 @@ def pin_rail(v, ints, i, floats, f):
 
 @routine
 def rail_rail(v, ints, i, floats, f):
-    """Place a body on two rails: its rails 2 and 4 lie on rails 1 and 3 of the base. Out: register 5."""
+    """Place a body on two rails: its rails 2 and 4 lie on rails 1 and 3 of the base. Out: register
+    5.
+    """
     p1x, p1y, d1x, d1y = rail(v, ints[i + 1], floats, f)
     q1x, q1y, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     p2x, p2y, d2x, d2y = rail(v, ints[i + 3], floats, f + 8)

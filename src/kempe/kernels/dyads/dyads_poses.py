@@ -1,7 +1,7 @@
 """Poses in the plane in registers of `LANES` configurations: what programs of dyads are made of.
 
-A pose is (c, s, x, y): cosine and sine of the orientation, origin. A *pin* is the end of a revolute joint (a point of a
-body), a *rail* that of a prismatic one (a point and a direction).
+A pose is (c, s, x, y): cosine and sine of the orientation, origin. A *pin* is the end of a revolute
+joint (a point of a body), a *rail* that of a prismatic one (a point and a direction).
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from kempe.kernels.base.vectors import LANES, load_lanes, square_root, store, wh
 from kempe.kernels.dyads.dyads_layout import FLAG, GAP, MARGIN
 
 TINY = 1e-14
-"""Lengths below this share of the others count as zero: the direction along them would be rounding."""
+"""Lengths below this share of the others count as zero: the direction along them would be
+rounding."""
 
 
 @device
@@ -45,7 +46,12 @@ def put_pose(v, place, value):
 def times(a, b):
     """The pose a b."""
     c, s, x, y = a
-    return c * b[0] - s * b[1], s * b[0] + c * b[1], x + (c * b[2] - s * b[3]), y + (s * b[2] + c * b[3])
+    return (
+        c * b[0] - s * b[1],
+        s * b[0] + c * b[1],
+        x + (c * b[2] - s * b[3]),
+        y + (s * b[2] + c * b[3]),
+    )
 
 
 @device
@@ -110,7 +116,9 @@ def flag(v, size, least):
 
 @device
 def part_by(v, margin):
-    """Count a dyad whose branches are as far apart as `margin`, the sine of the angle between its links, says."""
+    """Count a dyad whose branches are as far apart as `margin`, the sine of the angle between its
+    links, says.
+    """
     least = vector(v, MARGIN)
     put(v, MARGIN, where(least > margin, margin, least))
 

@@ -1,8 +1,9 @@
-"""Planar mechanisms made of dyads, `LANES` configurations side by side: a program of closed forms is walked.
+"""Planar mechanisms made of dyads, `LANES` configurations side by side: a program of closed forms
+is walked.
 
-Known coordinates place bodies, dyads are closed (`kempe.kernels.dyads.dyads_groups`), and all other coordinates
-are read off the poses; how far joints are open is summed up on the way. `kempe.solvers.dyads.assur_groups` writes the
-programs.
+Known coordinates place bodies, dyads are closed (`kempe.kernels.dyads.dyads_groups`), and all other
+coordinates are read off the poses; how far joints are open is summed up on the way.
+`kempe.solvers.dyads.assur_groups` writes the programs.
 """
 
 from __future__ import annotations
@@ -14,10 +15,37 @@ import numpy as np
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import OUT, F, I
 from kempe.kernels.base.trig import REACH, ROUND, atan2, sincos
-from kempe.kernels.base.vectors import LANES, all_between, keep, rarely, raw, spread_lanes, store, where
+from kempe.kernels.base.vectors import (
+    LANES,
+    all_between,
+    keep,
+    rarely,
+    raw,
+    spread_lanes,
+    store,
+    where,
+)
 from kempe.kernels.dyads import dyads_layout as K
-from kempe.kernels.dyads.dyads_groups import circles, line_circle, lines, pin_pin, pin_rail, rail_rail
-from kempe.kernels.dyads.dyads_poses import constant, inverted, open_by, pin, pose, put, put_pose, rail, times, vector
+from kempe.kernels.dyads.dyads_groups import (
+    circles,
+    line_circle,
+    lines,
+    pin_pin,
+    pin_rail,
+    rail_rail,
+)
+from kempe.kernels.dyads.dyads_poses import (
+    constant,
+    inverted,
+    open_by,
+    pin,
+    pose,
+    put,
+    put_pose,
+    rail,
+    times,
+    vector,
+)
 
 
 @routine
@@ -47,7 +75,9 @@ def turn(v, ints, i, floats, f):
 
 @routine
 def slide(v, ints, i, floats, f):
-    """Set register 1 = register 2 . constant 1 . slide along x by (multiplier . vector 3) . constant 5."""
+    """Set register 1 = register 2 . constant 1 . slide along x by (multiplier . vector 3) .
+    constant 5.
+    """
     d = floats[f] * vector(v, ints[i + 3])
     a = times(pose(v, ints[i + 2]), constant(floats, f + 1))
     a = a[0], a[1], a[2] + a[0] * d, a[3] + a[1] * d
@@ -78,7 +108,9 @@ def upward(x):
 
 @device
 def representative(a, target, period, low, high):
-    """Of a + whole multiples of `period` the one nearest to the target, within the limits where one is."""
+    """Of a + whole multiples of `period` the one nearest to the target, within the limits where one
+    is.
+    """
     nearest = a + period * rounded((target - a) / period)
     down = where(nearest > high, nearest - period * upward((nearest - high) / period), nearest)
     up = where(low > down, down + period * upward((low - down) / period), down)
@@ -87,10 +119,11 @@ def representative(a, target, period, low, high):
 
 @routine
 def read_turn(v, ints, i, floats, f):
-    """Read coordinate 3 of a pin between bodies 1 and 2, target 4; what was known (5 is not 0) is checked.
+    """Read coordinate 3 of a pin between bodies 1 and 2, target 4; what was known (5 is not 0) is
+    checked.
 
-    floats: cosine and sine of the constant turn between the frames; 1/multiplier, -offset/multiplier, period, limits;
-    the pin on both bodies; metres for a unit of misfit.
+    floats: cosine and sine of the constant turn between the frames; 1/multiplier,
+    -offset/multiplier, period, limits; the pin on both bodies; metres for a unit of misfit.
     """
     a = pose(v, ints[i + 1])
     b = pose(v, ints[i + 2])
@@ -106,7 +139,11 @@ def read_turn(v, ints, i, floats, f):
         misfit = (misfit - period * rounded(misfit / period)) * floats[f + 11]
         open_by(v, misfit * misfit)
     else:
-        put(v, place, representative(angle, vector(v, ints[i + 4]), period, floats[f + 5], floats[f + 6]))
+        put(
+            v,
+            place,
+            representative(angle, vector(v, ints[i + 4]), period, floats[f + 5], floats[f + 6]),
+        )
     ax, ay = pin(v, ints[i + 1], floats, f + 7)
     bx, by = pin(v, ints[i + 2], floats, f + 9)
     open_by(v, (bx - ax) * (bx - ax) + (by - ay) * (by - ay))
@@ -116,7 +153,8 @@ def read_turn(v, ints, i, floats, f):
 def read_slide(v, ints, i, floats, f):
     """Read coordinate 3 of a rail between bodies 1 and 2; what was known (5 is not 0) is checked.
 
-    floats: the rail on both bodies; 1/multiplier, -offset/multiplier; metres for a unit of misfit; metres for a radian.
+    floats: the rail on both bodies; 1/multiplier, -offset/multiplier; metres for a unit of misfit;
+    metres for a radian.
     """
     px, py, dx, dy = rail(v, ints[i + 1], floats, f)
     qx, qy, ex, ey = rail(v, ints[i + 2], floats, f + 4)
@@ -180,7 +218,9 @@ def close(code, v, ints, i, floats, f):
 
 @device
 def begin(v, ints):
-    """Set all registers to the identity, what is open to zero, and the least margin of the dyads to one."""
+    """Set all registers to the identity, what is open to zero, and the least margin of the dyads to
+    one.
+    """
     zero = spread_lanes(0.0)
     one = spread_lanes(1.0)
     put(v, K.GAP, zero)
@@ -192,11 +232,13 @@ def begin(v, ints):
 
 @kernel(I("_"), F("_"), F("N", "_"), F("1|N", "_"), F("1|N", "nq"), OUT("N", "nq"), OUT("N", 3))
 def solve(ints, floats, values, signs, near, q, status):
-    """Number of rows; walks the program for known values (N, n_known) and branch signs (N or 1, n_signs).
+    """Number of rows; walks the program for known values (N, n_known) and branch signs (N or 1,
+    n_signs).
 
-    Writes configurations q (N, nq), angles nearest to `near` (N or 1, nq), and of each row in `status` (N, 3): the
-    norm of all openings in metres, how many dyads were undetermined, and the least margin of a dyad, which is 0 where
-    two of its branches meet and at most 1. A block that is not full repeats its last.
+    Writes configurations q (N, nq), angles nearest to `near` (N or 1, nq), and of each row in
+    `status` (N, 3): the norm of all openings in metres, how many dyads were undetermined, and the
+    least margin of a dyad, which is 0 where two of its branches meet and at most 1. A block that is
+    not full repeats its last.
     """
     n = q.shape[0]
     nq = ints[K.NQ]

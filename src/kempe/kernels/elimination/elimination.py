@@ -1,13 +1,16 @@
-"""All postures of a chain of six joints that reach a pose: the complete solver for general geometry.
+"""All postures of a chain of six joints that reach a pose: the complete solver for general
+geometry.
 
-`eliminate` solves E_1 ... E_6 = G by one of 36 formulations: equations without the removed joint and without the pair
-(`elimination_loop`), a 16x16 or 24x24 matrix whose eigenvalues are the hidden joint's values (`elimination_pencil`),
-null vectors that give the other two joints of the triple (`elimination_null`), then the pair and the removed joint
-(`elimination_pair`), and a few Newton steps (`elimination_polish`).
+`eliminate` solves E_1 ... E_6 = G by one of 36 formulations: equations without the removed joint
+and without the pair (`elimination_loop`), a 16x16 or 24x24 matrix whose eigenvalues are the hidden
+joint's values (`elimination_pencil`), null vectors that give the other two joints of the triple
+(`elimination_null`), then the pair and the removed joint (`elimination_pair`), and a few Newton
+steps (`elimination_polish`).
 
-What special geometry does to a formulation: two postures may share the hidden joint's value (the null space is a plane,
-and `split` finds both), roots without postures may appear, or the equations may become dependent, so that it is
-useless. `elimination_score` tells which formulations suit a chain.
+What special geometry does to a formulation: two postures may share the hidden joint's value (the
+null space is a plane, and `split` finds both), roots without postures may appear, or the equations
+may become dependent, so that it is useless. `elimination_score` tells which formulations suit a
+chain.
 """
 
 from __future__ import annotations
@@ -80,16 +83,28 @@ from kempe.kernels.elimination.elimination_roots import (
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
 
-ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, SINGULAR, FREE, UNMATCHED, SHARED = (
-    2**k for k in range(12)
-)
-"""Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
-eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be distinguished,
-or too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a
-singular posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly
-free, as on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its
-own that has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so
-that two postures may share it."""
+(
+    ODD,
+    NEARLY_REAL,
+    NO_EIGENVALUES,
+    ILL_LEAD,
+    ILL_NULL,
+    ASTRAY,
+    TWICE,
+    UNUSABLE,
+    SINGULAR,
+    FREE,
+    UNMATCHED,
+    SHARED,
+) = (2**k for k in range(12))
+"""Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures
+may have been lost; eigenvalues not found; leading matrix nearly singular; fewer null vectors than
+roots, some that cannot be distinguished, or too many candidates; a real root that led to no
+posture; two that led to the same; no independent equations; a singular posture, where others may
+merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as on a
+self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of
+its own that has its value of the hidden joint, or a posture without a root; a triple that does not
+determine the pair, so that two postures may share it."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
@@ -98,23 +113,27 @@ UNSOUND = DEGENERATE | UNMATCHED | SHARED
 """Bits of doubts that do not vanish where another formulation finds the same."""
 
 WIDER = 100.0
-"""How much larger the imaginary parts of postures that merge are at a disturbed goal: as its root."""
+"""How much larger the imaginary parts of postures that merge are at a disturbed goal: as its
+root."""
 
 NEARLY_FREE = 1e-5
 CLOSE = 0.1
-"""Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or nearly; error before
-Newton's steps up to which a candidate that they lead astray is a stray."""
+"""Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or
+nearly; error before Newton's steps up to which a candidate that they lead astray is a stray."""
 
 BLURRED = 1e-2
 SURELY = 10.0
-"""Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
+"""Error of a null space from which it means nothing; how many times that it must be away from
+having more postures."""
 
 DETERMINED = 1e-6
-"""Least sine between columns of the pair's equations below which these have more than one solution."""
+"""Least sine between columns of the pair's equations below which these have more than one
+solution."""
 
 NOISE = 1e-7
 SIMPLE = 1e-5
-"""Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
+"""Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a
+simple root."""
 
 NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
@@ -124,11 +143,13 @@ SEPARATE = 1e-8
 
 NO_MATRIX = 1e-12
 GOOD_LEAD = 1e-7
-"""Pivot ratio of the leading matrix: below the first the equations are dependent, below the second they are suspect."""
+"""Pivot ratio of the leading matrix: below the first the equations are dependent, below the second
+they are suspect."""
 
 REFERENCES = 4
 GOOD_REFERENCE = 1e-3
-"""Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good enough."""
+"""Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good
+enough."""
 
 _LOOP = 0
 _FANS = _LOOP + LOOP_SIZE
@@ -156,7 +177,9 @@ ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
 
 @routine
 def matrix_of(kinds, lines, goal, formulation, w):
-    """(rows, half the angle of zero, pivot ratio); writes the matrix with the hidden joint's roots t as eigenvalues."""
+    """(rows, half the angle of zero, pivot ratio); writes the matrix with the hidden joint's roots
+    t as eigenvalues.
+    """
     table = beyond(w, _TABLE)
     forms = beyond(w, _FORMS)
     re = beyond(w, _RE)
@@ -171,7 +194,11 @@ def matrix_of(kinds, lines, goal, formulation, w):
     hidden = hidden_of(formulation)
     assemble(table, w, hidden, forms)
     lost = 0
-    if hidden == 0 and w[TRIPLE + IS_SLIDE] == 0.0 and null_at_i(forms, re, im, free, beyond(w, _MASK)):
+    if (
+        hidden == 0
+        and w[TRIPLE + IS_SLIDE] == 0.0
+        and null_at_i(forms, re, im, free, beyond(w, _MASK))
+    ):
         lost = LOST
     for i in range(SIZE if lost == 0 else 0):
         free[2 * i] = float(i)
@@ -210,7 +237,8 @@ def _eigenvalues(n, w):
 
 @device
 def _vectors_at(angle, alike, w):
-    """(vectors, suspicion, proven, last but one pivot over the first); writes the null vectors of `alike` roots.
+    """(vectors, suspicion, proven, last but one pivot over the first); writes the null vectors of
+    `alike` roots.
 
     Proven is that there are no more postures than vectors.
     """
@@ -220,7 +248,9 @@ def _vectors_at(angle, alike, w):
     if alike > MOST:
         return 0, ILL_NULL, False, 0.0
     if alike > 2:
-        vectors, error, margin = postures_at(m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER))
+        vectors, error, margin = postures_at(
+            m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER)
+        )
         return vectors, 0 if error < BLURRED else ILL_NULL, SURELY * error < margin, 0.0
     vectors, third, second = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
     if vectors < 2:
@@ -232,7 +262,8 @@ def _vectors_at(angle, alike, w):
 
 @routine
 def _posture(s, angle, k, theta):
-    """(how far null vector k is from one of a posture, infinite at infinity; how well it determines the pair).
+    """(how far null vector k is from one of a posture, infinite at infinity; how well it determines
+    the pair).
 
     Writes the six coordinates.
     """
@@ -253,7 +284,9 @@ def _posture(s, angle, k, theta):
 
 
 class EliminationScratch(NamedTuple):
-    """A chain with its goal, the goal whose roots are taken, the formulation, scratch and result; pointers."""
+    """A chain with its goal, the goal whose roots are taken, the formulation, scratch and result;
+    pointers.
+    """
 
     kinds: object
     lines: object
@@ -274,7 +307,9 @@ def _hidden_value(s, k):
 
 @device
 def _claimed_twice(s, k, angle):
-    """Whether posture k is that of a root with this value of the hidden joint, and was that of another one before."""
+    """Whether posture k is that of a root with this value of the hidden joint, and was that of
+    another one before.
+    """
     posture = beyond(s.w, FOUNDLINGS + FOUND * k)
     here = abs(wrapped(_hidden_value(s, k) - angle)) < NEARLY
     before = posture[CLAIMED] != 0.0
@@ -284,7 +319,9 @@ def _claimed_twice(s, k, angle):
 
 @device
 def _unmatched(s, n, count):
-    """Whether a root that is expected to have a posture, or a posture, has no partner; a singular posture has two."""
+    """Whether a root that is expected to have a posture, or a posture, has no partner; a singular
+    posture has two.
+    """
     roots = beyond(s.w, _ROOTS)
     alone = False
     for again in range(2):
@@ -300,7 +337,8 @@ def _unmatched(s, n, count):
 def _add(s, i, n, twins, count, strays):
     """(postures, strays, suspicion) with those of root i of n added.
 
-    A stray is a start that was close, but Newton's steps led astray: written to `out`, from its end.
+    A stray is a start that was close, but Newton's steps led astray: written to `out`, from its
+    end.
     """
     found = beyond(s.w, FOUNDLINGS)
     work = beyond(s.w, _WORK)
@@ -351,14 +389,20 @@ def _add(s, i, n, twins, count, strays):
 
 @routine
 def _postures(s, n, half, disturbed, count, strays):
-    """(postures, strays, suspicion) with those of the n roots added; of a pair of conjugates the first is enough."""
+    """(postures, strays, suspicion) with those of the n roots added; of a pair of conjugates the
+    first is enough.
+    """
     suspect = 0
     roots = beyond(s.w, _ROOTS)
     narrower = 1.0 if disturbed == 0 else WIDER
     slides = s.w[TRIPLE + LINE_STRIDE * hidden_of(s.formulation) + IS_SLIDE] != 0.0
-    write_roots(beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, slides, roots)
+    write_roots(
+        beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, slides, roots
+    )
     for i in range(n):
-        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY and not at_infinity(slides, roots[ROOT * i + ANGLE]):
+        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY and not at_infinity(
+            slides, roots[ROOT * i + ANGLE]
+        ):
             count, strays, doubt = _add(s, i, n, disturbed == 0, count, strays)
             suspect |= doubt
     lost = _unmatched(s, n, count) if disturbed == 0 else expected(roots, n) != count
@@ -367,16 +411,19 @@ def _postures(s, n, half, disturbed, count, strays):
 
 @routine
 def eliminate(kinds, lines, goal, formulation, w, out):
-    """(count, strays, suspect); writes `count` candidates, six coordinates each, angles in (-pi, pi].
+    """(count, strays, suspect); writes `count` candidates, six coordinates each, angles in (-pi,
+    pi].
 
-    kinds, lines: the chain, LINE_STRIDE numbers a joint. goal: rows of G (12 numbers). w: ELIMINATION_SCRATCH numbers.
-    out: room for CANDIDATES candidates. Each candidate fulfils the equation to ACCEPT, and no two are the same; after
-    them follow `strays` starts near which Newton's steps found nothing, though more careful ones may. `suspect` is 0
-    or tells by its bits (ODD and others) why postures may be missing: then another formulation may find them. A chain
-    or goal that is not finite gives no candidates.
+    kinds, lines: the chain, LINE_STRIDE numbers a joint. goal: rows of G (12 numbers). w:
+    ELIMINATION_SCRATCH numbers. out: room for CANDIDATES candidates. Each candidate fulfils the
+    equation to ACCEPT, and no two are the same; after them follow `strays` starts near which
+    Newton's steps found nothing, though more careful ones may. `suspect` is 0 or tells by its bits
+    (ODD and others) why postures may be missing: then another formulation may find them. A chain or
+    goal that is not finite gives no candidates.
 
-    A goal can make the equations dependent, or give several postures the same hidden coordinate, though hardly any
-    goal nearby does. Then a disturbed goal's postures are where Newton's steps begin.
+    A goal can make the equations dependent, or give several postures the same hidden coordinate,
+    though hardly any goal nearby does. Then a disturbed goal's postures are where Newton's steps
+    begin.
     """
     found = beyond(w, FOUNDLINGS)
     count = 0
@@ -407,4 +454,8 @@ def eliminate(kinds, lines, goal, formulation, w, out):
     for k in range(count + strays):
         for j in range(6):
             out[6 * k + j] = found[FOUND * k + j]
-    return count, strays, suspect | (ODD if count % 2 == 1 else 0) | (FREE if least < NEARLY_FREE else 0)
+    return (
+        count,
+        strays,
+        suspect | (ODD if count % 2 == 1 else 0) | (FREE if least < NEARLY_FREE else 0),
+    )

@@ -1,4 +1,6 @@
-"""Candidates of the elimination: Newton's method makes each a new posture, one that is known, or none."""
+"""Candidates of the elimination: Newton's method makes each a new posture, one that is known, or
+none.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,13 @@ PIVOTS = 7
 START = 8
 KNOWN = 14
 CLAIMED = 15
-"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, pivot ratio of the Jacobian after them,
-coordinates before them, which candidate it came to be, whether a root at its value of the hidden joint led to it."""
+"""Numbers of a candidate in scratch: coordinates, error before Newton's steps, pivot ratio of the
+Jacobian after them, coordinates before them, which candidate it came to be, whether a root at its
+value of the hidden joint led to it."""
 
 STEPS = 12
-"""Newton steps of a candidate at most; two or three are usual, where postures merge each halves the distance."""
+"""Newton steps of a candidate at most; two or three are usual, where postures merge each halves the
+distance."""
 
 ACCEPT = 1e-9
 """Error up to which a candidate is kept."""
@@ -58,9 +62,11 @@ def accept(kinds, lines, goal, found, count, work):
 
 @routine
 def twin(kinds, lines, goal, found, source, count, work):
-    """What `accept` says of candidate `count`, begun at the mirror image of candidate `source` about its own start.
+    """What `accept` says of candidate `count`, begun at the mirror image of candidate `source`
+    about its own start.
 
-    Two postures that are about to merge lie on both sides of where their common root, or two close ones, point.
+    Two postures that are about to merge lie on both sides of where their common root, or two close
+    ones, point.
     """
     one = beyond(found, FOUND * source)
     other = beyond(found, FOUND * count)

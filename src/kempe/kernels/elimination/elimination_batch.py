@@ -15,10 +15,11 @@ from kempe.kernels.elimination.elimination_loop import LINE_STRIDE
 
 @kernel(I(6), F(6, LINE_STRIDE), F("N", 12), INT, OUT("N", "_", 6), OUTI("N"), OUTI("N"))
 def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
-    """Number of suspect goals; all candidates of each by one formulation, see `elimination.eliminate`.
+    """Number of suspect goals; all candidates of each by one formulation, see
+    `elimination.eliminate`.
 
-    kinds: (6,). lines: (6, LINE_STRIDE). goals: (N, 12), rows of G. thetas: (N, K, 6), K at least 16; of what is left
-    over nothing is written. counts, suspects: (N,).
+    kinds: (6,). lines: (6, LINE_STRIDE). goals: (N, 12), rows of G. thetas: (N, K, 6), K at least
+    16; of what is left over nothing is written. counts, suspects: (N,).
     """
     block = np.empty(ELIMINATION_SCRATCH + 6 * CANDIDATES)
     w = raw(block)
@@ -26,7 +27,9 @@ def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
     doubted = 0
     room = thetas.shape[1]
     for g in range(goals.shape[0]):
-        count, _, suspect = eliminate(raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out)
+        count, _, suspect = eliminate(
+            raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out
+        )
         doubted += int(suspect != 0)
         counts[g] = min(count, room)
         suspects[g] = suspect
@@ -39,7 +42,8 @@ def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
 
 @kernel(F("N", "n", "n"), OUT("N", "n"), OUT("N", "n"), OUTI("N"))
 def eigenvalues_each(matrices, re, im, missed):
-    """Number of matrices with eigenvalues that were not found, of N matrices (N, n, n), n <= LARGEST_SIZE.
+    """Number of matrices with eigenvalues that were not found, of N matrices (N, n, n), n <=
+    LARGEST_SIZE.
 
     re, im: (N, n), NaN where not found. missed: (N,), how many.
     """
@@ -52,7 +56,9 @@ def eigenvalues_each(matrices, re, im, missed):
         for i in range(n):
             for j in range(n):
                 a[i * LARGEST_SIZE + j] = matrices[m, i, j]
-        lost = eigenvalues(a, n, LARGEST_SIZE, beyond(raw(re), m * n), beyond(raw(im), m * n), scratch)
+        lost = eigenvalues(
+            a, n, LARGEST_SIZE, beyond(raw(re), m * n), beyond(raw(im), m * n), scratch
+        )
         missed[m] = lost
         failures += int(lost > 0)
     keep(block)

@@ -1,10 +1,12 @@
-"""Several postures that share the hidden joint's value: their null vectors, from the whole null space at once.
+"""Several postures that share the hidden joint's value: their null vectors, from the whole null
+space at once.
 
-At a value that m roots share the null space of the 12x12 matrix has up to m dimensions, and its vectors are mixtures of
-those of the postures. On the postures' own vectors v it holds that W v = x U v, where U and W are the u and the w part
-of joint a (or b) and x = w/u its value there: so in the null space N the matrix (U N)^+ W N has the values as
-eigenvalues and the postures' mixtures as eigenvectors. A combination of the two joints' matrices tells postures apart
-that share one of the values (Moeller and Stetter 1995, "Multivariate polynomial equations with multiple zeros solved by
+At a value that m roots share the null space of the 12x12 matrix has up to m dimensions, and its
+vectors are mixtures of those of the postures. On the postures' own vectors v it holds that W v = x
+U v, where U and W are the u and the w part of joint a (or b) and x = w/u its value there: so in the
+null space N the matrix (U N)^+ W N has the values as eigenvalues and the postures' mixtures as
+eigenvectors. A combination of the two joints' matrices tells postures apart that share one of the
+values (Moeller and Stetter 1995, "Multivariate polynomial equations with multiple zeros solved by
 matrix eigenproblems").
 """
 
@@ -40,10 +42,11 @@ CLUSTER_SCRATCH = _VALUES + 2 * MOST + EIGEN_SCRATCH + ROW
 
 @routine
 def null_space(m, count, mask, order, x):
-    """(largest entry left over, last pivot), over the first pivot; writes `count` null vectors, ROW numbers each.
+    """(largest entry left over, last pivot), over the first pivot; writes `count` null vectors, ROW
+    numbers each.
 
-    Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost), SIZE - count steps. mask: 2 ROW
-    numbers. order: 2 SIZE numbers.
+    Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost), SIZE - count
+    steps. mask: 2 ROW numbers. order: 2 SIZE numbers.
     """
     for j in range(ROW):
         mask[j] = 1.0 if j < SIZE else 0.0
@@ -78,7 +81,9 @@ def _entry(x, joint, i, j):
 
 @routine
 def _solved(a, b, n):
-    """Least over largest pivot of the matrix a (n rows of stride ROW, lost); b becomes a^-1 b. Gauss-Jordan."""
+    """Least over largest pivot of the matrix a (n rows of stride ROW, lost); b becomes a^-1 b.
+    Gauss-Jordan.
+    """
     least = math.inf
     largest = 0.0
     for k in range(n):
@@ -109,7 +114,9 @@ def _solved(a, b, n):
 
 @routine
 def _values_of(space, n, joint, half, left, right):
-    """Pivot ratio; `right` becomes the matrix of a joint's values w'/u', its zero moved by `half`: n rows of ROW."""
+    """Pivot ratio; `right` becomes the matrix of a joint's values w'/u', its zero moved by `half`:
+    n rows of ROW.
+    """
     c = math.cos(half)
     s = math.sin(half)
     for p in range(n):
@@ -130,7 +137,9 @@ def _values_of(space, n, joint, half, left, right):
 
 @routine
 def _best_values(space, n, joint, out, work):
-    """Pivot ratio; writes the matrix of a joint's values for the zero at which these are best determined."""
+    """Pivot ratio; writes the matrix of a joint's values for the zero at which these are best
+    determined.
+    """
     best = -1.0
     for k in range(PLACES):
         left = work
@@ -145,11 +154,13 @@ def _best_values(space, n, joint, out, work):
 
 @routine
 def postures_at(m, count, mask, order, x, scratch):
-    """(vectors, error, margin): writes a vector, ROW numbers, for each real posture among `count` roots at one value.
+    """(vectors, error, margin): writes a vector, ROW numbers, for each real posture among `count`
+    roots at one value.
 
-    The error is that of a null space of `count` dimensions; the margin is the least imaginary part of a posture that is
-    complex, relative to its size, 1 where there is none. m: the 12x12 matrix there (12 rows of stride ROW, lost). x:
-    count ROW numbers. mask, order: as of `null_space`. scratch: CLUSTER_SCRATCH numbers.
+    The error is that of a null space of `count` dimensions; the margin is the least imaginary part
+    of a posture that is complex, relative to its size, 1 where there is none. m: the 12x12 matrix
+    there (12 rows of stride ROW, lost). x: count ROW numbers. mask, order: as of `null_space`.
+    scratch: CLUSTER_SCRATCH numbers.
     """
     space = beyond(scratch, _SPACE)
     matrix = beyond(scratch, _MATRIX)
@@ -162,7 +173,10 @@ def postures_at(m, count, mask, order, x, scratch):
         return 0, math.inf, 0.0
     error = residue / last
     margin = 1.0
-    if not (_best_values(space, count, 0, matrix, work) > 0.0 and _best_values(space, count, 1, other, work) > 0.0):
+    if not (
+        _best_values(space, count, 0, matrix, work) > 0.0
+        and _best_values(space, count, 1, other, work) > 0.0
+    ):
         return 0, math.inf, 0.0
     for i in range(count * ROW):
         matrix[i] += MIX * other[i]
@@ -188,7 +202,9 @@ def postures_at(m, count, mask, order, x, scratch):
 
 @device
 def _combined(a, space, n, out):
-    """Write the mixture of the space's vectors that the matrix a (n rows of stride ROW, lost) takes to zero."""
+    """Write the mixture of the space's vectors that the matrix a (n rows of stride ROW, lost) takes
+    to zero.
+    """
     y = beyond(a, MOST * ROW)
     order = beyond(a, MOST * ROW + ROW)
     for j in range(n):

@@ -1,9 +1,10 @@
-"""Answers of eliminations that are in doubt confirmed a second way: by goals aside, whose answers are beyond doubt.
+"""Answers of eliminations that are in doubt confirmed a second way: by goals aside, whose answers
+are beyond doubt.
 
-A goal whose solutions merge, or lie on curves, is hardly ever one at which the equations are in a general position;
-those a little aside are, and each of their solutions leads by Newton's steps to one of the goal. An isolated solution
-of the goal that is regular has one partner for each goal aside, and one in which roots have merged has partners on at
-least one of two opposite sides.
+A goal whose solutions merge, or lie on curves, is hardly ever one at which the equations are in a
+general position; those a little aside are, and each of their solutions leads by Newton's steps to
+one of the goal. An isolated solution of the goal that is regular has one partner for each goal
+aside, and one in which roots have merged has partners on at least one of two opposite sides.
 """
 
 from __future__ import annotations
@@ -30,7 +31,13 @@ from kempe.kernels.closed_form.merging import (
     drop,
     gap,
 )
-from kempe.kernels.closed_form.polish import AT_AXES, columns_at, error_at, normal_equations, tangent
+from kempe.kernels.closed_form.polish import (
+    AT_AXES,
+    columns_at,
+    error_at,
+    normal_equations,
+    tangent,
+)
 from kempe.kernels.elimination.elimination import CANDIDATES, ELIMINATION_SCRATCH, eliminate
 from kempe.kernels.elimination.elimination_polish import polish as newton
 from kempe.kernels.forward.table_layout import SLIDE
@@ -38,30 +45,35 @@ from kempe.kernels.forward.table_layout import SLIDE
 SIDES = 4
 WIDE = 1e-3
 NARROW = 1e-4
-"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain: the first suits where roots
-have merged, the second where solutions are near each other."""
+"""Goals aside, each two opposite; how far they are, in radians and lengths of the chain: the first
+suits where roots have merged, the second where solutions are near each other."""
 
 STEPS = 40
 ASTRAY = 0.5
-"""Newton steps from a solution of a goal aside; how far from it a regular solution may be to which they lead."""
+"""Newton steps from a solution of a goal aside; how far from it a regular solution may be to which
+they lead."""
 
 REGULAR = 1e-4
-"""Bound of the smallest singular value squared above which a solution has one partner at each goal aside."""
+"""Bound of the smallest singular value squared above which a solution has one partner at each goal
+aside."""
 
 ALONG = 0.02
 RELAXING = 14
 RELAXED = 1e-12
-"""How far along its tangent a singular solution is looked at; steps that bring the tip back from there, and their
-damping: on curves all along which roots have merged they only halve the distance."""
+"""How far along its tangent a singular solution is looked at; steps that bring the tip back from
+there, and their damping: on curves all along which roots have merged they only halve the
+distance."""
 
 ON_A_CURVE = 1e-11
 ISOLATED = 1e-8
 FASTER = 10.0
-"""The error after these steps up to which there is a curve of solutions, if they lead to none nearer; from which, if it
-grows so much faster than by the smallest singular value, the solution is isolated."""
+"""The error after these steps up to which there is a curve of solutions, if they lead to none
+nearer; from which, if it grows so much faster than by the smallest singular value, the solution is
+isolated."""
 
 JOINED = 1.0
-"""How far from each other samples of a curve may be, in radians and lengths of the chain, for one to stand for both."""
+"""How far from each other samples of a curve may be, in radians and lengths of the chain, for one
+to stand for both."""
 
 CURVE = 0
 ALONE = 1
@@ -72,7 +84,8 @@ SEEN = 0
 HITS = 1
 MOST_HITS = 2
 HIT = 3
-"""Of each solution: sides that were followed to it so far, how often from the present side, how often from any."""
+"""Of each solution: sides that were followed to it so far, how often from the present side, how
+often from any."""
 
 AT_GOAL = ELIMINATION_SCRATCH + 6 * CANDIDATES
 AT_HITS = ELIMINATION_SCRATCH + 6 * CANDIDATES + 12
@@ -98,12 +111,16 @@ def goal_aside(goal, side, far, out):
         out[4 + j] = column[1]
         out[8 + j] = column[2]
     for i in range(3):
-        out[4 * i + 3] = goal[4 * i + 3] + sign * far * (2.0 * unit(mix(key, np.uint64(3 + i))) - 1.0)
+        out[4 * i + 3] = goal[4 * i + 3] + sign * far * (
+            2.0 * unit(mix(key, np.uint64(3 + i))) - 1.0
+        )
 
 
 @routine
 def relaxed(m, theta):
-    """The error left after steps that bring the tip back, but hardly along what is nearly a self-motion."""
+    """The error left after steps that bring the tip back, but hardly along what is nearly a
+    self-motion.
+    """
     step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     for _ in range(RELAXING):
         error_at(m, theta)
@@ -124,7 +141,9 @@ def relaxed(m, theta):
 
 @routine
 def kind_aside(d, row, sign):
-    """CURVE, ALONE or OPEN: what a singular solution (row of `Found`) seems to be by one side of its tangent."""
+    """CURVE, ALONE or OPEN: what a singular solution (row of `Found`) seems to be by one side of
+    its tangent.
+    """
     m = d.found.model
     theta = d.theta
     here = beyond(row, SOLUTION)
@@ -139,7 +158,9 @@ def kind_aside(d, row, sign):
         return ALONE
     if error <= ON_A_CURVE:
         return CURVE
-    return ALONE if error > max(ISOLATED, FASTER * ALONG * math.sqrt(max(row[WEAKEST], 0.0))) else OPEN
+    return (
+        ALONE if error > max(ISOLATED, FASTER * ALONG * math.sqrt(max(row[WEAKEST], 0.0))) else OPEN
+    )
 
 
 @routine
@@ -152,7 +173,9 @@ def kind_of(d, row):
 
 @routine
 def joined(d, k):
-    """Whether sample k is on one curve with a sample before it: halfway between them there is a solution as well."""
+    """Whether sample k is on one curve with a sample before it: halfway between them there is a
+    solution as well.
+    """
     m = d.found.model
     here = beyond(d.found.rows, (SOLUTION + d.n) * k + SOLUTION)
     for j in range(k):
@@ -161,7 +184,9 @@ def joined(d, k):
         if other[TURNS] > 0.0 or far > JOINED:
             continue
         for i in range(m.n):
-            d.theta[i] = other[SOLUTION + i] + 0.5 * gap(m.kinds[i] == SLIDE, here[i], other[SOLUTION + i])
+            d.theta[i] = other[SOLUTION + i] + 0.5 * gap(
+                m.kinds[i] == SLIDE, here[i], other[SOLUTION + i]
+            )
         if relaxed(m, d.theta) > ON_A_CURVE:
             continue
         one = distance(m, d.theta, here)
@@ -173,7 +198,9 @@ def joined(d, k):
 
 @routine
 def thinned(d, first, count):
-    """New number of solutions: of those from `first` on, those on curves become samples, one each metre or radian."""
+    """New number of solutions: of those from `first` on, those on curves become samples, one each
+    metre or radian.
+    """
     k = first
     while k < count:
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
@@ -199,7 +226,9 @@ def known_of(d, count):
 
 @routine
 def answer_aside(d, goal, scratch, thetas):
-    """Number of candidates of the first formulation that leaves nothing in doubt about a goal, -1 where all do."""
+    """Number of candidates of the first formulation that leaves nothing in doubt about a goal, -1
+    where all do.
+    """
     for f in range(d.ints[N_FORMS]):
         k, _, suspect = eliminate(d.kinds, d.six, goal, d.ints[FORMS + f], scratch, thetas)
         if suspect == 0:
@@ -209,9 +238,11 @@ def answer_aside(d, goal, scratch, thetas):
 
 @routine
 def followed(d, scratch, thetas, candidates, count, side, hits):
-    """(new number of solutions, whether all is well) after those of a goal aside were followed to the goal.
+    """(new number of solutions, whether all is well) after those of a goal aside were followed to
+    the goal.
 
-    All is well if each leads to a solution, and to a regular one that is near no more than one does.
+    All is well if each leads to a solution, and to a regular one that is near no more than one
+    does.
     """
     m = d.found.model
     order = beyond(d.ints, ORDER)

@@ -1,4 +1,6 @@
-"""Every configuration that reaches a target, for chains of six joints without structure: by elimination."""
+"""Every configuration that reaches a target, for chains of six joints without structure: by
+elimination.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,15 @@ from kempe.kernels.base.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.base.random import mix, unit
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
-from kempe.kernels.closed_form.analytic_layout import FORMS, INFO, N_FORMS, N_JOINTS, ORDER, REST, ROLES
+from kempe.kernels.closed_form.analytic_layout import (
+    FORMS,
+    INFO,
+    N_FORMS,
+    N_JOINTS,
+    ORDER,
+    REST,
+    ROLES,
+)
 from kempe.kernels.closed_form.candidates import CANDIDATE, SAMPLE
 from kempe.kernels.closed_form.candidates import SLOT as CANDIDATE_SLOT
 from kempe.kernels.closed_form.folds import split
@@ -29,16 +39,29 @@ from kempe.kernels.closed_form.merging import (
     distance,
     listed,
 )
-from kempe.kernels.closed_form.one_target import begin, end, take_candidates, target_scratch, target_scratch_size
+from kempe.kernels.closed_form.one_target import (
+    begin,
+    end,
+    take_candidates,
+    target_scratch,
+    target_scratch_size,
+)
 from kempe.kernels.closed_form.polish import error_at, polish, tangent
 from kempe.kernels.elimination.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
-from kempe.kernels.elimination.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, thinned
+from kempe.kernels.elimination.elimination_confirm import (
+    ALONE,
+    CONFIRM_SCRATCH,
+    confirmed,
+    kind_of,
+    thinned,
+)
 from kempe.kernels.forward.table_layout import SLIDE
 
 STARTS = 64
 PACES = 40
 PACE = 0.3
-"""Starts where a joint is nearly free; steps of a walk along what is nearly a self-motion, and their length."""
+"""Starts where a joint is nearly free; steps of a walk along what is nearly a self-motion, and
+their length."""
 
 FOLD = 1e-4
 """Bound of the smallest singular value squared of a solution in which two roots may have merged."""
@@ -67,10 +90,11 @@ def searched(d, count):
 
 @routine
 def walked(d, count):
-    """New number of solutions, those added that lie on the same nearly closed way of nearly singular postures.
+    """New number of solutions, those added that lie on the same nearly closed way of nearly
+    singular postures.
 
-    A goal next to one that has a curve of solutions has a few, anywhere along it: damped steps lead back to the curve,
-    undamped ones along it. A true self-motion is left alone.
+    A goal next to one that has a curve of solutions has a few, anywhere along it: damped steps lead
+    back to the curve, undamped ones along it. A true self-motion is left alone.
     """
     m = d.found.model
     k = 0
@@ -116,7 +140,8 @@ def rests(d):
 
 @routine
 def parity(d, count):
-    """Place of the one solution where two roots have merged, which explains an odd number; or EVEN, or UNEXPLAINED.
+    """Place of the one solution where two roots have merged, which explains an odd number; or EVEN,
+    or UNEXPLAINED.
 
     Where lines must stay at rest, most roots are no solutions, and any number is right.
     """
@@ -138,7 +163,9 @@ def parity(d, count):
 
 @routine
 def mark_fold(d, count):
-    """Whether the number of solutions is even, or is explained: a solution where two roots have merged counts twice."""
+    """Whether the number of solutions is even, or is explained: a solution where two roots have
+    merged counts twice.
+    """
     at = parity(d, count)
     if at >= 0:
         beyond(d.found.rows, (SOLUTION + d.n) * at)[TURNS] = 2.0
@@ -147,9 +174,11 @@ def mark_fold(d, count):
 
 @routine
 def eliminated(d, scratch, thetas):
-    """(number of solutions, doubt): formulations are tried until the answer of one of them is beyond doubt.
+    """(number of solutions, doubt): formulations are tried until the answer of one of them is
+    beyond doubt.
 
-    It is where each root of one formulation has a solution of its own, or of two, except for singular solutions.
+    It is where each root of one formulation has a solution of its own, or of two, except for
+    singular solutions.
     """
     count = 0
     doubt = 1
@@ -173,13 +202,24 @@ def eliminated(d, scratch, thetas):
             crowded = True
             count = thinned(d, 0, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
-        each = resting or count == k  # no two were the same in the end, and none was missed that is known
-        clean = suspect == 0 or (count == 0 and suspect == FREE)  # far away the leading matrix is small
+        each = (
+            resting or count == k
+        )  # no two were the same in the end, and none was missed that is known
+        clean = suspect == 0 or (
+            count == 0 and suspect == FREE
+        )  # far away the leading matrix is small
         if clean and enough and (f == 0 or count == before) and each:
             doubt = 0
             break
         witnesses = (witnesses if count == before else 0) + int(suspect & UNSOUND == 0 and each)
-        if witnesses > 1 and not crowded and count == before and enough and each and parity(d, count) != UNEXPLAINED:
+        if (
+            witnesses > 1
+            and not crowded
+            and count == before
+            and enough
+            and each
+            and parity(d, count) != UNEXPLAINED
+        ):
             doubt = 0
             break
     count = walked(d, searched(d, count)) if free else count
@@ -187,11 +227,23 @@ def eliminated(d, scratch, thetas):
 
 
 @kernel(
-    I("_"), F("_"), F("N", 4, 4), F("1|N", "n"), F("1|N", "n"), FLOAT, FLOAT, INT, I("_"),
-    OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
-)  # fmt: skip
+    I("_"),
+    F("_"),
+    F("N", 4, 4),
+    F("1|N", "n"),
+    F("1|N", "n"),
+    FLOAT,
+    FLOAT,
+    INT,
+    I("_"),
+    OUT("N", "_", f"n+{INFO}"),
+    OUTI("N", 2),
+    returns=False,
+)
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
-    """Find all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1 in doubt."""
+    """Find all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1
+    in doubt.
+    """
     n = ints[N_JOINTS]
     slots = out.shape[1]
     block = np.empty(target_scratch_size(n) + CONFIRM_SCRATCH)

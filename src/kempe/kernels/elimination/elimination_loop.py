@@ -1,19 +1,22 @@
-"""The loop equations of a chain of six joints, one joint removed: samples of them, and the six without the pair.
+"""The loop equations of a chain of six joints, one joint removed: samples of them, and the six
+without the pair.
 
-A solution closes the loop E_1 ... E_6 G^-1 = 1. Without joint r it says that the product of the other five carries
-r's line, seen from one side, onto the same line, seen from the other. Of the five, three ("the triple") act on one
-line, two ("the pair") on the other:
+A solution closes the loop E_1 ... E_6 G^-1 = 1. Without joint r it says that the product of the
+other five carries r's line, seen from one side, onto the same line, seen from the other. Of the
+five, three ("the triple") act on one line, two ("the pair") on the other:
 
     X_1 X_2 X_3 source = Y_2^-1 Y_1^-1 target
 
-Of a line through p along l both sides compare fourteen numbers: l, p, p x l, p.p, p.l, (p.p) l - 2 (p.l) p (Raghavan
-and Roth 1990, "Kinematic analysis of the 6R manipulator of general geometry"; 1993, "Inverse kinematics of the general
-6R manipulator and related linkages"). With 1 they span a representation of the rigid motions. So each is linear in
-(1, cos, sin) of every turn, and of degree two in every slide: three samples a joint determine it, and nothing needs to
-be derived. A slide cannot be the removed joint: it leaves no line in place.
+Of a line through p along l both sides compare fourteen numbers: l, p, p x l, p.p, p.l, (p.p) l - 2
+(p.l) p (Raghavan and Roth 1990, "Kinematic analysis of the 6R manipulator of general geometry";
+1993, "Inverse kinematics of the general 6R manipulator and related linkages"). With 1 they span a
+representation of the rigid motions. So each is linear in (1, cos, sin) of every turn, and of degree
+two in every slide: three samples a joint determine it, and nothing needs to be derived. A slide
+cannot be the removed joint: it leaves no line in place.
 
-Formulations: 18 direction + 6 hidden + removed, where `removed` counts joints from 0, `hidden` says which joint of the
-triple stays in the eigenproblem, and `direction` whether the pair comes right after the removed joint (0) or before it.
+Formulations: 18 direction + 6 hidden + removed, where `removed` counts joints from 0, `hidden` says
+which joint of the triple stays in the eigenproblem, and `direction` whether the pair comes right
+after the removed joint (0) or before it.
 """
 
 from __future__ import annotations
@@ -30,13 +33,15 @@ LINE_STRIDE = 8
 
 NUMBER = 3
 IS_SLIDE = 7
-"""Places in a line of the loop, where the zeros were: number of the joint, and whether it slides."""
+"""Places in a line of the loop, where the zeros were: number of the joint, and whether it
+slides."""
 
 PAIR = 0
 TRIPLE = 16
 SOURCE = 40
 TARGET = 48
-"""Places in the loop: lines Y_1, Y_2, lines X_1, X_2, X_3, and the removed joint's line seen from both sides."""
+"""Places in the loop: lines Y_1, Y_2, lines X_1, X_2, X_3, and the removed joint's line seen from
+both sides."""
 
 LOOP_SIZE = 56
 
@@ -44,7 +49,8 @@ EQUATIONS = 14
 SAMPLES = 0
 DIFFERENCES = 32
 SAMPLE_STRIDE = 40
-"""The table of samples: a row an equation; its 27 samples of the triple, then eight differences of the pair's."""
+"""The table of samples: a row an equation; its 27 samples of the triple, then eight differences of
+the pair's."""
 
 FANS = 6 * (3 + 9 + 27)
 FANS_SIZE = 6 * (3 + 9 + 27) + 16
@@ -89,8 +95,8 @@ def _back(goal, loop, k):
 def arrange(kinds, lines, goal, formulation, loop):
     """Write the loop of this formulation (LOOP_SIZE numbers).
 
-    Joints before the removed one come after the goal's inverse, which is moved to the right through them. The loop
-    walked backwards is a loop again: of inverse motions, hence of flipped lines.
+    Joints before the removed one come after the goal's inverse, which is moved to the right through
+    them. The loop walked backwards is a loop again: of inverse motions, hence of flipped lines.
     """
     removed = removed_of(formulation)
     backwards = formulation // 18 == 1
@@ -111,7 +117,9 @@ def arrange(kinds, lines, goal, formulation, loop):
 
 @routine
 def fan(line, sign, here, there):
-    """Write the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0, pi/2 and pi, or 0, 1 and -1."""
+    """Write the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0, pi/2 and pi, or 0,
+    1 and -1.
+    """
     hx = sign * line[0]
     hy = sign * line[1]
     hz = sign * line[2]
@@ -201,11 +209,18 @@ def line_of(loop, k, out):
 
 @routine
 def sample(loop, fans, table):
-    """Fill the table: samples 9 i3 + 3 i2 + i1 of the triple, and eight of the pair, all less the pair's first."""
+    """Fill the table: samples 9 i3 + 3 i2 + i1 of the triple, and eight of the pair, all less the
+    pair's first.
+    """
     line_of(loop, TARGET, fans)
     fan(beyond(loop, PAIR), -1.0, fans, beyond(fans, 6))
     for i in range(3):
-        fan(beyond(loop, PAIR + LINE_STRIDE), -1.0, beyond(fans, 6 + 6 * i), beyond(fans, 24 + 18 * i))
+        fan(
+            beyond(loop, PAIR + LINE_STRIDE),
+            -1.0,
+            beyond(fans, 6 + 6 * i),
+            beyond(fans, 24 + 18 * i),
+        )
     constant = beyond(fans, FANS)
     fourteen(beyond(fans, 24), constant, 1)
     for i in range(1, 9):
@@ -213,7 +228,12 @@ def sample(loop, fans, table):
     line_of(loop, SOURCE, fans)
     fan(beyond(loop, TRIPLE + 2 * LINE_STRIDE), 1.0, fans, beyond(fans, 27 * 6))
     for i in range(3):
-        fan(beyond(loop, TRIPLE + LINE_STRIDE), 1.0, beyond(fans, (27 + i) * 6), beyond(fans, (30 + 3 * i) * 6))
+        fan(
+            beyond(loop, TRIPLE + LINE_STRIDE),
+            1.0,
+            beyond(fans, (27 + i) * 6),
+            beyond(fans, (30 + 3 * i) * 6),
+        )
     for i in range(9):
         fan(beyond(loop, TRIPLE), 1.0, beyond(fans, (30 + i) * 6), beyond(fans, 18 * i))
     for i in range(27):
@@ -226,9 +246,11 @@ def sample(loop, fans, table):
 
 @routine
 def remove_pair(table, v):
-    """Turn the last six rows of the table into equations of the triple alone. v: scratch, 14 numbers.
+    """Turn the last six rows of the table into equations of the triple alone. v: scratch, 14
+    numbers.
 
-    Reflections (Householder 1958) make the eight differences upper triangular: below, the pair has vanished.
+    Reflections (Householder 1958) make the eight differences upper triangular: below, the pair has
+    vanished.
     """
     for k in range(8):
         rest = 0.0

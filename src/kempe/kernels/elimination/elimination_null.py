@@ -7,10 +7,18 @@ import math
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import LANES, load_lanes, store
-from kempe.kernels.elimination.elimination_pencil import FLOOR, ROOT_1_2, ROOT_1_3, ROW, SIZE, largest_entry
+from kempe.kernels.elimination.elimination_pencil import (
+    FLOOR,
+    ROOT_1_2,
+    ROOT_1_3,
+    ROW,
+    SIZE,
+    largest_entry,
+)
 
 ALIKE = 1e-6
-"""Pivots below this, relative to the first, count as zero where a second null vector is looked for."""
+"""Pivots below this, relative to the first, count as zero where a second null vector is looked
+for."""
 
 
 @device
@@ -28,7 +36,9 @@ def clear(m, row, column):
 
 @device
 def vector(m, order, steps, column, x):
-    """Write the vector that m, reduced by `steps` pivots, takes to zero: 1 at `column`, 0 at the others left over."""
+    """Write the vector that m, reduced by `steps` pivots, takes to zero: 1 at `column`, 0 at the
+    others left over.
+    """
     for j in range(ROW):
         x[j] = 0.0
     x[column] = 1.0
@@ -38,11 +48,12 @@ def vector(m, order, steps, column, x):
 
 @routine
 def null_vectors(m, mask, order, x):
-    """(vectors, third last pivot, last but one), over the first; writes one null vector, or two at x and x + ROW.
+    """(vectors, third last pivot, last but one), over the first; writes one null vector, or two at
+    x and x + ROW.
 
-    Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost). The matrix is known to be
-    singular: a second vector is written where the last but one pivot is below ALIKE. mask: 2 ROW numbers. order: 2 SIZE
-    numbers.
+    Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost). The matrix
+    is known to be singular: a second vector is written where the last but one pivot is below ALIKE.
+    mask: 2 ROW numbers. order: 2 SIZE numbers.
     """
     for j in range(ROW):
         mask[j] = 1.0 if j < SIZE else 0.0
@@ -78,10 +89,11 @@ def null_vectors(m, mask, order, x):
 def angles_of(x):
     """(angle of a, angle of b, defect) that the null vector x stands for; slides as 2 atan d.
 
-    x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w, w^2)_j of joint b. Of
-    vectors (u, w) along one line with a = sum u u, b = sum u w and d = sum w w, (a - d, 2 b) points to twice the line's
-    angle. So all ratios count and none is divided out: a joint at pi is as good as any other. The defect is how far the
-    vectors are from one line, 0 to 1/2: that of a posture is 0.
+    x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w,
+    w^2)_j of joint b. Of vectors (u, w) along one line with a = sum u u, b = sum u w and d = sum w
+    w, (a - d, 2 b) points to twice the line's angle. So all ratios count and none is divided out: a
+    joint at pi is as good as any other. The defect is how far the vectors are from one line, 0 to
+    1/2: that of a posture is 0.
     """
     a = b = d = 0.0
     for j in range(3):
@@ -108,7 +120,9 @@ def angles_of(x):
 
 @device
 def entry_of_a(x, i, j):
-    """(u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's quadratic form."""
+    """(u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's
+    quadratic form.
+    """
     left = x[3 * i + j] if i == 0 else ROOT_1_3 * x[3 * i + j]
     right = x[3 * i + 3 + j] if i == 2 else ROOT_1_3 * x[3 * i + 3 + j]
     return left, right
@@ -116,7 +130,9 @@ def entry_of_a(x, i, j):
 
 @device
 def entry_of_b(x, i, j):
-    """(u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's quadratic form."""
+    """(u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's
+    quadratic form.
+    """
     left = x[3 * i] if j == 0 else ROOT_1_2 * x[3 * i + 1]
     right = ROOT_1_2 * x[3 * i + 1] if j == 0 else x[3 * i + 2]
     return left, right
@@ -124,7 +140,9 @@ def entry_of_b(x, i, j):
 
 @routine
 def _products(x, joint, out):
-    """Write U^T U, U^T W and W^T W (2x2 each) of two null vectors' u and w parts, for joint a (0) or b (1)."""
+    """Write U^T U, U^T W and W^T W (2x2 each) of two null vectors' u and w parts, for joint a (0)
+    or b (1).
+    """
     y = beyond(x, ROW)
     for k in range(12):
         out[k] = 0.0
@@ -154,7 +172,9 @@ def _products(x, joint, out):
 
 @device
 def _pencil(products, c, s, out):
-    """Condition of the projection on (c U + s W); writes (c U + s W)^T U and (c U + s W)^T W, 2x2 each."""
+    """Condition of the projection on (c U + s W); writes (c U + s W)^T U and (c U + s W)^T W, 2x2
+    each.
+    """
     for i in range(2):
         for j in range(2):
             uw = products[4 + 2 * i + j]
@@ -170,11 +190,13 @@ def _pencil(products, c, s, out):
 
 @routine
 def split(x, work):
-    """(vectors, separation): two null vectors become the real products of forms that lie in their plane, if any.
+    """(vectors, separation): two null vectors become the real products of forms that lie in their
+    plane, if any.
 
-    In the plane of x and x + ROW lie the vectors of the two roots, y_0 x_0 + y_1 x_1 with w U y = u W y for joint a or
-    b, where U and W are the vectors' u and w parts: a 2x2 pencil. Complex roots belong to no posture. The separation
-    is the pencil's discriminant, over what it can be: near 0 the two cannot be distinguished. work: 64 numbers.
+    In the plane of x and x + ROW lie the vectors of the two roots, y_0 x_0 + y_1 x_1 with w U y = u
+    W y for joint a or b, where U and W are the vectors' u and w parts: a 2x2 pencil. Complex roots
+    belong to no posture. The separation is the pencil's discriminant, over what it can be: near 0
+    the two cannot be distinguished. work: 64 numbers.
     """
     best = -1.0
     separation = 0.0
@@ -198,7 +220,8 @@ def split(x, work):
         return 0, -separation
     m = beyond(work, 20 + 8 * joint)
     alpha, beta, gamma = _quadratic(m)
-    # alpha w^2 + beta u w + gamma u^2 = 0: (u, w) = (2 alpha, q) and (q, 2 gamma), without cancellation
+    # alpha w^2 + beta u w + gamma u^2 = 0: (u, w) = (2 alpha, q) and (q, 2 gamma), without
+    # cancellation
     root = math.sqrt(beta * beta - 4.0 * alpha * gamma)
     q = -beta - root if beta > 0.0 else -beta + root
     _combine(x, m, 2.0 * alpha, q, work)

@@ -64,7 +64,9 @@ def _carry(line, theta, here):
 
 @device
 def _split(columns, slides, to, sign):
-    """Turn three samples in columns 5, 6, 7 into coefficients in columns `to` and `to + 1`, and the constant in 4."""
+    """Turn three samples in columns 5, 6, 7 into coefficients in columns `to` and `to + 1`, and the
+    constant in 4.
+    """
     for i in range(0, COLUMN, LANES):
         f0 = load_lanes(columns, 5 * COLUMN + i)
         f1 = load_lanes(columns, 6 * COLUMN + i)
@@ -93,9 +95,11 @@ def _dot(columns, j, k):
 
 @routine
 def _four(columns, y):
-    """Least sine between a column and those before it; y: the four unknowns of columns 0 to 3 against column 4.
+    """Least sine between a column and those before it; y: the four unknowns of columns 0 to 3
+    against column 4.
 
-    Modified Gram-Schmidt. A column that is next to nothing beside the largest counts by its size instead.
+    Modified Gram-Schmidt. A column that is next to nothing beside the largest counts by its size
+    instead.
     """
     least = 1.0
     largest = 0.0
@@ -126,7 +130,8 @@ def _four(columns, y):
 def pair_of(loop, theta, work):
     """How well the pair is determined, 0 to 1; writes its coordinates, given those of the triple.
 
-    Y_2 (X_1 X_2 X_3 source) = Y_1^-1 target: fourteen equations that are linear in cosines and sines.
+    Y_2 (X_1 X_2 X_3 source) = Y_1^-1 target: fourteen equations that are linear in cosines and
+    sines.
     """
     here = work
     fans = beyond(work, 8)
@@ -158,7 +163,9 @@ def pair_of(loop, theta, work):
 
 @device
 def removed_turn(kinds, lines, goal, removed, theta, work):
-    """Angle of the removed turn, the others given: D = E(h, angle) where h is its axis as it stands."""
+    """Angle of the removed turn, the others given: D = E(h, angle) where h is its axis as it
+    stands.
+    """
     theta[removed] = 0.0
     trace(kinds, lines, theta, work)
     _, trace_ = compare(goal, work)

@@ -1,16 +1,19 @@
-"""The 12x12 matrix P u^2 + Q u w + R w^2 of the hidden joint, and the matrix whose eigenvalues are its roots.
+"""The 12x12 matrix P u^2 + Q u w + R w^2 of the hidden joint, and the matrix whose eigenvalues are
+its roots.
 
-A turn by x stands as (u, w) = (cos x/2, sin x/2), a slide by d as w/u = d: in both cases a sample is a quadratic form
-in (u, w), and nothing is lost at x = pi. The six equations are quadratic forms in the other two joints a and b of the
-triple. Times u_a and times w_a they are twelve equations in the twelve products of a cubic form in a and a quadratic
-one in b (dialytic elimination, Raghavan and Roth 1990). With the bases u^3, sqrt(3) u^2 w, ... and u^2, sqrt(2) u w,
-w^2 a change of a joint's zero turns the unknowns without stretching them.
+A turn by x stands as (u, w) = (cos x/2, sin x/2), a slide by d as w/u = d: in both cases a sample
+is a quadratic form in (u, w), and nothing is lost at x = pi. The six equations are quadratic forms
+in the other two joints a and b of the triple. Times u_a and times w_a they are twelve equations in
+the twelve products of a cubic form in a and a quadratic one in b (dialytic elimination, Raghavan
+and Roth 1990). With the bases u^3, sqrt(3) u^2 w, ... and u^2, sqrt(2) u w, w^2 a change of a
+joint's zero turns the unknowns without stretching them.
 
-With w = t u the roots are the eigenvalues of a 24x24 companion matrix (Manocha and Canny 1994, "Efficient inverse
-kinematics for general 6R manipulators"). If the triple's outer joint (X_1) is hidden and turns, t = i and t = -i
-belong to no posture and are there four times each: an invariant subspace of dimension eight, known from the null space
-of a complex 12x12 matrix. The quotient by it is a 16x16 matrix, which `companion` writes down at once. If another joint
-is hidden, the eight roots too many are anywhere off the real axis, and the matrix keeps its 24 rows.
+With w = t u the roots are the eigenvalues of a 24x24 companion matrix (Manocha and Canny 1994,
+"Efficient inverse kinematics for general 6R manipulators"). If the triple's outer joint (X_1) is
+hidden and turns, t = i and t = -i belong to no posture and are there four times each: an invariant
+subspace of dimension eight, known from the null space of a complex 12x12 matrix. The quotient by it
+is a 16x16 matrix, which `companion` writes down at once. If another joint is hidden, the eight
+roots too many are anywhere off the real axis, and the matrix keeps its 24 rows.
 """
 
 from __future__ import annotations
@@ -21,7 +24,13 @@ from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.row_reduction import lane_of, largest
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import LANES, entry, load_lanes, spread_lanes, store, where
-from kempe.kernels.elimination.elimination_loop import EQUATIONS, IS_SLIDE, LINE_STRIDE, SAMPLE_STRIDE, TRIPLE
+from kempe.kernels.elimination.elimination_loop import (
+    EQUATIONS,
+    IS_SLIDE,
+    LINE_STRIDE,
+    SAMPLE_STRIDE,
+    TRIPLE,
+)
 
 SIZE = 12
 ROW = 16
@@ -55,7 +64,9 @@ ROOT_1_2 = math.sqrt(0.5)
 
 @device
 def _forms(t, k, step, slides, factor):
-    """Turn the samples t[k], t[k + step], t[k + 2 step] of a joint into its quadratic form's coefficients, in place."""
+    """Turn the samples t[k], t[k + step], t[k + 2 step] of a joint into its quadratic form's
+    coefficients, in place.
+    """
     a = t[k]
     b = t[k + step]
     c = t[k + 2 * step]
@@ -74,7 +85,9 @@ def power_of_3(k):
 
 @routine
 def assemble(table, loop, hidden, forms):
-    """Write P, Q, R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i, quadratic j."""
+    """Write P, Q, R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i,
+    quadratic j.
+    """
     a = 1 if hidden == 0 else 0
     b = 1 if hidden == 2 else 2
     hs = power_of_3(hidden)
@@ -114,12 +127,20 @@ def matrix_at(forms, u, w, out):
     uw = u * w
     ww = w * w
     for i in range(0, SIZE * ROW, LANES):
-        store(out, i, uu * load_lanes(forms, i) + uw * load_lanes(forms, Q + i) + ww * load_lanes(forms, R + i))
+        store(
+            out,
+            i,
+            uu * load_lanes(forms, i)
+            + uw * load_lanes(forms, Q + i)
+            + ww * load_lanes(forms, R + i),
+        )
 
 
 @routine
 def pivot_ratio(m):
-    """Least over largest pivot of the matrix m (12 rows of stride ROW), which is lost: 0 if it is singular."""
+    """Least over largest pivot of the matrix m (12 rows of stride ROW), which is lost: 0 if it is
+    singular.
+    """
     least = math.inf
     largest = 0.0
     for k in range(SIZE):
@@ -151,9 +172,10 @@ def pivot_ratio(m):
 def null_at_i(forms, re, im, free, mask):
     """Whether P - R + i Q has LOST null vectors; reduces it to find them.
 
-    Gauss-Jordan elimination with complete pivoting, SIZE - LOST steps, on re and im (12 rows of stride ROW each).
-    free: 2 * SIZE numbers: for each step its pivot's column and row, then the columns left over, then none.
-    mask: ROW numbers. Afterwards x_column = - sum over free columns f of row[f] x_f: pivot rows have been divided.
+    Gauss-Jordan elimination with complete pivoting, SIZE - LOST steps, on re and im (12 rows of
+    stride ROW each). free: 2 * SIZE numbers: for each step its pivot's column and row, then the
+    columns left over, then none. mask: ROW numbers. Afterwards x_column = - sum over free columns f
+    of row[f] x_f: pivot rows have been divided.
     """
     for i in range(0, SIZE * ROW, LANES):
         store(re, i, load_lanes(forms, P + i) - load_lanes(forms, R + i))
@@ -206,7 +228,9 @@ def _divide(re, im, row, x, y):
 
 @device
 def largest_entry(re, im, mask):
-    """(squared size, row, column) of the largest entry in rows and columns that the mask (2 ROW numbers) leaves."""
+    """(squared size, row, column) of the largest entry in rows and columns that the mask (2 ROW
+    numbers) leaves.
+    """
     best = spread_lanes(-1.0)
     place = spread_lanes(0.0)
     for i in range(SIZE):
@@ -226,10 +250,11 @@ def largest_entry(re, im, mask):
 
 @routine
 def lead(forms, c, s, kept, count, wide):
-    """Pivot ratio of the leading matrix with the joint's zero moved; writes H = -R'^-1 [P' Q'] right of it.
+    """Pivot ratio of the leading matrix with the joint's zero moved; writes H = -R'^-1 [P' Q']
+    right of it.
 
-    (u, w) = (c u' - s w', s u' + c w'). kept: `count` columns of P' and of Q', 2 numbers apart. wide: 12 rows of
-    stride WIDE; H starts at column ROW.
+    (u, w) = (c u' - s w', s u' + c w'). kept: `count` columns of P' and of Q', 2 numbers apart.
+    wide: 12 rows of stride WIDE; H starts at column ROW.
     """
     cc = c * c
     cs = c * s
@@ -269,7 +294,11 @@ def lead(forms, c, s, kept, count, wide):
         for i in range(k + 1, SIZE):
             f = wide[i * WIDE + k] * over
             for j in range(k // LANES * LANES, width, LANES):
-                store(wide, i * WIDE + j, load_lanes(wide, i * WIDE + j) - f * load_lanes(wide, k * WIDE + j))
+                store(
+                    wide,
+                    i * WIDE + j,
+                    load_lanes(wide, i * WIDE + j) - f * load_lanes(wide, k * WIDE + j),
+                )
     _substitute(wide, width)
     return least / largest
 
@@ -289,11 +318,12 @@ def _substitute(wide, width):
 
 @routine
 def companion(wide, re, im, free, lost, a):
-    """Write the companion matrix, 2 (12 - lost) rows of stride STRIDE, without the `lost` null vectors at t = i.
+    """Write the companion matrix, 2 (12 - lost) rows of stride STRIDE, without the `lost` null
+    vectors at t = i.
 
-    On null vectors x + i y, unit at the `lost` free columns f and Z elsewhere, the matrix [0 1; H] has the invariant
-    subspace spanned by [x; -y] and [y; x]. In the quotient an upper unknown n loses Re Z_n x_f + Im Z_n y_f, a lower
-    one Re Z_n y_f - Im Z_n x_f: so all unknowns f vanish.
+    On null vectors x + i y, unit at the `lost` free columns f and Z elsewhere, the matrix [0 1; H]
+    has the invariant subspace spanned by [x; -y] and [y; x]. In the quotient an upper unknown n
+    loses Re Z_n x_f + Im Z_n y_f, a lower one Re Z_n y_f - Im Z_n x_f: so all unknowns f vanish.
     """
     count = SIZE - lost
     for i in range(count):

@@ -27,7 +27,8 @@ POLISH_SIZE = TURN + 9
 
 ENOUGH = 1e-13
 NEARLY_ENOUGH = 1e-10
-"""Error at which no further step is taken; error at which a step must halve it, else it is the last."""
+"""Error at which no further step is taken; error at which a step must halve it, else it is the
+last."""
 
 DISTURBANCE = 1e-4
 """How far, in radians and units of the chain's length, a disturbed goal is from the goal."""
@@ -38,7 +39,8 @@ LONGEST_STEP = 0.5
 
 @routine
 def trace(kinds, lines, theta, work):
-    """Write the product E_1(theta_1) ... E_6(theta_6) and the Jacobian: column i is the twist [direction; moment] of i.
+    """Write the product E_1(theta_1) ... E_6(theta_6) and the Jacobian: column i is the twist
+    [direction; moment] of i.
 
     Both in ground axes, seen at the ground's origin. work: POLISH_SIZE numbers.
     """
@@ -95,13 +97,29 @@ def trace(kinds, lines, theta, work):
         m6 = v * hx * hz - s * hy
         m7 = v * hy * hz + s * hx
         m8 = c + v * hz * hz
-        r0, r3, r6 = m0 * r0 + m1 * r3 + m2 * r6, m3 * r0 + m4 * r3 + m5 * r6, m6 * r0 + m7 * r3 + m8 * r6
-        r1, r4, r7 = m0 * r1 + m1 * r4 + m2 * r7, m3 * r1 + m4 * r4 + m5 * r7, m6 * r1 + m7 * r4 + m8 * r7
-        r2, r5, r8 = m0 * r2 + m1 * r5 + m2 * r8, m3 * r2 + m4 * r5 + m5 * r8, m6 * r2 + m7 * r5 + m8 * r8
+        r0, r3, r6 = (
+            m0 * r0 + m1 * r3 + m2 * r6,
+            m3 * r0 + m4 * r3 + m5 * r6,
+            m6 * r0 + m7 * r3 + m8 * r6,
+        )
+        r1, r4, r7 = (
+            m0 * r1 + m1 * r4 + m2 * r7,
+            m3 * r1 + m4 * r4 + m5 * r7,
+            m6 * r1 + m7 * r4 + m8 * r7,
+        )
+        r2, r5, r8 = (
+            m0 * r2 + m1 * r5 + m2 * r8,
+            m3 * r2 + m4 * r5 + m5 * r8,
+            m6 * r2 + m7 * r5 + m8 * r8,
+        )
         tx = tx - ox
         ty = ty - oy
         tz = tz - oz
-        tx, ty, tz = m0 * tx + m1 * ty + m2 * tz, m3 * tx + m4 * ty + m5 * tz, m6 * tx + m7 * ty + m8 * tz
+        tx, ty, tz = (
+            m0 * tx + m1 * ty + m2 * tz,
+            m3 * tx + m4 * ty + m5 * tz,
+            m6 * tx + m7 * ty + m8 * tz,
+        )
         tx = tx + ox
         ty = ty + oy
         tz = tz + oz
@@ -122,10 +140,11 @@ def trace(kinds, lines, theta, work):
 
 @routine
 def compare(goal, work):
-    """(size, trace of the rotation) of D = goal . reached^-1; writes its twist beside the Jacobian, in column 6.
+    """(size, trace of the rotation) of D = goal . reached^-1; writes its twist beside the Jacobian,
+    in column 6.
 
-    The twist is the vector of D's skew part, then D's translation; its size is at least 1 where D turns by 90 degrees
-    or more.
+    The twist is the vector of D's skew part, then D's translation; its size is at least 1 where D
+    turns by 90 degrees or more.
     """
     t = POSE
     for i in range(3):
@@ -199,10 +218,11 @@ def wrapped(x):
 
 @routine
 def polish(kinds, lines, goal, theta, work, steps):
-    """(error at first, error at last, pivot ratio) of `steps` Newton steps at most; improves the six numbers theta.
+    """(error at first, error at last, pivot ratio) of `steps` Newton steps at most; improves the
+    six numbers theta.
 
-    Ends once the error is ENOUGH, or close to that and no longer halved by a step. The pivot ratio is the Jacobian's
-    where it was last solved with: near 0 the posture is singular.
+    Ends once the error is ENOUGH, or close to that and no longer halved by a step. The pivot ratio
+    is the Jacobian's where it was last solved with: near 0 the posture is singular.
     """
     begin = before = now = math.inf
     ratio = 0.0

@@ -1,7 +1,9 @@
-"""The roots of the hidden joint one by one: which of them share a value, and whether each has a posture of its own.
+"""The roots of the hidden joint one by one: which of them share a value, and whether each has a
+posture of its own.
 
-Roots and postures are matched one to one by the hidden joint's value. So where roots are close, or the same, their
-number counts, and it does not matter from which of them Newton's steps came to a posture.
+Roots and postures are matched one to one by the hidden joint's value. So where roots are close, or
+the same, their number counts, and it does not matter from which of them Newton's steps came to a
+posture.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ ROOT = 3
 ANGLE = 0
 IMAGINARY = 1
 STANDS_FOR = 2
-"""Numbers of a root: value of the hidden joint, imaginary part (an angle each), what it stands for."""
+"""Numbers of a root: value of the hidden joint, imaginary part (an angle each), what it stands
+for."""
 
 NONE = 0.0
 OPTIONAL = 1.0
@@ -26,16 +29,18 @@ EXPECTED = 2.0
 REAL = 1e-7
 DOUBT = 1e-3
 NEARLY = 1e-2
-"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
-merge may hide behind it; up to the third it is tried, and a root belongs to a posture whose value is so near."""
+"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures
+that are about to merge may hide behind it; up to the third it is tried, and a root belongs to a
+posture whose value is so near."""
 
 TOGETHER = 1e-6
-"""Difference of roots, in radians, up to which three or more share a null space; and imaginary part up to which a root
-must have a posture: the larger ones of ill-conditioned roots leave it open."""
+"""Difference of roots, in radians, up to which three or more share a null space; and imaginary part
+up to which a root must have a posture: the larger ones of ill-conditioned roots leave it open."""
 
 
 FAR = 1e-5
-"""Angle from pi at which a slide, whose angle is 2 atan d, is at infinity, where roots belong to no posture."""
+"""Angle from pi at which a slide, whose angle is 2 atan d, is at infinity, where roots belong to no
+posture."""
 
 
 @device
@@ -48,7 +53,8 @@ def at_infinity(slides, angle):
 def write_roots(re, im, n, half, narrower, slides, roots):
     """Write n roots, with what they stand for by their imaginary parts, over `narrower`.
 
-    re, im: the roots as the tangent of half their angle, zero at twice the angle `half`; NaN for one that is not known.
+    re, im: the roots as the tangent of half their angle, zero at twice the angle `half`; NaN for
+    one that is not known.
     """
     for i in range(n):
         t = re[i]
@@ -70,7 +76,9 @@ def is_with(roots, j, i):
 
 @device
 def together(roots, n, i):
-    """(number of roots that share the value of root i; whether one comes before it; mean difference from its value)."""
+    """(number of roots that share the value of root i; whether one comes before it; mean difference
+    from its value).
+    """
     count = 0
     mean = 0.0
     met = False
@@ -84,7 +92,9 @@ def together(roots, n, i):
 
 @device
 def stand_for(roots, n, i, postures):
-    """Mark the first `postures` of the roots that share the value of root i as EXPECTED, the others of them as NONE."""
+    """Mark the first `postures` of the roots that share the value of root i as EXPECTED, the others
+    of them as NONE.
+    """
     left = postures
     for j in range(n):
         if is_with(roots, j, i):
@@ -103,7 +113,9 @@ def expected(roots, n):
 
 @device
 def matched(roots, n, angle):
-    """Whether a root is left for a posture with this value of the hidden joint; the nearest is marked as used."""
+    """Whether a root is left for a posture with this value of the hidden joint; the nearest is
+    marked as used.
+    """
     best = 0.0
     at = -1
     for i in range(n):

@@ -12,7 +12,12 @@ from kempe.kernels.base.random import mix, unit
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
-from kempe.kernels.elimination.elimination import CANDIDATES, ELIMINATION_SCRATCH, FOUNDLINGS, eliminate
+from kempe.kernels.elimination.elimination import (
+    CANDIDATES,
+    ELIMINATION_SCRATCH,
+    FOUNDLINGS,
+    eliminate,
+)
 from kempe.kernels.elimination.elimination_accept import FOUND, RAW_ERROR
 from kempe.kernels.elimination.elimination_loop import LINE_STRIDE, hidden_of, removed_of
 from kempe.kernels.elimination.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
@@ -26,7 +31,8 @@ BEST = 8
 SUSPECT = 0.1
 FAVOUR = 0.9
 HASTY = 0.5
-"""Factors of credit for a suspect answer; for an eigenproblem of 24 rows; for what few postures only have shown."""
+"""Factors of credit for a suspect answer; for an eigenproblem of 24 rows; for what few postures
+only have shown."""
 
 DIGITS = 14.0
 """Digits of the error before Newton's steps that earn full credit."""
@@ -37,7 +43,9 @@ SAME = 1e-4
 
 @device
 def _credit(kinds, theta, w, count):
-    """0 if the posture theta is not among the candidates, else by the digits that it had before Newton's steps."""
+    """0 if the posture theta is not among the candidates, else by the digits that it had before
+    Newton's steps.
+    """
     best = 0.0
     for k in range(count):
         p = FOUNDLINGS + FOUND * k
@@ -76,8 +84,8 @@ def _best(scores):
 def score(kinds, lines, scores):
     """Number of formulations with a score above 0.
 
-    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1: the mean credit, where a suspect
-    answer earns little, and a second miss ends the trial with 0.
+    kinds: (6,). lines: (6, LINE_STRIDE). scores: (FORMULATIONS,), 0 (useless) to 1: the mean
+    credit, where a suspect answer earns little, and a second miss ends the trial with 0.
     """
     block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES + 18 + POLISH_SIZE)
     w = raw(block)

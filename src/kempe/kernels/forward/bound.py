@@ -1,8 +1,9 @@
 """One frame at one configuration, for bound queries: the table comes as one array.
 
-Each array that is handed over costs time that counts beside a few joints. So the integers of a table travel in the same
-array as its numbers, as the same bytes, and with them the frame in which a Jacobian is expressed: `fuse`. Wrong shapes
-are reported, not refused: the caller then takes the general way.
+Each array that is handed over costs time that counts beside a few joints. So the integers of a
+table travel in the same array as its numbers, as the same bytes, and with them the frame in which a
+Jacobian is expressed: `fuse`. Wrong shapes are reported, not refused: the caller then takes the
+general way.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ def after(typingctx, pointer, count):
 
 @kernel(F("_"), F("_"), OUT("_", "_"), nogil=False)
 def pose(table, q, out):
-    """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,). -1: wrong shapes."""
+    """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,).
+    -1: wrong shapes.
+    """
     numbers = raw(table)
     ints = integers(numbers)
     if q.shape[0] != ints[NQ] or out.shape[0] != 4 or out.shape[1] != 4:
@@ -56,8 +59,8 @@ def pose(table, q, out):
 def jacobian(table, q, columns):
     """Number of bad configurations, 0 or 1; writes the Jacobian (6, nv) of the first output.
 
-    Rows: linear, angular. A bad configuration makes all columns NaN. -1: wrong shapes, or columns that lie over q,
-    which are written before all of q is read.
+    Rows: linear, angular. A bad configuration makes all columns NaN. -1: wrong shapes, or columns
+    that lie over q, which are written before all of q is read.
     """
     numbers = raw(table)
     j = raw(columns)
@@ -80,4 +83,6 @@ def pose_jacobian(table, q, out, columns):
         return -1
     if out.shape[0] != 4 or out.shape[1] != 4:
         return -1
-    return jacobian_at(ints, after(numbers, ints[SIZE]), raw(q), 0, ints[FRAME], True, raw(out), 0, raw(columns), 0)
+    return jacobian_at(
+        ints, after(numbers, ints[SIZE]), raw(q), 0, ints[FRAME], True, raw(out), 0, raw(columns), 0
+    )

@@ -1,8 +1,9 @@
 """Poses of the last frame of a chain, or parts of them, `LANES` configurations side by side.
 
-What a row costs depends on the form of its placement: GENERAL is any, RX is [Rx(alpha) | p], and RX_FLAT
-moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986); `model.tree.gauge` makes such rows.
-The pose stays in twelve registers, one for each entry, named as three matrix rows (x, y, z, p).
+What a row costs depends on the form of its placement: GENERAL is any, RX is [Rx(alpha) | p], and
+RX_FLAT moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986);
+`model.tree.gauge` makes such rows. The pose stays in twelve registers, one for each entry, named as
+three matrix rows (x, y, z, p).
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ POSE = 16
 ROWS = 12
 POSITION_QUATERNION = 7
 POSITION = 3
-"""Numbers that are written of a pose: all, the upper three rows, position with quaternion wxyz, position."""
+"""Numbers that are written of a pose: all, the upper three rows, position with quaternion wxyz,
+position."""
 
 
 @device
@@ -138,7 +140,9 @@ def times_placement(form, u, v, w, f, k):
 
 @device
 def count_variables(ints):
-    """How many numbers `read_variables` keeps of a configuration: two of a turn, one of a slide, four of a ball."""
+    """How many numbers `read_variables` keeps of a configuration: two of a turn, one of a slide,
+    four of a ball.
+    """
     total = 0
     for row in range(ints[N_ROWS]):
         kind = ints[HEADER + ROW_INTS * row + KIND]
@@ -148,7 +152,9 @@ def count_variables(ints):
 
 @device
 def read_variables(ints, floats, q, start, nq, variables):
-    """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of each row."""
+    """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of
+    each row.
+    """
     near = True
     far = spread_lanes(0.0)
     k = 0
@@ -243,7 +249,9 @@ def sweep_lanes(ints, floats, variables):
 
 @device
 def quaternion(u, v, w):
-    """Unit quaternion wxyz, w >= 0, of the rotation in matrix rows, by the largest component (Shepperd 1978)."""
+    """Unit quaternion wxyz, w >= 0, of the rotation in matrix rows, by the largest component
+    (Shepperd 1978).
+    """
     a = u[0]
     b = v[1]
     c = w[2]
@@ -269,7 +277,13 @@ def quaternion(u, v, w):
 def larger(new, p, q, r, s, best, a, b, c, d):
     """The first five numbers where `new` is larger than `best`, else the others."""
     take = new > best
-    return where(take, new, best), where(take, p, a), where(take, q, b), where(take, r, c), where(take, s, d)
+    return (
+        where(take, new, best),
+        where(take, p, a),
+        where(take, q, b),
+        where(take, r, c),
+        where(take, s, d),
+    )
 
 
 @device
@@ -310,11 +324,13 @@ def write_one(width, pose, out, first):
 
 @kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_"))
 def chain_poses(ints, floats, q, out):
-    """Number of bad configurations; writes w numbers of the poses of a chain's one output at q (N, nq) to out (N, w).
+    """Number of bad configurations; writes w numbers of the poses of a chain's one output at q (N,
+    nq) to out (N, w).
 
-    What these are w says: `POSE`, `ROWS`, `POSITION_QUATERNION`, `POSITION`. A last block that is not full begins
-    earlier and repeats some; fewer configurations than lanes are repeated, too, so that no answer depends on the
-    others. One at a time go those with a coordinate beyond the polynomials' reach.
+    What these are w says: `POSE`, `ROWS`, `POSITION_QUATERNION`, `POSITION`. A last block that is
+    not full begins earlier and repeats some; fewer configurations than lanes are repeated, too, so
+    that no answer depends on the others. One at a time go those with a coordinate beyond the
+    polynomials' reach.
     """
     n, nq = q.shape
     width = out.shape[1]

@@ -1,14 +1,22 @@
-"""Positions of the last frame of a chain, `LANES` configurations side by side, from the tip to the ground.
+"""Positions of the last frame of a chain, `LANES` configurations side by side, from the tip to the
+ground.
 
-Three numbers are carried in place of the twelve of a pose, and a variable is used as soon as it is read: while one
-point waits for its last turn, the sines of the next row are computed.
+Three numbers are carried in place of the twelve of a pose, and a variable is used as soon as it is
+read: while one point waits for its last turn, the sines of the next row are computed.
 """
 
 from __future__ import annotations
 
 from kempe.kernels.base._jit import device
 from kempe.kernels.base.trig import REACH, sincos
-from kempe.kernels.base.vectors import LANES, all_between, gather, spread_lanes, square_root, store_columns
+from kempe.kernels.base.vectors import (
+    LANES,
+    all_between,
+    gather,
+    spread_lanes,
+    square_root,
+    store_columns,
+)
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,
@@ -35,7 +43,9 @@ LARGEST_SQUARE = 1e200
 
 @device
 def sincos_of(floats, k, theta):
-    """Sine and cosine of the turn of the row at floats[k:] by theta, the offset added where there is one."""
+    """Sine and cosine of the turn of the row at floats[k:] by theta, the offset added where there
+    is one.
+    """
     s, c = sincos(theta)
     if floats[k + SIN_OFFSET] != 0.0 or floats[k + COS_OFFSET] != 1.0:
         s, c = with_offset(floats, k, s, c)
@@ -44,7 +54,9 @@ def sincos_of(floats, k, theta):
 
 @device
 def unit_quaternion(q, index, nq, inverse):
-    """Whether lanes can be normalised, and the unit quaternion at q[index:], its inverse for a negative number."""
+    """Whether lanes can be normalised, and the unit quaternion at q[index:], its inverse for a
+    negative number.
+    """
     w = gather(q, index, nq)
     x = gather(q, index + 1, nq)
     y = gather(q, index + 2, nq)
@@ -52,7 +64,12 @@ def unit_quaternion(q, index, nq, inverse):
     square = w * w + x * x + y * y + z * z
     scale = 1.0 / square_root(square)
     sign = -scale if inverse < 0.0 else scale
-    return all_between(SMALLEST_SQUARE, square, LARGEST_SQUARE), (w * scale, x * sign, y * sign, z * sign)
+    return all_between(SMALLEST_SQUARE, square, LARGEST_SQUARE), (
+        w * scale,
+        x * sign,
+        y * sign,
+        z * sign,
+    )
 
 
 @device
@@ -100,7 +117,11 @@ def placed(ints, floats, row, x, y, z):
     if form == RX_FLAT:
         return x + f[k + 3], y * f[k + 5] + z * f[k + 6], y * f[k + 9] + (z * f[k + 10] + f[k + 11])
     if form == RX:
-        return x + f[k + 3], y * f[k + 5] + (z * f[k + 6] + f[k + 7]), y * f[k + 9] + (z * f[k + 10] + f[k + 11])
+        return (
+            x + f[k + 3],
+            y * f[k + 5] + (z * f[k + 6] + f[k + 7]),
+            y * f[k + 9] + (z * f[k + 10] + f[k + 11]),
+        )
     return (
         x * f[k] + (y * f[k + 1] + (z * f[k + 2] + f[k + 3])),
         x * f[k + 4] + (y * f[k + 5] + (z * f[k + 6] + f[k + 7])),
@@ -133,7 +154,9 @@ def position_lanes(ints, floats, q, start, nq):
 
 @device
 def store_points(out, first, count, p, scratch):
-    """Write the first `count` of LANES points to out[first:], three numbers each; `scratch` holds 4 LANES numbers."""
+    """Write the first `count` of LANES points to out[first:], three numbers each; `scratch` holds 4
+    LANES numbers.
+    """
     x, y, z = p
     if count > LANES:  # others follow, and write over the one number too many
         store_columns(out, first, 3, x, y, z, z)

@@ -1,7 +1,7 @@
 """Lanes of random numbers, and counts of what falls into cells: the two ends of sampling in bulk.
 
-The numbers are those of `random`: a function of a key and a counter. Counts are 32-bit numbers in memory that several
-threads may share: each increment is one atomic instruction.
+The numbers are those of `random`: a function of a key and a counter. Counts are 32-bit numbers in
+memory that several threads may share: each increment is one atomic instruction.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ def _spread(builder, value):
 
 @intrinsic
 def units(typingctx, key, counter):
-    """Numbers in [0, 1), of 52 bits: those of the sequence from `key` at counter, counter + 1, ... one a lane."""
+    """Numbers in [0, 1), of 52 bits: those of the sequence from `key` at counter, counter + 1, ...
+    one a lane.
+    """
 
     def codegen(context, builder, sig, args):
         vector = ir.VectorType(INT64, LANES)

@@ -1,8 +1,9 @@
-"""Positions of the last frame of a chain at random configurations, and how many fall into each cell.
+"""Positions of the last frame of a chain at random configurations, and how many fall into each
+cell.
 
-Random configurations are a function of keys and the number of the sample: coordinate i of sample k is from number k of
-the sequence from keys[i], uniform between low[i] and low[i] + range[i]; a quaternion at i takes the sequences i, i + 1
-and i + 2 (Shoemake 1992).
+Random configurations are a function of keys and the number of the sample: coordinate i of sample k
+is from number k of the sequence from keys[i], uniform between low[i] and low[i] + range[i]; a
+quaternion at i takes the sequences i, i + 1 and i + 2 (Shoemake 1992).
 """
 
 from __future__ import annotations
@@ -17,7 +18,16 @@ from kempe.kernels.base.trig import sincos
 from kempe.kernels.base.vectors import LANES, keep, raw, spread_lanes, square_root, store, where
 from kempe.kernels.forward.chain_positions import by_number, by_quaternion, store_points, tip
 from kempe.kernels.forward.lane_counts import count_one, rounded_down, units, will_count
-from kempe.kernels.forward.table_layout import BALL, HEADER, KIND, MULTIPLIER, N_ROWS, Q_INDEX, ROW_FLOATS, ROW_INTS
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    N_ROWS,
+    Q_INDEX,
+    ROW_FLOATS,
+    ROW_INTS,
+)
 
 BLOCK = 256
 """Samples whose cells are found before they are counted, so that memory has time to come near."""
@@ -49,7 +59,9 @@ def drawn_position(ints, floats, keys, bounds, counter):
 
 @kernel(I("_"), F("_"), I("_"), F("_", 2), INT, OUT("N", 3), returns=False)
 def random_positions(ints, floats, keys, bounds, first, out):
-    """Write the positions (N, 3) of the samples from number `first` on; `bounds` are (low, range) a coordinate."""
+    """Write the positions (N, 3) of the samples from number `first` on; `bounds` are (low, range) a
+    coordinate.
+    """
     n = out.shape[0]
     scratch = np.empty(4 * LANES)
     i_ = raw(ints)
@@ -68,8 +80,9 @@ def random_positions(ints, floats, keys, bounds, first, out):
 def count_cells(ints, floats, keys, bounds, first, n, grid, counts):
     """Count the samples `first` to `first` + n by the cells that the frame's positions fall into.
 
-    `grid` holds for each axis the lower end of the box, cells a metre, and the number of cells. `counts` holds 32-bit
-    numbers, two in each entry: of each cell, the last axis fastest, and after them of what falls outside.
+    `grid` holds for each axis the lower end of the box, cells a metre, and the number of cells.
+    `counts` holds 32-bit numbers, two in each entry: of each cell, the last axis fastest, and after
+    them of what falls outside.
     """
     scratch = np.empty(BLOCK)
     i_ = raw(ints)

@@ -8,8 +8,9 @@ A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
     floats  a row:     placement 3x4, cos and sin of the offset, multiplier, 0
             an output: placement 3x4
 
-Pose of a row = pose of its parent @ placement @ motion. Motions: TURN about z by offset + multiplier * q,
-SLIDE along z by multiplier * q, BALL by the unit quaternion wxyz at q, inverted for a negative multiplier.
+Pose of a row = pose of its parent @ placement @ motion. Motions: TURN about z by offset +
+multiplier * q, SLIDE along z by multiplier * q, BALL by the unit quaternion wxyz at q, inverted for
+a negative multiplier.
 """
 
 import numpy as np
@@ -59,11 +60,14 @@ RX_FLAT = 2
 WORLD_ALIGNED = 0
 WORLD = 1
 BODY = 2
-"""Frames of expression of a Jacobian: frame's origin, ground axes; ground's origin and axes; the frame's."""
+"""Frames of expression of a Jacobian: frame's origin, ground axes; ground's origin and axes; the
+frame's."""
 
 
 def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np.ndarray:
-    """The table as one float64 array, integers first as the same bytes, for Jacobians in the given frame."""
+    """The table as one float64 array, integers first as the same bytes, for Jacobians in the given
+    frame.
+    """
     ints = ints.copy()
     ints[SIZE] = len(ints)
     ints[FRAME] = frame
@@ -77,7 +81,9 @@ def rows_of(ints: np.ndarray) -> np.ndarray:
 
 
 def numbers_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
-    """The numbers (n_rows, ROW_FLOATS) of the rows, whose columns are a placement, COS_OFFSET, ...; a view."""
+    """The numbers (n_rows, ROW_FLOATS) of the rows, whose columns are a placement, COS_OFFSET, ...;
+    a view.
+    """
     n = int(ints[N_ROWS])
     return floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
 

@@ -1,7 +1,8 @@
-"""The rows of a primitive table: elementary motions on 3x4 matrices, and the poses of all rows of a configuration.
+"""The rows of a primitive table: elementary motions on 3x4 matrices, and the poses of all rows of a
+configuration.
 
-A 3x4 matrix is held as its three rows, vectors of four columns. Nothing here is an entry point, so that whoever
-needs these motions does not compile the forward model with them.
+A 3x4 matrix is held as its three rows, vectors of four columns. Nothing here is an entry point, so
+that whoever needs these motions does not compile the forward model with them.
 """
 
 from __future__ import annotations
@@ -57,12 +58,16 @@ def rotation(w, x, y, z):
 
 @device
 def unit_quaternion(q, k, multiplier):
-    """The unit quaternion at q[k : k + 4], conjugated for a reversed joint; NaN for norms below 1e-307."""
+    """The unit quaternion at q[k : k + 4], conjugated for a reversed joint; NaN for norms below
+    1e-307.
+    """
     w = q[k]
     x = q[k + 1]
     y = q[k + 2]
     z = q[k + 3]
-    size = max(max(abs(w), abs(x)), max(abs(y), abs(z)))  # scaled, for squares neither overflow nor vanish
+    size = max(
+        max(abs(w), abs(x)), max(abs(y), abs(z))
+    )  # scaled, for squares neither overflow nor vanish
     w = w / size
     x = x / size
     y = y / size
@@ -110,7 +115,11 @@ def slid(theta, c):
 def balled(w, x, y, z, a, b, c):
     """The rows of R(quaternion) @ [a; b; c]."""
     r = rotation(w, x, y, z)
-    return r[0] * a + r[1] * b + r[2] * c, r[3] * a + r[4] * b + r[5] * c, r[6] * a + r[7] * b + r[8] * c
+    return (
+        r[0] * a + r[1] * b + r[2] * c,
+        r[3] * a + r[4] * b + r[5] * c,
+        r[6] * a + r[7] * b + r[8] * c,
+    )
 
 
 @device
@@ -135,7 +144,9 @@ def times_slide(row, theta):
 
 @device
 def scratch_size(n_rows):
-    """Numbers in the scratch block of `descend`: angles, sines, cosines (padded to full vectors), poses."""
+    """Numbers in the scratch block of `descend`: angles, sines, cosines (padded to full vectors),
+    poses.
+    """
     return 3 * (n_rows + LANES) + OUTPUT_FLOATS * n_rows
 
 
@@ -153,7 +164,10 @@ def row_poses(ints, floats, q, start, scratch):
     cosine = 2 * sine
     poses = 3 * sine
     for row in range(n_rows):
-        scratch[row] = floats[ROW_FLOATS * row + MULTIPLIER] * q[start + ints[HEADER + ROW_INTS * row + Q_INDEX]]
+        scratch[row] = (
+            floats[ROW_FLOATS * row + MULTIPLIER]
+            * q[start + ints[HEADER + ROW_INTS * row + Q_INDEX]]
+        )
     for row in range(n_rows, sine):
         scratch[row] = 0.0
     near = True

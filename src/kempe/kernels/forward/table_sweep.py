@@ -1,7 +1,7 @@
 """Poses and Jacobians from a primitive table (`table_layout`), one configuration at a time.
 
-A 3x4 matrix is held as its three rows, vectors of four columns. Coordinates that are NaN or infinite, and
-quaternions without a norm, give NaN in all that depends on them.
+A 3x4 matrix is held as its three rows, vectors of four columns. Coordinates that are NaN or
+infinite, and quaternions without a norm, give NaN in all that depends on them.
 """
 
 from __future__ import annotations
@@ -63,12 +63,15 @@ def write_pose(out, k, a, b, c, particle):
     return int(bad)
 
 
-# ------------------------------------------------------ one frame: from the tip to the root, no scratch
+# ------------------------------------------------------ one frame: from the tip to the root, no
+# scratch
 
 
 @device
 def around(a, b):
-    """Velocity of the frame's origin, in its axes, under a turn from the axis of row a to that of row b."""
+    """Velocity of the frame's origin, in its axes, under a turn from the axis of row a to that of
+    row b.
+    """
     return entry(a, 3) * b - entry(b, 3) * a
 
 
@@ -90,10 +93,11 @@ def add_ball_columns(columns, k, nv, a, b, c, sign):
 
 @device
 def climb(ints, floats, q, start, with_columns, columns, first):
-    """The rows of the pose of output 0 at q[start:]; adds its body Jacobian to columns[first:], if wanted.
+    """The rows of the pose of output 0 at q[start:]; adds its body Jacobian to columns[first:], if
+    wanted.
 
-    With X_RF the pose of the frame F in the axes of row R, the column of a turn about z of R is, in axes of F
-    and at its origin, R_RF^T (z x p_RF) and R_RF^T z: combinations of the rows of X_RF.
+    With X_RF the pose of the frame F in the axes of row R, the column of a turn about z of R is, in
+    axes of F and at its origin, R_RF^T (z x p_RF) and R_RF^T z: combinations of the rows of X_RF.
     """
     n_rows = ints[N_ROWS]
     nv = ints[NV]
@@ -147,9 +151,11 @@ def rotated(a, b, c, x, y, z):
 
 @device
 def express(columns, first, nv, frame, particle, a, b, c):
-    """Turn the body Jacobian at columns[first:] to ground axes; for WORLD move it to the ground's origin.
+    """Turn the body Jacobian at columns[first:] to ground axes; for WORLD move it to the ground's
+    origin.
 
-    A particle has no orientation: its angular rows are zero and its axes are the ground's in all frames.
+    A particle has no orientation: its angular rows are zero and its axes are the ground's in all
+    frames.
     """
     px = entry(a, 3)
     py = entry(b, 3)
@@ -175,7 +181,9 @@ def express(columns, first, nv, frame, particle, a, b, c):
 
 @device
 def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first):
-    """1 if the configuration q[start:] is bad, else 0; writes the Jacobian of output 0 and, if requested, its pose."""
+    """1 if the configuration q[start:] is bad, else 0; writes the Jacobian of output 0 and, if
+    requested, its pose.
+    """
     nv = ints[NV]
     particle = ints[HEADER + ROW_INTS * ints[N_ROWS] + PARTICLE]
     for i in range(first, first + 6 * nv):
@@ -194,7 +202,9 @@ def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first
 
 @kernel(I("_"), F("_"), F("N", "_"), INT, OUT("N", 4, 4), OUT("N", 6, "_"))
 def jacobian(ints, floats, q, frame, pose, columns):
-    """Number of bad configurations; writes poses (N, 4, 4) and Jacobians (N, 6, nv) of the first output."""
+    """Number of bad configurations; writes poses (N, 4, 4) and Jacobians (N, 6, nv) of the first
+    output.
+    """
     nq = q.shape[1]
     size = 6 * ints[NV]
     i_ = raw(ints)
@@ -208,12 +218,15 @@ def jacobian(ints, floats, q, frame, pose, columns):
     return bad
 
 
-# ------------------------------------------------------ all frames of a tree: from the root to the tips
+# ------------------------------------------------------ all frames of a tree: from the root to the
+# tips
 
 
 @device
 def descend(ints, floats, q, start, out, first, scratch):
-    """1 if an output is bad at the configuration q[start:], else 0; writes all poses to out[first:]."""
+    """1 if an output is bad at the configuration q[start:], else 0; writes all poses to
+    out[first:].
+    """
     n_rows = ints[N_ROWS]
     n_out = ints[N_OUT]
     poses = poses_at(n_rows)
@@ -232,7 +245,9 @@ def descend(ints, floats, q, start, out, first, scratch):
 
 @kernel(I("_"), F("_"), F("_"), OUT("_", 4, 4), nogil=False)
 def poses1(ints, floats, q, out):
-    """Number of bad configurations, 0 or 1; writes the poses (n_out, 4, 4) of all outputs at q (nq,)."""
+    """Number of bad configurations, 0 or 1; writes the poses (n_out, 4, 4) of all outputs at q
+    (nq,).
+    """
     scratch = np.empty(scratch_size(ints[N_ROWS]))
     bad = descend(raw(ints), raw(floats), raw(q), 0, raw(out), 0, raw(scratch))
     keep(scratch)

@@ -1,7 +1,8 @@
 """The nearest configuration: descent to a local minimum of the error, where it need not vanish.
 
-Gauss-Newton steps converge slowly, or not at all, where the error stays large: they lack the curvature of the
-chain. Here the Hessian is exact: a chain's second derivatives are cross products of what the Jacobian has.
+Gauss-Newton steps converge slowly, or not at all, where the error stays large: they lack the
+curvature of the chain. Here the Hessian is exact: a chain's second derivatives are cross products
+of what the Jacobian has.
 """
 
 from __future__ import annotations
@@ -42,16 +43,19 @@ DAMPING_LIMIT = 1e12
 """Damping at which a descent gives up: its steps are nothing."""
 
 LAST = 1e-16
-"""Square of the step (radians, and parts of the chain's length) after which rounding hides the next."""
+"""Square of the step (radians, and parts of the chain's length) after which rounding hides the
+next."""
 
 
 @device
 def turning_part(chain, e, tip, a):
-    """m, such that m.b is the rotation's part of the Hessian for a turn about a and a later one about b.
+    """m, such that m.b is the rotation's part of the Hessian for a turn about a and a later one
+    about b.
 
-    With phi the rotation error, r its size and gamma = r/2 cot(r/2), m = gamma a + (1 - gamma)/r^2 (phi.a) phi -
-    phi x a / 2, from the inverse Jacobian of the exponential (Bullo and Murray 1995). Where only the direction c of
-    the z axis counts, g being the goal's and n = c x g, the error is e = r/sin r n and by its derivative
+    With phi the rotation error, r its size and gamma = r/2 cot(r/2), m = gamma a + (1 - gamma)/r^2
+    (phi.a) phi - phi x a / 2, from the inverse Jacobian of the exponential (Bullo and Murray 1995).
+    Where only the direction c of the z axis counts, g being the goal's and n = c x g, the error is
+    e = r/sin r n and by its derivative
     m = r/sin r ((c.g) a - (a.g) c) + (sin r - r cos r)/sin^3 r (n.a) n - e x a.
     """
     g = chain.goal
@@ -79,8 +83,8 @@ def turning_part(chain, e, tip, a):
 def fill_hessian(chain, e, tip, h):
     """Write the Hessian (nv, nv) of the energy at the configuration traced last, its error e.
 
-    For columns j before i of a chain, with axes a and tip velocities t: the tip's second derivative is a_j x
-    t_i (0 if j slides). The part of the rotation is `turning_part`.
+    For columns j before i of a chain, with axes a and tip velocities t: the tip's second derivative
+    is a_j x t_i (0 if j slides). The part of the rotation is `turning_part`.
     """
     w = (chain.goal[WEIGHTS], chain.goal[WEIGHTS + 1], chain.goal[WEIGHTS + 2])
     force = (w[0] * e[0], w[1] * e[1], w[2] * e[2])
@@ -108,7 +112,9 @@ def fill_hessian(chain, e, tip, h):
 
 @routine
 def factor_damped(chain, h, damping, a):
-    """Damping, raised until the Hessian of FREE coordinates plus damping * I is positive; writes L and D."""
+    """Damping, raised until the Hessian of FREE coordinates plus damping * I is positive; writes L
+    and D.
+    """
     n = chain.nv
     while True:
         for i in range(n):
@@ -139,7 +145,9 @@ def unit_step(chain, v):
 
 @device
 def newton_pass(chain, e, h, damping, a, b):
-    """Whether the Newton step of FREE coordinates, the others' given, met no limit; who met one stays."""
+    """Whether the Newton step of FREE coordinates, the others' given, met no limit; who met one
+    stays.
+    """
     n = chain.nv
     jacobian = chain.jacobian
     for i in range(n):
@@ -164,7 +172,9 @@ def newton_pass(chain, e, h, damping, a, b):
 
 @routine
 def newton_step(chain, e, h, damping, a, b):
-    """Decrease that the damped Newton step within the limits promises, its square, the damping; writes it."""
+    """Decrease that the damped Newton step within the limits promises, its square, the damping;
+    writes it.
+    """
     while True:
         start_step(chain, e)
         for _ in range(2):
@@ -187,10 +197,11 @@ def newton_step(chain, e, h, damping, a, b):
 
 @routine
 def descend(chain, limit, kept):
-    """Energy of the local minimum within the limits reached from q, and steps taken; `kept` is where.
+    """Energy of the local minimum within the limits reached from q, and steps taken; `kept` is
+    where.
 
-    Damped Newton steps, taken where they decrease the energy; the damping follows the ratio of the decrease
-    to the promised one (Levenberg 1944; Marquardt 1963; Fletcher 1971).
+    Damped Newton steps, taken where they decrease the energy; the damping follows the ratio of the
+    decrease to the promised one (Levenberg 1944; Marquardt 1963; Fletcher 1971).
     """
     n = chain.nv
     block = np.empty(2 * n * n + n)
@@ -210,7 +221,9 @@ def descend(chain, limit, kept):
         if new < best:
             if best < np.inf:
                 ratio = (best - new) / promise
-                damping = max(damping * (0.1 if ratio > 0.75 else (1.0 if ratio > 0.25 else 4.0)), 1e-12)
+                damping = max(
+                    damping * (0.1 if ratio > 0.75 else (1.0 if ratio > 0.25 else 4.0)), 1e-12
+                )
             best = new
             e_best = e
             for k in range(chain.nq):

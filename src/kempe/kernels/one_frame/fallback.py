@@ -1,4 +1,6 @@
-"""Goals that no start reached: the nearest configuration, the best of several descents to a local minimum."""
+"""Goals that no start reached: the nearest configuration, the best of several descents to a local
+minimum.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,9 @@ DESCENT_STEPS = 5
 def answer_nearest(problem, i, one):
     """Write for goal i, which no start reached, the nearest configuration that descents find.
 
-    They begin at the answer as it is, whose energy stands for its linear error, and at random. `one` is the only one
-    that is made, counted from 1: errors are written after the last one. With 0 all are made.
+    They begin at the answer as it is, whose energy stands for its linear error, and at random.
+    `one` is the only one that is made, counted from 1: errors are written after the last one. With
+    0 all are made.
     """
     chain = problem.chain
     best = answer_of(problem, i)
@@ -63,12 +66,26 @@ def answer_nearest(problem, i, one):
 
 @kernel(*ARGUMENTS)
 def approach(
-    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
-    length, out,
-):  # fmt: skip
-    """Number of goals not reached; those NOT_FOUND in `out`, as `schedule.reach` left it, get the nearest q instead.
+    ints,
+    floats,
+    limits,
+    task,
+    targets,
+    seeds,
+    seed,
+    first,
+    start_limit,
+    iteration_limit,
+    tol_linear,
+    tol_angular,
+    length,
+    out,
+):
+    """Number of goals not reached; those NOT_FOUND in `out`, as `schedule.reach` left it, get the
+    nearest q instead.
 
-    `first` is the only descent that is made, counted from 1, or 0 for all of them: see `answer_nearest`.
+    `first` is the only descent that is made, counted from 1, or 0 for all of them: see
+    `answer_nearest`.
     """
     columns = count_columns(raw(ints))
     nq = ints[NQ]
@@ -76,9 +93,24 @@ def approach(
     notes = np.empty(problem_ints(columns, nv), np.int64)
     block = np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
-        ints, floats, limits, task, targets, seeds, seed, 0, start_limit, iteration_limit, tol_linear, tol_angular,
-        length, out, columns, raw(notes), raw(block),
-    )  # fmt: skip
+        ints,
+        floats,
+        limits,
+        task,
+        targets,
+        seeds,
+        seed,
+        0,
+        start_limit,
+        iteration_limit,
+        tol_linear,
+        tol_angular,
+        length,
+        out,
+        columns,
+        raw(notes),
+        raw(block),
+    )
     missed = 0
     for i in range(targets.shape[0]):
         if out[i, nq + STATUS] == NOT_FOUND:

@@ -1,4 +1,6 @@
-"""The problem of one call of the inverse kinematics: its goals one by one, and how answers are judged and written."""
+"""The problem of one call of the inverse kinematics: its goals one by one, and how answers are
+judged and written.
+"""
 
 from __future__ import annotations
 
@@ -62,9 +64,21 @@ from kempe.kernels.one_frame.residual import (
 from kempe.kernels.one_frame.starts import draw, middle, spread_of, take, wrap
 
 ARGUMENTS = (
-    I("_"), F("_"), F(2, "nv"), I("nv+7"), F("N", 4, 4), F("1|N", "_", "nq"), INT, INT, INT, INT, FLOAT, FLOAT, FLOAT,
+    I("_"),
+    F("_"),
+    F(2, "nv"),
+    I("nv+7"),
+    F("N", 4, 4),
+    F("1|N", "_", "nq"),
+    INT,
+    INT,
+    INT,
+    INT,
+    FLOAT,
+    FLOAT,
+    FLOAT,
     OUT("N", f"nq+{ANSWER}"),
-)  # fmt: skip
+)
 """What the kernels of the inverse kinematics take, see `schedule.reach`."""
 
 
@@ -117,12 +131,17 @@ def aim(chain, target, k):
             sound = sound and abs(product - (1.0 if i == j else 0.0)) <= ROTATION_TOLERANCE
     # of an orthogonal matrix the last column is plus or minus the product of the others
     z = g[0] * g[5] - g[1] * g[4]
-    return sound and (g[10] * z + g[6] * (g[1] * g[8] - g[0] * g[9]) + g[2] * (g[4] * g[9] - g[5] * g[8])) > 0.0
+    return (
+        sound
+        and (g[10] * z + g[6] * (g[1] * g[8] - g[0] * g[9]) + g[2] * (g[4] * g[9] - g[5] * g[8]))
+        > 0.0
+    )
 
 
 @routine
 def begin(problem, i, home):
-    """Whether goal i and its seeds are sound; makes it the chain's goal and writes the default start to `home`.
+    """Whether goal i and its seeds are sound; makes it the chain's goal and writes the default
+    start to `home`.
 
     Where they are not sound, the answer is BAD_INPUT.
     """
@@ -132,7 +151,9 @@ def begin(problem, i, home):
     for k in range(4):
         sound = sound and problem.targets[16 * i + 12 + k] == (1.0 if k == 3 else 0.0)
     for k in range(problem.seed_count):
-        sound = sound and take(chain, problem.seeds, problem.seed_step * i + (problem.seed_count - 1 - k) * nq)
+        sound = sound and take(
+            chain, problem.seeds, problem.seed_step * i + (problem.seed_count - 1 - k) * nq
+        )
     copy(home, chain.q if problem.seed_count > 0 else problem.middle, 0, nq)
     if not sound:
         for k in range(nq):
@@ -160,7 +181,9 @@ def write(problem, i, status, linear, angular, steps, starts):
 
 @device
 def key_of(problem):
-    """What random numbers are drawn from, for all goals alike: an answer does not depend on the place in a batch."""
+    """What random numbers are drawn from, for all goals alike: an answer does not depend on the
+    place in a batch.
+    """
     return mix(np.uint64(0), np.uint64(problem.seed))
 
 
@@ -177,7 +200,9 @@ def go_to(problem, i, start, home):
 
 @routine
 def judged(problem, home):
-    """(whether solved, linear and angular distance) of the chain's q, which is brought inside the limits."""
+    """(whether solved, linear and angular distance) of the chain's q, which is brought inside the
+    limits.
+    """
     chain = problem.chain
     wrap(chain, problem.limits, problem.circular, home)
     linear, angular = distances(chain, error(chain.goal, trace(chain)))
@@ -186,7 +211,9 @@ def judged(problem, home):
 
 @device
 def count_columns(ints):
-    """Columns of the Jacobian before shared coordinates are added up: three of a ball, one of other rows."""
+    """Columns of the Jacobian before shared coordinates are added up: three of a ball, one of other
+    rows.
+    """
     columns = 0
     for row in range(ints[N_ROWS]):
         columns += 3 if ints[HEADER + ROW_INTS * row + KIND] == BALL else 1
@@ -207,9 +234,11 @@ def problem_ints(columns, nv):
 
 @device
 def characteristic_length(ints, floats):
-    """A third of the chain's length, from its first row over all rows to its tip; 1 where that is zero.
+    """A third of the chain's length, from its first row over all rows to its tip; 1 where that is
+    zero.
 
-    So weighed, turning half of a chain by some angle changes the linear and the angular error alike.
+    So weighed, turning half of a chain by some angle changes the linear and the angular error
+    alike.
     """
     length = 0.0
     for row in range(1, ints[N_ROWS] + 1):
@@ -241,7 +270,10 @@ def prepare(chain, limits, circular, task):
             place = places + PLACE_INTS * v
             notes[COLUMN_INTS * column + OWNER] = v
             notes[COLUMN_INTS * column + TURNS] = int(ints[k + KIND] != SLIDE)
-            notes[place + PLACE], notes[place + ROUND] = ints[k + Q_INDEX] + i, int(ints[k + KIND] == BALL)
+            notes[place + PLACE], notes[place + ROUND] = (
+                ints[k + Q_INDEX] + i,
+                int(ints[k + KIND] == BALL),
+            )
             if ints[k + KIND] != SLIDE:
                 box[BOX_STRIDE * v + SCALE] = 1.0
             if ints[k + KIND] == BALL:
@@ -260,10 +292,27 @@ def prepare(chain, limits, circular, task):
 
 @device
 def problem_of(
-    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
-    length, out, columns, notes, block,
-):  # fmt: skip
-    """The problem for the arguments of a kernel, in scratch of these two sizes, and `home` for one goal."""
+    ints,
+    floats,
+    limits,
+    task,
+    targets,
+    seeds,
+    seed,
+    first,
+    start_limit,
+    iteration_limit,
+    tol_linear,
+    tol_angular,
+    length,
+    out,
+    columns,
+    notes,
+    block,
+):
+    """The problem for the arguments of a kernel, in scratch of these two sizes, and `home` for one
+    goal.
+    """
     table = raw(ints)
     numbers = raw(floats)
     bounds = raw(limits)
@@ -276,7 +325,9 @@ def problem_of(
     goal = beyond(jacobian, JACOBIAN_STRIDE * nv)
     q = beyond(goal, GOAL_SIZE)
     unit_length = length if length > 0.0 else characteristic_length(table, numbers)
-    chain = ChainScratch(table, numbers, notes, axes, box, jacobian, q, goal, columns, nq, nv, unit_length)
+    chain = ChainScratch(
+        table, numbers, notes, axes, box, jacobian, q, goal, columns, nq, nv, unit_length
+    )
     prepare(chain, bounds, circular, raw(task))
     rest = beyond(q, nq)
     kept = beyond(q, 2 * nq)
@@ -285,6 +336,21 @@ def problem_of(
         middle(chain, bounds, rest)
     seed_step = seeds.shape[1] * nq if seeds.shape[0] > 1 else 0
     return IkProblem(
-        chain, bounds, circular, raw(targets), raw(seeds), rest, kept, home, seeds.shape[1], seed_step, seed, first,
-        max(start_limit, 1), iteration_limit, tol_linear, tol_angular, raw(out),
-    )  # fmt: skip
+        chain,
+        bounds,
+        circular,
+        raw(targets),
+        raw(seeds),
+        rest,
+        kept,
+        home,
+        seeds.shape[1],
+        seed_step,
+        seed,
+        first,
+        max(start_limit, 1),
+        iteration_limit,
+        tol_linear,
+        tol_angular,
+        raw(out),
+    )

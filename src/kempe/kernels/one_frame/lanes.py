@@ -1,8 +1,9 @@
 """One step of the inverse kinematics for `LANES` starts side by side: chains of turns and slides.
 
-It is the step of `residual` and `step`, in vectors: one number of all starts is one vector. Lengths are parts of the
-chain's length and coordinates multiples of their unit (`residual`), so that no row of the task needs a weight. A lane
-sees nothing of its neighbours: what becomes of a start does not depend on which others run beside it.
+It is the step of `residual` and `step`, in vectors: one number of all starts is one vector. Lengths
+are parts of the chain's length and coordinates multiples of their unit (`residual`), so that no row
+of the task needs a weight. A lane sees nothing of its neighbours: what becomes of a start does not
+depend on which others run beside it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,17 @@ from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.lines import cross, dot, minus
 from kempe.kernels.base.trig import atan2, sincos
 from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, square_root, store, where
-from kempe.kernels.forward.table_layout import FORM, GENERAL, HEADER, KIND, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
+from kempe.kernels.forward.table_layout import (
+    FORM,
+    GENERAL,
+    HEADER,
+    KIND,
+    ROW_FLOATS,
+    ROW_INTS,
+    SLIDE,
+    TURN,
+    V_INDEX,
+)
 from kempe.kernels.one_frame.residual import pointing_error
 
 FACTOR = 12
@@ -32,7 +43,8 @@ STALL = 13
 COUNT = 14
 FOUND = 15
 ROWS = 16
-"""Places in the lanes: goal; least energy, steps that hardly lowered it, steps, 1 if within tolerance; the rows."""
+"""Places in the lanes: goal; least energy, steps that hardly lowered it, steps, 1 if within
+tolerance; the rows."""
 
 AXIS = 0
 POINT = 3
@@ -45,7 +57,8 @@ STEP = 2
 FREE = 3
 COLUMN = 4
 COORDINATE_LANES = 10
-"""A coordinate: its value, that of the least energy, the step, 1 if it may move, its column of the Jacobian."""
+"""A coordinate: its value, that of the least energy, the step, 1 if it may move, its column of the
+Jacobian."""
 
 
 class Lanes(NamedTuple):
@@ -124,7 +137,9 @@ def greatest_of(a, b):
 
 @device
 def placed_lanes(f, k, general, a, b, c, p):
-    """The columns of [a b c p] X, X the 3x4 placement at f[k:], a turn about x where it is not `general`."""
+    """The columns of [a b c p] X, X the 3x4 placement at f[k:], a turn about x where it is not
+    `general`.
+    """
     p = summed(p, summed(scaled(f[k + 3], a), combined(f[k + 7], b, f[k + 11], c)))
     if general:
         x = summed(scaled(f[k], a), combined(f[k + 4], b, f[k + 8], c))
@@ -152,7 +167,10 @@ def trace_lanes(s):
         factor = f[at + FACTOR]
         store3(lanes, lane_row(row) + AXIS, scaled(factor, c))
         store3(lanes, lane_row(row) + POINT, p)
-        theta = factor * load_lanes(lanes, (lane_coordinate(s, s.ints[k + V_INDEX]) + U) * LANES) + f[at + OFFSET]
+        theta = (
+            factor * load_lanes(lanes, (lane_coordinate(s, s.ints[k + V_INDEX]) + U) * LANES)
+            + f[at + OFFSET]
+        )
         if s.ints[k + KIND] == TURN:
             sine, cosine = sincos(theta)
             a, b = combined(cosine, a, sine, b), combined(cosine, b, -sine, a)
@@ -226,18 +244,20 @@ def error_lanes(s, a, b, c, p):
     lanes = s.lanes
     w = s.weights
     d = (
-        load_lanes(lanes, (GOAL + 3) * LANES) - p[0], load_lanes(lanes, (GOAL + 7) * LANES) - p[1],
+        load_lanes(lanes, (GOAL + 3) * LANES) - p[0],
+        load_lanes(lanes, (GOAL + 7) * LANES) - p[1],
         load_lanes(lanes, (GOAL + 11) * LANES) - p[2],
-    )  # fmt: skip
+    )
     zero = spread_lanes(0.0)
     turn = (zero, zero, zero)
     if s.task == WHOLE or s.task == SOME:
         turn = turn_error(lanes, a, b, c)
     elif s.task == POINTING:
         goal = (
-            load_lanes(lanes, (GOAL + 2) * LANES), load_lanes(lanes, (GOAL + 6) * LANES),
+            load_lanes(lanes, (GOAL + 2) * LANES),
+            load_lanes(lanes, (GOAL + 6) * LANES),
             load_lanes(lanes, (GOAL + 10) * LANES),
-        )  # fmt: skip
+        )
         turn = pointing_error(a, c, goal)
     if s.task == SOME or s.task == POINTING:
         d = (w[0] * d[0], w[1] * d[1], w[2] * d[2])
@@ -250,9 +270,13 @@ def column_lanes(lanes, k):
     """Column of the Jacobian of the coordinate at place k."""
     k = k + COLUMN
     return (
-        load_lanes(lanes, k * LANES), load_lanes(lanes, (k + 1) * LANES), load_lanes(lanes, (k + 2) * LANES),
-        load_lanes(lanes, (k + 3) * LANES), load_lanes(lanes, (k + 4) * LANES), load_lanes(lanes, (k + 5) * LANES),
-    )  # fmt: skip
+        load_lanes(lanes, k * LANES),
+        load_lanes(lanes, (k + 1) * LANES),
+        load_lanes(lanes, (k + 2) * LANES),
+        load_lanes(lanes, (k + 3) * LANES),
+        load_lanes(lanes, (k + 4) * LANES),
+        load_lanes(lanes, (k + 5) * LANES),
+    )
 
 
 @device
@@ -298,12 +322,16 @@ def row_column(lanes, row, slides, p):
 @device
 def may_move(u, push, low, high):
     """1 unless the coordinate stands at a limit and `push` points outwards."""
-    return where(push > 0.0, where(high > u, 1.0, 0.0), where(0.0 > push, where(u > low, 1.0, 0.0), 1.0))
+    return where(
+        push > 0.0, where(high > u, 1.0, 0.0), where(0.0 > push, where(u > low, 1.0, 0.0), 1.0)
+    )
 
 
 @routine
 def fill_lanes(s, e, p):
-    """J D J^T (lower triangle) at the configurations traced last; writes the columns and D, who may move."""
+    """J D J^T (lower triangle) at the configurations traced last; writes the columns and D, who may
+    move.
+    """
     lanes = s.lanes
     limits = s.limits
     m = nothing()
@@ -318,7 +346,9 @@ def fill_lanes(s, e, p):
         store3(lanes, at + COLUMN, (x[0], x[1], x[2]))
         store3(lanes, at + COLUMN + 3, (x[3], x[4], x[5]))
         if s.last[row] % 2 == 1:
-            free = may_move(load_lanes(lanes, (at + U) * LANES), dot6(x, e), limits[2 * v], limits[2 * v + 1])
+            free = may_move(
+                load_lanes(lanes, (at + U) * LANES), dot6(x, e), limits[2 * v], limits[2 * v + 1]
+            )
             store(lanes, (at + FREE) * LANES, free)
             m = gathered(m, free, x)
     return m

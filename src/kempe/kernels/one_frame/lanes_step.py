@@ -34,17 +34,19 @@ from kempe.kernels.one_frame.lanes import (
 DAMPING = 0.05
 DAMPING_FLOOR = 1e-10
 DAMPING_CAP = 0.3
-"""Damping: DAMPING * E, at most DAMPING_CAP, plus DAMPING_FLOOR. Factors of 0.02 to 0.3 do equally well."""
+"""Damping: DAMPING * E, at most DAMPING_CAP, plus DAMPING_FLOOR. Factors of 0.02 to 0.3 do equally
+well."""
 
 NEAR = 1e-14
 """Energy from which one step leads to rounding error, seldom two."""
 
 PATIENCE = 3
 SLOW = 0.7
-"""A start is given up after PATIENCE steps that do not lower the energy below SLOW of the least before.
+"""A start is given up after PATIENCE steps that do not lower the energy below SLOW of the least
+before.
 
-Towards a goal it falls to a quarter or less, as a rule even where the chain is singular. To wait for steps without any
-decrease costs a fifth more work, a third at the limits."""
+Towards a goal it falls to a quarter or less, as a rule even where the chain is singular. To wait
+for steps without any decrease costs a fifth more work, a third at the limits."""
 
 
 @device
@@ -79,7 +81,8 @@ def weighed(w, m):
 
 @device
 def across(c, m):
-    """The lower triangle with P = 1 - c c^T applied to its angular rows and columns, and c c^T added.
+    """The lower triangle with P = 1 - c c^T applied to its angular rows and columns, and c c^T
+    added.
 
     What is added keeps the matrix regular, and takes no part: errors have no component along c.
     """
@@ -119,7 +122,8 @@ def solved(s, m, c, damping, e):
 
 @routine
 def first_steps(s, y):
-    """1 in lanes where a limit stopped a coordinate, and what the stopped ones move the tip; writes the steps.
+    """1 in lanes where a limit stopped a coordinate, and what the stopped ones move the tip; writes
+    the steps.
 
     D J^T y, cut off at the limits; those that were stopped there leave D.
     """
@@ -180,7 +184,8 @@ def advance_lanes(s):
 
 @device
 def keep_better(s, e, limit, linear, angular):
-    """Lanes that are done or nearly so, as bits, and the energy; keeps the configurations that lowered it.
+    """Lanes that are done or nearly so, as bits, and the energy; keeps the configurations that
+    lowered it.
 
     limit: steps at most; linear, angular: squares of the tolerances, in the lanes' units.
     """
@@ -213,7 +218,8 @@ def keep_better(s, e, limit, linear, angular):
 
 @routine
 def step_lanes(s, limit, linear, angular):
-    """Lanes that are done, as bits: at the goal, out of steps, without hope, or, once, NEAR. All move on by a step.
+    """Lanes that are done, as bits: at the goal, out of steps, without hope, or, once, NEAR. All
+    move on by a step.
 
     The step is that of `step.damped_step`.
     """

@@ -1,11 +1,12 @@
 """How far the tip of a chain is from its goal: the error, and its Jacobian, of one configuration.
 
-The error is e = W [p* - p; log(R* R^T)] in ground axes. The geometric Jacobian then gives the exact gradient
-of E = |e|^2 / 2: dE/dv = -(W J)^T e, for the logarithm's own Jacobian leaves the logarithm alone (Bullo and
-Murray 1995). Where only the direction of the tip's z axis counts, the rotation error is the shortest one that
-corrects it, and J lacks what turns about that axis. W holds 0 or 1 for each row of the task, divided by the
-chain's length L in the linear rows, so that lengths weigh against angles whatever the unit. For the same
-reason slides move in multiples of L: column i of the Jacobian belongs to v[i] / scale[i].
+The error is e = W [p* - p; log(R* R^T)] in ground axes. The geometric Jacobian then gives the exact
+gradient of E = |e|^2 / 2: dE/dv = -(W J)^T e, for the logarithm's own Jacobian leaves the logarithm
+alone (Bullo and Murray 1995). Where only the direction of the tip's z axis counts, the rotation
+error is the shortest one that corrects it, and J lacks what turns about that axis. W holds 0 or 1
+for each row of the task, divided by the chain's length L in the linear rows, so that lengths weigh
+against angles whatever the unit. For the same reason slides move in multiples of L: column i of the
+Jacobian belongs to v[i] / scale[i].
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ AXIS = 0
 POINT = 4
 FACTOR = 8
 AXES_STRIDE = 9
-"""A column, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
+"""A column, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times
+scale)."""
 
 OWNER = 0
 TURNS = 1
@@ -46,7 +48,8 @@ COLUMN_INTS = 2
 PLACE = 0
 ROUND = 1
 PLACE_INTS = 2
-"""A velocity coordinate, in `Chain.notes` after the columns: index in q (-1 if unread); 1 if of a ball."""
+"""A velocity coordinate, in `Chain.notes` after the columns: index in q (-1 if unread); 1 if of a
+ball."""
 
 LOW = 0
 HIGH = 1
@@ -57,12 +60,14 @@ BOX_STRIDE = 4
 FREE = 6
 STEP = 7
 JACOBIAN_STRIDE = 8
-"""A velocity coordinate, in `Chain.jacobian`: six rows of its column, whether it may move, the step."""
+"""A velocity coordinate, in `Chain.jacobian`: six rows of its column, whether it may move, the
+step."""
 
 WEIGHTS = 12
 POINTS = 18
 GOAL_SIZE = 19
-"""Places in `Chain.goal`, after the 3x4 pose: six weights; 1 if of rotations only the direction of z counts."""
+"""Places in `Chain.goal`, after the 3x4 pose: six weights; 1 if of rotations only the direction of
+z counts."""
 
 
 class ChainScratch(NamedTuple):
@@ -90,7 +95,8 @@ def mixed(x, a, y, b, z, c):
 
 @device
 def ball_rotation(q, k, multiplier):
-    """The rotation (9 numbers, row by row) by the quaternion wxyz at q[k : k + 4], normalised on reading.
+    """The rotation (9 numbers, row by row) by the quaternion wxyz at q[k : k + 4], normalised on
+    reading.
 
     Its inverse for a reversed joint, which a negative multiplier marks.
     """
@@ -102,10 +108,16 @@ def ball_rotation(q, k, multiplier):
     if multiplier < 0.0:
         w = -w
     return (
-        1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
-        s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x),
-        s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y),
-    )  # fmt: skip
+        1.0 - s * (y * y + z * z),
+        s * (x * y - w * z),
+        s * (x * z + w * y),
+        s * (x * y + w * z),
+        1.0 - s * (x * x + z * z),
+        s * (y * z - w * x),
+        s * (x * z - w * y),
+        s * (y * z + w * x),
+        1.0 - s * (x * x + y * y),
+    )
 
 
 @device
@@ -175,7 +187,8 @@ def trace(chain):
 
 @device
 def pointing_error(a, c, goal):
-    """The shortest rotation vector that turns direction c to the goal's; about a where they are opposite.
+    """The shortest rotation vector that turns direction c to the goal's; about a where they are
+    opposite.
 
     For floats and vectors alike.
     """
@@ -196,7 +209,9 @@ def column(v):
 
 @device
 def turn_error(g, a, b, c):
-    """Rotation vector from the tip's rotation, by columns, to the goal's; of z alone where only that counts."""
+    """Rotation vector from the tip's rotation, by columns, to the goal's; of z alone where only
+    that counts.
+    """
     if g[POINTS] != 0.0:
         return pointing_error(column(a), column(c), (g[2], g[6], g[10]))
     x = mixed(g[0], a, g[1], b, g[2], c)
@@ -204,10 +219,17 @@ def turn_error(g, a, b, c):
     z = mixed(g[8], a, g[9], b, g[10], c)
     return logarithm(
         (
-            entry(x, 0), entry(x, 1), entry(x, 2), entry(y, 0), entry(y, 1), entry(y, 2),
-            entry(z, 0), entry(z, 1), entry(z, 2),
+            entry(x, 0),
+            entry(x, 1),
+            entry(x, 2),
+            entry(y, 0),
+            entry(y, 1),
+            entry(y, 2),
+            entry(z, 0),
+            entry(z, 1),
+            entry(z, 2),
         )
-    )  # fmt: skip
+    )
 
 
 @device
@@ -218,9 +240,13 @@ def error(goal, tip):
     a, b, c, p = tip
     turn = turn_error(g, a, b, c)
     return (
-        g[w] * (g[3] - entry(p, 0)), g[w + 1] * (g[7] - entry(p, 1)), g[w + 2] * (g[11] - entry(p, 2)),
-        g[w + 3] * turn[0], g[w + 4] * turn[1], g[w + 5] * turn[2],
-    )  # fmt: skip
+        g[w] * (g[3] - entry(p, 0)),
+        g[w + 1] * (g[7] - entry(p, 1)),
+        g[w + 2] * (g[11] - entry(p, 2)),
+        g[w + 3] * turn[0],
+        g[w + 4] * turn[1],
+        g[w + 5] * turn[2],
+    )
 
 
 @device

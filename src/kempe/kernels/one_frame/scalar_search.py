@@ -1,9 +1,10 @@
-"""Starts one at a time: the search of chains with balls, whose steps the lanes of `schedule` do not have.
+"""Starts one at a time: the search of chains with balls, whose steps the lanes of `schedule` do not
+have.
 
-From 50 to 100 % of the starts reach the goal, whatever the optimiser: restarts decide, so a step must be
-cheap and a start must be given up early. Each step takes the damping 0.05 E + 1e-10 (Chan and Lawrence 1988;
-Sugihara 2011) and is always accepted. A start ends at the goal, after `iteration_limit` steps, or after three
-steps that hardly lower the error.
+From 50 to 100 % of the starts reach the goal, whatever the optimiser: restarts decide, so a step
+must be cheap and a start must be given up early. Each step takes the damping 0.05 E + 1e-10 (Chan
+and Lawrence 1988; Sugihara 2011) and is always accepted. A start ends at the goal, after
+`iteration_limit` steps, or after three steps that hardly lower the error.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ from kempe.kernels.one_frame.step import advance, damped_step
 
 @routine
 def attempt(chain, limit, tol_linear, tol_angular, kept):
-    """Least energy that one start led to, the steps taken, whether within tolerance; `kept` is where.
+    """Least energy that one start led to, the steps taken, whether within tolerance; `kept` is
+    where.
 
     Within tolerance, it goes on as long as that pays: usually a step or two to rounding error.
     """
@@ -63,7 +65,9 @@ def attempt(chain, limit, tol_linear, tol_angular, kept):
 
 @routine
 def one_by_one(problem, i):
-    """Search from one start after the other until one reaches goal i, which is the chain's, and write the answer."""
+    """Search from one start after the other until one reaches goal i, which is the chain's, and
+    write the answer.
+    """
     chain = problem.chain
     best = answer_of(problem, i)
     steps = np.int64(0)
@@ -90,9 +94,21 @@ def one_by_one(problem, i):
 
 @kernel(*ARGUMENTS)
 def reach_one_by_one(
-    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
-    length, out,
-):  # fmt: skip
+    ints,
+    floats,
+    limits,
+    task,
+    targets,
+    seeds,
+    seed,
+    first,
+    start_limit,
+    iteration_limit,
+    tol_linear,
+    tol_angular,
+    length,
+    out,
+):
     """As `schedule.reach`, for all chains, but slower."""
     columns = count_columns(raw(ints))
     nq = ints[NQ]
@@ -100,9 +116,24 @@ def reach_one_by_one(
     notes = np.empty(problem_ints(columns, nv), np.int64)
     block = np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
-        ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
-        length, out, columns, raw(notes), raw(block),
-    )  # fmt: skip
+        ints,
+        floats,
+        limits,
+        task,
+        targets,
+        seeds,
+        seed,
+        first,
+        start_limit,
+        iteration_limit,
+        tol_linear,
+        tol_angular,
+        length,
+        out,
+        columns,
+        raw(notes),
+        raw(block),
+    )
     missed = 0
     for i in range(targets.shape[0]):
         if begin(problem, i, problem.home):

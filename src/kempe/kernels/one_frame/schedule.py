@@ -1,14 +1,16 @@
 """Which start runs in which lane: the inverse kinematics of chains of turns and slides.
 
-Damped least squares inside the limits, restarted until it succeeds. From 50 to 100 % of the starts reach the goal,
-whatever the optimiser: restarts decide, so a step must be cheap and a start must be given up early. Each step takes the
-damping 0.05 E + 1e-10 (Chan and Lawrence 1988; Sugihara 2011) and is always accepted. A start ends at the goal, after
-`iteration_limit` steps, or after three steps that hardly lower the error.
+Damped least squares inside the limits, restarted until it succeeds. From 50 to 100 % of the starts
+reach the goal, whatever the optimiser: restarts decide, so a step must be cheap and a start must be
+given up early. Each step takes the damping 0.05 E + 1e-10 (Chan and Lawrence 1988; Sugihara 2011)
+and is always accepted. A start ends at the goal, after `iteration_limit` steps, or after three
+steps that hardly lower the error.
 
-The starts of a goal are tried in order, its seed first, and the answer is that of the first one that reaches the goal.
-So it depends on nothing but the goal: not on the lanes, nor on the goals beside it. A lane works for one goal and
-runs its starts one after the other; when no goal is left, it runs starts ahead for others, which count only if all
-before them fail. So many goals keep all lanes busy, and a single one has as many starts at a time as there are lanes.
+The starts of a goal are tried in order, its seed first, and the answer is that of the first one
+that reaches the goal. So it depends on nothing but the goal: not on the lanes, nor on the goals
+beside it. A lane works for one goal and runs its starts one after the other; when no goal is left,
+it runs starts ahead for others, which count only if all before them fail. So many goals keep all
+lanes busy, and a single one has as many starts at a time as there are lanes.
 """
 
 from __future__ import annotations
@@ -20,7 +22,15 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.scratch import aligned, beyond, copy
-from kempe.kernels.base.search_layout import ANGULAR, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
+from kempe.kernels.base.search_layout import (
+    ANGULAR,
+    LINEAR,
+    NOT_FOUND,
+    SOLVED,
+    STARTS,
+    STATUS,
+    STEPS,
+)
 from kempe.kernels.base.vectors import LANES, keep, raw
 from kempe.kernels.forward.table_layout import (
     COS_OFFSET,
@@ -78,7 +88,8 @@ AHEAD = 16
 """Starts at most that are begun and not committed, for a goal."""
 
 HOLD = 5
-"""Steps that a seed has to itself: from a good one, more are not needed, and to begin starts takes time."""
+"""Steps that a seed has to itself: from a good one, more are not needed, and to begin starts takes
+time."""
 
 ROUNDED = 1e-24
 """Energy that more steps would hardly lower."""
@@ -91,20 +102,24 @@ SPENT = 4
 BEST_START = 5
 DONE = 6
 SLOT = 6 + AHEAD
-"""Places in the record of a slot: its goal (-1 where the slot is free), the first start that is not committed, the next
-start to begin, the start that reached the goal (`tries` where none did), the sum of the steps of committed starts, the
-start that came nearest. The steps of start k stand at DONE + k % AHEAD, -1 while it runs."""
+"""Places in the record of a slot: its goal (-1 where the slot is free), the first start that is not
+committed, the next start to begin, the start that reached the goal (`tries` where none did), the
+sum of the steps of committed starts, the start that came nearest. The steps of start k stand at
+DONE + k % AHEAD, -1 while it runs."""
 
 OF_SLOT = 0
 START = 1
 LANE = 2
-"""Places in the record of a lane: the slot whose start it runs (-1 where it is idle), and that start."""
+"""Places in the record of a lane: the slot whose start it runs (-1 where it is idle), and that
+start."""
 
 NONE = -1
 
 
 class Scheduler(NamedTuple):
-    """Goals in work: a slot holds one, and there are as many slots as lanes. All but numbers are pointers."""
+    """Goals in work: a slot holds one, and there are as many slots as lanes. All but numbers are
+    pointers.
+    """
 
     problem: IkProblem
     lanes: Lanes
@@ -157,7 +172,9 @@ def scheduler(problem, notes, block, count):
         slides = ints[HEADER + ROW_INTS * row + KIND] == SLIDE
         unit = chain.box[BOX_STRIDE * v + SCALE] / (chain.length if slides else 1.0)
         floats[at + FACTOR] = chain.floats[at + MULTIPLIER] * unit
-        floats[at + OFFSET] = math.atan2(chain.floats[at + SIN_OFFSET], chain.floats[at + COS_OFFSET])
+        floats[at + OFFSET] = math.atan2(
+            chain.floats[at + SIN_OFFSET], chain.floats[at + COS_OFFSET]
+        )
         last[row] = 1
         for other in range(row):
             if ints[HEADER + ROW_INTS * other + V_INDEX] == v:
@@ -172,7 +189,9 @@ def scheduler(problem, notes, block, count):
         weights[i] = 1.0 if chain.goal[WEIGHTS + i] != 0.0 else 0.0
         turns += int(weights[i]) if i > 2 else 0
     whole = weights[0] + weights[1] + weights[2] + turns == 6.0
-    task = PLACE if turns == 0 else POINTING if chain.goal[POINTS] != 0.0 else WHOLE if whole else SOME
+    task = (
+        PLACE if turns == 0 else POINTING if chain.goal[POINTS] != 0.0 else WHOLE if whole else SOME
+    )
     for d in range(LANES):
         notes[SLOT * d + TARGET] = NONE
         places[LANE * d + OF_SLOT] = NONE
@@ -213,7 +232,9 @@ def start_next(h, lane, d):
         p[(lane_coordinate(s, v) + U) * LANES] = u
     target = beyond(problem.targets, 16 * i)
     for k in range(3):  # what the task does not read need not be a number
-        p[(GOAL + 4 * k + 3) * LANES] = target[4 * k + 3] / chain.length if s.weights[k] != 0.0 else 0.0
+        p[(GOAL + 4 * k + 3) * LANES] = (
+            target[4 * k + 3] / chain.length if s.weights[k] != 0.0 else 0.0
+        )
         for j in range(3):
             p[(GOAL + 4 * k + j) * LANES] = target[4 * k + j] if s.task != PLACE else 0.0
     p[BEST * LANES] = np.inf
@@ -233,7 +254,9 @@ def begun_of(h, d):
 
 @device
 def least_begun(h):
-    """(starts begun and not committed, slot) where they are fewest; AHEAD if none may begin another."""
+    """(starts begun and not committed, slot) where they are fewest; AHEAD if none may begin
+    another.
+    """
     least = AHEAD
     at = 0
     for d in range(LANES):
@@ -248,12 +271,15 @@ def least_begun(h):
 def assign(h, lane, queue, may_help):
     """Give an idle lane a start, and return how many goals are taken from the queue by now.
 
-    A slot without a running start comes first, then a new goal; with `may_help` a start ahead for a slot that has one.
+    A slot without a running start comes first, then a new goal; with `may_help` a start ahead for a
+    slot that has one.
     """
     begun, d = least_begun(h)
     if begun > 0 and queue < h.count:
         free = 0
-        while h.slots[SLOT * free + TARGET] >= 0:  # there is one: each slot that is taken has a lane at work
+        while (
+            h.slots[SLOT * free + TARGET] >= 0
+        ):  # there is one: each slot that is taken has a lane at work
             free += 1
         slot = beyond(h.slots, SLOT * free)
         while slot[TARGET] < 0 and queue < h.count:
@@ -276,7 +302,9 @@ def assign(h, lane, queue, may_help):
 
 @device
 def commit(h, d):
-    """Count the starts of a slot that are done, in order; write the answer where one reached the goal or all failed."""
+    """Count the starts of a slot that are done, in order; write the answer where one reached the
+    goal or all failed.
+    """
     slot = beyond(h.slots, SLOT * d)
     problem = h.problem
     i = slot[TARGET]
@@ -313,7 +341,9 @@ def load(h, lane, d, what):
 
 @routine
 def accepted(h, lane, d, what, enough):
-    """Whether what a lane holds is an answer, of energy below `enough`; writes it and lets all later starts go."""
+    """Whether what a lane holds is an answer, of energy below `enough`; writes it and lets all
+    later starts go.
+    """
     problem = h.problem
     chain = h.problem.chain
     slot = beyond(h.slots, SLOT * d)
@@ -336,7 +366,9 @@ def accepted(h, lane, d, what, enough):
 
 @routine
 def retire(h, lane):
-    """End the start of a lane: keep it as the answer or as the nearest so far; let it go on if one step more pays."""
+    """End the start of a lane: keep it as the answer or as the nearest so far; let it go on if one
+    step more pays.
+    """
     d = h.places[LANE * lane + OF_SLOT]
     start = h.places[LANE * lane + START]
     slot = beyond(h.slots, SLOT * d)
@@ -345,7 +377,9 @@ def retire(h, lane):
     energy = p[BEST * LANES]
     found = p[FOUND * LANES]
     spent = p[COUNT * LANES] >= h.problem.iteration_limit
-    if found == 1.0 and p[STALL * LANES] == 0.0 and energy >= ENOUGH and not spent:  # one step from rounding error
+    if (
+        found == 1.0 and p[STALL * LANES] == 0.0 and energy >= ENOUGH and not spent
+    ):  # one step from rounding error
         p[COUNT * LANES] += 1.0
         p[FOUND * LANES] = 2.0
         if not accepted(h, lane, d, np.int64(U), ROUNDED):
@@ -396,7 +430,9 @@ def search(h):
         alone += 1
         if done != 0:
             for lane in range(LANES):
-                if done >> lane & 1 and h.places[LANE * lane + OF_SLOT] >= 0:  # those before may have let it go
+                if (
+                    done >> lane & 1 and h.places[LANE * lane + OF_SLOT] >= 0
+                ):  # those before may have let it go
                     retire(h, lane)
             busy = busy_lanes(h)
             changed = True
@@ -404,24 +440,40 @@ def search(h):
 
 @kernel(*ARGUMENTS)
 def reach(
-    ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
-    length, out,
-):  # fmt: skip
-    """Number of goals not reached; each answer is a pure function of its goal, its seeds and the other arguments.
+    ints,
+    floats,
+    limits,
+    task,
+    targets,
+    seeds,
+    seed,
+    first,
+    start_limit,
+    iteration_limit,
+    tol_linear,
+    tol_angular,
+    length,
+    out,
+):
+    """Number of goals not reached; each answer is a pure function of its goal, its seeds and the
+    other arguments.
 
-    ints, floats: table of a chain with one output, without balls. limits: (2, nv), lower and upper, infinite where
-    there is none; ignored for balls. task: (7 + nv,), 1 for each row [linear; angular] (ground axes) that counts; 1 if
-    of the orientation only the direction of the tip's z axis counts; 1 for each coordinate of a single turning row with
-    multiplier +-1 whose range is at least a turn. targets: (N, 4, 4). seeds: (1 or N, K, nq), the first K starts.
-    seed: what random numbers are drawn from. first: number of the first start, those before have been tried.
-    start_limit: starts at most, seeds included. iteration_limit: steps of a start. tol_linear, tol_angular: largest
-    norm of the error's linear and angular part. length: what weighs as much as a radian, 0 for a part of the chain's.
-    out: (N, nq + 5): q, linear and angular error, status, steps, starts.
+    ints, floats: table of a chain with one output, without balls. limits: (2, nv), lower and upper,
+    infinite where there is none; ignored for balls. task: (7 + nv,), 1 for each row [linear;
+    angular] (ground axes) that counts; 1 if of the orientation only the direction of the tip's z
+    axis counts; 1 for each coordinate of a single turning row with multiplier +-1 whose range is at
+    least a turn. targets: (N, 4, 4). seeds: (1 or N, K, nq), the first K starts. seed: what random
+    numbers are drawn from. first: number of the first start, those before have been tried.
+    start_limit: starts at most, seeds included. iteration_limit: steps of a start. tol_linear,
+    tol_angular: largest norm of the error's linear and angular part. length: what weighs as much as
+    a radian, 0 for a part of the chain's. out: (N, nq + 5): q, linear and angular error, status,
+    steps, starts.
 
-    Starts are tried in order, the answer is that of the first that reaches the goal. SOLVED is judged at the q
-    written, which is always inside the limits. With NOT_FOUND it is where a start came nearest, and the linear error is
-    its energy: `fallback.approach` goes on from there. BAD_INPUT, q and errors NaN: a goal or seed that is not finite
-    or above 1e100, a goal that is no pose.
+    Starts are tried in order, the answer is that of the first that reaches the goal. SOLVED is
+    judged at the q written, which is always inside the limits. With NOT_FOUND it is where a start
+    came nearest, and the linear error is its energy: `fallback.approach` goes on from there.
+    BAD_INPUT, q and errors NaN: a goal or seed that is not finite or above 1e100, a goal that is no
+    pose.
     """
     columns = count_columns(raw(ints))
     nq = ints[NQ]
@@ -431,10 +483,27 @@ def reach(
     notes = np.empty(whole + scheduler_ints(columns), np.int64)
     block = np.empty(size + scheduler_floats(columns, nq, nv))
     problem = problem_of(
-        ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
-        length, out, columns, raw(notes), raw(block),
-    )  # fmt: skip
-    search(scheduler(problem, beyond(raw(notes), whole), beyond(raw(block), size), targets.shape[0]))
+        ints,
+        floats,
+        limits,
+        task,
+        targets,
+        seeds,
+        seed,
+        first,
+        start_limit,
+        iteration_limit,
+        tol_linear,
+        tol_angular,
+        length,
+        out,
+        columns,
+        raw(notes),
+        raw(block),
+    )
+    search(
+        scheduler(problem, beyond(raw(notes), whole), beyond(raw(block), size), targets.shape[0])
+    )
     missed = 0
     for i in range(targets.shape[0]):
         missed += int(out[i, nq + STATUS] != SOLVED)

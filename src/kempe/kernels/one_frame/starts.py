@@ -15,19 +15,23 @@ from kempe.kernels.one_frame.residual import BOX_STRIDE, HIGH, LOW, SCALE
 from kempe.kernels.one_frame.step import is_round, place_of
 
 NUDGE = 0.02
-"""Size of the region about the middle of the limits, as a part of their range, in which the first start lies.
+"""Size of the region about the middle of the limits, as a part of their range, in which the first
+start lies.
 
 The exact middle is often singular (a stretched arm), where no step leads out."""
 
 
 LATE = 64
 WIDER = 2.0
-"""Every other start from this one on is drawn from so much of the range that half of the coordinates are at a limit."""
+"""Every other start from this one on is drawn from so much of the range that half of the
+coordinates are at a limit."""
 
 
 @device
 def spread_of(count):
-    """Part of the limits from which start `count` after the seeds is drawn: late ones crowd at the limits."""
+    """Part of the limits from which start `count` after the seeds is drawn: late ones crowd at the
+    limits.
+    """
     if count >= LATE and count % 2 == 1:
         return WIDER
     return NUDGE if count == 0 else min(0.75 + 0.05 * count, 1.35)
@@ -35,7 +39,8 @@ def spread_of(count):
 
 @routine
 def draw(chain, home, key, spread):
-    """Write a random configuration to q: uniform in `spread` times the limits' range, cut off at them.
+    """Write a random configuration to q: uniform in `spread` times the limits' range, cut off at
+    them.
 
     Where a limit is missing, the range is a turn, or twice the chain's length, about `home`.
     """
@@ -95,7 +100,8 @@ def take(chain, seeds, k):
 
 @routine
 def middle(chain, limits, home):
-    """Write to `home` (nq,) the middle of the limits of each coordinate; the identity for quaternions.
+    """Write to `home` (nq,) the middle of the limits of each coordinate; the identity for
+    quaternions.
 
     Where a limit is missing it is the allowed value nearest to 0.
     """
@@ -111,13 +117,19 @@ def middle(chain, limits, home):
             v += 3
             continue
         if i >= 0:
-            home[i] = 0.5 * (low + high) if low > -LARGEST and high < LARGEST else min(max(0.0, low), high)
+            home[i] = (
+                0.5 * (low + high)
+                if low > -LARGEST and high < LARGEST
+                else min(max(0.0, low), high)
+            )
         v += 1
 
 
 @routine
 def wrap(chain, limits, circular, home):
-    """Turn circular coordinates of q by whole turns: into the limits, there as near to `home` as can be."""
+    """Turn circular coordinates of q by whole turns: into the limits, there as near to `home` as
+    can be.
+    """
     for v in range(chain.nv):
         i = place_of(chain, v)
         low = limits[v]

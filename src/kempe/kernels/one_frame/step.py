@@ -54,7 +54,9 @@ def within(chain, v, step):
 
 @device
 def normal6(jacobian, count, damping):
-    """Lower triangle (21 numbers, row by row) of J D J^T + damping I, D picking the columns marked FREE."""
+    """Lower triangle (21 numbers, row by row) of J D J^T + damping I, D picking the columns marked
+    FREE.
+    """
     r0 = pack4(damping, 0.0, 0.0, 0.0)
     r1 = pack4(0.0, damping, 0.0, 0.0)
     r2 = pack4(0.0, 0.0, damping, 0.0)
@@ -78,20 +80,38 @@ def normal6(jacobian, count, damping):
             a54 = a54 + c5 * c4
             a55 = a55 + c5 * c5
     return (
-        entry(r0, 0), entry(r0, 1), entry(r1, 1), entry(r0, 2), entry(r1, 2), entry(r2, 2),
-        entry(r0, 3), entry(r1, 3), entry(r2, 3), a33,
-        entry(r4, 0), entry(r4, 1), entry(r4, 2), entry(r4, 3), a44,
-        entry(r5, 0), entry(r5, 1), entry(r5, 2), entry(r5, 3), a54, a55,
-    )  # fmt: skip
+        entry(r0, 0),
+        entry(r0, 1),
+        entry(r1, 1),
+        entry(r0, 2),
+        entry(r1, 2),
+        entry(r2, 2),
+        entry(r0, 3),
+        entry(r1, 3),
+        entry(r2, 3),
+        a33,
+        entry(r4, 0),
+        entry(r4, 1),
+        entry(r4, 2),
+        entry(r4, 3),
+        a44,
+        entry(r5, 0),
+        entry(r5, 1),
+        entry(r5, 2),
+        entry(r5, 3),
+        a54,
+        a55,
+    )
 
 
 @routine
 def damped_step(chain, e, damping):
     """Write the damped least-squares step with an active set of limits.
 
-    Coordinates at a limit that the gradient pushes outwards stay. The others take the step D J^T (J D J^T +
-    damping I)^-1 e (Wampler 1986; Nakamura and Hanafusa 1986), D marking them. Those that it would carry out
-    of their limits stop there, and the rest takes the step anew with what is left of the error.
+    Coordinates at a limit that the gradient pushes outwards stay. The others take the step D J^T (J
+    D J^T + damping I)^-1 e (Wampler 1986; Nakamura and Hanafusa 1986), D marking them. Those that
+    it would carry out of their limits stop there, and the rest takes the step anew with what is
+    left of the error.
     """
     jacobian = chain.jacobian
     box = chain.box
@@ -114,9 +134,13 @@ def damped_step(chain, e, damping):
                     jacobian[k + FREE] = 0.0
                     d = step / scale
                     e = (
-                        e[0] - d * jacobian[k], e[1] - d * jacobian[k + 1], e[2] - d * jacobian[k + 2],
-                        e[3] - d * jacobian[k + 3], e[4] - d * jacobian[k + 4], e[5] - d * jacobian[k + 5],
-                    )  # fmt: skip
+                        e[0] - d * jacobian[k],
+                        e[1] - d * jacobian[k + 1],
+                        e[2] - d * jacobian[k + 2],
+                        e[3] - d * jacobian[k + 3],
+                        e[4] - d * jacobian[k + 4],
+                        e[5] - d * jacobian[k + 5],
+                    )
         if not stopped:
             break
 
@@ -132,9 +156,13 @@ def advance(chain):
         i = place_of(chain, v)
         k = JACOBIAN_STRIDE * v + STEP
         if is_round(chain, v):
-            turn_ball(q, i, jacobian[k], jacobian[k + JACOBIAN_STRIDE], jacobian[k + 2 * JACOBIAN_STRIDE])
+            turn_ball(
+                q, i, jacobian[k], jacobian[k + JACOBIAN_STRIDE], jacobian[k + 2 * JACOBIAN_STRIDE]
+            )
             v += 3
             continue
         if i >= 0:
-            q[i] = min(max(q[i] + jacobian[k], box[BOX_STRIDE * v + LOW]), box[BOX_STRIDE * v + HIGH])
+            q[i] = min(
+                max(q[i] + jacobian[k], box[BOX_STRIDE * v + LOW]), box[BOX_STRIDE * v + HIGH]
+            )
         v += 1

@@ -1,19 +1,23 @@
-"""Truncated Taylor series (jets) through a primitive table: poses, and how ties between frames are violated.
+"""Truncated Taylor series (jets) through a primitive table: poses, and how ties between frames are
+violated.
 
-Along a curve q(t) = q0 (+) v(t), v(t) = v_1 t + v_2 t^2 + ..., every entry of every pose is a power series in t. Sums
-and products of series are exact up to the order kept, sine and cosine of a series follow from their differential
-equation (Moore, 1966; Griewank, Walther, 2008, section 13.2), and a ball turns by R(w) = I + A [w] + B [w]^2
-(Rodrigues, 1840), A and B being power series in |w|^2. Orders are computed one after the other, so a caller can choose
-v_k after it has seen what v_1 ... v_(k-1) lead to.
+Along a curve q(t) = q0 (+) v(t), v(t) = v_1 t + v_2 t^2 + ..., every entry of every pose is a power
+series in t. Sums and products of series are exact up to the order kept, sine and cosine of a series
+follow from their differential equation (Moore, 1966; Griewank, Walther, 2008, section 13.2), and a
+ball turns by R(w) = I + A [w] + B [w]^2 (Rodrigues, 1840), A and B being power series in |w|^2.
+Orders are computed one after the other, so a caller can choose v_k after it has seen what v_1 ...
+v_(k-1) lead to.
 
-Ties, packed in `ties` (int64) and `numbers` (float64), as `loop_layout` names what they hold of frame B in frame A:
+Ties, packed in `ties` (int64) and `numbers` (float64), as `loop_layout` names what they hold of
+frame B in frame A:
 
     ties     count; then for each: MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, DATA; then entries: place in q, in v;
              then what TAPE ties read, and their tapes
     numbers  1/length; then a number for each tie; then a factor for each entry
 
-Equations are algebraic in the poses: coordinates of the origin of B in A over the length, and for orientations the
-vector of the skew part of R_AB, which vanishes near R_AB = 1 only there. A distance gives (d.d - l^2) / (2 l length).
+Equations are algebraic in the poses: coordinates of the origin of B in A over the length, and for
+orientations the vector of the skew part of R_AB, which vanishes near R_AB = 1 only there. A
+distance gives (d.d - l^2) / (2 l length).
 """
 
 from __future__ import annotations
@@ -84,13 +88,17 @@ from kempe.kernels.series.jet_layout import (
 
 @routine
 def _times_constant(source, b, r, k, at, target, s, to, floats, f):
-    """Write pose (source[b, r, k, at:]) @ X to target[b, s, k, to:], X the 3x4 placement at floats[f:]."""
+    """Write pose (source[b, r, k, at:]) @ X to target[b, s, k, to:], X the 3x4 placement at
+    floats[f:].
+    """
     for i in range(3):
         x = source[b, r, k, at + 3 * i]
         y = source[b, r, k, at + 3 * i + 1]
         z = source[b, r, k, at + 3 * i + 2]
         for j in range(3):
-            target[b, s, k, to + 3 * i + j] = x * floats[f + j] + y * floats[f + 4 + j] + z * floats[f + 8 + j]
+            target[b, s, k, to + 3 * i + j] = (
+                x * floats[f + j] + y * floats[f + 4 + j] + z * floats[f + 8 + j]
+            )
         p = x * floats[f + 3] + y * floats[f + 7] + z * floats[f + 11]
         target[b, s, k, to + 9 + i] = p + source[b, r, k, at + 9 + i]
 
@@ -327,7 +335,9 @@ def place_order(frames, b, a, k, i):
 
 @routine
 def _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
-    """Write order k of the equations of a recorded expression; `series` holds the lower orders of its nodes."""
+    """Write order k of the equations of a recorded expression; `series` holds the lower orders of
+    its nodes.
+    """
     t = 1 + TIE_INTS * tie
     a = 2 * tie
     data = ties[t + DATA]
@@ -382,7 +392,9 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
             for i in range(0 if turns == FULL else 2, 3):
                 g = (i + 1) % 3
                 h = (i + 2) % 3
-                out[b, k, row] = 0.5 * (between(frames, b, a, k, h, g) - between(frames, b, a, k, g, h))
+                out[b, k, row] = 0.5 * (
+                    between(frames, b, a, k, h, g) - between(frames, b, a, k, g, h)
+                )
                 row += 1
         if turns == ALIGN:
             out[b, k, row] = -between(frames, b, a, k, 1, 2)
@@ -392,14 +404,27 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
 
 
 @kernel(
-    I("_"), F("_"), I("_"), F("_"), F("N", "_"), F("N", "k", "_"), INT, INT, OUT("N", "_", "k", POSE_SIZE),
-    OUT("N", "_", "k", "_"), OUT("N", "_", "k", 12), OUT("N", "_", "k"), OUT("N", "k", "_"), returns=False,
-)  # fmt: skip
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_"),
+    F("N", "_"),
+    F("N", "k", "_"),
+    INT,
+    INT,
+    OUT("N", "_", "k", POSE_SIZE),
+    OUT("N", "_", "k", "_"),
+    OUT("N", "_", "k", 12),
+    OUT("N", "_", "k"),
+    OUT("N", "k", "_"),
+    returns=False,
+)
 def jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, series, out):
-    """Write orders first ... last of the Taylor series along N curves; lower orders are there from earlier calls.
+    """Write orders first ... last of the Taylor series along N curves; lower orders are there from
+    earlier calls.
 
-    q: where the curves begin (N, nq); v: their series (N, K + 1, nv), v[:, 0] unused. Scratch that is kept between
-    calls: poses (N, n_rows, K + 1, 24), extra (N, n_rows, K + 1, scratch_width(K)).
+    q: where the curves begin (N, nq); v: their series (N, K + 1, nv), v[:, 0] unused. Scratch that
+    is kept between calls: poses (N, n_rows, K + 1, 24), extra (N, n_rows, K + 1, scratch_width(K)).
     Of the nodes of all tapes: series (N, n_nodes, K + 1).
     frames: (N, n_out, K + 1, 12), rotations row by row and positions; out: equations (N, K + 1, m).
     """

@@ -8,7 +8,8 @@ ENTRIES = 4
 ENTRY = 5
 DATA = 6
 TIE_INTS = 7
-"""Places of a tie in `ties`, and its size; DATA leads to what a TAPE tie reads, as in `loop_layout`."""
+"""Places of a tie in `ties`, and its size; DATA leads to what a TAPE tie reads, as in
+`loop_layout`."""
 
 BEFORE = 0
 AFTER = 12
@@ -20,7 +21,8 @@ WEIGHT_1 = 9
 WEIGHT_2 = 10
 OUTER = 11
 POWERS = 17
-"""A ball's series: the rotation by w, A and B of it, the six entries of w w^T (xx, yy, zz, xy, xz, yz), powers of w.w.
+"""A ball's series: the rotation by w, A and B of it, the six entries of w w^T (xx, yy, zz, xy, xz,
+yz), powers of w.w.
 
 A turn keeps its sine and cosine at 0 and 1."""
 

@@ -1,16 +1,19 @@
-"""Iterated Lie brackets of the fields in the kernel of A(q), which is recorded as a tape (`tape_layout`).
+"""Iterated Lie brackets of the fields in the kernel of A(q), which is recorded as a tape
+(`tape_layout`).
 
-The fields are X_c(q), c in R^m: velocities with A(q) v = 0 whose free coordinates are c, as motions of the entries of
-q; a quaternion moves by q' = q (0, w) / 2. For fields X_1 ... X_k and Y the fields W_(k+1) = Y and
+The fields are X_c(q), c in R^m: velocities with A(q) v = 0 whose free coordinates are c, as motions
+of the entries of q; a quaternion moves by q' = q (0, w) / 2. For fields X_1 ... X_k and Y the
+fields W_(k+1) = Y and
 
     W_j = [X_j, W_(j+1)] = DW_(j+1) X_j - DX_j W_(j+1)
 
-are directional derivatives, so W_j at q needs W_(j+1) at p + t_j X_j(p) to first order in t_j. All of this happens in
-the algebra of polynomials in t_1 ... t_k with every t_i^2 = 0, whose elements are 2^k numbers, one for each subset of
-the letters, and whose product sums over all ways to part a subset in two (3^k multiplications). Nothing is symbolic and
-no step is finite, so the words are exact but for rounding. In levels, t_1 first: what depends on t_j has a `top` half
-that multiplies t_j, and the top of a function is its derivative's low half times the top of its operand, wherefore a
-tape holds derivatives as nodes.
+are directional derivatives, so W_j at q needs W_(j+1) at p + t_j X_j(p) to first order in t_j. All
+of this happens in the algebra of polynomials in t_1 ... t_k with every t_i^2 = 0, whose elements
+are 2^k numbers, one for each subset of the letters, and whose product sums over all ways to part a
+subset in two (3^k multiplications). Nothing is symbolic and no step is finite, so the words are
+exact but for rounding. In levels, t_1 first: what depends on t_j has a `top` half that multiplies
+t_j, and the top of a function is its derivative's low half times the top of its operand, wherefore
+a tape holds derivatives as nodes.
 """
 
 from __future__ import annotations
@@ -72,7 +75,8 @@ def quotient(work, n, a, b):
 
 @routine
 def tops(ints, order, n_order, work, n, width, top, step):
-    """Write the top halves of nodes, work[top + step * place :], of size n, from their low halves at width * place.
+    """Write the top halves of nodes, work[top + step * place :], of size n, from their low halves
+    at width * place.
 
     `order` are the places of the nodes that are needed; the top halves of the inputs are there.
     """
@@ -108,10 +112,12 @@ def tops(ints, order, n_order, work, n, width, top, step):
 
 
 class Fields(NamedTuple):
-    """Packed rows, how to solve them, and the scratch of words of one length; everything but the numbers is a pointer.
+    """Packed rows, how to solve them, and the scratch of words of one length; everything but the
+    numbers is a pointer.
 
-    Elements of nodes lie at `width` times their place, those of slots from `state` on, of their motion from `moves` on.
-    Coefficients of letter j, 0 ... k, of size 2^j, from own + columns (2^j - 1) on.
+    Elements of nodes lie at `width` times their place, those of slots from `state` on, of their
+    motion from `moves` on. Coefficients of letter j, 0 ... k, of size 2^j, from own + columns (2^j
+    - 1) on.
     """
 
     ints: object
@@ -149,10 +155,11 @@ class Fields(NamedTuple):
 
 @routine
 def fill_velocities(f, n, v, step, u, top):
-    """Solve A v = -B u for the pivots among the elements v + step * column, of size n; the free ones are there.
+    """Solve A v = -B u for the pivots among the elements v + step * column, of size n; the free
+    ones are there.
 
-    The nodes of A lie at width * place, those of B at top + half * place; without B, top is negative. u lies at
-    u + n * column.
+    The nodes of A lie at width * place, those of B at top + half * place; without B, top is
+    negative. u lies at u + n * column.
     """
     work = f.work
     width = f.width
@@ -213,12 +220,23 @@ def write_motion(f, n, v, step, out, ostep):
     for i in range(f.n_balls):
         slot = f.balls[2 * i]
         column = f.balls[2 * i + 1]
-        half_turns(f.work, n, f.state + f.width * slot, f.width, v + step * column, step, out + ostep * slot, ostep)
+        half_turns(
+            f.work,
+            n,
+            f.state + f.width * slot,
+            f.width,
+            v + step * column,
+            step,
+            out + ostep * slot,
+            ostep,
+        )
 
 
 @routine
 def write_word(f, out, to):
-    """Write to out[to:] the velocities, in units, that move the state as the first numbers of `moves` do."""
+    """Write to out[to:] the velocities, in units, that move the state as the first numbers of
+    `moves` do.
+    """
     work = f.work
     d = f.width
     for i in range(f.n_slots):
@@ -265,7 +283,9 @@ def write_inputs(f, n, source, target, step):
 
 @routine
 def magnitudes(f, n_inputs):
-    """Write for all nodes the sum of the sizes of what their rates are summed from, by the first letter alone."""
+    """Write for all nodes the sum of the sizes of what their rates are summed from, by the first
+    letter alone.
+    """
     ints = f.ints
     work = f.work
     width = f.width
@@ -302,7 +322,9 @@ def magnitudes(f, n_inputs):
 
 @routine
 def steepness(f):
-    """How fast the first letter's coefficients change along it, at most, in units: sums of the sizes of all terms."""
+    """How fast the first letter's coefficients change along it, at most, in units: sums of the
+    sizes of all terms.
+    """
     work = f.work
     for r in range(f.rank):
         work[f.right + r] = 0.0
@@ -324,7 +346,9 @@ def steepness(f):
 
 @routine
 def forth(f, letters, at):
-    """Fill the coefficients of all letters, read from letters[at:], the nodes, and the motion of the last letter."""
+    """Fill the coefficients of all letters, read from letters[at:], the nodes, and the motion of
+    the last letter.
+    """
     for j in range(f.letters):
         n = 1 << j
         v = f.own + f.columns * (n - 1)
@@ -357,7 +381,16 @@ def back(f, j):
     for i in range(f.n_balls):
         slot = f.balls[2 * i]
         column = f.balls[2 * i + 1]
-        half_turns(work, n, f.moves + f.width * slot, f.width, v + n * column, n, f.drift + f.half * slot, f.half)
+        half_turns(
+            work,
+            n,
+            f.moves + f.width * slot,
+            f.width,
+            v + n * column,
+            n,
+            f.drift + f.half * slot,
+            f.half,
+        )
     before = size_of(f, 0, f.moves, f.width)
     gain = size_of(f, 0, f.drift, f.half) / before if before > 0.0 else 0.0
     for s in range(n):
@@ -370,17 +403,48 @@ def back(f, j):
 
 
 @kernel(
-    I("_"), F("_"), I("_"), I("e", 3), I("c"), F("r", "r"), I("s", 2), I("_", 2), F("s"), F("n"), F("c"),
-    F("N", "l", "c"), OUT("N", "l", "c"), OUT("N", "l"), returns=False,
-)  # fmt: skip
-def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs, units, letters, found, noise):
-    """Write for N words of l letters the brackets of their last 1 ... l letters, the longest first, and their rounding.
+    I("_"),
+    F("_"),
+    I("_"),
+    I("e", 3),
+    I("c"),
+    F("r", "r"),
+    I("s", 2),
+    I("_", 2),
+    F("s"),
+    F("n"),
+    F("c"),
+    F("N", "l", "c"),
+    OUT("N", "l", "c"),
+    OUT("N", "l"),
+    returns=False,
+)
+def words(
+    ints,
+    floats,
+    order,
+    entries,
+    pivots,
+    inverse,
+    slots,
+    balls,
+    q,
+    inputs,
+    units,
+    letters,
+    found,
+    noise,
+):
+    """Write for N words of l letters the brackets of their last 1 ... l letters, the longest first,
+    and their rounding.
 
-    `ints`, `floats` hold a tape, `order` the places of its nodes that the `entries` (row, column, place) of A need.
-    `pivots` gives for each column of A the row of the `inverse` of A's dependent columns, -1 where it is free. `slots`
-    are for each entry of the state its column, -1 in a quaternion, and its place among the tape's inputs, -1 if it has
-    none; `balls` the first slot and the first column of quaternions. `q` is the state, `inputs` are those of the tape.
-    The free entries of `letters` are the letters' coefficients, in `units` of the columns; the last letter is Y.
+    `ints`, `floats` hold a tape, `order` the places of its nodes that the `entries` (row, column,
+    place) of A need. `pivots` gives for each column of A the row of the `inverse` of A's dependent
+    columns, -1 where it is free. `slots` are for each entry of the state its column, -1 in a
+    quaternion, and its place among the tape's inputs, -1 if it has none; `balls` the first slot and
+    the first column of quaternions. `q` is the state, `inputs` are those of the tape. The free
+    entries of `letters` are the letters' coefficients, in `units` of the columns; the last letter
+    is Y.
     """
     count = letters.shape[1]
     columns = len(pivots)
@@ -400,10 +464,35 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
     sizes = right + rank + 1
     block = np.zeros(sizes + nodes)
     f = Fields(
-        raw(ints), raw(order), raw(entries), raw(pivots), raw(inverse), raw(slots), raw(balls), raw(units), raw(block),
-        len(order), len(entries), columns, rank, n_slots, len(balls), nodes, count, width, half, state, moves, own,
-        changed, others, drift, error, right, sizes,
-    )  # fmt: skip
+        raw(ints),
+        raw(order),
+        raw(entries),
+        raw(pivots),
+        raw(inverse),
+        raw(slots),
+        raw(balls),
+        raw(units),
+        raw(block),
+        len(order),
+        len(entries),
+        columns,
+        rank,
+        n_slots,
+        len(balls),
+        nodes,
+        count,
+        width,
+        half,
+        state,
+        moves,
+        own,
+        changed,
+        others,
+        drift,
+        error,
+        right,
+        sizes,
+    )
     for i in range(ints[N_INPUTS]):
         block[i] = inputs[i]
     tape_values(f.ints, 0, raw(floats), 0, f.work)
@@ -425,5 +514,7 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
             if j < count - 1:
                 back(f, j)
             write_word(f, raw(found), (b * count + j) * columns)
-            noise[b, j] = max(block[error], EPSILON * steep ** (count - 1 - j))  # sums that cancel all the way
+            noise[b, j] = max(
+                block[error], EPSILON * steep ** (count - 1 - j)
+            )  # sums that cancel all the way
     keep(block)

@@ -1,8 +1,9 @@
-"""Equations of ties with their Jacobian, and the projection of configurations onto their solution set.
+"""Equations of ties with their Jacobian, and the projection of configurations onto their solution
+set.
 
-Equations and packed arrays are those of `jet`; Jacobian columns of rows follow from the axes of the rows (geometric
-Jacobian), so one configuration costs one sweep. Only what moves B against A counts: of a particle, ties hold neither
-its orientation nor anything in its axes.
+Equations and packed arrays are those of `jet`; Jacobian columns of rows follow from the axes of the
+rows (geometric Jacobian), so one configuration costs one sweep. Only what moves B against A counts:
+of a particle, ties hold neither its orientation nor anything in its axes.
 """
 
 from __future__ import annotations
@@ -78,9 +79,11 @@ SHORTEST = 1e-14
 
 @routine
 def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column):
-    """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by (px, py, pz).
+    """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by
+    (px, py, pz).
 
-    M: the nine entries of R_AB; rates: for each row of a TAPE tie what the twist of B against A, in axes of A, does.
+    M: the nine entries of R_AB; rates: for each row of a TAPE tie what the twist of B against A, in
+    axes of A, does.
     """
     t = 1 + TIE_INTS * tie
     a = 2 * tie
@@ -97,7 +100,11 @@ def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, col
     if turns == TAPE:
         for o in range(ties[t + ROWS]):
             for i in range(3):
-                d = frames[0, a, 0, i] * px + frames[0, a, 0, 3 + i] * py + frames[0, a, 0, 6 + i] * pz
+                d = (
+                    frames[0, a, 0, i] * px
+                    + frames[0, a, 0, 3 + i] * py
+                    + frames[0, a, 0, 6 + i] * pz
+                )
                 w = frames[0, a, 0, i] * x + frames[0, a, 0, 3 + i] * y + frames[0, a, 0, 6 + i] * z
                 J[b, row + o, column] += rates[6 * o + i] * d + rates[6 * o + 3 + i] * w
         return
@@ -214,7 +221,9 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
         t = 1 + TIE_INTS * tie
         if ties[t + TURNS] == LINEAR:
             for e in range(ties[t + ENTRY], ties[t + ENTRY] + ties[t + ENTRIES]):
-                J[b, ties[t + FIRST_ROW], ties[1 + TIE_INTS * count + 2 * e + 1]] += numbers[1 + count + e]
+                J[b, ties[t + FIRST_ROW], ties[1 + TIE_INTS * count + 2 * e + 1]] += numbers[
+                    1 + count + e
+                ]
             continue
         h = HEADER + ROW_INTS * n + OUTPUT_INTS * 2 * tie
         left = ints[h]
@@ -222,8 +231,12 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
         for i in range(9):
             M[i] = between(frames, 0, 2 * tie, 0, i // 3, i % 3)
         if ties[t + TURNS] == TAPE:
-            _rates(ties, numbers, tie, M, beyond(work, ties[ties[t + DATA] + TAPE_WORK]), rates, J, b)
-        while left != right:  # a parent comes before its child: the common part of both ways is reached together
+            _rates(
+                ties, numbers, tie, M, beyond(work, ties[ties[t + DATA] + TAPE_WORK]), rates, J, b
+            )
+        while (
+            left != right
+        ):  # a parent comes before its child: the common part of both ways is reached together
             row, sign = (left, -1.0) if left > right else (right, 1.0)
             _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b)
             above = ints[HEADER + ROW_INTS * row + PARENT]
@@ -246,9 +259,11 @@ def _work_size(ties):
 
 @routine
 def _apart(places, scale, center, q, start, x):
-    """The square of the distance of q[start:] from `center`; writes the tangent vector between them to x, scaled.
+    """The square of the distance of q[start:] from `center`; writes the tangent vector between them
+    to x, scaled.
 
-    places: for each velocity coordinate its place in q, -1 - place for the first of a ball, -1e9 for its others.
+    places: for each velocity coordinate its place in q, -1 - place for the first of a ball, -1e9
+    for its others.
     """
     total = 0.0
     j = 0
@@ -303,7 +318,9 @@ def _move(places, scale, q, start, x, target, at):
 
 @routine
 def _normal(J, b, scale, value, x, radius, distance2, A, g, damping):
-    """Write J^T J + damping and -J^T residual, the equation of the sphere included where radius > 0."""
+    """Write J^T J + damping and -J^T residual, the equation of the sphere included where radius >
+    0.
+    """
     m = J.shape[1]
     n = J.shape[2]
     for i in range(n):
@@ -342,16 +359,45 @@ def _size2(value, m, radius, distance2):
 
 
 @kernel(
-    I("_"), F("_"), I("_"), F("_"), I("_"), F("_"), F("N", "nq"), OUT("N", "nq"), F("N"), INT, FLOAT,
-    OUT("N", 3), OUT("N", "m"), OUT("N", "m", "_"), returns=False,
-)  # fmt: skip
-def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iterations, longest, info, out, J):
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_"),
+    F("N", "nq"),
+    OUT("N", "nq"),
+    F("N"),
+    INT,
+    FLOAT,
+    OUT("N", 3),
+    OUT("N", "m"),
+    OUT("N", "m", "_"),
+    returns=False,
+)
+def project(
+    ints,
+    floats,
+    ties,
+    numbers,
+    places,
+    scale,
+    centers,
+    q,
+    radius,
+    iterations,
+    longest,
+    info,
+    out,
+    J,
+):
     """Move each configuration of q (N, nq), in place, onto the solution set of the equations.
 
-    Where radius[i] > 0 the point found is, if one is found, also at that distance from centers[i], in scaled tangent
-    coordinates (places and scale as in `_apart`). Damped least squares (Levenberg, 1944; Marquardt, 1963) with steps
-    no longer than `longest`. info (N, 3): residual of the equations (norm), distance from the center, iterations.
-    out (N, m): the equations where it ends, J (N, m, nv): their Jacobian; with 0 iterations, those where it is.
+    Where radius[i] > 0 the point found is, if one is found, also at that distance from centers[i],
+    in scaled tangent coordinates (places and scale as in `_apart`). Damped least squares
+    (Levenberg, 1944; Marquardt, 1963) with steps no longer than `longest`. info (N, 3): residual of
+    the equations (norm), distance from the center, iterations. out (N, m): the equations where it
+    ends, J (N, m, nv): their Jacobian; with 0 iterations, those where it is.
     """
     m = J.shape[1]
     nv = J.shape[2]
@@ -384,7 +430,9 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
         distance2 = 0.0
         while True:
             if not fresh:
-                _linearise(ints, floats, tied, q_, b * nq, v, poses, extra, frames, value, M, rates, J, b)
+                _linearise(
+                    ints, floats, tied, q_, b * nq, v, poses, extra, frames, value, M, rates, J, b
+                )
                 distance2 = _apart(places, scale, center, q_, b * nq, x)
                 size2 = _size2(value, m, radius[b], distance2)
                 fresh = True
@@ -403,7 +451,9 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
             for j in range(nv):
                 step[j] = g[j] * min(1.0, longest / length)
             _move(places, scale, q_, b * nq, step, trial_, 0)
-            _linearise(ints, floats, tied, trial_, 0, v, poses, extra, frames, value, M, rates, J, b)
+            _linearise(
+                ints, floats, tied, trial_, 0, v, poses, extra, frames, value, M, rates, J, b
+            )
             distance2 = _apart(places, scale, center, trial_, 0, x)
             new_size2 = _size2(value, m, radius[b], distance2)
             fresh = new_size2 < size2

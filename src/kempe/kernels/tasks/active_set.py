@@ -1,9 +1,11 @@
-"""One step under held rows, rows to be lowered and bounds: a small quadratic programme by an active set.
+"""One step under held rows, rows to be lowered and bounds: a small quadratic programme by an active
+set.
 
-The step d minimises |d - t|^2 / 2 + sum (J_i d + e_i)^2 / (2 D_i), t being a wished step: rows with a D next to nothing
-hold, those with a larger one are damped least squares. With the set of coordinates that stop at their limits, d = t -
-J^T y for the others and (J J^T + D) y = e + J d of those that stop and of t. Rows between bounds count where they are
-violated or the step would violate them (Nocedal and Wright, 2006, section 16.5).
+The step d minimises |d - t|^2 / 2 + sum (J_i d + e_i)^2 / (2 D_i), t being a wished step: rows with
+a D next to nothing hold, those with a larger one are damped least squares. With the set of
+coordinates that stop at their limits, d = t - J^T y for the others and (J J^T + D) y = e + J d of
+those that stop and of t. Rows between bounds count where they are violated or the step would
+violate them (Nocedal and Wright, 2006, section 16.5).
 """
 
 from __future__ import annotations
@@ -23,13 +25,16 @@ OFF = 1e30
 LEAST = 1e-14
 """The D of a row that holds, and the least pivot: it stands in where rows depend on each other."""
 LONGEST = 0.7
-"""Longest turn of a coordinate in a step, in radians, where nothing says that the way is straight."""
+"""Longest turn of a coordinate in a step, in radians, where nothing says that the way is
+straight."""
 SLIP = 1e-9
 """Multipliers and violations below this are rounding."""
 
 
 class ActiveSetScratch(NamedTuple):
-    """Pointers to the scratch of a solver of tasks. Of velocities, scaled: the step, where it stops, the wish."""
+    """Pointers to the scratch of a solver of tasks. Of velocities, scaled: the step, where it
+    stops, the wish.
+    """
 
     step: object
     stop: object
@@ -70,7 +75,9 @@ def room(loops, v, end):
 
 @routine
 def mark_pushed(loops, work):
-    """Stop, for a step of least squares, the coordinates at a limit that the gradient pushes outwards."""
+    """Stop, for a step of least squares, the coordinates at a limit that the gradient pushes
+    outwards.
+    """
     for i in range(loops.plan[L.N_ROWS]):
         work.y[i] = loops.error[i] if work.damp[i] < OFF else 0.0
     for v in range(loops.nv):
@@ -79,7 +86,9 @@ def mark_pushed(loops, work):
             x = loops.q[place_of(loops, v)]
             if x <= number(loops, 1, v) or x >= number(loops, 2, v):
                 push = -product(loops, v, work.y)
-                if (x <= number(loops, 1, v) and push <= 0.0) or (x >= number(loops, 2, v) and push >= 0.0):
+                if (x <= number(loops, 1, v) and push <= 0.0) or (
+                    x >= number(loops, 2, v) and push >= 0.0
+                ):
                     work.stop[v] = 0.0
 
 
@@ -137,7 +146,9 @@ def stop_at_limits(loops, work):
 
 @routine
 def count_rows(loops, work, release):
-    """Whether rows between bounds that did not count must, or with `release` the other way round; changes that."""
+    """Whether rows between bounds that did not count must, or with `release` the other way round;
+    changes that.
+    """
     m = loops.plan[L.N_ROWS]
     changed = False
     for i in range(m):
@@ -166,7 +177,9 @@ def count_rows(loops, work, release):
 
 @routine
 def let_go(loops, work):
-    """Whether a coordinate stops though it would rather go back inside; lets the one go that wants to most."""
+    """Whether a coordinate stops though it would rather go back inside; lets the one go that wants
+    to most.
+    """
     worst = SLIP
     which = -1
     for v in range(loops.nv):
@@ -186,7 +199,9 @@ def let_go(loops, work):
 
 @routine
 def step_to(loops, work, passes, between, exact):
-    """Write the step; `between`: there are rows between bounds; `exact`: also let go of what stops without need."""
+    """Write the step; `between`: there are rows between bounds; `exact`: also let go of what stops
+    without need.
+    """
     for _ in range(passes):
         solve_once(loops, work)
         changed = stop_at_limits(loops, work)
@@ -200,7 +215,9 @@ def step_to(loops, work, passes, between, exact):
 
 @routine
 def take(loops, work, longest):
-    """Size of the step, in radians and characteristic lengths, and which part of it is taken: turns up to `longest`."""
+    """Size of the step, in radians and characteristic lengths, and which part of it is taken: turns
+    up to `longest`.
+    """
     size = 0.0
     turn = 0.0
     for v in range(loops.nv):

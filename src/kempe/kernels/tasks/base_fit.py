@@ -1,4 +1,6 @@
-"""A free base moved as a whole so that the frames which tasks hold come as near to their goals as they can together."""
+"""A free base moved as a whole so that the frames which tasks hold come as near to their goals as
+they can together.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ FAINT = 1e-6
 
 @device
 def fits(loops, ask, k, ball):
-    """Whether tie k holds the position of a frame that the base moves against the ground, in a stage of its own."""
+    """Whether tie k holds the position of a frame that the base moves against the ground, in a
+    stage of its own.
+    """
     plan = loops.plan
     ints = loops.ints
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -39,7 +43,11 @@ def fits(loops, ask, k, ball):
     turns = plan[tie + L.TURNS]
     if ask.stage[k] < 1 or plan[tie + L.PIN] < 0 or plan[tie + L.MASK] != 7 or ints[outputs] >= 0:
         return False
-    if (turns != L.FULL and turns != L.NO_TURN) or plan[tie + L.BOUND] >= 0 or plan[tie + L.CENTRE] >= 0:
+    if (
+        (turns != L.FULL and turns != L.NO_TURN)
+        or plan[tie + L.BOUND] >= 0
+        or plan[tie + L.CENTRE] >= 0
+    ):
         return False
     row = ints[outputs + OUTPUT_INTS]
     while row > ball:
@@ -49,7 +57,9 @@ def fits(loops, ask, k, ball):
 
 @device
 def squared(m):
-    """The square of a symmetric 4x4 matrix, ten numbers row by row from the diagonal on, divided by its trace."""
+    """The square of a symmetric 4x4 matrix, ten numbers row by row from the diagonal on, divided by
+    its trace.
+    """
     a, b, c, d, e, f, g, h, i, j = m
     p = a * a + b * b + c * c + d * d
     q = b * b + e * e + f * f + g * g
@@ -57,15 +67,23 @@ def squared(m):
     s = d * d + g * g + i * i + j * j
     n = 1.0 / max(p + q + r + s, 1e-300)
     return (
-        p * n, (a * b + b * e + c * f + d * g) * n, (a * c + b * f + c * h + d * i) * n,
-        (a * d + b * g + c * i + d * j) * n, q * n, (b * c + e * f + f * h + g * i) * n,
-        (b * d + e * g + f * i + g * j) * n, r * n, (c * d + f * g + h * i + i * j) * n, s * n,
-    )  # fmt: skip
+        p * n,
+        (a * b + b * e + c * f + d * g) * n,
+        (a * c + b * f + c * h + d * i) * n,
+        (a * d + b * g + c * i + d * j) * n,
+        q * n,
+        (b * c + e * f + f * h + g * i) * n,
+        (b * d + e * g + f * i + g * j) * n,
+        r * n,
+        (c * d + f * g + h * i + i * j) * n,
+        s * n,
+    )
 
 
 @routine
 def rotation_for(h):
-    """The unit quaternion of the rotation D for which tr(D H) is largest, H row by row (Horn, 1987).
+    """The unit quaternion of the rotation D for which tr(D H) is largest, H row by row (Horn,
+    1987).
 
     Where many are as good, the one nearest to no rotation.
     """
@@ -73,8 +91,18 @@ def rotation_for(h):
     size = 1e-30
     for x in h:
         size += 2.0 * abs(x)
-    m = (size + a + e + j, f - i, g - c, b - d, size + a - e - j, b + d, c + g, size + e - a - j, f + i,
-         size + j - a - e)  # fmt: skip
+    m = (
+        size + a + e + j,
+        f - i,
+        g - c,
+        b - d,
+        size + a - e - j,
+        b + d,
+        c + g,
+        size + e - a - j,
+        f + i,
+        size + j - a - e,
+    )
     for _ in range(SQUARINGS):
         m = squared(m)
     if m[0] > FAINT:
@@ -103,7 +131,8 @@ def rotation_for(h):
 
 @routine
 def spread_of(loops, ask, ball, hard):
-    """Sums over the frames that count: how many; where they are, where they shall be, and the matrix of `rotation_for`.
+    """Sums over the frames that count: how many; where they are, where they shall be, and the
+    matrix of `rotation_for`.
 
     Places are measured from the first frame and its goal, which are returned, too.
     """
@@ -126,7 +155,11 @@ def spread_of(loops, ask, ball, hard):
         count += 1
         p = (p[0] + x[0], p[1] + x[1], p[2] + x[2])
         g = (g[0] + y[0], g[1] + y[1], g[2] + y[2])
-        t = square if loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.TURNS] == L.FULL else 0.0
+        t = (
+            square
+            if loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.TURNS] == L.FULL
+            else 0.0
+        )
         h = (
             h[0] + x[0] * y[0] + t * (r_b[0] * r_a[0] + r_b[1] * r_a[1] + r_b[2] * r_a[2]),
             h[1] + x[0] * y[1] + t * (r_b[0] * r_a[3] + r_b[1] * r_a[4] + r_b[2] * r_a[5]),
@@ -151,10 +184,11 @@ def spread_of(loops, ask, ball, hard):
 
 @routine
 def fit_base(loops, ask):
-    """Move a free base so that the frames that tasks hold are nearest to where they shall be, as the other joints are.
+    """Move a free base so that the frames that tasks hold are nearest to where they shall be, as
+    the other joints are.
 
-    Least is the sum of squares of distances and, by the characteristic length, of rotation matrices (Kabsch, 1976).
-    Soft tasks count where no hard one holds a frame.
+    Least is the sum of squares of distances and, by the characteristic length, of rotation matrices
+    (Kabsch, 1976). Soft tasks count where no hard one holds a frame.
     """
     plan = loops.plan
     q = loops.q
@@ -175,12 +209,18 @@ def fit_base(loops, ask):
     turn_ball(q, loops.ints[HEADER + ROW_INTS * (row + 3) + Q_INDEX], turn[0], turn[1], turn[2])
     o = (entry(a, 3) - p[0], entry(b, 3) - p[1], entry(c, 3) - p[2])
     u = (2.0 * (y * o[2] - z * o[1]), 2.0 * (z * o[0] - x * o[2]), 2.0 * (x * o[1] - y * o[0]))
-    d = (g[0] - p[0] + w * u[0] + y * u[2] - z * u[1], g[1] - p[1] + w * u[1] + z * u[0] - x * u[2],
-         g[2] - p[2] + w * u[2] + x * u[1] - y * u[0])  # fmt: skip
+    d = (
+        g[0] - p[0] + w * u[0] + y * u[2] - z * u[1],
+        g[1] - p[1] + w * u[1] + z * u[0] - x * u[2],
+        g[2] - p[2] + w * u[2] + x * u[1] - y * u[0],
+    )
     for i in range(row, row + 3):
         a, b, c = placement(loops.poses, OUTPUT_FLOATS * i)
         at = loops.ints[HEADER + ROW_INTS * i + Q_INDEX]
         v = loops.ints[HEADER + ROW_INTS * i + V_INDEX]
-        x = q[at] + (entry(a, 2) * d[0] + entry(b, 2) * d[1] + entry(c, 2) * d[2]) / loops.floats[
-            ROW_FLOATS * i + MULTIPLIER]  # fmt: skip
+        x = (
+            q[at]
+            + (entry(a, 2) * d[0] + entry(b, 2) * d[1] + entry(c, 2) * d[2])
+            / loops.floats[ROW_FLOATS * i + MULTIPLIER]
+        )
         q[at] = min(max(x, number(loops, 1, v)), number(loops, 2, v))

@@ -1,4 +1,6 @@
-"""What is required of ties, and how far it is missed: the rows of the solver of tasks (`task_search`)."""
+"""What is required of ties, and how far it is missed: the rows of the solver of tasks
+(`task_search`).
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ RIGID = 1e-6
 
 
 class Ask(NamedTuple):
-    """What is required of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two tolerances."""
+    """What is required of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two
+    tolerances.
+    """
 
     given: object
     """Stages as they are given, then whether hard."""
@@ -75,7 +79,9 @@ def square_of(loops, ask, first, last, hard_only):
 
 @routine
 def missed(loops, ask, first, last):
-    """The largest squared residual of a hard tie of these stages, as a part of its squared tolerance."""
+    """The largest squared residual of a hard tie of these stages, as a part of its squared
+    tolerance.
+    """
     plan = loops.plan
     worst = 0.0
     for k in range(plan[L.N_TIES]):
@@ -99,7 +105,9 @@ def missed(loops, ask, first, last):
 
 @routine
 def count_in(loops, work, ask, stage, held, damping, hard_only):
-    """Mark the rows that count: of stages before `stage` with D = held, of it with `damping` by weight, no others."""
+    """Mark the rows that count: of stages before `stage` with D = held, of it with `damping` by
+    weight, no others.
+    """
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -155,7 +163,9 @@ def is_hard(loops, ask, stage):
 
 @routine
 def rigid(pin, k):
-    """Whether the 3x4 pose at pin[k:] has a rotation: rows of length one, the third the product of the others."""
+    """Whether the 3x4 pose at pin[k:] has a rotation: rows of length one, the third the product of
+    the others.
+    """
     a = pin[k]
     b = pin[k + 1]
     c = pin[k + 2]

@@ -1,8 +1,9 @@
-"""Tasks lowered one level at a time: closing what holds, the value of a level, and steps that lower it.
+"""Tasks lowered one level at a time: closing what holds, the value of a level, and steps that lower
+it.
 
-Gauss-Newton in the null space of what holds, with a damping that is measured: the curvature along the last step that
-the squares leave out (Marquardt, 1963; Dennis, Gay and Welsch, 1981), for an aim the projected gradient (Luenberger,
-1972).
+Gauss-Newton in the null space of what holds, with a damping that is measured: the curvature along
+the last step that the squares leave out (Marquardt, 1963; Dennis, Gay and Welsch, 1981), for an aim
+the projected gradient (Luenberger, 1972).
 """
 
 from __future__ import annotations
@@ -28,17 +29,20 @@ MOST_DAMPING = 0.1
 """Damping by the square of the residual, and its largest."""
 STALL = 4
 WORTH = 0.95
-"""Steps without a decrease of the squared residual to this part of it, after which a start is given up."""
+"""Steps without a decrease of the squared residual to this part of it, after which a start is given
+up."""
 PASSES = 2
 """Solves of one step: the second with what the first led out of its bounds."""
 TIGHT = 1e-22
 ROUNDING = 1e-25
-"""Square of what a soft stage misses from which on it is met, and of what earlier ones may miss after each step."""
+"""Square of what a soft stage misses from which on it is met, and of what earlier ones may miss
+after each step."""
 CLOSING = 6
 MORE = 3
 LONG = 12
 """Steps that they may take for that: after a step, at the end, and after a push."""
-"""What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a function."""
+"""What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a
+function."""
 STREAK = 3
 """Steps that must succeed after one that did not, before the steps of an aim grow again."""
 FURTHEST = 3.0
@@ -46,17 +50,20 @@ FURTHEST = 3.0
 FLAT = 1e-15
 FLAT_AIM = 1e-13
 FLAT_HARD = 1e-8
-"""Decreases to this part of a value, twice in a row, end its lowering: of a soft stage, an aim, and a hard stage, which
-is missed anyway."""
+"""Decreases to this part of a value, twice in a row, end its lowering: of a soft stage, an aim, and
+a hard stage, which is missed anyway."""
 CLEAR = 1e-9
-"""Decreases from this part of a value on say what curvature is; smaller ones are too near to rounding."""
+"""Decreases from this part of a value on say what curvature is; smaller ones are too near to
+rounding."""
 NUDGE = 0.05
 PROBE = 4
 SADDLE = 1e-7
-"""A push, in radians and characteristic lengths, the steps after it, and the part of the value that they must save."""
+"""A push, in radians and characteristic lengths, the steps after it, and the part of the value that
+they must save."""
 STRAIGHT = 0.01
 LITTLE = 1e-6
-"""How well a small step must keep what straight equations promise, as a part of it, and the least promise."""
+"""How well a small step must keep what straight equations promise, as a part of it, and the least
+promise."""
 LONGER = 4.0
 TRUST = 0.1
 """Where it does, the next may be so much longer and is damped by so much less."""
@@ -64,7 +71,8 @@ TRUST = 0.1
 
 @routine
 def foreseen(loops, work, part):
-    """Squared residual of the rows that count after the fraction `part` of a step, as linear equations predict it.
+    """Squared residual of the rows that count after the fraction `part` of a step, as linear
+    equations predict it.
 
     After the whole step a residual is D y.
     """
@@ -78,7 +86,9 @@ def foreseen(loops, work, part):
 
 @device
 def is_straight(square, before, after):
-    """Whether a short step led from the squared residual `before` to `square`, near the predicted `after`."""
+    """Whether a short step led from the squared residual `before` to `square`, near the predicted
+    `after`.
+    """
     first = math.sqrt(before)
     promised = math.sqrt(after)
     small = 0.5 * first < promised < (1.0 - LITTLE) * first
@@ -87,10 +97,12 @@ def is_straight(square, before, after):
 
 @routine
 def descend(loops, work, ask, last, enough, limit):
-    """Least squared residual of stages 0 to last on the way from q, whether it is enough, and number of steps.
+    """Least squared residual of stages 0 to last on the way from q, whether it is enough, and
+    number of steps.
 
-    Writes its configuration to `kept`. `enough` is a square, or 0 for the tolerances of the hard ties, which alone
-    count then; once these are met, some more steps make the error as small as possible.
+    Writes its configuration to `kept`. `enough` is a square, or 0 for the tolerances of the hard
+    ties, which alone count then; once these are met, some more steps make the error as small as
+    possible.
     """
     best = np.inf
     before = np.inf
@@ -150,7 +162,9 @@ def close(loops, work, ask, last, enough, limit):
 
 @routine
 def aim(loops, work, mode, part):
-    """Value of what the last stage lowers, at q; writes a step (nv,) that lowers it, scaled by `part`, to `wish`."""
+    """Value of what the last stage lowers, at q; writes a step (nv,) that lowers it, scaled by
+    `part`, to `wish`.
+    """
     if mode == AHEAD:
         far = distance(loops, work.goal, work.wish)
         for v in range(loops.nv):
@@ -164,7 +178,8 @@ def aim(loops, work, mode, part):
 
 @routine
 def slope_of(loops, work, ask, stage, mode, part):
-    """Slope of the squared residual of a stage, or of the aim, along the step, and its Gauss-Newton curvature.
+    """Slope of the squared residual of a stage, or of the aim, along the step, and its Gauss-Newton
+    curvature.
 
     Both at the q that was assessed last.
     """
@@ -184,7 +199,11 @@ def slope_of(loops, work, ask, stage, mode, part):
         if ask.stage[k] == stage:
             tie = plan[L.AT_TIES] + L.TIE_INTS * k
             for i in range(plan[tie + L.FIRST_ROW], plan[tie + L.FIRST_ROW] + plan[tie + L.ROWS]):
-                if work.low[i] == work.high[i] or work.value[i] < work.low[i] or work.value[i] > work.high[i]:
+                if (
+                    work.low[i] == work.high[i]
+                    or work.value[i] < work.low[i]
+                    or work.value[i] > work.high[i]
+                ):
                     miss = work.value[i] - min(max(work.value[i], work.low[i]), work.high[i])
                     slope += 2.0 * ask.weight[k] * miss * work.ahead[i]
                     bend += ask.weight[k] * work.ahead[i] * work.ahead[i]
@@ -194,15 +213,21 @@ def slope_of(loops, work, ask, stage, mode, part):
 @routine
 def value_of(loops, work, ask, stage, mode, part):
     """Weighted squared residual of a stage, or the value of the aim."""
-    return square_of(loops, ask, stage, stage, False) if mode == NOTHING else aim(loops, work, mode, part)
+    return (
+        square_of(loops, ask, stage, stage, False)
+        if mode == NOTHING
+        else aim(loops, work, mode, part)
+    )
 
 
 @routine
 def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest):
-    """Least value found along the step taken, its curvature, and the factor of its length that a parabola suggests.
+    """Least value found along the step taken, its curvature, and the factor of its length that a
+    parabola suggests.
 
-    Every trial is closed; one that is much too long or too short is made once more with the length of the parabola.
-    `trial` is where the least is, `way` the first step. A trial counts where earlier stages are within the bound.
+    Every trial is closed; one that is much too long or too short is made once more with the length
+    of the parabola. `trial` is where the least is, `way` the first step. A trial counts where
+    earlier stages are within the bound.
     """
     share = 1.0
     least = best
@@ -230,7 +255,9 @@ def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
 
 @device
 def damping_for(loops, work, damping, extra, better):
-    """The next damping: `extra` curvature along `way`, which the squares leave out, bounded; larger after a failure."""
+    """The next damping: `extra` curvature along `way`, which the squares leave out, bounded; larger
+    after a failure.
+    """
     size = 1e-300
     for v in range(loops.nv):
         size += work.way[v] * work.way[v]
@@ -242,15 +269,17 @@ def damping_for(loops, work, damping, extra, better):
 
 @routine
 def bound_of(loops, work, ask, stage):
-    """Bounds for the stages before this one, with q closed: their squared residual and largest part of a tolerance."""
+    """Bounds for the stages before this one, with q closed: their squared residual and largest part
+    of a tolerance.
+    """
     square = close(loops, work, ask, stage - 1, ROUNDING, CLOSING)
     return max(ROUNDING, 4.0 * square), max(1.0, missed(loops, ask, 0, stage - 1))
 
 
 @routine
 def ease(loops, work, ask, stage, bound, limit, mode, stop):
-    """Number of steps that lower the residual of a stage (mode 0) or the aim, whether the time was up, and the value
-    reached; moves q there and assesses it. Earlier stages stay within the bound.
+    """Number of steps that lower the residual of a stage (mode 0) or the aim, whether the time was
+    up, and the value reached; moves q there and assesses it. Earlier stages stay within the bound.
     """
     copy(work.best, loops.q, 0, loops.nq)
     damping = 1e-3
@@ -278,7 +307,9 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
         step_to(loops, work, 4 + loops.nv, ask.between, True)
         size, _ = take(loops, work, longest)
         slope, bend = slope_of(loops, work, ask, stage, mode, part)
-        least, curve, share = look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
+        least, curve, share = look_along(
+            loops, work, ask, stage, bound, mode, part, best, slope, longest
+        )
         better = least < best
         fall = best - least
         longest = longest * LONGER if better and share >= FURTHEST else LONGEST
@@ -324,8 +355,9 @@ def nudge(loops, key):
 def lower(loops, work, ask, stage, limit, mode, stop):
     """Number of steps, and whether the time was up; as `ease`, but leaves saddles and maxima.
 
-    Where the gradient vanishes and the error does not, a small push and a few steps show whether q is one. The bound
-    is that before the push: where the earlier stages cannot be closed as they were, there is no way down.
+    Where the gradient vanishes and the error does not, a small push and a few steps show whether q
+    is one. The bound is that before the push: where the earlier stages cannot be closed as they
+    were, there is no way down.
     """
     bound = bound_of(loops, work, ask, stage)
     steps, late, best = ease(loops, work, ask, stage, bound, limit, mode, stop)
@@ -335,7 +367,9 @@ def lower(loops, work, ask, stage, limit, mode, stop):
         used = 0
         least = np.inf
         if close(loops, work, ask, stage - 1, bound[0], LONG) <= bound[0]:
-            used, late, least = ease(loops, work, ask, stage, bound, min(PROBE, limit - steps), mode, stop)
+            used, late, least = ease(
+                loops, work, ask, stage, bound, min(PROBE, limit - steps), mode, stop
+            )
         steps += used
         if least < (1.0 - SADDLE) * best:
             used, late, best = ease(loops, work, ask, stage, bound, limit - steps, mode, stop)

@@ -1,7 +1,9 @@
-"""Where the search for several tasks starts again: anywhere, or at what was found with a part of it drawn anew.
+"""Where the search for several tasks starts again: anywhere, or at what was found with a part of it
+drawn anew.
 
-A bundle is met once all its tasks are, each with a chance of its own at every start. Drawing all anew multiplies these
-chances. Keeping what meets some tasks, and drawing only what moves the others, adds up their waiting times instead.
+A bundle is met once all its tasks are, each with a chance of its own at every start. Drawing all
+anew multiplies these chances. Keeping what meets some tasks, and drawing only what moves the
+others, adds up their waiting times instead.
 """
 
 from __future__ import annotations
@@ -17,17 +19,18 @@ from kempe.kernels.tasks.base_fit import fit_base
 from kempe.kernels.tasks.level_rows import assess, square_of_tie
 
 NEAR = 0.6
-"""Part of the ranges, about the first start and about their middles in turn, from which the first starts are drawn:
-what is far from all limits leads to more answers."""
+"""Part of the ranges, about the first start and about their middles in turn, from which the first
+starts are drawn: what is far from all limits leads to more answers."""
 PLAIN = 8
 WIDE = 1.35
 WIDER = 2.0
-"""Starts that are drawn so. Of those after them, of four one is drawn from all of the ranges, one WIDE and two WIDER
-times as far about the middle and cut off at the limits, which puts a quarter and a half of the coordinates there: what
-is left by then are mostly answers at limits."""
+"""Starts that are drawn so. Of those after them, of four one is drawn from all of the ranges, one
+WIDE and two WIDER times as far about the middle and cut off at the limits, which puts a quarter and
+a half of the coordinates there: what is left by then are mostly answers at limits."""
 AGAIN = 6
 LOWER = 0.99
-"""Starts that begin at what another has reached, after the last that came to less than this part of its square."""
+"""Starts that begin at what another has reached, after the last that came to less than this part of
+its square."""
 NEARLY = 1e-3
 """Part of the largest square that a tie misses, up to which another one is as good as met."""
 PART = 0.5
@@ -38,7 +41,9 @@ SALT = np.uint64(0x5EED)
 
 @routine
 def to_middle(loops, home, to):
-    """Write a configuration in the middle of all ranges to `to`; balls and what is no unknown as at `home`."""
+    """Write a configuration in the middle of all ranges to `to`; balls and what is no unknown as at
+    `home`.
+    """
     copy(to, home, 0, loops.nq)
     for v in range(loops.nv):
         if sort_of(loops, v) < L.BALL_FIRST and not is_held(loops, v):
@@ -72,9 +77,11 @@ def widen(loops, about, far):
 
 @routine
 def begin_at(loops, work, ask, last, key, count):
-    """Set q to start `count`, but for what is kept of `rest`: where only some tasks are missed, what moves others.
+    """Set q to start `count`, but for what is kept of `rest`: where only some tasks are missed,
+    what moves others.
 
-    In turns: all is kept that moves a tie which is met; all that moves another than the worst; any part.
+    In turns: all is kept that moves a tie which is met; all that moves another than the worst; any
+    part.
     """
     begin(loops, work, ask, key, count)
     copy(work.aside, loops.q, 0, loops.nq)
@@ -97,7 +104,8 @@ def begin_at(loops, work, ask, last, key, count):
 
 @routine
 def mark_own(loops, work, ask, last, all_missed):
-    """Whether some unknowns move only ties that are missed, all or the worst, and others not; marks them in `way`.
+    """Whether some unknowns move only ties that are missed, all or the worst, and others not; marks
+    them in `way`.
 
     The equations must be those of q. Rows between bounds keep nothing.
     """

@@ -1,9 +1,11 @@
-"""Several tasks at once: the search for a configuration that holds them, and lower tasks in what the higher leave free.
+"""Several tasks at once: the search for a configuration that holds them, and lower tasks in what
+the higher leave free.
 
-Tasks are ties in stages. Stage 0 always holds (loops, relations); each further one is either hard, to be met, or soft,
-a sum of weighted squares to be lowered. First damped least squares on all hard rows, with restarts (Levenberg, 1944;
-Sugihara, 2011), then stage by stage steps that keep all earlier ones (Siciliano and Slotine, 1991; Escande, Mansard and
-Wieber, 2014), each closed again: so the earlier stages hold, to the tolerance and not only to first order.
+Tasks are ties in stages. Stage 0 always holds (loops, relations); each further one is either hard,
+to be met, or soft, a sum of weighted squares to be lowered. First damped least squares on all hard
+rows, with restarts (Levenberg, 1944; Sugihara, 2011), then stage by stage steps that keep all
+earlier ones (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014), each closed again: so
+the earlier stages hold, to the tolerance and not only to first order.
 """
 
 from __future__ import annotations
@@ -21,7 +23,14 @@ from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.goals import is_late, number_of
-from kempe.kernels.constraints.loop_coordinates import nearest_turn, number, place_of, read_off, sort_of, sound
+from kempe.kernels.constraints.loop_coordinates import (
+    nearest_turn,
+    number,
+    place_of,
+    read_off,
+    sort_of,
+    sound,
+)
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
 from kempe.kernels.forward.table_rows import poses_at, scratch_size
@@ -45,14 +54,17 @@ from kempe.kernels.tasks.restarts import begin, begin_at, to_middle
 
 AGAIN = 5
 LOWER = 0.99
-"""Starts of a first stage that is soft, and the part of its square below which another than the first one counts."""
+"""Starts of a first stage that is soft, and the part of its square below which another than the
+first one counts."""
 GAIN = 1e-6
 """Part of what a soft stage misses that a hard one behind it must cost before it is let go."""
 
 
 @routine
 def search(loops, work, ask, last, key, tries, limit, stop):
-    """Whether the hard stages up to `last` are met, whether the time was up, steps and starts; q is the nearest."""
+    """Whether the hard stages up to `last` are met, whether the time was up, steps and starts; q is
+    the nearest.
+    """
     best = np.inf
     count = 0
     steps = 0
@@ -87,10 +99,12 @@ def search(loops, work, ask, last, key, tries, limit, stop):
 
 @routine
 def search_down(loops, work, ask, key, tries, limit, stop):
-    """The last of the stages whose hard ones are met together, whether the time was up, steps and starts; q meets them.
+    """The last of the stages whose hard ones are met together, whether the time was up, steps and
+    starts; q meets them.
 
-    First all hard tasks at once; where that fails, those of fewer and fewer stages. Soft stages before a hard one are
-    first tried as if they were hard: where all of them can be met, nothing is lower.
+    First all hard tasks at once; where that fails, those of fewer and fewer stages. Soft stages
+    before a hard one are first tried as if they were hard: where all of them can be met, nothing is
+    lower.
     """
     last = ask.stages
     good = False
@@ -116,7 +130,9 @@ def search_down(loops, work, ask, key, tries, limit, stop):
 
 @routine
 def lower_first(loops, work, ask, stage, limit, mode, stop):
-    """As `lower`; hard stages behind a soft one are held as long as that costs it nothing, for half of the steps."""
+    """As `lower`; hard stages behind a soft one are held as long as that costs it nothing, for half
+    of the steps.
+    """
     if mode != NOTHING or is_hard(loops, ask, stage) or not hold_ahead(loops, ask, stage):
         return lower(loops, work, ask, stage, limit, mode, stop)
     steps, late = lower(loops, work, ask, stage, limit // 2, mode, stop)
@@ -134,7 +150,9 @@ def lower_first(loops, work, ask, stage, limit, mode, stop):
 
 @routine
 def lower_again(loops, work, ask, key, tries, limit, stop):
-    """Steps, whether the time was up, starts; lowers the first stage from other starts, too, and keeps the least."""
+    """Steps, whether the time was up, starts; lowers the first stage from other starts, too, and
+    keeps the least.
+    """
     least = square_of(loops, ask, 1, 1, False)
     steps = 0
     late = False
@@ -158,13 +176,19 @@ def lower_again(loops, work, ask, key, tries, limit, stop):
 
 @routine
 def unwind(loops, work, ask, stage):
-    """Turn angles that a stage holds back by whole turns towards their goals, where that costs no earlier stage."""
+    """Turn angles that a stage holds back by whole turns towards their goals, where that costs no
+    earlier stage.
+    """
     plan = loops.plan
     q = loops.q
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
         v = plan[tie + L.DATA]
-        if ask.stage[k] != stage or plan[tie + L.TURNS] != L.OWN or sort_of(loops, v) != L.BOUND_TURN:
+        if (
+            ask.stage[k] != stage
+            or plan[tie + L.TURNS] != L.OWN
+            or sort_of(loops, v) != L.BOUND_TURN
+        ):
             continue
         i = place_of(loops, v)
         x = q[i]
@@ -183,7 +207,9 @@ def unwind(loops, work, ask, stage):
 
 @routine
 def lead_home(loops, work, ask):
-    """Let angles that a turn brings back, and that a task holds, be brought back near to what it wants."""
+    """Let angles that a turn brings back, and that a task holds, be brought back near to what it
+    wants.
+    """
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -204,12 +230,14 @@ def missed_softly(loops, ask):
 
 @routine
 def reach(loops, work, ask, key, tries, limit, mode, stop):
-    """(status, steps, starts) of a search for a configuration that fulfils tasks; `loops.q` is start and answer.
+    """(status, steps, starts) of a search for a configuration that fulfils tasks; `loops.q` is
+    start and answer.
 
-    If none is found, `loops.q` is the nearest one. `ask` holds the tasks in stages: stage 0 are the loops, later ones
-    yield to earlier ones. `tries` is the number of random starts, drawn by `key`; below 0, only the last stage is
-    improved and the others keep the residuals of the start. `limit` is the number of steps of a start, `mode` what is
-    minimised in the freedoms left (or NOTHING), `stop` the clock. `work` is scratch memory.
+    If none is found, `loops.q` is the nearest one. `ask` holds the tasks in stages: stage 0 are the
+    loops, later ones yield to earlier ones. `tries` is the number of random starts, drawn by `key`;
+    below 0, only the last stage is improved and the others keep the residuals of the start. `limit`
+    is the number of steps of a start, `mode` what is minimised in the freedoms left (or NOTHING),
+    `stop` the clock. `work` is scratch memory.
     """
     first = ask.stages if tries < 0 else 1
     unbind(loops, work)
@@ -227,7 +255,9 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
             worst = missed(loops, ask, 0, s - 1)
             if s <= ask.stages:
                 unwind(loops, work, ask, s)
-            used, late = lower_first(loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop)
+            used, late = lower_first(
+                loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop
+            )
             steps += used
             if s == 1 and s <= ask.stages and not (pinned or late):
                 used, late, count = lower_again(loops, work, ask, key, tries, 4 * limit, stop)
@@ -250,23 +280,53 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
 
 
 @kernel(
-    I("_"), F("_"), I("_"), F("_"), I("_"), F("_", 3), F("1|N", "nq"), F("1|N", "nq"), F("1|N", "_"), INT, INT,
-    INT, INT, FLAG, INT, OUT("N", "nq"), OUTI("N", 3),
-)  # fmt: skip
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_"),
+    I("_"),
+    F("_", 3),
+    F("1|N", "nq"),
+    F("1|N", "nq"),
+    F("1|N", "_"),
+    INT,
+    INT,
+    INT,
+    INT,
+    FLAG,
+    INT,
+    OUT("N", "nq"),
+    OUTI("N", 3),
+)
 def solve(
-    ints, floats, plan, weights, stages, strengths, starts, goals, pins, tries, limit, mode, stop, loose,
-    seed, out_q, info
-):  # fmt: skip
+    ints,
+    floats,
+    plan,
+    weights,
+    stages,
+    strengths,
+    starts,
+    goals,
+    pins,
+    tries,
+    limit,
+    mode,
+    stop,
+    loose,
+    seed,
+    out_q,
+    info,
+):
     """Number of problems whose hard tasks are not met.
 
-    ints, floats: the table; plan, weights: the loops, and pins (N or 1, k), as `loop_layout` says. stages (2 ties):
-    stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance of its lengths, in characteristic
-    lengths, and of its other rows. starts (N or 1, nq); goals (N or 1, nq): where the last stage leads in mode 1.
-    tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`,
-    with -1 only the last one.
-    limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop: address of a function
-    that writes whether the time is up, or 0: it is read before each start and each step of a lower stage. loose:
-    whether a free base may be moved before the first start.
+    ints, floats: the table; plan, weights: the loops, and pins (N or 1, k), as `loop_layout` says.
+    stages (2 ties): stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance
+    of its lengths, in characteristic lengths, and of its other rows. starts (N or 1, nq); goals (N
+    or 1, nq): where the last stage leads in mode 1. tries: starts at most, drawn from `seed`, for
+    all rows alike; with 0 each stage is lowered in turn from `starts`, with -1 only the last one.
+    limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop:
+    address of a function that writes whether the time is up, or 0: it is read before each start and
+    each step of a lower stage. loose: whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """
     nq = ints[NQ]
@@ -275,7 +335,9 @@ def solve(
     m = plan[L.N_ROWS]
     ties = plan[L.N_TIES]
     sweep = scratch_size(n_rows)
-    block = np.empty(sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
+    block = np.empty(
+        sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8
+    )
     scratch = raw(block)
     q = beyond(scratch, sweep)
     v = beyond(q, 9 * nq)
@@ -283,11 +345,30 @@ def solve(
     weight = beyond(rows, 9 * m)
     blocks = beyond(weight, 3 * ties)
     a = beyond(blocks, plan[L.BLOCKS])
-    work = ActiveSetScratch(v, beyond(v, nv), beyond(v, 2 * nv), beyond(v, 3 * nv), beyond(v, 4 * nv), beyond(rows, m),
-                beyond(rows, 2 * m), beyond(rows, 3 * m), beyond(rows, 4 * m), beyond(rows, 5 * m),
-                beyond(rows, 6 * m), beyond(rows, 7 * m), beyond(rows, 8 * m), a, beyond(q, nq), beyond(q, 2 * nq),
-                beyond(q, 3 * nq), beyond(q, 4 * nq), beyond(q, 5 * nq), beyond(q, 6 * nq),
-                beyond(q, 7 * nq), beyond(q, 8 * nq))  # fmt: skip
+    work = ActiveSetScratch(
+        v,
+        beyond(v, nv),
+        beyond(v, 2 * nv),
+        beyond(v, 3 * nv),
+        beyond(v, 4 * nv),
+        beyond(rows, m),
+        beyond(rows, 2 * m),
+        beyond(rows, 3 * m),
+        beyond(rows, 4 * m),
+        beyond(rows, 5 * m),
+        beyond(rows, 6 * m),
+        beyond(rows, 7 * m),
+        beyond(rows, 8 * m),
+        a,
+        beyond(q, nq),
+        beyond(q, 2 * nq),
+        beyond(q, 3 * nq),
+        beyond(q, 4 * nq),
+        beyond(q, 5 * nq),
+        beyond(q, 6 * nq),
+        beyond(q, 7 * nq),
+        beyond(q, 8 * nq),
+    )
     last = 0
     between = False
     for k in range(ties):
@@ -295,14 +376,38 @@ def solve(
         weight[ties + 2 * k] = strengths[k, 1]
         weight[ties + 2 * k + 1] = strengths[k, 2]
         last = max(last, stages[k])
-        between = between or (stages[k] >= 0 and plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] >= 0)
+        between = between or (
+            stages[k] >= 0 and plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] >= 0
+        )
     now = np.empty(2 * ties, dtype=np.int64)
-    ask = Ask(raw(stages), raw(now), beyond(raw(now), ties), weight, beyond(weight, ties), last, between, loose)
+    ask = Ask(
+        raw(stages),
+        raw(now),
+        beyond(raw(now), ties),
+        weight,
+        beyond(weight, ties),
+        last,
+        between,
+        loose,
+    )
     missing = 0
     for i in range(out_q.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
-        loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
-                            beyond(scratch, poses_at(n_rows)), rows, blocks, n_rows, nq, nv)  # fmt: skip
+        loops = LoopScratch(
+            raw(ints),
+            raw(floats),
+            raw(plan),
+            raw(weights),
+            pin,
+            q,
+            scratch,
+            beyond(scratch, poses_at(n_rows)),
+            rows,
+            blocks,
+            n_rows,
+            nq,
+            nv,
+        )
         copy(q, beyond(raw(starts), i * nq if starts.shape[0] > 1 else 0), 0, nq)
         copy(work.goal, beyond(raw(goals), i * nq if goals.shape[0] > 1 else 0), 0, nq)
         status = BAD_INPUT

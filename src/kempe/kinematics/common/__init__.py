@@ -1,1 +1,3 @@
-"""What the layers from here on share: results of verbs, tables of numbers, Gauss-Newton steps, threads."""
+"""What the layers from here on share: results of verbs, tables of numbers, Gauss-Newton steps,
+threads.
+"""

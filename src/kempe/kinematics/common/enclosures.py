@@ -1,8 +1,10 @@
-"""Power series whose coefficients are enclosed: what is computed with them is proven, rounding included.
+"""Power series whose coefficients are enclosed: what is computed with them is proven, rounding
+included.
 
-A coefficient is any number within a radius of a middle (ball arithmetic: van der Hoeven, "Ball arithmetic", 2009), the
-k-th one f^(k)(x) / k! of a function f, at every x of an interval at once. So the first coefficient bounds the values of
-f on that interval, the second its slopes (Moore, *Interval Analysis*, 1966). What is not known has an infinite radius.
+A coefficient is any number within a radius of a middle (ball arithmetic: van der Hoeven, "Ball
+arithmetic", 2009), the k-th one f^(k)(x) / k! of a function f, at every x of an interval at once.
+So the first coefficient bounds the values of f on that interval, the second its slopes (Moore,
+*Interval Analysis*, 1966). What is not known has an infinite radius.
 """
 
 from __future__ import annotations
@@ -26,10 +28,14 @@ class Enclosure:
     __array_ufunc__ = None
 
     def __init__(self, mid: Array, rad: Array):
-        """Widen the radii (order + 1, n) by the rounding of one operation that gave them and the middles."""
+        """Widen the radii (order + 1, n) by the rounding of one operation that gave them and the
+        middles.
+        """
         rad = rad * (1.0 + UNIT) + UNIT * np.abs(mid) + LEAST
         bad = ~(np.isfinite(mid) & np.isfinite(rad))
-        self.mid, self.rad = (np.where(bad, 0.0, mid), np.where(bad, np.inf, rad)) if bad.any() else (mid, rad)
+        self.mid, self.rad = (
+            (np.where(bad, 0.0, mid), np.where(bad, np.inf, rad)) if bad.any() else (mid, rad)
+        )
 
     @property
     def low(self) -> Array:
@@ -61,7 +67,9 @@ class Enclosure:
         if not isinstance(other, Enclosure):
             with np.errstate(invalid="ignore"):
                 return Enclosure(self.mid * other, self.rad * np.abs(other))
-        return _joined([_sum(self.terms, other.terms, range(k + 1), k) for k in range(len(self.mid))])
+        return _joined(
+            [_sum(self.terms, other.terms, range(k + 1), k) for k in range(len(self.mid))]
+        )
 
     __radd__ = __add__
     __rmul__ = __mul__
@@ -163,4 +171,6 @@ def _inverse(a: Enclosure) -> Enclosure:
     size = np.abs(a.mid)
     least = np.abs(a.mid) - a.rad * (1.0 + UNIT)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return Enclosure(np.where(least > 0.0, 1.0 / a.mid, np.inf), a.rad / (size * least) * (1.0 + UNIT))
+        return Enclosure(
+            np.where(least > 0.0, 1.0 / a.mid, np.inf), a.rad / (size * least) * (1.0 + UNIT)
+        )

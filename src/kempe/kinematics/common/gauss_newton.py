@@ -1,9 +1,10 @@
-"""Where equations hold, or come nearest to it: Gauss-Newton steps, each the least change that linear equations ask.
+"""Where equations hold, or come nearest to it: Gauss-Newton steps, each the least change that
+linear equations ask.
 
-There may be more equations than unknowns, or fewer, and dependent ones do no harm: the step is that of the
-pseudo-inverse, whose small singular values are left out. Sources: Ben-Israel, "A Newton-Raphson method for the solution
-of systems of equations", J. Math. Anal. Appl. 15 (1966); Bjorck, *Numerical Methods for Least Squares Problems*, 1996,
-chapter 9.
+There may be more equations than unknowns, or fewer, and dependent ones do no harm: the step is that
+of the pseudo-inverse, whose small singular values are left out. Sources: Ben-Israel, "A
+Newton-Raphson method for the solution of systems of equations", J. Math. Anal. Appl. 15 (1966);
+Bjorck, *Numerical Methods for Least Squares Problems*, 1996, chapter 9.
 """
 
 from __future__ import annotations
@@ -22,15 +23,18 @@ from kempe.spatial import Array
 CUT = 1e-9
 """Singular values below this fraction of the largest are left out."""
 LAST = 1e-8
-"""A step up to this length is the last one: where convergence is quadratic, the next would be rounding."""
+"""A step up to this length is the last one: where convergence is quadratic, the next would be
+rounding."""
 NOTHING = 1e-15
 """A step up to this length is rounding: it is not taken."""
 LARGE = 60
-"""Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
+"""Equations from which on normal equations are solved in place of singular value decompositions,
+where both will do."""
 WORK = 2e8
 """Products of numbers between two looks at the clock, about 0.1 s."""
 WELL = 1e7
-"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far from singular."""
+"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far
+from singular."""
 
 Equations = Callable[[Array], tuple[Array, Array]]
 """What is missing (m,) at x, and its derivative (m, n) by small changes of x."""
@@ -50,8 +54,12 @@ class GaussNewtonEnd(NamedTuple):
 
 
 def least_squares(A: Array, b: Array, cut: float = CUT) -> Array:
-    """The shortest y (n,) that minimises |A y - b|; singular values below `cut` of the largest count as zero."""
-    return least_squares_of_many(A[None], b[None], cut)[0] if len(b) > LARGE else _by_values(A, b, cut)
+    """The shortest y (n,) that minimises |A y - b|; singular values below `cut` of the largest
+    count as zero.
+    """
+    return (
+        least_squares_of_many(A[None], b[None], cut)[0] if len(b) > LARGE else _by_values(A, b, cut)
+    )
 
 
 def _by_values(A: Array, b: Array, cut: float) -> Array:
@@ -59,15 +67,22 @@ def _by_values(A: Array, b: Array, cut: float) -> Array:
 
 
 def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
-    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
+    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far
+    from singular.
 
-    Of the first kind, or of the second where there are fewer equations than unknowns. A second right-hand side, in no
-    special direction, tells how near to singular they are. Of large ones a few are solved at a time.
+    Of the first kind, or of the second where there are fewer equations than unknowns. A second
+    right-hand side, in no special direction, tells how near to singular they are. Of large ones a
+    few are solved at a time.
     """
     k, m, n = A.shape
     most = max(1, int(WORK / max(1, m * n * min(m, n))))
     if k > most:
-        return np.concatenate([least_squares_of_many(A[i : i + most], b[i : i + most], cut) for i in range(0, k, most)])
+        return np.concatenate(
+            [
+                least_squares_of_many(A[i : i + most], b[i : i + most], cut)
+                for i in range(0, k, most)
+            ]
+        )
     if m > LARGE:
         look()
     At = np.swapaxes(A, -1, -2)
@@ -97,15 +112,24 @@ def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
 
 
 def gauss_newton(
-    equations: Equations, x: Array, tries: int, *, step: Callable[[Array, Array, Array], Array] | None = None,
-    cut: float = CUT, met: float = 0.0, last: float = LAST, longest: float = math.inf, halving: bool = False,
+    equations: Equations,
+    x: Array,
+    tries: int,
+    *,
+    step: Callable[[Array, Array, Array], Array] | None = None,
+    cut: float = CUT,
+    met: float = 0.0,
+    last: float = LAST,
+    longest: float = math.inf,
+    halving: bool = False,
     move: Callable[[Array, Array], Array] = np.add,
-) -> GaussNewtonEnd:  # fmt: skip
+) -> GaussNewtonEnd:
     """The point, residual and Jacobian to which at most `tries` Gauss-Newton steps from `x` lead.
 
-    It ends where the residual is at most `met`, after a step up to `last`, before one that is zero or not finite,
-    and with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives
-    another step (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
+    It ends where the residual is at most `met`, after a step up to `last`, before one that is zero
+    or not finite, and with `halving` before one longer than half the one before. Steps are
+    shortened to `longest`. `step` gives another step (n,) at (x, r, J) than `least_squares`, `move`
+    the point to which one leads.
     """
     before = math.inf
     k = 0
@@ -126,15 +150,24 @@ def gauss_newton(
 
 
 def gauss_newton_of_many(
-    equations: Callable[[Array, np.ndarray], tuple[Array, Array]], x: Array, tries: int, *,
-    step: Callable[[Array, Array], Array] | None = None, cut: float = CUT, met: float = 0.0, last: float = LAST,
-    longest: float = math.inf, move: Callable[[Array, Array], Array] = np.add,
-) -> Array:  # fmt: skip
-    """Points (k, n) to which at most `tries` Gauss-Newton steps lead from many starts (k, n), each on its own.
+    equations: Callable[[Array, np.ndarray], tuple[Array, Array]],
+    x: Array,
+    tries: int,
+    *,
+    step: Callable[[Array, Array], Array] | None = None,
+    cut: float = CUT,
+    met: float = 0.0,
+    last: float = LAST,
+    longest: float = math.inf,
+    move: Callable[[Array, Array], Array] = np.add,
+) -> Array:
+    """Points (k, n) to which at most `tries` Gauss-Newton steps lead from many starts (k, n), each
+    on its own.
 
-    `equations` gives residuals (j, m) and Jacobians (j, m, n) at points (j, n), those of the starts of indices (j,).
-    `step` gives other steps (j, n), from these, than `least_squares_of_many`. Options are those of `gauss_newton`, but
-    the size of a step is its largest entry. A point becomes NaN where its residual is not finite.
+    `equations` gives residuals (j, m) and Jacobians (j, m, n) at points (j, n), those of the starts
+    of indices (j,). `step` gives other steps (j, n), from these, than `least_squares_of_many`.
+    Options are those of `gauss_newton`, but the size of a step is its largest entry. A point
+    becomes NaN where its residual is not finite.
     """
     x, left = np.array(x), np.arange(len(x))
     for _ in range(tries):
@@ -149,6 +182,8 @@ def gauss_newton_of_many(
             break
         y = least_squares_of_many(J, -r, cut) if step is None else step(r, J)
         size = np.abs(y).max(axis=1, initial=0.0)
-        x[left] = move(x[left], y * (longest / np.maximum(size, longest))[:, None] if longest < math.inf else y)
+        x[left] = move(
+            x[left], y * (longest / np.maximum(size, longest))[:, None] if longest < math.inf else y
+        )
         left = left[size > last]
     return x

@@ -1,4 +1,6 @@
-"""Work on fixed chunks in a pool of threads: kernels release the GIL, and answers do not depend on the thread count."""
+"""Work on fixed chunks in a pool of threads: kernels release the GIL, and answers do not depend on
+the thread count.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,15 @@ _pools: dict[int, ThreadPoolExecutor] = {}
 
 
 class Stopped(Exception):
-    """The work of a thread was told to stop: raised inside it by `look`, and caught by whoever began it."""
+    """The work of a thread was told to stop: raised inside it by `look`, and caught by whoever
+    began it.
+    """
 
 
 def stopped_by(sign: threading.Event, work: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which ends with `Stopped` at the next `look` of its thread once the sign is set."""
+    """The function, which ends with `Stopped` at the next `look` of its thread once the sign is
+    set.
+    """
 
     def check() -> None:
         if sign.is_set():
@@ -39,7 +45,9 @@ def stopped_by(sign: threading.Event, work: Callable[..., Any]) -> Callable[...,
 
 
 def _begin_anew() -> None:
-    """Drop, in a child process, the threads of its parent and the lock that one of them may have held."""
+    """Drop, in a child process, the threads of its parent and the lock that one of them may have
+    held.
+    """
     global _lock
     _lock = threading.Lock()
     _pools.clear()
@@ -50,7 +58,8 @@ if hasattr(os, "register_at_fork"):
 
 
 MOST_THREADS = 4096
-"""Threads of one call at most: each takes memory, and more than there are processors bring nothing."""
+"""Threads of one call at most: each takes memory, and more than there are processors bring
+nothing."""
 
 
 def processors() -> int:
@@ -62,23 +71,31 @@ def thread_count(threads: Any) -> int:
     """How many threads are wanted. Errors: `InputError`."""
     if threads is not None and not (is_whole(threads) and 1 <= threads <= MOST_THREADS):
         raise InputError(
-            f"threads is {shown(threads)}; it must be None (all processors) or a whole number, at least 1 and at most "
-            f"{MOST_THREADS}"
+            f"threads is {shown(threads)}; it must be None (all processors) or a whole number, at "
+            f"least 1 and at most {MOST_THREADS}"
         )
     return int(threads or processors())
 
 
 def over_chunks(
-    work: Callable[[int, int], int], count: int, chunk: int | None, threads: int | None, serial_below: int
+    work: Callable[[int, int], int],
+    count: int,
+    chunk: int | None,
+    threads: int | None,
+    serial_below: int,
 ) -> int:
-    """Sum of ``work(start, stop)`` over fixed chunks of ``range(count)``; one thread below `serial_below` items.
+    """Sum of ``work(start, stop)`` over fixed chunks of ``range(count)``; one thread below
+    `serial_below` items.
 
     With `chunk` None each thread has one piece.
 
-    The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
-    processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
+    The calling thread works too. Each thread takes the next chunk when it is done with one, so a
+    thread that gets no processor holds nobody up for longer than a chunk. If one fails or is
+    interrupted, no further chunk is begun.
     """
-    few = threads is None and chunk is not None and count < serial_below  # nobody needs to ask the system
+    few = (
+        threads is None and chunk is not None and count < serial_below
+    )  # nobody needs to ask the system
     most = 1 if few else thread_count(threads)
     if chunk is None:
         chunk = max(serial_below, -(-count // most))
@@ -109,7 +126,10 @@ def over_chunks(
         with watched_by(*watching):
             return take_chunks()
 
-    from concurrent.futures import ThreadPoolExecutor, wait  # which imports what one thread does not need
+    from concurrent.futures import (
+        ThreadPoolExecutor,
+        wait,
+    )  # which imports what one thread does not need
 
     with _lock:
         pool = _pools.get(n)

@@ -1,4 +1,6 @@
-"""What all results of verbs share: whether a question was answered, the sentence that says so, text, HTML and JSON."""
+"""What all results of verbs share: whether a question was answered, the sentence that says so,
+text, HTML and JSON.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,15 @@ from kempe.calls import explained_methods
 from kempe.errors import KempeError
 from kempe.reals import plain
 from kempe.status import Status, named
-from kempe.words import by_topic, image_html, json_text, jsonable, paragraphs, table_html, topics_html
+from kempe.words import (
+    by_topic,
+    image_html,
+    json_text,
+    jsonable,
+    paragraphs,
+    table_html,
+    topics_html,
+)
 
 MOST_JUDGED = 1_000_000
 """Coordinates up to which configurations are judged for their `data`."""
@@ -66,21 +76,29 @@ class Nearest(Protocol):
 class Result:
     """Base of all results: `Answer`, which has configurations, and `Report`, which has findings.
 
-    `success` (...) says whether the question was answered, `code` (...) is its `Status` (of a batch an array of their
-    numbers), `status` (...) the sentence that says so. A result is true where all of `success` is; `print` it.
+    `success` (...) says whether the question was answered, `code` (...) is its `Status` (of a batch
+    an array of their numbers), `status` (...) the sentence that says so. A result is true where all
+    of `success` is; `print` it.
     """
 
     success: Any
     code: Any
     status: Any
     within: Nearest | None = None
-    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None:
+    it was itself."""
     _pictured = False
     """Whether a notebook shows its `plot`, too: where the picture says more than the numbers."""
 
     def data(self) -> dict[str, Any]:
-        """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`, NaN as None."""
-        said = {"success": np.asarray(self.success).tolist(), "code": named(self.code), "status": self.status}
+        """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`,
+        NaN as None.
+        """
+        said = {
+            "success": np.asarray(self.success).tolist(),
+            "code": named(self.code),
+            "status": self.status,
+        }
         return jsonable(self._head() | said | self._data())
 
     def to_json(self) -> str:
@@ -120,7 +138,9 @@ class Result:
         return bool(np.all(self.success))
 
     def __str__(self) -> str:
-        return "\n".join([self._headline(), *(f"  {line}" for line in (*self._lines(), *self._notes()))])
+        return "\n".join(
+            [self._headline(), *(f"  {line}" for line in (*self._lines(), *self._notes()))]
+        )
 
     def _repr_html_(self) -> str:
         cells = self._cells()
@@ -140,7 +160,9 @@ class Result:
         return image_html(np.ravel(axes)[0].figure, self._headline())
 
 
-by_code: Any = property(lambda self: plain(np.asarray(self.code) == Status.SOLVED), doc="Whether (...) it is answered.")
+by_code: Any = property(
+    lambda self: plain(np.asarray(self.code) == Status.SOLVED), doc="Whether (...) it is answered."
+)
 """The `success` of results that have only a `code`."""
 
 
@@ -171,7 +193,11 @@ class Report(Result):
 
     def _repr_html_(self) -> str:
         topics = self.topics()
-        return paragraphs([self._headline()]) + topics_html(topics) if topics else super()._repr_html_()
+        return (
+            paragraphs([self._headline()]) + topics_html(topics)
+            if topics
+            else super()._repr_html_()
+        )
 
 
 class Words(NamedTuple):

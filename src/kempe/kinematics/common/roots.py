@@ -6,16 +6,18 @@ import math
 from collections.abc import Callable
 
 ROUNDING = 1e-15
-"""Distance of two points, absolute and as a part of their size, between which a function is not looked at again."""
+"""Distance of two points, absolute and as a part of their size, between which a function is not
+looked at again."""
 
 
 def sign_change(f: Callable[[float], float], low: float, high: float) -> float | None:
-    """The place, to rounding, where f changes its sign between low and high; None where it has one sign at both ends.
+    """The place, to rounding, where f changes its sign between low and high; None where it has one
+    sign at both ends.
 
-    What is returned is a place where f was evaluated: the one of the last two with the smaller value. Inverse quadratic
-    interpolation where it is safe, else bisection. Source: T. R. Chandrupatla, "A new hybrid quadratic/bisection
-    algorithm for finding the zero of a nonlinear function without using derivatives", Advances in Engineering
-    Software 28 (1997), 145-149.
+    What is returned is a place where f was evaluated: the one of the last two with the smaller
+    value. Inverse quadratic interpolation where it is safe, else bisection. Source: T. R.
+    Chandrupatla, "A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
+    function without using derivatives", Advances in Engineering Software 28 (1997), 145-149.
     """
     b = low
     a = high
@@ -44,5 +46,7 @@ def sign_change(f: Callable[[float], float], low: float, high: float) -> float |
         phi = (fa - fb) / (fc - fb)
         part = 0.5
         if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
-            part = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+            part = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (
+                fc - fb
+            )
         part = min(max(part, margin), 1.0 - margin)

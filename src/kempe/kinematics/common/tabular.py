@@ -24,16 +24,20 @@ class Tabular:
         raise NotImplementedError
 
     def save(self, path: str | Path) -> Path:
-        """Write the `table` to a .csv file, with the names in its first line, or to a .npy file; returns the path.
+        """Write the `table` to a .csv file, with the names in its first line, or to a .npy file;
+        returns the path.
 
-        Numbers are written in full: what is read again is equal. Errors: `InputError` for other endings, and where
-        the file cannot be written.
+        Numbers are written in full: what is read again is equal. Errors: `InputError` for other
+        endings, and where the file cannot be written.
         """
         return write_table(path, *self.table())
 
 
-def write_table(path: str | Path, names: Sequence[str], rows: Array, array: Array | None = None) -> Path:
-    """The path written: `rows` (n, k) with their column names to a .csv, or `array` (the rows) to a .npy file.
+def write_table(
+    path: str | Path, names: Sequence[str], rows: Array, array: Array | None = None
+) -> Path:
+    """The path written: `rows` (n, k) with their column names to a .csv, or `array` (the rows) to a
+    .npy file.
 
     Errors: `InputError`.
     """
@@ -45,14 +49,18 @@ def write_table(path: str | Path, names: Sequence[str], rows: Array, array: Arra
             np.save(path, rows if array is None else array)
         else:
             header = ",".join(names)
-            np.savetxt(path, rows, delimiter=",", fmt="%.17g", header=header, comments="", encoding="utf-8")
+            np.savetxt(
+                path, rows, delimiter=",", fmt="%.17g", header=header, comments="", encoding="utf-8"
+            )
     except OSError as error:
         raise InputError(f"{path}: it cannot be written: {error.strerror or error}") from None
     return path
 
 
 def table_file(path: str | Path) -> Path:
-    """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor .npy."""
+    """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor
+    .npy.
+    """
     path = expanded(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
@@ -65,7 +73,9 @@ def as_numbers(parts: Sequence[str], what: str) -> list[float]:
         return [float(part) for part in parts]
     except ValueError:
         bad = next(part.strip() for part in parts if not is_number(part))
-        raise InputError(f"{what}: {bad!r} is not a number; write numbers with commas between them") from None
+        raise InputError(
+            f"{what}: {bad!r} is not a number; write numbers with commas between them"
+        ) from None
 
 
 def is_number(text: str) -> bool:
@@ -89,14 +99,18 @@ def _unquoted(cell: str) -> str:
 
 
 def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
-    """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty cells.
+    """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty
+    cells.
 
-    Cells may stand in quotation marks, as a program writes them that quotes all cells. Errors: `InputError`.
+    Cells may stand in quotation marks, as a program writes them that quotes all cells. Errors:
+    `InputError`.
     """
     out = np.empty((len(lines), width))
     for row, (line, text) in zip(out, lines, strict=True):
         cells = text.split(",")
         if len(cells) != width:
-            raise InputError(f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}")
+            raise InputError(
+                f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}"
+            )
         row[:] = as_numbers([_unquoted(cell) or "nan" for cell in cells], f"{path}:{line}")
     return out

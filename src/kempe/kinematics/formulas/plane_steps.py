@@ -1,6 +1,7 @@
 """The closing of three joints in the plane in steps: two circles, a line and a circle, two lines.
 
-An arm that reaches a point or a pose, and a dyad between two links, are the same triangle (Assur, 1914).
+An arm that reaches a point or a pose, and a dyad between two links, are the same triangle (Assur,
+1914).
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def cross(a: Vector, b: Vector) -> Any:
 
 
 def polar(v: Vector) -> tuple[Any, Any]:
-    """Length and angle of a vector; of one along x, or with parameters along an axis, without a root."""
+    """Length and angle of a vector; of one along x, or with parameters along an axis, without a
+    root.
+    """
     x, y = map(sympy.expand, v)
     if y == 0:
         sense = x.could_extract_minus_sign()
@@ -51,13 +54,17 @@ def polar(v: Vector) -> tuple[Any, Any]:
 
 
 def unless_zero(*lengths: Any, named: Any = None) -> str:
-    """The condition that none of some expressions is zero, without those that are other numbers; of one its name."""
+    """The condition that none of some expressions is zero, without those that are other numbers; of
+    one its name.
+    """
     left = [x if named is None else named for x in lengths if not x.is_number or x.is_zero]
     return " and ".join(f"{x} != 0" for x in left)
 
 
 def endings() -> Iterator[str]:
-    """What is put after the names of symbols, until a system has none of them: nothing, '_0', '_1', ..."""
+    """What is put after the names of symbols, until a system has none of them: nothing, '_0', '_1',
+    ...
+    """
     return itertools.chain([""], (f"_{k}" for k in itertools.count()))
 
 
@@ -85,24 +92,34 @@ class Names(NamedTuple):
 
 def two_circles(
     n: Names, to: Vector, l1: Any, l2: Any, says: str, sense: int = 1
-) -> tuple[list[FormulaStep], Any, Any]:  # fmt: skip
-    """Two bars of lengths l1, l2 that end at `to`: steps, the angle of the first, and that from it to the second.
+) -> tuple[list[FormulaStep], Any, Any]:
+    """Two bars of lengths l1, l2 that end at `to`: steps, the angle of the first, and that from it
+    to the second.
 
     Where `sign` times `sense` is +1 the second is turned to the left against the first.
     """
     x, y = to
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
-        FormulaStep(n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", unless_zero(l1, l2)),
+        FormulaStep(
+            n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", unless_zero(l1, l2)
+        ),
         FormulaStep(n.s2, sense * n.sign * sympy.sqrt(1 - n.c2**2), says, f"-1 <= {n.c2} <= 1"),
         FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
-        FormulaStep(n.beta, sympy.atan2(l2 * n.s2, l1 + l2 * n.c2), "angle from the first link to the target"),
+        FormulaStep(
+            n.beta,
+            sympy.atan2(l2 * n.s2, l1 + l2 * n.c2),
+            "angle from the first link to the target",
+        ),
     ]
     return steps, n.alpha - n.beta, sympy.atan2(n.s2, n.c2)
 
 
-def line_and_circle(n: Names, to: Vector, along: Vector, length: Any) -> tuple[list[FormulaStep], Any, Any]:
-    """A slide u along a direction, then a bar that ends at `to`: steps, u, and the angle of the bar.
+def line_and_circle(
+    n: Names, to: Vector, along: Vector, length: Any
+) -> tuple[list[FormulaStep], Any, Any]:
+    """A slide u along a direction, then a bar that ends at `to`: steps, u, and the angle of the
+    bar.
 
     Where `sign` is +1 it slides farther than where both roots meet.
     """
@@ -110,15 +127,20 @@ def line_and_circle(n: Names, to: Vector, along: Vector, length: Any) -> tuple[l
     aside = cross(along, to)
     steps = [
         FormulaStep(n.s2, aside / length, "part of the way across the slide", unless_zero(length)),
-        FormulaStep(n.c2, -n.sign * sympy.sqrt(1 - n.s2**2), "+1 slides farther", f"-1 <= {n.s2} <= 1"),
-        FormulaStep(n.u, ahead - length * n.c2, "the slide: part of the way along it, less that of the bar"),
+        FormulaStep(
+            n.c2, -n.sign * sympy.sqrt(1 - n.s2**2), "+1 slides farther", f"-1 <= {n.s2} <= 1"
+        ),
+        FormulaStep(
+            n.u, ahead - length * n.c2, "the slide: part of the way along it, less that of the bar"
+        ),
         FormulaStep(n.beta, sympy.atan2(n.s2, n.c2), "angle from the slide to the bar"),
     ]
     return steps, n.u, n.beta + polar(along)[1]
 
 
 def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep], Any, Any]:
-    """A rail that turns, on which a point slides at a distance `across`, to `to`: steps, the slide, the rail's angle.
+    """A rail that turns, on which a point slides at a distance `across`, to `to`: steps, the slide,
+    the rail's angle.
 
     Where `sign` is +1 it slides farther than where both roots meet, the foot of the rail's normal.
     """
@@ -127,7 +149,12 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
     far = f"{n.r2} >= {float(least):.6g}" if least.is_number else f"{n.r2} >= {least}"
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
-        FormulaStep(n.u, n.sign * sympy.sqrt(n.r2 - least), "the slide, by Pythagoras", far * (not least.is_zero)),
+        FormulaStep(
+            n.u,
+            n.sign * sympy.sqrt(n.r2 - least),
+            "the slide, by Pythagoras",
+            far * (not least.is_zero),
+        ),
         FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
         FormulaStep(n.beta, sympy.atan2(across, n.u), "angle from the rail to the target"),
     ]
@@ -135,9 +162,15 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
 
 
 def two_lines(n: Names, to: Vector, one: Vector, two: Vector) -> tuple[list[FormulaStep], Any, Any]:
-    """Two slides along directions that add up to `to`: steps, none for slides at right angles, and both slides."""
+    """Two slides along directions that add up to `to`: steps, none for slides at right angles, and
+    both slides.
+    """
     area = sympy.simplify(cross(one, two))
     if area in (1, -1):
         return [], area * cross(to, two), area * cross(one, to)
-    steps = [FormulaStep(n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2))]
+    steps = [
+        FormulaStep(
+            n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2)
+        )
+    ]
     return steps, cross(to, two) / n.c2, cross(one, to) / n.c2

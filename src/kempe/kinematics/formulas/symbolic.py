@@ -1,6 +1,8 @@
-"""The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2), from the same description.
+"""The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2), from the
+same description.
 
-The chain is walked as a product of turns and slides, see `kempe.kinematics.formulas.symbolic_turns`.
+The chain is walked as a product of turns and slides, see
+`kempe.kinematics.formulas.symbolic_turns`.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z.]+")
 """What is a word in the LaTeX of a name, not a letter or a command."""
 SPECIAL = re.compile(r"(?<!\\)[%#$&]")
 """What LaTeX would read as a command in a name of which sympy has set the indices."""
-ESCAPED = str.maketrans({c: "\\" + c for c in "%#$&_{}"} | {"^": r"\wedge ", "\\": r"\backslash ", "~": r"\sim "})
+ESCAPED = str.maketrans(
+    {c: "\\" + c for c in "%#$&_{}"} | {"^": r"\wedge ", "\\": r"\backslash ", "~": r"\sim "}
+)
 """All that LaTeX would read as a command in a name."""
 
 
@@ -45,30 +49,40 @@ def _degrees(x: Any) -> Any:
     return x * 180 / sympy.pi
 
 
-_FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)
+}
 _FUNCTIONS |= {"hypot": _hypot, "radians": _radians, "degrees": _degrees}
 
 
 @explained
 def symbolic_fk(
-    system: Compiled, frame: FrameLike, *, relative_to: FrameLike | None = None,
-    symbols: Mapping[str, Any] | None = None, snap: float = 0.0,
-) -> Any:  # fmt: skip
+    system: Compiled,
+    frame: FrameLike,
+    *,
+    relative_to: FrameLike | None = None,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> Any:
     """Pose of a body or frame as a sympy Matrix (4, 4), in coordinates and named parameters.
 
-    It is the pose in the ground frame, or in the frame `relative_to`, by the joints between the two.
+    It is the pose in the ground frame, or in the frame `relative_to`, by the joints between the
+    two.
 
-    Symbols are called like the coordinates and the parameters; `symbols` replaces some of them, by name, by other
-    symbols, expressions or numbers. Parallel joints come out merged: cos(q1 + q2). Coordinates that follow one other
-    or are locked are replaced by what they follow. Quaternions are taken to have norm one (`fk` normalises them).
-    Angles that are the nearest double to a multiple of pi/12 become exact; other numbers stay decimals. With `snap`,
-    angles within that many radians of a multiple of pi/2 become that multiple (robot files write 1.5708), and axes
-    that near to x, y or z become these; the attribute `snapped` of the result says which, one sentence each.
-    Jupyter shows the result as a formula; `sympy.latex` prints it.
+    Symbols are called like the coordinates and the parameters; `symbols` replaces some of them, by
+    name, by other symbols, expressions or numbers. Parallel joints come out merged: cos(q1 + q2).
+    Coordinates that follow one other or are locked are replaced by what they follow. Quaternions
+    are taken to have norm one (`fk` normalises them). Angles that are the nearest double to a
+    multiple of pi/12 become exact; other numbers stay decimals. With `snap`, angles within that
+    many radians of a multiple of pi/2 become that multiple (robot files write 1.5708), and axes
+    that near to x, y or z become these; the attribute `snapped` of the result says which, one
+    sentence each. Jupyter shows the result as a formula; `sympy.latex` prints it.
 
-    Errors: `UnknownNameError` for names; `InputError` for a `snap` that is not in [0, pi/4), and where a parameter and
-    a coordinate share a name; `UnsupportedError` beyond `TURN_LIMIT` turns; `MissingExtraError`
-    without sympy, `UnsupportedError` for particles where a frame is given that they are relative to.
+    Errors: `UnknownNameError` for names; `InputError` for a `snap` that is not in [0, pi/4), and
+    where a parameter and a coordinate share a name; `UnsupportedError` beyond `TURN_LIMIT` turns;
+    `MissingExtraError`
+    without sympy, `UnsupportedError` for particles where a frame is given that they are relative
+    to.
 
     >>> from kempe import Mechanism
     >>> arm = Mechanism("arm", dim=2)
@@ -90,9 +104,14 @@ def symbolic_fk(
 
 
 def in_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
-    """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names` says other ones."""
+    """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names`
+    says other ones.
+    """
     own = {
-        s: SPECIAL.sub(r"\\\g<0>", WORD.sub(r"\\mathrm{\g<0>}", sympy.latex(s)).replace(r" \mathrm", r"\,\mathrm"))
+        s: SPECIAL.sub(
+            r"\\\g<0>",
+            WORD.sub(r"\\mathrm{\g<0>}", sympy.latex(s)).replace(r" \mathrm", r"\,\mathrm"),
+        )
         for s in formula.free_symbols
     }
     return str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
@@ -111,7 +130,9 @@ def aligned(lines: Iterable[str]) -> str:
 # ---- the way from the ground to the frame, as turns, slides and constant rotations
 
 
-def _between(system: Compiled, name: str, base: FrameLike | None, leaves: SymbolLeaves) -> list[SymbolicStep]:
+def _between(
+    system: Compiled, name: str, base: FrameLike | None, leaves: SymbolLeaves
+) -> list[SymbolicStep]:
     """Motions from the ground, or from a frame, to another one."""
     if base is None:
         return [step for _, steps in way_to(system, name, leaves) for step in steps]
@@ -123,11 +144,15 @@ def _between(system: Compiled, name: str, base: FrameLike | None, leaves: Symbol
     return back + [step for _, steps in there[shared:] for step in steps]
 
 
-def oriented_way(system: Compiled, frame: FrameLike, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
+def oriented_way(
+    system: Compiled, frame: FrameLike, leaves: SymbolLeaves
+) -> list[tuple[str, list[SymbolicStep]]]:
     """The way to a frame that has an orientation, see `way_to`; `UnsupportedError` for particles."""
     name = system.structure.frame_name(frame)
     if system.structure.table.at[name][2]:
-        raise UnsupportedError(f"{name!r} is a particle and has no orientation; symbolic.fk gives its position")
+        raise UnsupportedError(
+            f"{name!r} is a particle and has no orientation; symbolic.fk gives its position"
+        )
     return way_to(system, name, leaves)
 
 
@@ -142,11 +167,17 @@ def _inverse(step: SymbolicStep) -> SymbolicStep:
         return SymbolicStep(step.kind, step.axis, -step.amount, step.subject)
     if step.kind == "rotation":
         return SymbolicStep(step.kind, amount=step.amount.T, subject=step.subject)
-    return SymbolicStep({"align": "unalign", "unalign": "align"}[step.kind], step.axis, None, step.subject)
+    return SymbolicStep(
+        {"align": "unalign", "unalign": "align"}[step.kind], step.axis, None, step.subject
+    )
 
 
-def way_to(system: Compiled, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
-    """Each body on the way from the ground to a body or frame, with the motions from the body before it."""
+def way_to(
+    system: Compiled, name: str, leaves: SymbolLeaves
+) -> list[tuple[str, list[SymbolicStep]]]:
+    """Each body on the way from the ground to a body or frame, with the motions from the body
+    before it.
+    """
     mechanism = system.mechanism
     tree = system.structure.topology
     frame = mechanism.frames.get(name)
@@ -155,7 +186,9 @@ def way_to(system: Compiled, name: str, leaves: SymbolLeaves) -> list[tuple[str,
     while number:
         i = number - 1
         joint = mechanism.joints[tree.parent_joints[i]]
-        out.append((tree.bodies[number], list(_joint_steps(system, joint, tree.reversed_[i], leaves))))
+        out.append(
+            (tree.bodies[number], list(_joint_steps(system, joint, tree.reversed_[i], leaves)))
+        )
         number = tree.parent[i]
     out.reverse()
     if frame:
@@ -163,7 +196,9 @@ def way_to(system: Compiled, name: str, leaves: SymbolLeaves) -> list[tuple[str,
     return out
 
 
-def _joint_steps(system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+def _joint_steps(
+    system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves
+) -> Iterator[SymbolicStep]:
     subject = f"joint {joint.name!r}"
     first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
     yield from placement_steps(first, subject, leaves)
@@ -171,7 +206,9 @@ def _joint_steps(system: Compiled, joint: Joint, backwards: bool, leaves: Symbol
     yield from placement_steps(last.inverse(), subject, leaves)
 
 
-def joint_motions(system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+def joint_motions(
+    system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves
+) -> Iterator[SymbolicStep]:
     """The motions of a joint from its frame F to M, or back."""
     mechanism = system.mechanism
     subject = f"joint {joint.name!r}"
@@ -181,28 +218,40 @@ def joint_motions(system: Compiled, joint: Joint, backwards: bool, leaves: Symbo
     for p in reversed(primitives) if backwards else primitives:
         if p.kind == Q:
             turned = leaves.ball(names[p.coordinate : p.coordinate + 4], subject)
-            yield SymbolicStep("rotation", amount=turned.T if backwards else turned, subject=subject)
+            yield SymbolicStep(
+                "rotation", amount=turned.T if backwards else turned, subject=subject
+            )
         else:
             amount = sign * _number(p.multiplier) * leaves.coordinate(names[p.coordinate])
-            yield SymbolicStep("turn" if p.kind == R else "slide", sympy.Matrix(AXES[p.axis]), amount, subject)
+            yield SymbolicStep(
+                "turn" if p.kind == R else "slide", sympy.Matrix(AXES[p.axis]), amount, subject
+            )
 
 
 def placement_steps(X: Placement, subject: str, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
     """The motions of a placement."""
     for motion, numbers in X.steps:
         if motion in AXES:
-            yield SymbolicStep("slide", sympy.Matrix(AXES[motion]), leaves.value(numbers[0]), subject)
+            yield SymbolicStep(
+                "slide", sympy.Matrix(AXES[motion]), leaves.value(numbers[0]), subject
+            )
         elif motion in ("rx", "ry", "rz"):
-            yield SymbolicStep("turn", sympy.Matrix(AXES[motion[1]]), leaves.angle(numbers[0], subject), subject)
+            yield SymbolicStep(
+                "turn", sympy.Matrix(AXES[motion[1]]), leaves.angle(numbers[0], subject), subject
+            )
         elif motion in ("align", "unalign"):
             yield SymbolicStep(motion, leaves.direction(numbers, subject), None, subject)
         elif motion == "quat_wxyz" and any(isinstance(x, Expression) for x in numbers):
             any_length = [leaves.value(x) for x in numbers]
             length = sympy.sqrt(sum(x**2 for x in any_length))
-            yield SymbolicStep("rotation", amount=_ball([x / length for x in any_length]), subject=subject)
+            yield SymbolicStep(
+                "rotation", amount=_ball([x / length for x in any_length]), subject=subject
+            )
         else:
             constant = Placement(((motion, numbers),)).evaluate({})[:3, :3]
-            yield SymbolicStep("rotation", amount=leaves.constant(constant, subject), subject=subject)
+            yield SymbolicStep(
+                "rotation", amount=leaves.constant(constant, subject), subject=subject
+            )
 
 
 def _ball(quat_wxyz: list[Any]) -> Any:
@@ -219,11 +268,19 @@ def _ball(quat_wxyz: list[Any]) -> Any:
 
 
 class SymbolLeaves:
-    """What the names and numbers of a description are in the formula, and the angles that were snapped."""
+    """What the names and numbers of a description are in the formula, and the angles that were
+    snapped.
+    """
 
     def __init__(self, system: Compiled, symbols: Mapping[str, Any], snap: float):
-        if isinstance(snap, bool) or not isinstance(snap, (int, float)) or not 0.0 <= snap < math.pi / 4:
-            raise InputError(f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4")
+        if (
+            isinstance(snap, bool)
+            or not isinstance(snap, (int, float))
+            or not 0.0 <= snap < math.pi / 4
+        ):
+            raise InputError(
+                f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4"
+            )
         mechanism = system.mechanism
         self.snap = float(snap)
         self.locks = mechanism.locks
@@ -235,11 +292,15 @@ class SymbolLeaves:
         given = {k: sympy.sympify(v) for k, v in symbols.items()}
         self.given = given
         if None in given.values():
-            raise InputError(f"symbols is {symbols}; its values must be symbols, expressions or numbers")
+            raise InputError(
+                f"symbols is {symbols}; its values must be symbols, expressions or numbers"
+            )
         self.parameters = {n: given.get(n, sympy.Symbol(n)) for n in mechanism.parameters}
         self.coordinates = {n: given.get(n, sympy.Symbol(n)) for n in system.coordinate_names}
         for name in self.parameters.keys() & self.coordinates.keys():
-            raise InputError(f"{name!r} is the name of a parameter and of a coordinate; rename one of them")
+            raise InputError(
+                f"{name!r} is the name of a parameter and of a coordinate; rename one of them"
+            )
         turning = _turning(system)
         for name in system.structure.couplings:  # each comes after those that it depends on
             self.coordinates[name] = self._follower(system, name, name in turning)
@@ -263,7 +324,9 @@ class SymbolLeaves:
     def ball(self, names: list[str], subject: str) -> Any:
         """Rotation of a quaternion coordinate, constant where that is locked."""
         if names[0] in self.locks:
-            return self.constant(spatial.quat_wxyz_to_matrix([self.locks[n] for n in names]), subject)
+            return self.constant(
+                spatial.quat_wxyz_to_matrix([self.locks[n] for n in names]), subject
+            )
         return _ball([self.coordinates[n] for n in names])
 
     def value(self, x: Value, subject: str = "") -> Any:
@@ -276,7 +339,11 @@ class SymbolLeaves:
         """An angle: exact where it is a multiple of pi/12, or of pi/2 after snapping."""
         if isinstance(x, Expression):
             formula = self.value(x)
-            return self._exact(float(formula), subject) if formula.is_Float or formula.is_Integer else formula
+            return (
+                self._exact(float(formula), subject)
+                if formula.is_Float or formula.is_Integer
+                else formula
+            )
         return self._exact(x, subject)
 
     def _exact(self, angle: float, subject: str) -> Any:
@@ -291,7 +358,9 @@ class SymbolLeaves:
         return sympy.Float(angle)
 
     def direction(self, axis: tuple[Any, ...], subject: str) -> Any:
-        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all but one zero."""
+        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all
+        but one zero.
+        """
         unit = spatial.unit(axis)
         nearest = np.rint(unit)
         off = float(np.linalg.norm(unit - nearest))
@@ -305,12 +374,16 @@ class SymbolLeaves:
         return sympy.Matrix([_number(x) for x in unit.tolist()])
 
     def constant(self, matrix: np.ndarray, subject: str) -> Any:
-        """A constant rotation matrix: a signed permutation after snapping, if it is near enough to one."""
+        """A constant rotation matrix: a signed permutation after snapping, if it is near enough to
+        one.
+        """
         nearest = np.rint(matrix)
         if self.snap and abs(np.linalg.det(nearest)) == 1.0 and not np.array_equal(nearest, matrix):
             angle = float(np.linalg.norm(spatial.log_so3(nearest.T @ matrix)))
             if angle <= self.snap:
-                self.snapped.append(f"{subject}: rotation matrix moved by {angle:.3g} rad to quarter turns")
+                self.snapped.append(
+                    f"{subject}: rotation matrix moved by {angle:.3g} rad to quarter turns"
+                )
                 matrix = nearest
         return sympy.Matrix(3, 3, [_number(float(x)) for x in matrix.ravel()])
 
@@ -327,7 +400,9 @@ def _turning(system: Compiled) -> set[str]:
 
 
 def _number(x: Any) -> Any:
-    """A number as sympy prints it best: whole numbers exactly, others as decimals of the same double."""
+    """A number as sympy prints it best: whole numbers exactly, others as decimals of the same
+    double.
+    """
     if isinstance(x, str):
         return sympy.nan
     return sympy.Integer(int(x)) if float(x).is_integer() else sympy.Float(float(x))

@@ -1,4 +1,6 @@
-"""The equations f(q) = 0 of closed loops in symbols: of each joint that the tree left out, and of rods and slots."""
+"""The equations f(q) = 0 of closed loops in symbols: of each joint that the tree left out, and of
+rods and slots.
+"""
 
 from __future__ import annotations
 
@@ -63,15 +65,16 @@ class SymbolicClosure:
 @explained
 def symbolic_closure(
     system: Compiled, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
-) -> SymbolicClosure:  # fmt: skip
-    """The equations f(q) = 0 that closed configurations satisfy, in coordinates and named parameters.
+) -> SymbolicClosure:
+    """The equations f(q) = 0 that closed configurations satisfy, in coordinates and named
+    parameters.
 
-    A joint that the tree left out holds places and directions of its frame M in its frame F; where the coordinates of
-    this joint are not needed for that they do not occur. Places are in metres, in axes of the ground where all of them
-    are held, else in those of F; turns are sines of angles, so that they are zero half a turn off, too. A rod gives
-    the difference of the squares of two lengths. `symbols` and `snap` are those of
-    `kempe.kinematics.formulas.symbolic.symbolic_fk`; besides its errors, `UnsupportedError` for constraints of other
-    kinds.
+    A joint that the tree left out holds places and directions of its frame M in its frame F; where
+    the coordinates of this joint are not needed for that they do not occur. Places are in metres,
+    in axes of the ground where all of them are held, else in those of F; turns are sines of angles,
+    so that they are zero half a turn off, too. A rod gives the difference of the squares of two
+    lengths. `symbols` and `snap` are those of `kempe.kinematics.formulas.symbolic.symbolic_fk`;
+    besides its errors, `UnsupportedError` for constraints of other kinds.
 
     >>> import kempe
     >>> symbolic_closure(kempe.load("four_bar"))["C"][0]
@@ -121,7 +124,9 @@ def _of_joint(system: Compiled, joint: Joint, explicit: bool, leaves: SymbolLeav
 
 
 def _turns(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[Any]:
-    """What is zero where M is turned against F only as a joint allows; parallel turns on both ways are merged."""
+    """What is zero where M is turned against F only as a joint allows; parallel turns on both ways
+    are merged.
+    """
     if held_turns == "z":
         return [pose_of([*M, *inverse_of(F)], leaves)[1, 0]]
     R = pose_of([*inverse_of(F), *M], leaves)[:3, :3] if held_turns else sympy.eye(3)
@@ -137,14 +142,22 @@ def _of_constraint(system: Compiled, constraint: Declared, leaves: SymbolLeaves)
     rows = position_rows(of, dim)
     other = [r for r in rows if r.op not in (Op.POINT, Op.DISTANCE)]
     if other or not constraint.parent:
-        raise UnsupportedError(f"constraint {constraint.name!r} is of kind {of.kind}; formulas are known of distances "
-                               "and of points on lines and planes; loops.constraints() has numbers")  # fmt: skip
+        raise UnsupportedError(
+            f"constraint {constraint.name!r} is of kind {of.kind}; formulas are known of distances "
+            "and of points on lines and planes; loops.constraints() has numbers"
+        )
     made = with_numbers(of, system.structure.parameters)
     ends: list[Any] = []
     goal = made.goal(dim)
     tool = np.reshape(made.tool(dim), (4, 4))
-    for body, X, more in ((constraint.parent, constraint.X_PF, goal), (constraint.child, constraint.X_CM, tool)):
-        steps = [*_way(system, body, leaves), *placement_steps(X @ placement_of_pose(more), subject, leaves)]
+    for body, X, more in (
+        (constraint.parent, constraint.X_PF, goal),
+        (constraint.child, constraint.X_CM, tool),
+    ):
+        steps = [
+            *_way(system, body, leaves),
+            *placement_steps(X @ placement_of_pose(more), subject, leaves),
+        ]
         ends.append(pose_of(steps, leaves))
     gap = ends[1][:3, 3] - ends[0][:3, 3]
     out: list[Any] = []
@@ -152,6 +165,9 @@ def _of_constraint(system: Compiled, constraint: Declared, leaves: SymbolLeaves)
         name = held(of, row)
         value: Any = getattr(of, name) if name else 0.0
         value = leaves.value(value if row.part is None else value[row.part])
-        out.append(gap.dot(gap) - value**2 if row.op is Op.DISTANCE else
-                   ends[0][:3, int(row.args[0])].dot(gap) - value)  # fmt: skip
+        out.append(
+            gap.dot(gap) - value**2
+            if row.op is Op.DISTANCE
+            else ends[0][:3, int(row.args[0])].dot(gap) - value
+        )
     return sympy.Matrix([sympy.expand(f) for f in out])

@@ -1,4 +1,6 @@
-"""Denavit-Hartenberg tables of chains: from the lines of the axes at q = 0, lengths in named parameters."""
+"""Denavit-Hartenberg tables of chains: from the lines of the axes at q = 0, lengths in named
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +29,14 @@ SMALL = 1e-12
 """Numbers below this are rounding."""
 PARALLEL = 1e-8
 NEARLY = 1e-3
-"""Directions nearer than the first [rad] are parallel: the feet of their common normal would be so far away that their
-digits say less. Of those nearer than the second the normal is small."""
+"""Directions nearer than the first [rad] are parallel: the feet of their common normal would be so
+far away that their digits say less. Of those nearer than the second the normal is small."""
 
 
 @dataclass(frozen=True, eq=False)
 class DHTable(Report):
-    """The table of a chain: a `DHRow` for each joint, with the pose of frame 0 and that of the tip in the last frame.
+    """The table of a chain: a `DHRow` for each joint, with the pose of frame 0 and that of the tip
+    in the last frame.
 
     Lengths are numbers or text in parameters, angles radians; `base` and `tool` are numbers (4, 4).
     """
@@ -60,23 +63,42 @@ class DHTable(Report):
         rows: list[list[str]] = []
         for row in self.rows:
             turns = row.type == "revolute"
-            theta, d = (f"{_shown(x)} + {row.name}" if moves and _shown(x) != "0" else row.name if moves else _shown(x)
-                        for x, moves in ((row.theta, turns), (row.d, not turns)))  # fmt: skip
+            theta, d = (
+                f"{_shown(x)} + {row.name}"
+                if moves and _shown(x) != "0"
+                else row.name
+                if moves
+                else _shown(x)
+                for x, moves in ((row.theta, turns), (row.d, not turns))
+            )
             rows.append([str(row.name), _shown(row.a), _shown(row.alpha), str(d), str(theta)])
         return ("joint", "a", "alpha", "d", "theta"), rows
 
     def _notes(self) -> list[str]:
-        said = (("frame 0 in the ground", self.base), (f"{self.frame} in the last frame", self.tool))
+        said = (
+            ("frame 0 in the ground", self.base),
+            (f"{self.frame} in the last frame", self.tool),
+        )
         return [f"{what}: {_place(X)}" for what, X in said if np.abs(X - np.eye(4)).max() > SMALL]
 
     def _data(self) -> dict[str, Any]:
-        numbers = [{k: getattr(row, k) for k in ("name", "type", "a", "alpha", "d", "theta")} for row in self.rows]
-        return {"frame": self.frame, "convention": self.convention, "rows": numbers, "base": self.base,
-                "tool": self.tool}  # fmt: skip
+        numbers = [
+            {k: getattr(row, k) for k in ("name", "type", "a", "alpha", "d", "theta")}
+            for row in self.rows
+        ]
+        return {
+            "frame": self.frame,
+            "convention": self.convention,
+            "rows": numbers,
+            "base": self.base,
+            "tool": self.tool,
+        }
 
 
 class JointLine(NamedTuple):
-    """The line of a joint at q = 0: a point and a unit direction, its coordinate, whether it turns, its limits."""
+    """The line of a joint at q = 0: a point and a unit direction, its coordinate, whether it turns,
+    its limits.
+    """
 
     point: Any
     along: Any
@@ -92,16 +114,22 @@ class JointLine(NamedTuple):
 
 @explained
 def to_dh(
-    system: Compiled, frame: FrameLike, convention: str = "standard", *, symbols: Mapping[str, Any] | None = None,
+    system: Compiled,
+    frame: FrameLike,
+    convention: str = "standard",
+    *,
+    symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
-) -> DHTable:  # fmt: skip
+) -> DHTable:
     """The Denavit-Hartenberg table of the chain that moves a frame; ``print`` it.
 
-    Frames stand on the common normals of neighbouring axes (Denavit and Hartenberg, 1955); where axes are parallel, d
-    is zero; of axes that are nearly so the common normal is far away, unless `snap` makes them parallel. `convention`
-    is "standard" or "modified", as `kempe.from_dh` explains it. Parameters on which directions depend are replaced by
-    their numbers. `symbols` and `snap` are those of `symbolic_fk`, for files whose angles are rounded. Errors: those of
-    `symbolic_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing moves the frame.
+    Frames stand on the common normals of neighbouring axes (Denavit and Hartenberg, 1955); where
+    axes are parallel, d is zero; of axes that are nearly so the common normal is far away, unless
+    `snap` makes them parallel. `convention` is "standard" or "modified", as `kempe.from_dh`
+    explains it. Parameters on which directions depend are replaced by their numbers. `symbols` and
+    `snap` are those of `symbolic_fk`, for files whose angles are rounded. Errors: those of
+    `symbolic_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing moves
+    the frame.
 
     >>> import kempe
     >>> print(to_dh(kempe.load("two_link"), "e"))
@@ -120,12 +148,18 @@ def to_dh(
         given |= {str(s): values[str(s)] for s in found}  # directions depend on these lengths
 
 
-def _tabled(system: Compiled, frame: str, convention: str, leaves: SymbolLeaves) -> DHTable | set[Any]:
+def _tabled(
+    system: Compiled, frame: str, convention: str, leaves: SymbolLeaves
+) -> DHTable | set[Any]:
     """The table, or the parameters on which directions of normals depend."""
     axes, tip = joint_lines(system, frame, leaves)
-    unknown = set[Any]().union(tip.free_symbols, *(a.point.free_symbols | a.along.free_symbols for a in axes))
+    unknown = set[Any]().union(
+        tip.free_symbols, *(a.point.free_symbols | a.along.free_symbols for a in axes)
+    )
     if unknown := sorted(set(map(str, unknown)) - set(system.structure.parameters)):
-        raise UnsupportedError(f"no numbers are known for {', '.join(unknown)}: a table needs the sense of each length")
+        raise UnsupportedError(
+            f"no numbers are known for {', '.join(unknown)}: a table needs the sense of each length"
+        )
     tip_R = np.array(tip[:3, :3], dtype=float)
     lines = [*axes, JointLine(tip[:3, 3], tip[:3, 2])]
     start, x = _first(lines[0])
@@ -151,7 +185,16 @@ def _tabled(system: Compiled, frame: str, convention: str, leaves: SymbolLeaves)
         theta = _value(angle_about(x_axes[i], x, h))
         held = (a, alpha) if convention == "standard" else before
         before = (a, alpha)
-        rows.append(DHRow(*held, d, theta, "revolute" if axis.turns else "prismatic", axis.name, limits=axis.limits))
+        rows.append(
+            DHRow(
+                *held,
+                d,
+                theta,
+                "revolute" if axis.turns else "prismatic",
+                axis.name,
+                limits=axis.limits,
+            )
+        )
     base = _pose(x_axes[0], lines[0].along, start, system)
     last = ends[-1][1 if convention == "standard" else 0]
     X_n = _pose(x_axes[-1], lines[-1 if convention == "standard" else -2].along, last, system)
@@ -161,23 +204,33 @@ def _tabled(system: Compiled, frame: str, convention: str, leaves: SymbolLeaves)
 
 def joint_lines(
     system: Compiled, frame: str, leaves: SymbolLeaves, none: str = "there is no table"
-) -> tuple[list[JointLine], Any]:  # fmt: skip
+) -> tuple[list[JointLine], Any]:
     """The lines of the joints at q = 0, and the pose of the frame there; directions are numbers.
 
-    Errors: `UnsupportedError` for joints that are no turn or slide of their own, and, with the words `none`, where
-    nothing moves the frame.
+    Errors: `UnsupportedError` for joints that are no turn or slide of their own, and, with the
+    words `none`, where nothing moves the frame.
     """
-    steps = unwrapped(step for _, motions in oriented_way(system, frame, leaves) for step in motions)
-    names = {leaves.coordinate(n): n for n in system.coordinate_names if leaves.coordinate(n).is_Symbol}
+    steps = unwrapped(
+        step for _, motions in oriented_way(system, frame, leaves) for step in motions
+    )
+    names = {
+        leaves.coordinate(n): n for n in system.coordinate_names if leaves.coordinate(n).is_Symbol
+    }
     still: list[SymbolicStep] = []
     at: list[tuple[SymbolicStep, int, int, str]] = []
     for step in steps:
         amount: Any = step.amount
         moving = [name for s, name in names.items() if amount is not None and amount.has(s)]
         if amount is not None and moving:
-            rate: Any = sympy.diff(amount, leaves.coordinate(moving[0])) if step.kind != "rotation" else None
+            rate: Any = (
+                sympy.diff(amount, leaves.coordinate(moving[0]))
+                if step.kind != "rotation"
+                else None
+            )
             if len(moving) > 1 or rate not in (1, -1) or any(moving[0] == name for *_, name in at):
-                raise UnsupportedError(f"{step.subject} has no row in a table: each has a turn or a slide of its own")
+                raise UnsupportedError(
+                    f"{step.subject} has no row in a table: each has a turn or a slide of its own"
+                )
             at.append((step, len(still), int(rate), moving[0]))
             step = replace(step, amount=amount.xreplace(dict.fromkeys(names, 0)))
         still.append(step)
@@ -186,22 +239,30 @@ def joint_lines(
     values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
     poses = [pose_of(still[:k], leaves) for _, k, _, _ in at] + [pose_of(still, leaves)]
     poses = [X.applyfunc(_decimal) for X in poses]
-    directions = [X[:3, :3] * step.axis * rate for X, (step, _, rate, _) in zip(poses[:-1], at, strict=True)]
+    directions = [
+        X[:3, :3] * step.axis * rate for X, (step, _, rate, _) in zip(poses[:-1], at, strict=True)
+    ]
     bent = set[Any]().union(*(v.free_symbols for v in [*directions, poses[-1][:3, :3]]))
     fixed = {s: values[s] for s in bent if s in values}
-    bounds: dict[str, Any] = dict(zip(system.structure.velocity_names, system.structure.limits.tolist(), strict=True))
+    bounds: dict[str, Any] = dict(
+        zip(system.structure.velocity_names, system.structure.limits.tolist(), strict=True)
+    )
     out: list[JointLine] = []
     for X, h, (step, _, _, name) in zip(poses[:-1], directions, at, strict=True):
         low, high = bounds[name]
         bounded = None if math.isinf(low) and math.isinf(high) else (low, high)
-        out.append(JointLine(X[:3, 3].subs(fixed), tidy(h.subs(fixed)), name, step.kind == "turn", bounded))
+        out.append(
+            JointLine(X[:3, 3].subs(fixed), tidy(h.subs(fixed)), name, step.kind == "turn", bounded)
+        )
     tip = poses[-1].subs(fixed)
     tip[:3, :3] = tidy(tip[:3, :3])
     return out, tip
 
 
 def _first(axis: JointLine) -> tuple[Any, Any]:
-    """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground if it can be."""
+    """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground
+    if it can be.
+    """
     h = axis.along
     foot = axis.point - axis.along * axis.along.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
@@ -209,12 +270,14 @@ def _first(axis: JointLine) -> tuple[Any, Any]:
     return foot, tidy(x / sympy.sqrt(x.dot(x)))
 
 
-def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: Compiled, last: bool) -> tuple[Any, Any, Any]:
+def _normal(
+    one: JointLine, two: JointLine, at: Any, x: Any, system: Compiled, last: bool
+) -> tuple[Any, Any, Any]:
     """The feet of the common normal of two axes, and its direction, from the first to the second.
 
-    `at` is a point of the first axis, through which the normal of parallel axes goes, and `x` the direction that it has
-    where the axes are one; the last normal of parallel axes goes through the tip. Where the direction depends on
-    lengths these are its symbols.
+    `at` is a point of the first axis, through which the normal of parallel axes goes, and `x` the
+    direction that it has where the axes are one; the last normal of parallel axes goes through the
+    tip. Where the direction depends on lengths these are its symbols.
     """
     h = one.along
     k = two.along
@@ -243,7 +306,9 @@ def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: Compiled, l
 
 
 def angle_about(a: Any, b: Any, about: Any) -> Any:
-    """The angle from a to b about an axis that is perpendicular to both; multiples of 15 degrees exactly."""
+    """The angle from a to b about an axis that is perpendicular to both; multiples of 15 degrees
+    exactly.
+    """
     angle = sympy.atan2(about.dot(a.cross(b)), a.dot(b))
     exact = sympy.pi * sympy.Rational(round(float(angle) / math.pi * 12), 12)
     return exact if abs(float(angle - exact)) < SMALL else angle
@@ -260,7 +325,9 @@ def _chopped(x: Any) -> Any:
 
 
 def _decimal(x: Any) -> Any:
-    """Sines of numbers that sympy leaves as they are, as decimals: exact ones multiply out to pages."""
+    """Sines of numbers that sympy leaves as they are, as decimals: exact ones multiply out to
+    pages.
+    """
     return x.xreplace({f: f.evalf() for f in x.atoms(sympy.sin, sympy.cos) if f.is_number})
 
 
@@ -276,7 +343,9 @@ def _numbers(v: Any, system: Compiled) -> Array:
 def _pose(x: Any, z: Any, origin: Any, system: Compiled) -> Array:
     across = _numbers(x, system)
     along = _numbers(z, system)
-    across = across - along * (along @ across)  # of axes that are nearly parallel x is a rounded normal
+    across = across - along * (
+        along @ across
+    )  # of axes that are nearly parallel x is a rounded normal
     across = across / np.linalg.norm(across)
     axes = [across, np.cross(along, across), along]
     return spatial.pose(np.stack(axes, axis=1), _numbers(origin, system))
@@ -284,8 +353,10 @@ def _pose(x: Any, z: Any, origin: Any, system: Compiled) -> Array:
 
 def _place(X: Array) -> str:
     """A pose as the keywords by which a frame is placed."""
-    p, rpy = (", ".join(_shown(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v)) for v in
-              (X[:3, 3], spatial.matrix_to_rpy(X[:3, :3])))  # fmt: skip
+    p, rpy = (
+        ", ".join(_shown(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v))
+        for v in (X[:3, 3], spatial.matrix_to_rpy(X[:3, :3]))
+    )
     return f"at ({p}), rpy ({rpy})"
 
 

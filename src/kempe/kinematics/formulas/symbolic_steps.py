@@ -1,4 +1,6 @@
-"""The forward geometric model in symbols, step by step: the pose of each body in the body before it."""
+"""The forward geometric model in symbols, step by step: the pose of each body in the body before
+it.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ import numpy as np
 from kempe import spatial
 from kempe.calls import explained, flag, known
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, in_latex, oriented_way, symbolic_fk, upright
+from kempe.kinematics.formulas.symbolic import (
+    SymbolLeaves,
+    aligned,
+    in_latex,
+    oriented_way,
+    symbolic_fk,
+    upright,
+)
 from kempe.kinematics.formulas.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
@@ -20,14 +29,17 @@ if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled, FrameLike
 
 LONG = 3000
-"""Operations from which on a Jacobian is not multiplied out: each general joint makes it five times as long."""
+"""Operations from which on a Jacobian is not multiplied out: each general joint makes it five times
+as long."""
 FORMS = ("matrices", "separate", "products")
 """How `SymbolicSteps.latex` writes the model."""
 
 
 @dataclass(frozen=True, eq=False)
 class SymbolicSteps:
-    """The way from the ground to a frame: `T[i]` is the pose of `names[i + 1]` in `names[i]`, a sympy Matrix (4, 4)."""
+    """The way from the ground to a frame: `T[i]` is the pose of `names[i + 1]` in `names[i]`, a
+    sympy Matrix (4, 4).
+    """
 
     system: Compiled
     names: tuple[str, ...]
@@ -61,10 +73,12 @@ class SymbolicSteps:
         return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
 
     def latex(self, form: str = "matrices") -> str:
-        """The model in LaTeX, with the names of both frames at the left of each symbol, and the merged result.
+        """The model in LaTeX, with the names of both frames at the left of each symbol, and the
+        merged result.
 
-        `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each step and how they
-        combine, "products" the pose in the ground frame after each step. Errors: `UnknownNameError` for other forms.
+        `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each
+        step and how they combine, "products" the pose in the ground frame after each step. Errors:
+        `UnknownNameError` for other forms.
         """
         ground = self.names[0]
         tip = self.names[-1]
@@ -81,13 +95,18 @@ class SymbolicSteps:
                 place = rf"\left({place}\right)" if "+" in place else place
                 place = f"{_left(a, b, 'p')} + {_left(a, b, 'R')} {place}"
             lines.append(f"{_left(ground, tip, 'p')} &= {place} = {in_latex(self.merged[:3, 3])}")
-            lines.append(f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = {in_latex(self.merged[:3, :3])}")
+            lines.append(
+                f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = "
+                f"{in_latex(self.merged[:3, :3])}"
+            )
             return aligned(lines)
         shown = zip([(ground, b) for _, b in ways], self.products, strict=True)
         if form == "matrices":
             shown = zip(ways, self.T, strict=True)
         lines = [f"{_left(a, b)} &= {in_latex(T)}" for (a, b), T in shown]
-        return aligned([*lines, f"{_left(ground, tip)} &= {_product(ways)} = {in_latex(self.merged)}"])
+        return aligned(
+            [*lines, f"{_left(ground, tip)} &= {_product(ways)} = {in_latex(self.merged)}"]
+        )
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"
@@ -101,13 +120,18 @@ class SymbolicSteps:
 
 @explained
 def symbolic_steps(
-    system: Compiled, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    system: Compiled,
+    frame: FrameLike,
+    *,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
 ) -> SymbolicSteps:
-    """The matrices whose product is the forward model of a body or frame, one for each joint on the way.
+    """The matrices whose product is the forward model of a body or frame, one for each joint on the
+    way.
 
-    A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and errors are those of
-    `kempe.kinematics.formulas.symbolic.symbolic_fk`; besides, `UnsupportedError` for a frame of a particle, which has
-    no orientation.
+    A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and
+    errors are those of `kempe.kinematics.formulas.symbolic.symbolic_fk`; besides,
+    `UnsupportedError` for a frame of a particle, which has no orientation.
 
     >>> from kempe import Mechanism
     >>> arm = Mechanism("arm", dim=2)
@@ -136,14 +160,20 @@ def _product(ways: list[tuple[str, str]], what: str = "T") -> str:
 
 @explained
 def symbolic_jacobian(
-    system: Compiled, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    system: Compiled,
+    frame: FrameLike,
+    *,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
 ) -> Any:
-    """Jacobian of a body or frame in symbols: a sympy Matrix (6, nv), rows [linear; angular] in axes of the ground.
+    """Jacobian of a body or frame in symbols: a sympy Matrix (6, nv), rows [linear; angular] in
+    axes of the ground.
 
-    A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that slides along a has
-    [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied with velocities it gives what
-    `system.jacobian` gives in numbers. It is multiplied out where that is short. `symbols`, `snap` and errors are those
-    of `symbolic_steps`; besides, `UnsupportedError` where a ball with a quaternion moves the frame.
+    A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that
+    slides along a has [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied
+    with velocities it gives what `system.jacobian` gives in numbers. It is multiplied out where
+    that is short. `symbols`, `snap` and errors are those of `symbolic_steps`; besides,
+    `UnsupportedError` where a ball with a quaternion moves the frame.
     """
     leaves = SymbolLeaves(system, {}, snap)
     given = SymbolLeaves(system, symbols or {}, snap).given
@@ -154,7 +184,9 @@ def symbolic_jacobian(
     J = sympy.zeros(6, len(names))
     for k, step in enumerate(steps):
         if step.kind == "rotation" and step.amount.has(*map(sympy.Symbol, system.coordinate_names)):
-            raise UnsupportedError(f"{step.subject} turns by a quaternion; see joint type 'spherical' with angles=True")
+            raise UnsupportedError(
+                f"{step.subject} turns by a quaternion; see joint type 'spherical' with angles=True"
+            )
         moves = step.kind in ("turn", "slide")
         rates = [sympy.diff(step.amount, sympy.Symbol(name)) for name in names] if moves else []
         if any(rates):
@@ -168,7 +200,9 @@ def symbolic_jacobian(
 
 
 class ShortForm(NamedTuple):
-    """A formula in which c1 stands for cos(q1) and s12 for sin(q1 + q2), and what each of them stands for."""
+    """A formula in which c1 stands for cos(q1) and s12 for sin(q1 + q2), and what each of them
+    stands for.
+    """
 
     formula: Any
     legend: dict[Any, Any]
@@ -186,25 +220,31 @@ class ShortForm(NamedTuple):
 
 @explained
 def short_form(system: Compiled, formula: Any) -> ShortForm:
-    """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and the legend.
+    """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and
+    the legend.
 
-    A coordinate is named by the digit at the end of its name, where that tells it from the others, else after an
-    underscore by its name. Functions of anything else, and those whose short name the formula has already or another
-    angle has taken, stay as they are. Errors: `InputError` for what is no formula.
+    A coordinate is named by the digit at the end of its name, where that tells it from the others,
+    else after an underscore by its name. Functions of anything else, and those whose short name the
+    formula has already or another angle has taken, stay as they are. Errors: `InputError` for what
+    is no formula.
 
     >>> import kempe
     >>> arm = kempe.load("two_link")
     >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
     c1*l1 + c12*l2
     """
-    number: Any = getattr(formula, "item", None)  # one of numpy, which older versions of sympy do not read
+    number: Any = getattr(
+        formula, "item", None
+    )  # one of numpy, which older versions of sympy do not read
     given: Any = number() if callable(number) and np.ndim(formula) == 0 else formula
     try:
         read = sympy.sympify(given, strict=True)  # text would be evaluated
     except (sympy.SympifyError, TypeError):  # the latter from containers of what has no hash
         read = None
     if not isinstance(read, (sympy.Expr, sympy.Rel, sympy.MatrixBase)):
-        raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy")
+        raise InputError(
+            f"formula is {shown(formula)}; it must be an expression or a matrix of sympy"
+        )
     formula = read
     legend: dict[Any, Any] = {}
     words = _words(system)
@@ -215,7 +255,11 @@ def short_form(system: Compiled, formula: Any) -> ShortForm:
         if "-" in label:  # c1-2 would be a difference
             label = f"_{{{label.replace('-_', '-').lstrip('_').replace('_', ',')}}}"
         symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
-        if label and angles.setdefault(label, angle) == angle and symbol not in formula.free_symbols:
+        if (
+            label
+            and angles.setdefault(label, angle) == angle
+            and symbol not in formula.free_symbols
+        ):
             legend[symbol] = found
     return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
 
@@ -228,17 +272,27 @@ def short_fk(system: Compiled, frame: FrameLike, short: bool, **options: Any) ->
 
 
 def _words(system: Compiled) -> dict[Any, str]:
-    """Short names of the coordinates, in their order: digits where no two are the same and none has two of them."""
+    """Short names of the coordinates, in their order: digits where no two are the same and none has
+    two of them.
+    """
     names = system.coordinate_names
     ends = [re.search(r"\d+$", name) for name in names]
     digits = [end[0] for end in ends if end]
     short = len(set(digits)) == len(digits) and all(len(d) == 1 for d in digits)
-    return {sympy.Symbol(n): end[0] if end and short else f"_{n}" for n, end in zip(names, ends, strict=True)}
+    return {
+        sympy.Symbol(n): end[0] if end and short else f"_{n}"
+        for n, end in zip(names, ends, strict=True)
+    }
 
 
 def _label(words: Mapping[Any, str], angle: Any) -> str:
-    """Short name of a sum of coordinates, each with the sign plus or minus; '' for other expressions."""
-    terms = {symbol: sign for sign, symbol in (x.as_coeff_Mul() for x in sympy.Add.make_args(sympy.expand(angle)))}
+    """Short name of a sum of coordinates, each with the sign plus or minus; '' for other
+    expressions.
+    """
+    terms = {
+        symbol: sign
+        for sign, symbol in (x.as_coeff_Mul() for x in sympy.Add.make_args(sympy.expand(angle)))
+    }
     if not all(sign in (1, -1) and symbol in words for symbol, sign in terms.items()):
         return ""
     return "".join(

@@ -1,7 +1,9 @@
-"""Products of turns and slides in symbols, with parallel turns merged into one by the sum of their angles.
+"""Products of turns and slides in symbols, with parallel turns merged into one by the sum of their
+angles.
 
-Quarter turns only rename axes, so they are kept apart as a signed permutation at the right end; what is left is a list
-of turns about axes that stand still in the frame before, and neighbours about the same axis are merged.
+Quarter turns only rename axes, so they are kept apart as a signed permutation at the right end;
+what is left is a list of turns about axes that stand still in the frame before, and neighbours
+about the same axis are merged.
 """
 
 from __future__ import annotations
@@ -25,14 +27,17 @@ sympy: Any = _sympy
 """The package without types, of which it has only some."""
 
 TURN_LIMIT = 100
-"""Turns about different axes in one formula; it doubles in length with each, and nobody reads that."""
+"""Turns about different axes in one formula; it doubles in length with each, and nobody reads
+that."""
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
 @dataclass(frozen=True)
 class SymbolicStep:
-    """A turn by the angle or a slide by the length `amount` about or along an axis, or a rotation matrix."""
+    """A turn by the angle or a slide by the length `amount` about or along an axis, or a rotation
+    matrix.
+    """
 
     kind: str
     axis: Any = None
@@ -41,15 +46,23 @@ class SymbolicStep:
 
 
 def unwrapped(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
-    """The steps with 'align, motion about or along z, unalign' rewritten as that motion about or along the axis."""
+    """The steps with 'align, motion about or along z, unalign' rewritten as that motion about or
+    along the axis.
+    """
     out: list[SymbolicStep] = []
     for step in steps:
         if step.kind == "unalign":
             k = len(out)
-            while k and out[k - 1].kind in ("turn", "slide") and tuple(out[k - 1].axis or ()) == AXES["z"]:
+            while (
+                k
+                and out[k - 1].kind in ("turn", "slide")
+                and tuple(out[k - 1].axis or ()) == AXES["z"]
+            ):
                 k -= 1
             if k and out[k - 1].kind == "align" and out[k - 1].axis == step.axis:
-                out[k - 1 :] = [SymbolicStep(s.kind, step.axis, s.amount, s.subject) for s in out[k:]]
+                out[k - 1 :] = [
+                    SymbolicStep(s.kind, step.axis, s.amount, s.subject) for s in out[k:]
+                ]
                 continue
         out.append(step)
     return out
@@ -57,7 +70,9 @@ def unwrapped(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
 
 @dataclass
 class _Turn:
-    """A rotation (about `axis` by `angle`, or `matrix`) and the way from it to the next one, in turned axes."""
+    """A rotation (about `axis` by `angle`, or `matrix`) and the way from it to the next one, in
+    turned axes.
+    """
 
     way: Any
     axis: Any = None
@@ -79,7 +94,9 @@ class _Turn:
         x, y, z = self.axis
         across = sympy.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         # Rodrigues, 1840
-        return along + sympy.cos(self.angle) * (sympy.eye(3) - along) + sympy.sin(self.angle) * across
+        return (
+            along + sympy.cos(self.angle) * (sympy.eye(3) - along) + sympy.sin(self.angle) * across
+        )
 
 
 class TurnProduct:
@@ -99,7 +116,9 @@ class TurnProduct:
             self.rotate(step.amount)
         else:
             R_align = spatial.align_z([float(x) for x in step.axis])
-            self.rotate(leaves.constant(R_align if step.kind == "align" else R_align.T, step.subject))
+            self.rotate(
+                leaves.constant(R_align if step.kind == "align" else R_align.T, step.subject)
+            )
 
     def turn(self, axis: Any, angle: Any) -> None:
         """Turn by an angle about an axis of the frame reached so far."""
@@ -135,11 +154,15 @@ class TurnProduct:
         last = self.turns[-1]
         if last.constant and turn.constant:  # one matrix of numbers instead of a product
             self.turns[-2].way += _product(last.rotation(), last.way)
-            self.turns[-1] = _Turn(sympy.zeros(3, 1), matrix=_product(last.rotation(), turn.rotation()))
+            self.turns[-1] = _Turn(
+                sympy.zeros(3, 1), matrix=_product(last.rotation(), turn.rotation())
+            )
             return
         self.turns.append(turn)
         if len(self.turns) > TURN_LIMIT + 1:
-            raise UnsupportedError(f"the formula has more than {TURN_LIMIT} turns of different axes; take a subchain")
+            raise UnsupportedError(
+                f"the formula has more than {TURN_LIMIT} turns of different axes; take a subchain"
+            )
 
     def pose(self) -> tuple[Any, Any]:
         """Rotation (3, 3) and position (3, 1)."""
@@ -153,7 +176,9 @@ class TurnProduct:
 
 
 def _product(a: Any, b: Any) -> Any:
-    """Matrix product. Most entries are zero, and sympy asks of each factor of a zero whether it is finite."""
+    """Matrix product. Most entries are zero, and sympy asks of each factor of a zero whether it is
+    finite.
+    """
 
     def entry(i: int, j: int) -> Any:
         pairs = zip(a.row(i), b.col(j), strict=True)
@@ -164,7 +189,9 @@ def _product(a: Any, b: Any) -> Any:
 
 def _times(x: Any, y: Any) -> Any:
     """Product in which a sum of negative terms gives its sign to the other factor."""
-    return -x * -y if y.is_Add and all(term.could_extract_minus_sign() for term in y.args) else x * y
+    return (
+        -x * -y if y.is_Add and all(term.could_extract_minus_sign() for term in y.args) else x * y
+    )
 
 
 def _is_corner(axis: Any) -> bool:
@@ -177,4 +204,6 @@ def pose_of(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
     for step in unwrapped(steps):
         chain.add(step, leaves)
     rotation, position = chain.pose()
-    return sympy.Matrix(sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]]))
+    return sympy.Matrix(
+        sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]])
+    )

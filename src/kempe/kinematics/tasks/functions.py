@@ -19,7 +19,13 @@ from kempe.errors import InputError, shown
 from kempe.kinematics.configuration import random
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
-from kempe.kinematics.tasks.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
+from kempe.kinematics.tasks.derivatives import (
+    SUPPLIED,
+    check_supplied,
+    checked_value,
+    jacobian_of,
+    way_of,
+)
 from kempe.model.closures.callback import STEP, WEIGHTS, Callback
 from kempe.model.closures.packed_loops import characteristic_length
 from kempe.reals import is_sequence, reals
@@ -31,10 +37,12 @@ if TYPE_CHECKING:
 
 
 class Whole:
-    """A user's function of q (nq,), or of poses (4, 4) of frames, with its derivatives (m, nv), bound to one system.
+    """A user's function of q (nq,), or of poses (4, 4) of frames, with its derivatives (m, nv),
+    bound to one system.
 
-    It is called first at a random configuration, which finds how many numbers it gives and checks a given Jacobian.
-    Errors: `InputError` for what is no function, a wrong Jacobian, with its worst entry, values that are not finite.
+    It is called first at a random configuration, which finds how many numbers it gives and checks a
+    given Jacobian. Errors: `InputError` for what is no function, a wrong Jacobian, with its worst
+    entry, values that are not finite.
     """
 
     def __init__(self, system: Compiled, of: Any):
@@ -42,8 +50,14 @@ class Whole:
         self.label = of.label
         self.given = of.function
         self.supplied = of.derivative
-        self.frames = tuple(system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
-        takes = f"of {counted(len(self.frames), 'pose')} (4, 4)" if self.frames else f"of q ({system.nq},)"
+        self.frames = tuple(
+            system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}")
+        )
+        takes = (
+            f"of {counted(len(self.frames), 'pose')} (4, 4)"
+            if self.frames
+            else f"of q ({system.nq},)"
+        )
         if not callable(of.function):
             raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
         if not _takes(of.function, len(self.frames) or 1):
@@ -62,7 +76,14 @@ class Whole:
             rows: Callable[[Array], Any] = self.derivative
             if not found.ndim:
                 rows = lambda x: np.atleast_2d(self.derivative(x))  # noqa: E731
-            check_supplied(self.label, self.raw, rows, system.structure.layout, q, system.structure.velocity_names)
+            check_supplied(
+                self.label,
+                self.raw,
+                rows,
+                system.structure.layout,
+                q,
+                system.structure.velocity_names,
+            )
             self.how = SUPPLIED
         elif not self.frames:
             self.how = way_of(of.function, system.structure.layout, q)
@@ -89,16 +110,22 @@ class Whole:
 
     def _checked(self, found: Any) -> Array:
         if np.size(found) != self.count:
-            raise InputError(f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before")
+            raise InputError(
+                f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before"
+            )
         return reals(found, f"the value of {self.label}").reshape(self.count)
 
     def jacobian(self, q: Array) -> Array:
-        """The derivatives (m, nv) at q: through poses by differences of the function alone, six for each."""
+        """The derivatives (m, nv) at q: through poses by differences of the function alone, six for
+        each.
+        """
         shape = (self.count, self.system.nv)
         if self.how:
             layout = self.system.structure.layout
-            return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
-                         f"the Jacobian of {self.label}").reshape(shape)  # fmt: skip
+            return reals(
+                jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
+                f"the Jacobian of {self.label}",
+            ).reshape(shape)
         poses = self._inputs(q)
         J = np.zeros(shape)
         steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
@@ -106,7 +133,10 @@ class Whole:
             by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
             for i, step in enumerate(steps):
                 ends = [(n * sign * step, w * sign) for n, w in WEIGHTS for sign in (1, -1)]
-                by[:, i] = sum(w * self._checked(self.given(*_displaced(poses, k, i, x))) for x, w in ends) / step
+                by[:, i] = (
+                    sum(w * self._checked(self.given(*_displaced(poses, k, i, x))) for x, w in ends)
+                    / step
+                )
             J += by @ frame_jacobian(self.system, q, frame)
         return J
 
@@ -162,7 +192,9 @@ class OfSystem(Constraint):
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One for each number; where both ends are the same it is held there."""
         return tuple(
-            Row(Op.CALL, (self, k), str(k), "1") if same else Row(Op.CALL, (self, k), str(k), "1", "", "low", "high", k)
+            Row(Op.CALL, (self, k), str(k), "1")
+            if same
+            else Row(Op.CALL, (self, k), str(k), "1", "", "low", "high", k)
             for k, same in enumerate(self.low == self.high)
         )
 
@@ -180,7 +212,9 @@ class OfSystem(Constraint):
 
 
 def bound(system: Compiled, made: Constraint) -> Constraint:
-    """The constraint as one of this system: of functions of its configurations, one whose rows are numbers of these."""
+    """The constraint as one of this system: of functions of its configurations, one whose rows are
+    numbers of these.
+    """
     if not any(r.op is Op.CALL and len(r.args) == 1 for r in made.rows(system.dim)):
         return made
     whole = Whole(system, made)
@@ -200,7 +234,10 @@ def held_too(system: SystemType, further: Any) -> SystemType:
     for c in given:
         made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
         if not isinstance(made, Constraint):
-            raise InputError(f"also holds {shown(c)}, which is no constraint of kempe.constraints and no function")
+            raise InputError(
+                f"also holds {shown(c)}, which is no constraint of kempe.constraints and no "
+                "function"
+            )
         name = made.name or (made.about if made is not c else made.label)
         while name in taken:
             name += " again"
@@ -209,7 +246,9 @@ def held_too(system: SystemType, further: Any) -> SystemType:
         if own is made:
             m.constrain(made, name)
         elif made.weight is not None:
-            raise InputError(f"{made.label} has a weight, which ik reads of a wish: what also holds, holds")
+            raise InputError(
+                f"{made.label} has a weight, which ik reads of a wish: what also holds, holds"
+            )
         else:
             m.constraints[name] = Declared(name, own, "", "")
     return type(system)(m, system.structure.topology)

@@ -41,15 +41,25 @@ def refuse(goals: Goals, what: str) -> None:
 
 def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
     """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
-    shapes = {x.shape[:-k] for g in goals for pair in g for x, k in zip(pair, (2, 1), strict=True) if x is not None}
+    shapes = {
+        x.shape[:-k]
+        for g in goals
+        for pair in g
+        for x, k in zip(pair, (2, 1), strict=True)
+        if x is not None
+    }
     try:
         return shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
     except ValueError:
-        raise InputError(f"the goals have leading shapes that do not fit together: {sorted(shapes)}") from None
+        raise InputError(
+            f"the goals have leading shapes that do not fit together: {sorted(shapes)}"
+        ) from None
 
 
 def _wide(system: Compiled, tasks: Sequence[Task]) -> np.ndarray:
-    """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in anything else."""
+    """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in
+    anything else.
+    """
     table = own_tree(system).structure.table
     c = system.structure.coordinates
     with np.errstate(invalid="ignore"):
@@ -61,22 +71,30 @@ def _wide(system: Compiled, tasks: Sequence[Task]) -> np.ndarray:
     for task in tasks:
         bound |= task.coordinates(system)
     wide = wide & ~distinct(system.mechanism, c)
-    return wide & np.array([name not in bound for name in system.structure.velocity_names], dtype=bool)
+    return wide & np.array(
+        [name not in bound for name in system.structure.velocity_names], dtype=bool
+    )
 
 
 class Packed:
     """Tasks of a system as ties, together with its loops and relations, which always hold.
 
-    Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the number of the task of
-    each tie, -1 for a loop. With `turns`, angles with limits a whole turn apart or more count as having none (`wide`):
-    `inside` brings them back. `levels` are those of the tasks: ties stand in their order, loops with the first. Tasks
-    are about the frames of `system`, loops are those of `closing`, by default the same (see `ideal_of`).
+    Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the
+    number of the task of each tie, -1 for a loop. With `turns`, angles with limits a whole turn
+    apart or more count as having none (`wide`): `inside` brings them back. `levels` are those of
+    the tasks: ties stand in their order, loops with the first. Tasks are about the frames of
+    `system`, loops are those of `closing`, by default the same (see `ideal_of`).
     """
 
     def __init__(
-        self, system: Compiled, tasks: Sequence[Task | Constraint], length: float | None = None, turns: bool = False,
-        levels: Sequence[int] = (), closing: Compiled | None = None,
-    ):  # fmt: skip
+        self,
+        system: Compiled,
+        tasks: Sequence[Task | Constraint],
+        length: float | None = None,
+        turns: bool = False,
+        levels: Sequence[int] = (),
+        closing: Compiled | None = None,
+    ):
         made_of = (task_of(t, system.dim) if isinstance(t, Constraint) else t for t in tasks)
         self.system = system
         self.tasks = tuple(made_of)
@@ -102,7 +120,14 @@ class Packed:
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
         self.loops: PackedLoops = pack(
-            tree, explicit, length=length, further=further, wide=self.wide, level=level, one_sided=bounded, drawn=drawn
+            tree,
+            explicit,
+            length=length,
+            further=further,
+            wide=self.wide,
+            level=level,
+            one_sided=bounded,
+            drawn=drawn,
         )
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
@@ -110,8 +135,11 @@ class Packed:
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
-        """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones between bounds."""
-        bounds = [i < 0 and bool(t.bounds) for i, t in zip(self.owner, self.loops.ties, strict=True)]
+        """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones
+        between bounds."""
+        bounds = [
+            i < 0 and bool(t.bounds) for i, t in zip(self.owner, self.loops.ties, strict=True)
+        ]
         self.rows[np.repeat(bounds, [len(t.rows) for t in self.loops.ties])] = -3
         ends = np.cumsum([len(t.rows) for t in self.loops.ties], dtype=np.int64) - 1
         self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
@@ -123,10 +151,14 @@ class Packed:
         self.limits = which, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
         """Places in q of what has limits, and these."""
         wide = self.wide[v]
-        self._turning = list(zip(at[wide], system.lower[v][wide], system.upper[v][wide], strict=True))
+        self._turning = list(
+            zip(at[wide], system.lower[v][wide], system.upper[v][wide], strict=True)
+        )
 
     def inside(self, q: Array) -> Array:
-        """The configurations (N, nq) with wide angles brought into their limits by whole turns, in place."""
+        """The configurations (N, nq) with wide angles brought into their limits by whole turns, in
+        place.
+        """
         for i, a, b in self._turning:
             x = q[:, i]
             x -= 2.0 * np.pi * np.ceil(np.maximum(x - b, 0.0) / (2.0 * np.pi))
@@ -134,21 +166,33 @@ class Packed:
         return q
 
     def count(self, tasks: Sequence[int], bounded: bool = False) -> int:
-        """Number of equations of some of the tasks; in the plane, those that hold of themselves do not count."""
+        """Number of equations of some of the tasks; in the plane, those that hold of themselves do
+        not count.
+        """
         trivial = TILTS if self.system.dim == 2 else ()
-        ties = [t for t, i in zip(self.loops.ties, self.owner, strict=True) if i in tasks and (bounded or not t.bounds)]
+        ties = [
+            t
+            for t, i in zip(self.loops.ties, self.owner, strict=True)
+            if i in tasks and (bounded or not t.bounds)
+        ]
         return sum(len(t.rows) - (t.turns in trivial) for t in ties)
 
     def pins(self, goals: Sequence[Goals], lead: tuple[int, ...] = ()) -> Array:
         """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
-        given = [(tie, goals[i][j]) for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True) if i >= 0]
+        given = [
+            (tie, goals[i][j])
+            for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True)
+            if i >= 0
+        ]
         poses = [(tie, pose) for tie, (pose, _) in given if pose is not None]
         numbers = [x for _, (_, x) in given if x is not None]
         out = np.empty((*lead, 12 * len(poses) + sum(x.shape[-1] for x in numbers)))
         at = 0
         for tie, pose in poses:
             top = out[..., at : at + 12].reshape(*lead, 3, 4)  # a view
-            fixed = tie.a is not GROUND and tie.a[0] < 0  # a frame that stands; kernels put the pin in its place
+            fixed = (
+                tie.a is not GROUND and tie.a[0] < 0
+            )  # a frame that stands; kernels put the pin in its place
             top[...] = (tie.a[1] @ pose if fixed else pose)[..., :3, :]
             if tie.a is GROUND:
                 top[..., 3] -= self.loops.origin
@@ -158,8 +202,12 @@ class Packed:
             at += x.shape[-1]
         return out.reshape(math.prod(lead), out.shape[-1])
 
-    def evaluate(self, q: Any, pins: Array | None = None, closures: bool = False) -> tuple[Array, Array]:
-        """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures` those of loops."""
+    def evaluate(
+        self, q: Any, pins: Array | None = None, closures: bool = False
+    ) -> tuple[Array, Array]:
+        """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures`
+        those of loops.
+        """
         from kempe.kernels.compiled import closure_batch
 
         q = as_q(self.system, q)
@@ -172,7 +220,9 @@ class Packed:
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))
-        closure_batch.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
+        closure_batch.equations(
+            loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J
+        )
         loops.check()
         use = self.rows == -1 if closures else self.rows >= 0
         out = out[:, use]
@@ -185,7 +235,9 @@ class Packed:
 
 @explained
 def error(system: Compiled, constraint: Constraint, q: Any) -> Array:
-    """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero where they hold."""
+    """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero
+    where they hold.
+    """
     return _alone(system, constraint).evaluate(q)[0]
 
 
@@ -210,7 +262,8 @@ def units(system: Compiled, constraint: Constraint) -> tuple[str, ...]:
 
 @explained
 def miss(system: Compiled, constraint: Constraint, q: Any) -> tuple[Array, Array]:
-    """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the forward model.
+    """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the
+    forward model.
 
     Where loops are open, bodies are where solvers place them (`kempe.model.tree.own_tree`).
     """

@@ -1,4 +1,5 @@
-"""A constraint as what a configuration shall do: ties for the kernels, goals, and a measure by the forward model.
+"""A constraint as what a configuration shall do: ties for the kernels, goals, and a measure by the
+forward model.
 
 Which of the classes below a constraint needs follows from the operations of its rows (`task_of`).
 """
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 GROUND = (-1, np.eye(4), False)
 
 Goals = list[tuple[Array | None, Array | None]]
-"""For each tie of a task the pose (..., 4, 4) that it is pinned at and the numbers (..., k) that it is given."""
+"""For each tie of a task the pose (..., 4, 4) that it is pinned at and the numbers (..., k) that it
+is given."""
 
 TILTS = (L.ALIGN, L.LOOK)
 """Ties on an axis, whose second equation holds of itself in the plane."""
@@ -41,11 +43,14 @@ BELOW = (-np.inf, 0.0)
 FAR = 1e6
 """Where an end is put that only some targets have, in metres."""
 At = Callable[[Any], Array]
-"""Poses (..., 4, 4) of a frame by name; of a list of names, or of all bodies for None, (..., n, 4, 4)."""
+"""Poses (..., 4, 4) of a frame by name; of a list of names, or of all bodies for None, (..., n, 4,
+4)."""
 
 
 class TaskTie(NamedTuple):
-    """One tie of a task: frame `b`, with `X_B` (4, 4, as a tuple) on it, in the goal, which hangs on `a` or stands."""
+    """One tie of a task: frame `b`, with `X_B` (4, 4, as a tuple) on it, in the goal, which hangs
+    on `a` or stands.
+    """
 
     b: str
     X_B: tuple[float, ...]
@@ -85,7 +90,9 @@ class Task(ABC):
 
     @abstractmethod
     def structure(self, system: Compiled) -> Hashable:
-        """All that decides its ties but the goal. Errors: `UnknownNameError` and others for what does not fit."""
+        """All that decides its ties but the goal. Errors: `UnknownNameError` and others for what
+        does not fit.
+        """
 
     @abstractmethod
     def ties(self, system: Compiled, table: Table) -> list[Tie]:
@@ -102,10 +109,12 @@ class Task(ABC):
     @abstractmethod
     def measure(
         self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model.
+    ) -> tuple[Array, Array]:
+        """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward
+        model.
 
-        `goals` are its own, where they are at hand; `at` gives the poses of frames in place of the forward model.
+        `goals` are its own, where they are at hand; `at` gives the poses of frames in place of the
+        forward model.
         """
 
 
@@ -132,8 +141,15 @@ class PlacedTask(Task):
         """Its tie, without bounds."""
         a, b = self.of.ends
         name = None if a is None else system.structure.frame_name(a)
-        return TaskTie(system.structure.frame_name(b), self.of.tool(self.dim), self.shape.mask, self.shape.turns,
-                       name, (), self.shape.turns == L.DISTANCE)  # fmt: skip
+        return TaskTie(
+            system.structure.frame_name(b),
+            self.of.tool(self.dim),
+            self.shape.mask,
+            self.shape.turns,
+            name,
+            (),
+            self.shape.turns == L.DISTANCE,
+        )
 
     def goal(self, system: Compiled) -> Array:
         """The pose (..., 4, 4) of the goal in the ground, or in the frame that it hangs on."""
@@ -161,8 +177,14 @@ class PlacedTask(Task):
         if one is not None and len(given) == 1 and None not in parts:
             return one[..., np.array(parts)]
         ends = [(given[n], k) for n, k in zip(names, parts, strict=True)]
-        values = [np.array(infinity) if x is None else x if k is None else x[..., k] for x, k in ends]
-        return values[0][..., None] if len(values) == 1 else np.stack(np.broadcast_arrays(*values), axis=-1)
+        values = [
+            np.array(infinity) if x is None else x if k is None else x[..., k] for x, k in ends
+        ]
+        return (
+            values[0][..., None]
+            if len(values) == 1
+            else np.stack(np.broadcast_arrays(*values), axis=-1)
+        )
 
     def holds(self, system: Compiled) -> list[TaskTie]:
         """One tie, or one for each end that is finite anywhere and differs from target to target."""
@@ -195,13 +217,24 @@ class PlacedTask(Task):
         a = GROUND if h.a is None else table.at[h.a]
         row, X, particle = table.at[h.b]
         b = (row, X @ np.reshape(h.X_B, (4, 4)), particle)
-        tie = Tie(self.label, a, b, h.mask, h.turns, pin=True, given=h.given, bounds=h.bounds, centre=self.centre(
-            system, table))  # fmt: skip
+        tie = Tie(
+            self.label,
+            a,
+            b,
+            h.mask,
+            h.turns,
+            pin=True,
+            given=h.given,
+            bounds=h.bounds,
+            centre=self.centre(system, table),
+        )
         turned = h.turns not in (L.NO_TURN, L.DISTANCE) or any(h.X_B[k] for k in (3, 7, 11))
         leaned = a[2] and (h.turns != L.DISTANCE or np.any(self.goal(system)[..., :3, 3]))
         if (particle and turned) or leaned:
             name = h.b if particle and turned else h.a
-            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it")
+            raise InputError(
+                f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it"
+            )
         return tie
 
     def centre(self, system: Compiled, table: Table) -> Centre | None:
@@ -239,8 +272,10 @@ class PlacedTask(Task):
 
     def measure(
         self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
+    ) -> tuple[Array, Array]:
+        """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward
+        model.
+        """
         holds = self.holds(system)
         goals = self.goals(system) if goals is None else goals
         at = at or partial(fk, system, q)
@@ -253,7 +288,7 @@ class PlacedTask(Task):
 
     def _apart(
         self, at: At, h: TaskTie, X: Array, goal: Array | None, number: Array | None
-    ) -> tuple[Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array]:
         """How far (...) the frame at X (..., 4, 4) misses a goal."""
         assert goal is not None
         if h.a is not None:
@@ -280,7 +315,9 @@ class Centred(PlacedTask):
         """Frames, points on them and their masses, whose sum is 1."""
         if self._shares is None:
             shares = self.of.masses(system._mechanism.bodies, system.name)
-            self._shares = tuple((system.structure.frame_name(m.frame), m.point, m.part) for m in shares)
+            self._shares = tuple(
+                (system.structure.frame_name(m.frame), m.point, m.part) for m in shares
+            )
         return self._shares
 
     def structure(self, system: Compiled) -> Hashable:
@@ -310,9 +347,13 @@ class Centred(PlacedTask):
 @kept
 def _moments(
     system: Compiled, points: tuple[tuple[str, tuple[float, ...], float], ...]
-) -> tuple[list[str] | None, Array]:  # fmt: skip
-    """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its part of a centre."""
-    names = list(dict.fromkeys([*system.body_names, *(f for f, _, _ in points)]))  # all bodies are quicker than some
+) -> tuple[list[str] | None, Array]:
+    """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its
+    part of a centre.
+    """
+    names = list(
+        dict.fromkeys([*system.body_names, *(f for f, _, _ in points)])
+    )  # all bodies are quicker than some
     moments = np.zeros((len(names), 4))
     for f, p, mass in points:
         moments[names.index(f)] += *(mass * x for x in p), mass

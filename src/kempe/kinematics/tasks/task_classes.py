@@ -15,13 +15,17 @@ FAMILIES: dict[Op, type[Task]] = {Op.COORDINATE: CoordinateTask, Op.TAPE: Writte
 
 
 def task_of(constraint: Constraint, dim: int) -> Task:
-    """The constraint as a task. Errors: `InputError` where it cannot be required of a configuration."""
+    """The constraint as a task. Errors: `InputError` where it cannot be required of a
+    configuration.
+    """
     rows = constraint.rows(dim)
     constraint.check(dim)
     family = family_of(rows)
     if family is None:
-        raise InputError(f"{constraint.label} is about velocities, which no configuration has: declare it by "
-                         "Mechanism.constrain")  # fmt: skip
+        raise InputError(
+            f"{constraint.label} is about velocities, which no configuration has: declare it by "
+            "Mechanism.constrain"
+        )
     if family is PlacedTask and constraint.ends[1] is None:  # a centre is no frame
         family = Centred
     return family(constraint, dim, rows)
@@ -40,5 +44,11 @@ def family_of(rows: tuple[Row, ...]) -> type[Task] | None:
     sided = {bool(r.low or r.high) for r in rows}
     valued = any(r.equal for r in rows if r.op is not Op.DISTANCE)
     alone = len(further) <= 1 and (len(rows) == 1 or Op.DISTANCE not in ops)
-    return PlacedTask if alone and len(sided) == 1 and not valued and not (
-        sided == {True} and further and further[0].op is not Op.DISTANCE) else Written  # fmt: skip
+    return (
+        PlacedTask
+        if alone
+        and len(sided) == 1
+        and not valued
+        and not (sided == {True} and further and further[0].op is not Op.DISTANCE)
+        else Written
+    )

@@ -27,18 +27,26 @@ class CoordinateTask(Task):
     angles = True
 
     def _values(self, system: Compiled) -> tuple[Array, list[tuple[str, int, int, bool]]]:
-        """The values as (..., nq), and for each tie its name, place in q, velocity coordinate, whether it is a ball."""
+        """The values as (..., nq), and for each tie its name, place in q, velocity coordinate,
+        whether it is a ball.
+        """
         layout = system.structure.layout
         items: list[tuple[str, int, int, bool]]
-        items = [(system.coordinate_names[int(i)], int(i), int(v), False)
-                 for i, v in zip(layout.vector_q, layout.vector_v, strict=True)]  # fmt: skip
-        items += [(system.coordinate_names[int(i)], int(i), int(v), True)
-                  for i, v in zip(layout.quaternion_q, layout.quaternion_v, strict=True)]  # fmt: skip
+        items = [
+            (system.coordinate_names[int(i)], int(i), int(v), False)
+            for i, v in zip(layout.vector_q, layout.vector_v, strict=True)
+        ]
+        items += [
+            (system.coordinate_names[int(i)], int(i), int(v), True)
+            for i, v in zip(layout.quaternion_q, layout.quaternion_v, strict=True)
+        ]
         items.sort(key=lambda item: item[1])
         given = named(self.of.q)
         if given is None:
             return as_q(system, self.of.q), items
-        q_from_dict(system, dict.fromkeys(given, 0.0))  # refuses names that are none, or follow others
+        q_from_dict(
+            system, dict.fromkeys(given, 0.0)
+        )  # refuses names that are none, or follow others
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         values = [numbers_of(x, f"{k!r} of {self.label}") for k, x in given.items()]
         out = np.empty((*np.broadcast_shapes(*(x.shape for x in values)), system.nq))
@@ -46,11 +54,17 @@ class CoordinateTask(Task):
         for name, x in zip(given, values, strict=True):
             out[..., index[name]] = x
         balls = [item for item in items if item[3]]
-        whole = [item for item in balls if {*system.coordinate_names[item[1] : item[1] + 4]} & given.keys()]
+        whole = [
+            item
+            for item in balls
+            if {*system.coordinate_names[item[1] : item[1] + 4]} & given.keys()
+        ]
         for _, i, _, _ in whole:
             missing = [n for n in system.coordinate_names[i : i + 4] if n not in given]
             if missing:
-                raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
+                raise InputError(
+                    f"a quaternion is given as a whole; missing are {', '.join(missing)}"
+                )
         return out, [item for item in items if (item in whole if item[3] else item[0] in given)]
 
     def structure(self, system: Compiled) -> Hashable:
@@ -59,8 +73,10 @@ class CoordinateTask(Task):
 
     def ties(self, system: Compiled, table: Table) -> list[Tie]:
         """One for each coordinate or quaternion."""
-        return [Tie(self.label, GROUND, GROUND, turns=L.OWN, given=True, own=v, ball=ball)
-                for _, _, v, ball in self._values(system)[1]]  # fmt: skip
+        return [
+            Tie(self.label, GROUND, GROUND, turns=L.OWN, given=True, own=v, ball=ball)
+            for _, _, v, ball in self._values(system)[1]
+        ]
 
     def coordinates(self, system: Compiled) -> set[str]:
         """The coordinates that it reads: those that it holds."""
@@ -79,7 +95,7 @@ class CoordinateTask(Task):
 
     def measure(
         self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
-    ) -> tuple[Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array]:
         """The largest difference of a slide and of a turn."""
         values, items = self._values(system)
         if goals is not None:  # of one row of a batch, it may be
@@ -89,7 +105,9 @@ class CoordinateTask(Task):
                 values[..., i : i + (4 if ball else 1)] = x
         d = np.abs(system.structure.layout.difference(np.broadcast_to(values, q.shape), q))
         round_ = circles(system)
-        d[..., round_] = np.abs(d[..., round_] - 2.0 * np.pi * np.round(d[..., round_] / (2.0 * np.pi)))
+        d[..., round_] = np.abs(
+            d[..., round_] - 2.0 * np.pi * np.round(d[..., round_] / (2.0 * np.pi))
+        )
         turning = system.structure.coordinates.turning
         slides = [v for _, _, v, ball in items if not ball and not turning[v]]
         turns = [v for _, _, v, ball in items if not ball and turning[v]]

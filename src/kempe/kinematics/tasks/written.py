@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 
 class Made(NamedTuple):
-    """A constraint in a system: with its parameters and functions; its rows of position, and its ties on no frames."""
+    """A constraint in a system: with its parameters and functions; its rows of position, and its
+    ties on no frames.
+    """
 
     system: Compiled
     of: Constraint
@@ -37,7 +39,8 @@ class Made(NamedTuple):
 
 
 class Written(Task):
-    """A constraint on values of expressions and functions: of poses, coordinates, parameters, and its own numbers.
+    """A constraint on values of expressions and functions: of poses, coordinates, parameters, and
+    its own numbers.
 
     The goal and the numbers come with each call; parameters, and what functions are, do not.
     """
@@ -56,7 +59,12 @@ class Written(Task):
     def made(self, system: Compiled) -> Made:
         """It in a system. Errors: `UnknownNameError` for coordinates that do not exist."""
         if self._made is None or self._made.system is not system:
-            of = bound(system, with_numbers(self.of.knowing(system.structure.parameters), system.structure.parameters))
+            of = bound(
+                system,
+                with_numbers(
+                    self.of.knowing(system.structure.parameters), system.structure.parameters
+                ),
+            )
             check_read(system, of.reads, self.label)
             ties = every_tie(system, self.label, of, GROUND, GROUND, True)
             check_read(system, [n for t in ties if t.tape for n in t.tape.coordinates], self.label)
@@ -70,15 +78,18 @@ class Written(Task):
 
     def structure(self, system: Compiled) -> Hashable:
         """Its frames, and its expressions without the numbers of the call."""
-        each = ((t.mask, t.turns, t.bounds, t.tape and (t.tape.tape, t.tape.unit, t.tape.given))
-                for t in self.made(system).ties)  # fmt: skip
+        each = (
+            (t.mask, t.turns, t.bounds, t.tape and (t.tape.tape, t.tape.unit, t.tape.given))
+            for t in self.made(system).ties
+        )
         return self.names(system), self.tool.tobytes(), *each
 
     def ties(self, system: Compiled, table: Table) -> list[Tie]:
-        """The packed constraints of the expressions: one for all equations and one for each group of inequalities.
+        """The packed constraints of the expressions: one for all equations and one for each group
+        of inequalities.
 
-        `table` holds the frames in which the poses are. Constraints that read poses have a goal, which comes with each
-        call. Errors: `InputError` where axes of a particle are read.
+        `table` holds the frames in which the poses are. Constraints that read poses have a goal,
+        which comes with each call. Errors: `InputError` where axes of a particle are read.
         """
         if not self.posed:
             return every_tie(system, self.label, self.made(system).of, GROUND, GROUND, True)
@@ -89,8 +100,12 @@ class Written(Task):
         turned = particle and (any(map(reads_axes, rows)) or np.any(self.tool[:3, 3]))
         if turned or (A[2] and any(r.op is not Op.DISTANCE for r in rows)):
             name = b if turned else a
-            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it")
-        found = every_tie(system, self.label, self.made(system).of, A, (row, X @ self.tool, particle), True)
+            raise InputError(
+                f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it"
+            )
+        found = every_tie(
+            system, self.label, self.made(system).of, A, (row, X @ self.tool, particle), True
+        )
         return [t if t.function else replace(t, pin=True) for t in found]
 
     def coordinates(self, system: Compiled) -> set[str]:
@@ -108,7 +123,10 @@ class Written(Task):
         goal = of.goal(self.dim) if self.posed else None
         out: list[tuple[Array | None, Array | None]] = []
         for tie in ties:
-            given = [numbers_of(input_of(of, n), f"{n} of {self.label}") for n in (tie.tape.given if tie.tape else ())]
+            given = [
+                numbers_of(input_of(of, n), f"{n} of {self.label}")
+                for n in (tie.tape.given if tie.tape else ())
+            ]
             numbers = np.stack(np.broadcast_arrays(*given), axis=-1) if given else None
             if numbers is not None and tie.bounds:
                 numbers = np.where(np.isinf(numbers), np.clip(numbers, -FAR, FAR), numbers)
@@ -117,7 +135,7 @@ class Written(Task):
 
     def measure(
         self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
-    ) -> tuple[Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array]:
         """How far its values are from where they must be, by the forward model and plain numpy."""
         _, of, rows, ties = self.made(system)
         goals = self.goals(system) if goals is None else goals

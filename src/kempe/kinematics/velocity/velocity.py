@@ -33,10 +33,11 @@ if TYPE_CHECKING:
 
 @explained
 def rates(system: Compiled, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
-    """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq) and times t (...).
+    """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq)
+    and times t (...).
 
-    Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system without such
-    constraints has none. Errors: `InputError`.
+    Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system
+    without such constraints has none. Errors: `InputError`.
     """
     return velocity_rows(system).values(as_q(system, q), reals(t, "t"))
 
@@ -54,10 +55,11 @@ def velocity_rows(system: Compiled) -> VelocityRows:
 
 @kept
 def tangent_rows(system: Compiled) -> VelocityRows:
-    """The rows of all constraints, recorded: tangents of what holds positions, and velocity constraints.
+    """The rows of all constraints, recorded: tangents of what holds positions, and velocity
+    constraints.
 
-    Joints that the tree left out are led on through their own motion, so that all coordinates count. One-sided rows are
-    there, as if they were active.
+    Joints that the tree left out are led on through their own motion, so that all coordinates
+    count. One-sided rows are there, as if they were active.
     """
     m = system._mechanism
     table = lower(
@@ -91,14 +93,18 @@ class _Recording:
         first = system.structure.coordinates.first
         self.known: dict[str, Num] = {n: i for i, n in enumerate(system.coordinate_names)}
         self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
-        for iq, iv in zip(system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True):
+        for iq, iv in zip(
+            system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True
+        ):
             self._quaternion(int(iq), int(iv))
         numbers = self.recorder.numbers
         for name, f in system.structure.couplings.items():
             self.known[name] = float(f.offset)
             self.rates[name] = {}
             if f.source is not None:
-                self.known[name] = numbers.add(numbers.mul(f.multiplier, self.known[f.source]), float(f.offset))
+                self.known[name] = numbers.add(
+                    numbers.mul(f.multiplier, self.known[f.source]), float(f.offset)
+                )
                 self.rates[name] = {("v", first[f.source][1]): f.multiplier}
         self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
 
@@ -107,9 +113,16 @@ class _Recording:
         half = [self.recorder.numbers.mul(0.5, iq + k) for k in range(4)]
         w, x, y, z = half
         minus = self.recorder.numbers.neg
-        rates = ((minus(x), minus(y), minus(z)), (w, minus(z), y), (z, w, minus(x)), (minus(y), x, w))
+        rates = (
+            (minus(x), minus(y), minus(z)),
+            (w, minus(z), y),
+            (z, w, minus(x)),
+            (minus(y), x, w),
+        )
         for k, rate in enumerate(rates):
-            self.rates[self.system.coordinate_names[iq + k]] = {("v", iv + i): c for i, c in enumerate(rate)}
+            self.rates[self.system.coordinate_names[iq + k]] = {
+                ("v", iv + i): c for i, c in enumerate(rate)
+            }
 
     def tangents(self, tie: Tie) -> None:
         """Add the rates of the equations of a tie."""
@@ -129,7 +142,10 @@ class _Recording:
             return
         if turns == L.LINEAR and tie.relation is not None:
             form: Form = {}
-            for name, factor in ((tie.relation.of, 1.0), *((n, -m) for n, m in tie.relation.sources.items())):
+            for name, factor in (
+                (tie.relation.of, 1.0),
+                *((n, -m) for n, m in tie.relation.sources.items()),
+            ):
                 form = r.sum_of(form, 1.0, self.rates[name], factor)
             yield form
             return
@@ -152,7 +168,9 @@ class _Recording:
                     form = r.sum_of(form, 1.0, r.sum_of(du, p, dp, u), 1.0)
                 yield form
         elif turns != L.NO_TURN:
-            raise UnsupportedError(f"constraint {tie.name!r} is no recorded expression: its series are needed here")
+            raise UnsupportedError(
+                f"constraint {tie.name!r} is no recorded expression: its series are needed here"
+            )
 
     def velocities(self, declared: Declared) -> None:
         """Add the rows of velocity of a declared constraint."""
@@ -171,7 +189,9 @@ class _Recording:
             tape, which = row.args
             value, form = self.recorder.linear(tape, seen, known, speeds, which)
             self.recorder.add_row(a, b, form, value)
-            self.names.append(RowName(declared.name, row.name, row.unit, written=not declared.of.scaled))
+            self.names.append(
+                RowName(declared.name, row.name, row.unit, written=not declared.of.scaled)
+            )
 
     def rows(self) -> VelocityRows:
         """What was recorded."""
@@ -182,4 +202,11 @@ class _Recording:
         turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}
         length = characteristic_length(system)
         units = np.array([1.0 if v in turning else length for v in range(system.nv)] + [1.0])
-        return VelocityRows(system.structure.layout, system.coordinate_names, tape, entries, tuple(self.names), units)
+        return VelocityRows(
+            system.structure.layout,
+            system.coordinate_names,
+            tape,
+            entries,
+            tuple(self.names),
+            units,
+        )

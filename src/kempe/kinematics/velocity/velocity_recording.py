@@ -1,8 +1,10 @@
-"""Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that holds positions.
+"""Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that
+holds positions.
 
-A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted with the twists that
-the joints between A and B give, as in `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded,
-so that a tape holds what moves only.
+A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted
+with the twists that the joints between A and B give, as in
+`kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded, so that a tape holds
+what moves only.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from kempe.model.tree.primitive_table import End, Table
 Num = float | int
 """A number that is known (float) or a place of the tape that is recorded (int)."""
 Form = dict[Any, Num]
-"""What is linear in velocities: coefficients by twist component (0 ... 5) or by ("v", velocity coordinate)."""
+"""What is linear in velocities: coefficients by twist component (0 ... 5) or by ("v", velocity
+coordinate)."""
 
 PLACE = {"x": 0, "y": 1, "z": 2}
 
@@ -89,8 +92,10 @@ class Numbers:
         m = self.mul
         s = self.sub
         return [
-            s(m(a[1], b[2]), m(a[2], b[1])), s(m(a[2], b[0]), m(a[0], b[2])), s(m(a[0], b[1]), m(a[1], b[0])),
-        ]  # fmt: skip
+            s(m(a[1], b[2]), m(a[2], b[1])),
+            s(m(a[2], b[0]), m(a[0], b[2])),
+            s(m(a[0], b[1]), m(a[1], b[0])),
+        ]
 
 
 @dataclass
@@ -146,7 +151,9 @@ class Recorder:
             way.append(row)
             row = int(self.table.parent[row])
         for r in reversed(way):
-            self._before[r] = self.moved(self._after[int(self.table.parent[r])], self.table.placement[r])
+            self._before[r] = self.moved(
+                self._after[int(self.table.parent[r])], self.table.placement[r]
+            )
             self._after[r] = self._moves(r, self._before[r])
             row = r
         return self._after[way[0] if way else row]
@@ -158,7 +165,10 @@ class Recorder:
         factor = float(table.multiplier[r])
         if table.kind[r] == Q:
             turn = self._ball(q, factor < 0.0)
-            return RecordedPose([[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R], at.p)
+            return RecordedPose(
+                [[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R],
+                at.p,
+            )
         theta = n.mul(factor, q)
         if table.kind[r] == P:
             return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
@@ -166,14 +176,18 @@ class Recorder:
         theta = n.add(theta, offset)
         s = n.of(L.SIN, theta)
         c = n.of(L.COS, theta)
-        R = [[n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z] for x, y, z in at.R]
+        R = [
+            [n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z]
+            for x, y, z in at.R
+        ]
         return RecordedPose(R, at.p)
 
     def _ball(self, q: int, inverse: bool) -> list[list[Num]]:
-        """Rotation matrix (3 rows of 3) of the quaternion wxyz that begins at q[`q`], recorded as polynomials.
+        """Rotation matrix (3 rows of 3) of the quaternion wxyz that begins at q[`q`], recorded as
+        polynomials.
 
-        With `inverse` it is the transpose. The quaternion is taken to have norm 1; at norm n the matrix is n^2 times as
-        large.
+        With `inverse` it is the transpose. The quaternion is taken to have norm 1; at norm n the
+        matrix is n^2 times as large.
         """
         n = self.numbers
         (w, x, y, z) = range(q, q + 4)
@@ -187,8 +201,9 @@ class Recorder:
         two: Callable[[Num], Num] = lambda u: m(2.0, u)  # noqa: E731
         squares = [m(u, u) for u in (w, x, y, z)]
         diagonal = [
-            a(squares[0], s(s(squares[1 + i], squares[1 + (i + 1) % 3]), squares[1 + (i + 2) % 3])) for i in range(3)
-        ]  # fmt: skip
+            a(squares[0], s(s(squares[1 + i], squares[1 + (i + 1) % 3]), squares[1 + (i + 2) % 3]))
+            for i in range(3)
+        ]
         return [
             [diagonal[0], two(s(m(x, y), m(w, z))), two(a(m(x, z), m(w, y)))],
             [two(a(m(x, y), m(w, z))), diagonal[1], two(s(m(y, z), m(w, x)))],
@@ -203,7 +218,9 @@ class Recorder:
         return RecordedPose(IDENTITY, pose.p) if end[2] else pose
 
     def add_row(self, a: End, b: End, form: Form, value: Num = 0.0) -> None:
-        """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is -b(q, t)."""
+        """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is
+        -b(q, t).
+        """
         out: dict[int, Num] = {}
         n = self.numbers
         for key, x in form.items():
@@ -248,12 +265,18 @@ class Recorder:
         return Seen(self, a, b)
 
     def linear(
-        self, tape: Tape, seen: Seen | None, known: Mapping[str, Num], rates: Mapping[str, Form], which: int
+        self,
+        tape: Tape,
+        seen: Seen | None,
+        known: Mapping[str, Num],
+        rates: Mapping[str, Form],
+        which: int,
     ) -> tuple[Num, Form]:
         """An output of a tape, and its rate as what is linear in velocities.
 
-        Inputs are, where there is a pose `seen`, its numbers, and the components of the twist, whose value is zero and
-        whose rate is the component itself; `known` gives others by name, `rates` the rates of some of them.
+        Inputs are, where there is a pose `seen`, its numbers, and the components of the twist,
+        whose value is zero and whose rate is the component itself; `known` gives others by name,
+        `rates` the rates of some of them.
         """
         n = self.numbers
         values: list[Num] = []
@@ -326,7 +349,9 @@ class Recorder:
         return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
 
     def _nearest(self, op: int, place: Any, f: Form, g: Form) -> Form:
-        """The rate of the parameter of a nearest point; before it, the rates of x and y by which of them it is."""
+        """The rate of the parameter of a nearest point; before it, the rates of x and y by which of
+        them it is.
+        """
         n = self.numbers
         build = self.builder
         if op == L.LOOKUP:

@@ -1,4 +1,6 @@
-"""Rows A(q) v = b(q, t) recorded as one tape: values at any number of configurations, and what brackets need."""
+"""Rows A(q) v = b(q, t) recorded as one tape: values at any number of configurations, and what
+brackets need.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,8 @@ CLOCK = ""
 class RowName:
     """Where a row comes from: its constraint or joint, its name there, its unit.
 
-    `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held between two ends;
-    `written`: by the user, in units of his own.
+    `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held
+    between two ends; `written`: by the user, in units of his own.
     """
 
     of: str
@@ -38,8 +40,9 @@ class RowName:
 class VelocityRows:
     """Rows A(q) v = b(q, t), recorded.
 
-    `tape` has inputs that are entries of q, by `coordinates`, or the time; its outputs are the entries of A and b that
-    are not zero. `entries` (k, 2) say row and column of each, the column nv being that of -b.
+    `tape` has inputs that are entries of q, by `coordinates`, or the time; its outputs are the
+    entries of A and b that are not zero. `entries` (k, 2) say row and column of each, the column nv
+    being that of -b.
     """
 
     layout: Layout
@@ -64,7 +67,9 @@ class VelocityRows:
     @cached_property
     def steady(self) -> bool:
         """Whether neither A nor b depends on the time, and b is zero: no column nv is needed."""
-        return CLOCK not in self.tape.inputs and not bool(np.any(self.entries[:, 1] == self.layout.nv))
+        return CLOCK not in self.tape.inputs and not bool(
+            np.any(self.entries[:, 1] == self.layout.nv)
+        )
 
     def values(self, q: Array, t: Array | float = 0.0) -> tuple[Array, Array]:
         """A (..., m, nv) and b (..., m) at configurations (..., nq) and times (...)."""
@@ -81,7 +86,9 @@ class VelocityRows:
         return whole[..., :-1], -whole[..., -1]
 
     def needed(self, outputs: Sequence[int]) -> np.ndarray:
-        """Places of the nodes that some outputs are computed from, the derivatives of functions included, in order."""
+        """Places of the nodes that some outputs are computed from, the derivatives of functions
+        included, in order.
+        """
         n = len(self.tape.inputs)
         nodes = self.tape.nodes
         todo = [self.tape.outputs[i] for i in outputs]
@@ -102,7 +109,9 @@ class VelocityRows:
 
     @cached_property
     def slots(self) -> np.ndarray:
-        """For each entry of (q, t) its velocity, -1 in a quaternion, and its place among the inputs, -1 if none."""
+        """For each entry of (q, t) its velocity, -1 in a quaternion, and its place among the
+        inputs, -1 if none.
+        """
         layout = self.layout
         out = np.full((layout.nq + 1, 2), -1, dtype=np.int64)
         out[layout.vector_q, 0] = layout.vector_v

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 STEP = 1e-3
 """Step of differences, in units of the velocities."""
 WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))
-"""Central differences of six points: their error is of the sixth order of the step (Fornberg, 1988)."""
+"""Central differences of six points: their error is of the sixth order of the step (Fornberg,
+1988)."""
 
 
 _NUMBERS = ctypes.POINTER(ctypes.c_double)
@@ -30,12 +31,14 @@ _KIND = ctypes.CFUNCTYPE(None, _NUMBERS, _NUMBERS, _NUMBERS, ctypes.c_int64)
 class KernelFunction:
     """A Python function of three arrays and a flag at an `address` that kernels can call.
 
-    No exception passes through a kernel: what the function raises is given to `keep`. So is Ctrl-C that comes while
-    the kernel works: Python raises it before the first line of the function, and ctypes passes it on to
-    `sys.unraisablehook`.
+    No exception passes through a kernel: what the function raises is given to `keep`. So is Ctrl-C
+    that comes while the kernel works: Python raises it before the first line of the function, and
+    ctypes passes it on to `sys.unraisablehook`.
     """
 
-    def __init__(self, work: Callable[[Any, Any, Any, int], None], keep: Callable[[BaseException], object]):
+    def __init__(
+        self, work: Callable[[Any, Any, Any, int], None], keep: Callable[[BaseException], object]
+    ):
         self.work = work
         self.keep = keep
         self._called = _KIND(self._call)
@@ -71,10 +74,14 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
     if isinstance(lost.exc_value, KeyboardInterrupt):
         for function in _all:
             is_it = getattr(lost.object, "__self__", None) is function
-            if is_it or repr(function._call) in (lost.err_msg or ""):  # from Python 3.13 on it is in the text
+            if is_it or repr(function._call) in (
+                lost.err_msg or ""
+            ):  # from Python 3.13 on it is in the text
                 function.keep(lost.exc_value)
                 return
-    other = _others.pop() if _others else sys.__unraisablehook__  # none where the other hook calls this one
+    other = (
+        _others.pop() if _others else sys.__unraisablehook__
+    )  # none where the other hook calls this one
     try:
         other(lost)
     finally:
@@ -82,11 +89,13 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
 
 
 class Callback:
-    """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call it.
+    """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call
+    it.
 
-    `alone` gives the values only. What it raises is kept in `error`, for no exception passes through a kernel. `scale`
-    (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all. See
-    `kempe.constraints.Function`. `maker`, called with `of`, gives the same again: in another process,
+    `alone` gives the values only. What it raises is kept in `error`, for no exception passes
+    through a kernel. `scale` (nv,) are the units of the velocities, `support` the n of them that it
+    depends on, by default all. See `kempe.constraints.Function`. `maker`, called with `of`, gives
+    the same again: in another process,
     where it has another address.
     """
 
@@ -94,9 +103,13 @@ class Callback:
     of: tuple[Any, ...] = ()
 
     def __init__(
-        self, system: Compiled, rows: int, function: Callable[[Array], tuple[Any, Array]],
-        support: Sequence[int] | None = None, alone: Callable[[Array], Any] | None = None,
-    ):  # fmt: skip
+        self,
+        system: Compiled,
+        rows: int,
+        function: Callable[[Array], tuple[Any, Array]],
+        support: Sequence[int] | None = None,
+        alone: Callable[[Array], Any] | None = None,
+    ):
         self.rows = rows
         self.error = None
         self.scale = np.ones(system.nv)
@@ -136,21 +149,27 @@ class Callback:
         return self.maker, self.of, {"scale": self.scale}
 
     @classmethod
-    def of_call(cls, system: Compiled, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
+    def of_call(
+        cls, system: Compiled, call: Call, rows: Sequence[int], numbers: Mapping[str, float]
+    ) -> Callback:
         """Some numbers of a function of named coordinates; derivatives by differences."""
         first = system.structure.coordinates.first
         followers = system.structure.couplings
         read: dict[str, tuple[int, float, float]] = {}
         for name in (n for n in call.of if n not in numbers):
             f = followers.get(name)
-            source, multiplier, offset = (name, 1.0, 0.0) if f is None else (f.source, f.multiplier, f.offset)
+            source, multiplier, offset = (
+                (name, 1.0, 0.0) if f is None else (f.source, f.multiplier, f.offset)
+            )
             read[name] = (-1 if source is None else first[source][0], multiplier, offset)
         places = {i: v for i, v in first.values()}
         used = list(dict.fromkeys(i for i, _, _ in read.values() if i >= 0))
         own = list(rows)
 
         def values(q: Array) -> Array:
-            given = {n: m * (q[i] if i >= 0 else 0.0) + offset for n, (i, m, offset) in read.items()}
+            given = {
+                n: m * (q[i] if i >= 0 else 0.0) + offset for n, (i, m, offset) in read.items()
+            }
             return call({**numbers, **given})[own]
 
         def both(q: Array) -> tuple[Array, Array]:

@@ -1,4 +1,6 @@
-"""Declared constraints as ties for the kernels: their rows of position, with ends on rows of the table."""
+"""Declared constraints as ties for the kernels: their rows of position, with ends on rows of the
+table.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,11 @@ from kempe.model.tree.primitive_table import Table
 if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled
 
-TURNS = {Op.ROTATION: {2: L.ANGLE, 3: L.FULL}, Op.TILT: {2: L.ALIGN, 3: L.ALIGN}, Op.LOOK: {2: L.LOOK, 3: L.LOOK}}
+TURNS = {
+    Op.ROTATION: {2: L.ANGLE, 3: L.FULL},
+    Op.TILT: {2: L.ALIGN, 3: L.ALIGN},
+    Op.LOOK: {2: L.LOOK, 3: L.LOOK},
+}
 """What of the rotation a row holds, by the dimension."""
 
 End = tuple[int, np.ndarray, bool]
@@ -34,7 +40,9 @@ End = tuple[int, np.ndarray, bool]
 
 
 def declared_ties(system: Compiled, table: Table, one_sided: bool = False) -> list[Tie]:
-    """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between two, too."""
+    """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between
+    two, too.
+    """
     every = (t for c in system._mechanism.constraints.values() for t in ties_of(system, table, c))
     return [t for t in every if one_sided or not t.bounds]
 
@@ -49,13 +57,23 @@ def ends_of(system: Compiled, table: Table, declared: Declared) -> tuple[End, En
     """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
     if not declared.parent:
         return (-1, np.eye(4), False), (-1, np.eye(4), False)
-    ends = ((declared.parent, declared.child), declared.frames(system._mechanism.parameters, system.dim))
-    a, b = ((row, X @ E, particle) for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True)))
+    ends = (
+        (declared.parent, declared.child),
+        declared.frames(system._mechanism.parameters, system.dim),
+    )
+    a, b = (
+        (row, X @ E, particle)
+        for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True))
+    )
     return a, b
 
 
-def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = False) -> Iterator[Tie]:
-    """The ties of the rows of position between two ends, as few as can hold them; `given` as in `plain_rows`."""
+def ties(
+    name: str, made: Constraint, dim: int, a: End, b: End, given: bool = False
+) -> Iterator[Tie]:
+    """The ties of the rows of position between two ends, as few as can hold them; `given` as in
+    `plain_rows`.
+    """
     rows = plain_rows(made, dim, given)
     for sided in (False, True):
         own = [r for r in rows if one_sided(made, r) == sided]
@@ -73,19 +91,28 @@ def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = Fa
             yield Tie(name, a, b, turns=turns)
         for row in (r for r in own if r.op is Op.DISTANCE):
             number = 0.0 if sided else value_of(made, row)
-            yield Tie(name, a, b, turns=L.DISTANCE, number=number, bounds=(between(made, row),) if sided else ())
+            yield Tie(
+                name,
+                a,
+                b,
+                turns=L.DISTANCE,
+                number=number,
+                bounds=(between(made, row),) if sided else (),
+            )
         for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in own if r.op is Op.TAPE):
             alike = [r for r in own if r.op is Op.TAPE and (r.args[0], r.unit) == (tape, unit)]
             bounds = tuple(between(made, r) for r in alike) if sided else ()
             recording = recorded(made, alike, dim, given)
-            yield Tie(name, a, b, turns=L.TAPE, bounds=bounds, tape=recording, given=bool(recording.given))
+            yield Tie(
+                name, a, b, turns=L.TAPE, bounds=bounds, tape=recording, given=bool(recording.given)
+            )
 
 
 def plain_rows(made: Constraint, dim: int, given: bool = False) -> list[Row]:
     """The rows of position, of which some become expressions that are to be zero, or not negative.
 
-    These are values of expressions, and, where numbers are `given` with each call, all values, and ends that differ
-    from target to target. Errors: `InputError` for rows that have no number.
+    These are values of expressions, and, where numbers are `given` with each call, all values, and
+    ends that differ from target to target. Errors: `InputError` for rows that have no number.
     """
     out: list[Row] = []
     for row in made.rows(dim):
@@ -93,17 +120,32 @@ def plain_rows(made: Constraint, dim: int, given: bool = False) -> list[Row]:
             continue
         value = held(made, row)
         sided = one_sided(made, row)
-        if row.op is Op.COORDINATE or ((value or sided) and (row.op in TURNS or (value and row.op is Op.CALL))):
-            raise InputError(f"the row {row.name!r} of {made.label} is no number that has a value or ends")
-        ends = {value: "equal"} if value else {n: side for n, side in ((row.low, "low"), (row.high, "high")) if n}
+        if row.op is Op.COORDINATE or (
+            (value or sided) and (row.op in TURNS or (value and row.op is Op.CALL))
+        ):
+            raise InputError(
+                f"the row {row.name!r} of {made.label} is no number that has a value or ends"
+            )
+        ends = (
+            {value: "equal"}
+            if value
+            else {n: side for n, side in ((row.low, "low"), (row.high, "high")) if n}
+        )
         ends = {n: side for n, side in ends.items() if getattr(made, n) is not None}
         varied = given and any(np.ndim(getattr(made, n)) > (row.part is not None) for n in ends)
         if not (varied or (value and (given or row.op is Op.TAPE))):
             out.append(row)
             continue
         if row.op not in AS_TEXT and row.op is not Op.TAPE:
-            raise InputError(f"{made.label} is the same for all targets: its ends cannot differ from target to target")
-        tape, k = row.args if row.op is Op.TAPE else (from_text(AS_TEXT[row.op], POSE), row.args[0] if row.args else 0)
+            raise InputError(
+                f"{made.label} is the same for all targets: its ends cannot differ from target to "
+                "target"
+            )
+        tape, k = (
+            row.args
+            if row.op is Op.TAPE
+            else (from_text(AS_TEXT[row.op], POSE), row.args[0] if row.args else 0)
+        )
         for name, side in ends.items():
             end = name if row.part is None else f"{name}[{row.part}]"
             off = _off(tape, k, end, side == "high", (*POSE, *made.reads))
@@ -117,7 +159,9 @@ AS_TEXT = {Op.POINT: ("x", "y", "z"), Op.DISTANCE: (f"sqrt(x^2 + y^2 + z^2 + {LE
 
 @lru_cache(maxsize=256)
 def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ...]) -> Tape:
-    """How far an output is above an end, which is an input; `turned`: below. All but `varying` is constant."""
+    """How far an output is above an end, which is an input; `turned`: below. All but `varying` is
+    constant.
+    """
     inputs = list(dict.fromkeys([*tape.inputs, end]))
     build = Builder(inputs, [n for n in inputs if n not in varying])
     value = build.replayed(tape.part([output]), [build.inputs.index(n) for n in tape.inputs])[0]
@@ -125,7 +169,9 @@ def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ..
     return build.finish([build.binary(TL.SUB, *((place, value) if turned else (value, place)))])
 
 
-def every_tie(system: Compiled, name: str, made: Constraint, a: End, b: End, given: bool = False) -> list[Tie]:
+def every_tie(
+    system: Compiled, name: str, made: Constraint, a: End, b: End, given: bool = False
+) -> list[Tie]:
     """As `ties`, with functions, too, over coordinates that are in q."""
     found = list(ties(name, made, system.dim, a, b, given))
     for sided in (False, True):
@@ -143,7 +189,9 @@ def every_tie(system: Compiled, name: str, made: Constraint, a: End, b: End, giv
 
 
 def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
-    """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields come with the call."""
+    """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields
+    come with the call.
+    """
     tape = rows[0].args[0].part([r.args[1] for r in rows])
     own = {n: input_of(made, n) for n in tape.inputs if n.partition("[")[0] in _own(made, dim)}
     numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
@@ -151,7 +199,9 @@ def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -
     names = tuple(r.name for r in rows)
     unit = rows[0].unit
     posed = made.ends[1] is not None
-    return RecordedRows(tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ())
+    return RecordedRows(
+        tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ()
+    )
 
 
 def _own(made: Constraint, dim: int) -> set[str]:
@@ -172,14 +222,22 @@ def number_of(made: Constraint, field: str, part: int | None = None) -> Any:
 
 
 def input_of(made: Constraint, name: str) -> Any:
-    """What a field gives for an input of an expression: "low", or "low[1]" for one of several numbers."""
+    """What a field gives for an input of an expression: "low", or "low[1]" for one of several
+    numbers.
+    """
     field, _, part = name.partition("[")
     return number_of(made, field, int(part[:-1]) if part else None)
 
 
 def numbers_of(made: Constraint) -> dict[str, float]:
-    """The numbers of a constraint, parameters among them, by the names that expressions have for them."""
-    own = {k: x for k, x in numbers_in(made).items() if x is not None and np.ndim(x) == 0 and not isinstance(x, str)}
+    """The numbers of a constraint, parameters among them, by the names that expressions have for
+    them.
+    """
+    own = {
+        k: x
+        for k, x in numbers_in(made).items()
+        if x is not None and np.ndim(x) == 0 and not isinstance(x, str)
+    }
     given: dict[str, Any] = {**(getattr(made, "parameters", None) or {}), **own}
     return {k: float(x) for k, x in given.items() if k not in made.reads}
 
@@ -187,7 +245,10 @@ def numbers_of(made: Constraint) -> dict[str, float]:
 def between(made: Constraint, row: Row) -> tuple[float, float]:
     """Between what a one-sided row holds."""
     ends = (number_of(made, field, row.part) if field else None for field in (row.low, row.high))
-    low, high = (infinity if x is None else float(x) for x, infinity in zip(ends, (-np.inf, np.inf), strict=True))
+    low, high = (
+        infinity if x is None else float(x)
+        for x, infinity in zip(ends, (-np.inf, np.inf), strict=True)
+    )
     if np.isnan(low) or np.isnan(high):
         raise InputError(f"{made.label} holds between {low} and {high}; these must be numbers")
     return low, high

@@ -17,16 +17,22 @@ from kempe.kernels.forward.table_layout import NV
 from kempe.model.tree.coordinates import Relation
 
 TURN_NAMES = {
-    L.NO_TURN: (), L.ANGLE: ("rz",), L.ALIGN: ("rx", "ry"), L.CROSS: ("x.y",), L.FULL: ("rx", "ry", "rz"),
+    L.NO_TURN: (),
+    L.ANGLE: ("rz",),
+    L.ALIGN: ("rx", "ry"),
+    L.CROSS: ("x.y",),
+    L.FULL: ("rx", "ry", "rz"),
     L.LOOK: ("rx", "ry"),
-}  # fmt: skip
+}
 ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
 
 
 class CompiledFunction(Protocol):
-    """A function of q in compiled form: `address` of void(double* q, double* value, double* columns, int64 flag).
+    """A function of q in compiled form: `address` of void(double* q, double* value, double*
+    columns, int64 flag).
 
-    It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in scaled velocities.
+    It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in
+    scaled velocities.
     """
 
     rows: int
@@ -41,7 +47,8 @@ class CompiledFunction(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Centre:
-    """A centre of masses whose sum is 1: for each row of the table (n, 4) mass and first moment in its axes.
+    """A centre of masses whose sum is 1: for each row of the table (n, 4) mass and first moment in
+    its axes.
 
     `rest` (3,) is the first moment of what stands on the ground.
     """
@@ -52,7 +59,8 @@ class Centre:
 
 @dataclass(frozen=True, eq=False)
 class RecordedRows:
-    """Rows that are outputs of a recorded expression: of the pose of B in A (where `posed`), else of coordinates.
+    """Rows that are outputs of a recorded expression: of the pose of B in A (where `posed`), else
+    of coordinates.
 
     Inputs that start with no other meaning are coordinates by name.
     """
@@ -81,13 +89,20 @@ class RecordedRows:
         return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
 
     def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> RecordedRows:
-        """The expression with coupled coordinates replaced by their sources: (source, multiplier, offset) by name."""
-        return replace(self, tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}))
+        """The expression with coupled coordinates replaced by their sources: (source, multiplier,
+        offset) by name.
+        """
+        return replace(
+            self,
+            tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """Equations that hold a frame B in a frame A: name, both ends (row, placement, particle), and what they hold."""
+    """Equations that hold a frame B in a frame A: name, both ends (row, placement, particle), and
+    what they hold.
+    """
 
     name: str
     a: tuple[int, np.ndarray, bool]
@@ -119,8 +134,11 @@ class Tie:
     @property
     def plain(self) -> bool:
         """Whether its equations are plain numbers, neither metres nor radians of a pose."""
-        return self.relation is not None or self.function is not None or (
-            self.tape is not None and self.tape.unit not in ("m", "rad"))  # fmt: skip
+        return (
+            self.relation is not None
+            or self.function is not None
+            or (self.tape is not None and self.tape.unit not in ("m", "rad"))
+        )
 
     @property
     def rows(self) -> list[str]:
@@ -140,8 +158,8 @@ class Tie:
 class PackedLoops:
     """The loop closures and constraints ("ties") of a system as arrays for the kernels.
 
-    A tie is a set of equations that hold a frame B in a frame A. `ints` and `floats` are the table of primitives; the
-    other arrays are as in `loop_layout`.
+    A tie is a set of equations that hold a frame B in a frame A. `ints` and `floats` are the table
+    of primitives; the other arrays are as in `loop_layout`.
     """
 
     ties: tuple[Tie, ...]
@@ -168,8 +186,11 @@ class PackedLoops:
     @property
     def units(self) -> tuple[str, ...]:
         """The unit of each equation: "m", "rad", or that of an expression."""
-        return tuple("m" if i < n else "rad" if t.tape is None else t.tape.unit
-                     for t, n in zip(self.ties, self.lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+        return tuple(
+            "m" if i < n else "rad" if t.tape is None else t.tape.unit
+            for t, n in zip(self.ties, self.lengths, strict=True)
+            for i in range(len(t.rows))
+        )
 
     @property
     def bounds(self) -> np.ndarray:
@@ -190,7 +211,9 @@ class PackedLoops:
         """For each tie the unknown velocity coordinates that its equations depend on."""
         unknown = set(self.unknown.tolist())
         out = list[list[int]]()
-        for tie in self.plan[self.plan[L.AT_TIES] :][: L.TIE_INTS * len(self.ties)].reshape(-1, L.TIE_INTS):
+        for tie in self.plan[self.plan[L.AT_TIES] :][: L.TIE_INTS * len(self.ties)].reshape(
+            -1, L.TIE_INTS
+        ):
             at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
             out.append([v for v in self.plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
         return out
@@ -220,7 +243,9 @@ class PackedLoops:
                 raise error
 
     def columns(self, k: int) -> list[int]:
-        """Indices of the velocity coordinates that the equations of tie k (a loop closure or constraint) depend on."""
+        """Indices of the velocity coordinates that the equations of tie k (a loop closure or
+        constraint) depend on.
+        """
         tie = self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k :]
         at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
         return self.plan[at : at + int(tie[L.LOCALS])].tolist()

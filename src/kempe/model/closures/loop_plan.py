@@ -18,9 +18,17 @@ if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled
 
 READINGS = {
-    "x": L.READ_X, "y": L.READ_Y, "z": L.READ_Z, "turn z": L.READ_ANGLE, "turn rx": L.READ_RX, "turn ry": L.READ_RY,
-    "turn yaw": L.READ_YAW, "turn pitch": L.READ_PITCH, "turn roll": L.READ_ROLL, "quaternion": L.READ_QUATERNION,
-}  # fmt: skip
+    "x": L.READ_X,
+    "y": L.READ_Y,
+    "z": L.READ_Z,
+    "turn z": L.READ_ANGLE,
+    "turn rx": L.READ_RX,
+    "turn ry": L.READ_RY,
+    "turn yaw": L.READ_YAW,
+    "turn pitch": L.READ_PITCH,
+    "turn roll": L.READ_ROLL,
+    "quaternion": L.READ_QUATERNION,
+}
 
 
 def _readings(system: Compiled, joint: Joint) -> list[tuple[int, int]]:
@@ -41,13 +49,19 @@ def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
             row = int(parent[row])
         ways.append(way)
     common = set(ways[0]) & set(ways[1])
-    return [(sign, r) for sign, way in zip((-1.0, 1.0), ways, strict=True) for r in way if r not in common]
+    return [
+        (sign, r)
+        for sign, way in zip((-1.0, 1.0), ways, strict=True)
+        for r in way
+        if r not in common
+    ]
 
 
 def laid_out(
     recorded: list[tuple[np.ndarray, np.ndarray, list[int]]], at: int, numbers_at: int
-) -> tuple[np.ndarray, list[int]]:  # fmt: skip
-    """The integers of TAPE ties, as `loop_layout` says, to stand at `at`, and where those of each begin.
+) -> tuple[np.ndarray, list[int]]:
+    """The integers of TAPE ties, as `loop_layout` says, to stand at `at`, and where those of each
+    begin.
 
     The numbers of their tapes stand at `numbers_at`, one after the other.
     """
@@ -65,8 +79,16 @@ def laid_out(
 class LoopPlan:
     """The integers and numbers of `loop_layout`, being collected."""
 
-    def __init__(self, system: Compiled, ties: list[Tie], ints: np.ndarray, held: frozenset[str], length: float,
-                 scaled: bool, wide: np.ndarray | None = None):  # fmt: skip
+    def __init__(
+        self,
+        system: Compiled,
+        ties: list[Tie],
+        ints: np.ndarray,
+        held: frozenset[str],
+        length: float,
+        scaled: bool,
+        wide: np.ndarray | None = None,
+    ):
         self.system = system
         self.ties = ties
         self.length = length
@@ -80,7 +102,9 @@ class LoopPlan:
         self.turns = c.turning.copy()
         for iv in system.structure.layout.quaternion_v:
             self.turns[iv : iv + 3] = True
-        self.turns[self.rows[self.rows[:, 0] == R, 3]] = True  # what slides and turns together counts as a turn
+        self.turns[self.rows[self.rows[:, 0] == R, 3]] = (
+            True  # what slides and turns together counts as a turn
+        )
         self.scale = np.where(self.turns, 1.0, length)
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.sort = np.full(system.nv, L.SLIDE, dtype=np.int64)
@@ -150,14 +174,18 @@ class LoopPlan:
         terms = {relation.of: 1.0}
         for name, m in relation.sources.items():
             terms[name] = terms.get(name, 0.0) - m
-        self.number[k] /= (norm := max(abs(m) * self.scale[first[n][1]] for n, m in terms.items()) ** self.scaled)
+        self.number[k] /= (
+            norm := max(abs(m) * self.scale[first[n][1]] for n, m in terms.items()) ** self.scaled
+        )
         for name, factor in terms.items():
             columns[first[name][1]] = len(columns)  # held ones, too: their values count
             self.entries.append((first[name][0], 0))
             self.factors.append(factor / norm)
 
     def _rows(self, k: int, tie: Tie) -> list[tuple[float, int]]:
-        """The rows that move B against A, with signs; a centre is moved by all that carry mass, and A moves apart."""
+        """The rows that move B against A, with signs; a centre is moved by all that carry mass, and
+        A moves apart.
+        """
         if tie.centre is None:
             return self._moving(k)
         share = self._shares(tie.centre)
@@ -193,11 +221,25 @@ class LoopPlan:
             if tie.tape is not None:
                 data = len(self.recorded) - 1
                 work = 3 * tie.tape.tape.size
-            ties.append([
-                tie.mask, tie.turns, rows, first_row, n_entries, entry, n_locals, local, block, pin if tie.pin else -1,
-                self._lengths(tie), given if tie.given else -1, len(bounds) if tie.bounds else -1,
-                len(centres) if tie.centre is not None else -1, data,
-            ])  # fmt: skip
+            ties.append(
+                [
+                    tie.mask,
+                    tie.turns,
+                    rows,
+                    first_row,
+                    n_entries,
+                    entry,
+                    n_locals,
+                    local,
+                    block,
+                    pin if tie.pin else -1,
+                    self._lengths(tie),
+                    given if tie.given else -1,
+                    len(bounds) if tie.bounds else -1,
+                    len(centres) if tie.centre is not None else -1,
+                    data,
+                ]
+            )
             pin = pin + tie.pin
             given = given + (len(tie.tape.given) if tie.tape else 4 if tie.ball else 1) * tie.given
             first_row = first_row + rows
@@ -207,17 +249,29 @@ class LoopPlan:
             if tie.centre is not None:
                 rows_ = np.column_stack([tie.centre.rows, self._shares(tie.centre)])
                 centres += [np.concatenate([rows_.ravel(), tie.centre.rest])]
-        reading = [(code, iq, k) for k, t in enumerate(self.ties) if t.joint is not None
-                   for code, iq in _readings(self.system, t.joint)]  # fmt: skip
+        reading = [
+            (code, iq, k)
+            for k, t in enumerate(self.ties)
+            if t.joint is not None
+            for code, iq in _readings(self.system, t.joint)
+        ]
         envelope, size = self._envelope(ties, first_row)
         starts = np.concatenate([[0], np.cumsum([len(u) for u in self.uses])])
         lists = [
-            ties, self.entries, self.locals, starts, [x for u in self.uses for x in u], envelope, reading,
+            ties,
+            self.entries,
+            self.locals,
+            starts,
+            [x for u in self.uses for x in u],
+            envelope,
+            reading,
             np.stack([self.place, self.sort, self.held], axis=1),
-        ]  # fmt: skip
+        ]
         flat = [np.asarray(x, dtype=np.int64).ravel() for x in lists]
         places = L.HEAD + np.concatenate([[0], np.cumsum([len(x) for x in flat])])
-        numbers_at = sum(len(x) for x in (self.number, self.factors, bounds)) + 2 + 5 * self.system.nv
+        numbers_at = (
+            sum(len(x) for x in (self.number, self.factors, bounds)) + 2 + 5 * self.system.nv
+        )
         numbers_at += sum(len(c) for c in centres)
         read, starts_at = laid_out(self.recorded, int(places[-1]), numbers_at)
         for t, tie in zip(flat[0].reshape(-1, L.TIE_INTS), self.ties, strict=True):
@@ -225,7 +279,13 @@ class LoopPlan:
                 t[L.DATA] = starts_at[t[L.DATA]]
         flat.append(read)
         head = [len(ties), first_row, len(reading), pin, block, size, *places[:8].tolist()]
-        lists = [[1.0 / self.length, self.length], [*self.scale, *self._ranges()], self.number, self.factors, bounds]
+        lists = [
+            [1.0 / self.length, self.length],
+            [*self.scale, *self._ranges()],
+            self.number,
+            self.factors,
+            bounds,
+        ]
         at = np.cumsum([len(x) for x in lists])
         head += [*at[1:].tolist(), *self._base()]
         lists += [*centres, *(x for _, x, _ in self.recorded)]
@@ -241,12 +301,20 @@ class LoopPlan:
         return tie.mask.bit_count() + (tie.turns == L.DISTANCE)
 
     def _base(self) -> tuple[int, int]:
-        """A tie that holds, in the ground, a frame of what a free joint moves, and the first of that joint's rows."""
-        if len(self.rows) < 4 or self.rows[:4, 0].tolist() != [P, P, P, Q] or np.any(self.rows[:4, 1] != range(-1, 3)):
+        """A tie that holds, in the ground, a frame of what a free joint moves, and the first of
+        that joint's rows.
+        """
+        if (
+            len(self.rows) < 4
+            or self.rows[:4, 0].tolist() != [P, P, P, Q]
+            or np.any(self.rows[:4, 1] != range(-1, 3))
+        ):
             return -1, -1
         for turns in (L.FULL, L.NO_TURN):
             for k, tie in enumerate(self.ties):
-                held = tie.mask == 7 and tie.turns == turns and not tie.bounds and tie.centre is None
+                held = (
+                    tie.mask == 7 and tie.turns == turns and not tie.bounds and tie.centre is None
+                )
                 way = [r for _, r in self._moving(k)] if tie.pin and held else []
                 if self.outputs[2 * k, 0] < 0 and set(range(4)) <= set(way):
                     return k, 0
@@ -259,9 +327,18 @@ class LoopPlan:
         reach = np.where(self.turns, np.pi, self.length)
         far = np.where(np.isfinite(low), low, -np.inf)
         near = np.where(np.isfinite(high), high, np.inf)
-        draw_low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach))
-        draw_high = np.where(np.isfinite(high), high, np.where(np.isfinite(low), far + 2.0 * reach, reach))
-        return [*np.where(self.wide, -np.inf, low), *np.where(self.wide, np.inf, high), *draw_low, *draw_high]
+        draw_low = np.where(
+            np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach)
+        )
+        draw_high = np.where(
+            np.isfinite(high), high, np.where(np.isfinite(low), far + 2.0 * reach, reach)
+        )
+        return [
+            *np.where(self.wide, -np.inf, low),
+            *np.where(self.wide, np.inf, high),
+            *draw_low,
+            *draw_high,
+        ]
 
     def _envelope(self, ties: list[list[int]], m: int) -> tuple[list[tuple[int, int]], int]:
         """For each row of J J^T its first column that is not zero, and where the row begins."""

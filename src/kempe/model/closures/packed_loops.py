@@ -1,10 +1,11 @@
 """Loops as data: what ties which frames together over which coordinates, packed for the kernels.
 
-A *tie* is one constraint between two frames A and B: a joint that the tree left out, a declared constraint, a frame
-held in place (a pin), or a linear relation of coordinates. A joint that the tree left out is tied in one of two forms.
-*Implicit*, A is its frame F and B its frame M, held as the joint holds them; its own coordinates are read off
-afterwards. *Explicit*, A is led on through the joint's own motion, and coincides with B; its coordinates are unknowns
-like all others. So a coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
+A *tie* is one constraint between two frames A and B: a joint that the tree left out, a declared
+constraint, a frame held in place (a pin), or a linear relation of coordinates. A joint that the
+tree left out is tied in one of two forms. *Implicit*, A is its frame F and B its frame M, held as
+the joint holds them; its own coordinates are read off afterwards. *Explicit*, A is led on through
+the joint's own motion, and coincides with B; its coordinates are unknowns like all others. So a
+coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
 that has no implicit form (`kempe.model.closures.implicit_form`).
 """
 
@@ -46,10 +47,14 @@ TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FU
 
 
 def must_be_explicit(system: Compiled, known: Iterable[str] = ()) -> frozenset[str]:
-    """The explicit loop joints: those cut without an implicit form, or with known, limited or coupled coordinates."""
+    """The explicit loop joints: those cut without an implicit form, or with known, limited or
+    coupled coordinates.
+    """
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
     related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
-    related |= {f.source for f in system.structure.couplings.values() if f.source is not None}  # others move with them
+    related |= {
+        f.source for f in system.structure.couplings.values() if f.source is not None
+    }  # others move with them
     v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
     out: set[str] = set()
@@ -57,44 +62,65 @@ def must_be_explicit(system: Compiled, known: Iterable[str] = ()) -> frozenset[s
         names = system.structure.coordinates_of_joint(name)
         none = _implicit(system, system.structure.joints[name]) is None
         if none or any(
-            c in system.structure.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names
+            c in system.structure.couplings
+            or c in related
+            or (c in v_index and limited[v_index[c]])
+            for c in names
         ):
             out.add(name)
     return frozenset(out)
 
 
 def loops_of(
-    system: Compiled, explicit: frozenset[str], held: frozenset[str] = frozenset(),
-    pins: tuple[tuple[str, bool], ...] = (), length: float | None = None, one_sided: bool = False,
-) -> PackedLoops:  # fmt: skip
-    """The packed loops of a system; with `one_sided` those declared constraints, too, that hold between bounds.
+    system: Compiled,
+    explicit: frozenset[str],
+    held: frozenset[str] = frozenset(),
+    pins: tuple[tuple[str, bool], ...] = (),
+    length: float | None = None,
+    one_sided: bool = False,
+) -> PackedLoops:
+    """The packed loops of a system; with `one_sided` those declared constraints, too, that hold
+    between bounds.
 
-    `explicit` names the left-out joints in explicit form, `held` the velocity coordinates that are no unknowns, `pins`
-    the frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled
-    by `length` (default: the characteristic length); with length 1 they are in metres.
+    `explicit` names the left-out joints in explicit form, `held` the velocity coordinates that are
+    no unknowns, `pins` the frames that are held in place (with their orientation where the flag
+    says so). Equations and unknowns are scaled by `length` (default: the characteristic length);
+    with length 1 they are in metres.
     """
     return _packed(system, explicit, held, pins, length, one_sided)
 
 
 @kept
 def _packed(
-    system: Compiled, explicit: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
-    length: float | None, one_sided: bool,
-) -> PackedLoops:  # fmt: skip
+    system: Compiled,
+    explicit: frozenset[str],
+    held: frozenset[str],
+    pins: tuple[tuple[str, bool], ...],
+    length: float | None,
+    one_sided: bool,
+) -> PackedLoops:
     return pack(system, explicit, held, pins, length, one_sided=one_sided)
 
 
 def pack(
-    system: Compiled, explicit: frozenset[str], held: frozenset[str] = frozenset(),
-    pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
-    further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
-    level: Callable[[Tie], int] | None = None, one_sided: bool = False, drawn: Compiled | None = None,
-) -> PackedLoops:  # fmt: skip
-    """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows of the table.
+    system: Compiled,
+    explicit: frozenset[str],
+    held: frozenset[str] = frozenset(),
+    pins: tuple[tuple[str, bool], ...] = (),
+    length: float | None = None,
+    further: Callable[[Table], list[Tie]] | None = None,
+    wide: np.ndarray | None = None,
+    level: Callable[[Tie], int] | None = None,
+    one_sided: bool = False,
+    drawn: Compiled | None = None,
+) -> PackedLoops:
+    """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows
+    of the table.
 
-    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
-    stand before others, so that of rows that depend on each other the later ones yield. The frames of `further` ties
-    are those of the `drawn` system, where given: it has the same coordinates, and other dimensions.
+    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties
+    of a lower `level` stand before others, so that of rows that depend on each other the later ones
+    yield. The frames of `further` ties are those of the `drawn` system, where given: it has the
+    same coordinates, and other dimensions.
     """
     size = characteristic_length(system) if length is None else length
     origin = origin_of(system)
@@ -111,19 +137,25 @@ def pack(
         at["tie", k, 0] = tie.a
         at["tie", k, 1] = tie.b
     table = replace(table, at=at)
-    every = range(len(table.kind)) if any(t.centre for t in ties) else None  # a centre is moved by all that has mass
+    every = (
+        range(len(table.kind)) if any(t.centre for t in ties) else None
+    )  # a centre is moved by all that has mass
     ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
     plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).arrays()
     for tie in ties:
         if tie.function is not None:
             tie.function.scale = L.velocity_lists(weights, system.nv)[0]
     names = tuple((t.name, row) for t in ties for row in t.rows)
-    unknown = np.array([i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64)
+    unknown = np.array(
+        [i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64
+    )
     return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
 
 
 def _lowered(system: Compiled, ends: dict[str, bool], origin: np.ndarray) -> Table:
-    """The table of a system with the ends of joints that the tree left out, measured from `origin` (3,)."""
+    """The table of a system with the ends of joints that the tree left out, measured from `origin`
+    (3,).
+    """
     mechanism = system._mechanism
     given = system.structure
     table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
@@ -131,16 +163,27 @@ def _lowered(system: Compiled, ends: dict[str, bool], origin: np.ndarray) -> Tab
 
 
 def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
-    """The rows of two tables over the same coordinates as one table: with the ends of the second, and of the first."""
+    """The rows of two tables over the same coordinates as one table: with the ends of the second,
+    and of the first.
+    """
     n = len(first.kind)
     behind = np.where(second.parent < 0, -1, second.parent + n)
-    ends = {name: (row if row < 0 else row + n, X, particle) for name, (row, X, particle) in second.at.items()}
+    ends = {
+        name: (row if row < 0 else row + n, X, particle)
+        for name, (row, X, particle) in second.at.items()
+    }
     both = Table(
-        np.concatenate([first.kind, second.kind]), np.concatenate([first.parent, behind]),
-        np.concatenate([first.iq, second.iq]), np.concatenate([first.iv, second.iv]),
-        np.concatenate([first.multiplier, second.multiplier]), np.concatenate([first.offset, second.offset]),
-        np.concatenate([first.placement, second.placement]), ends, second.nq, second.nv,
-    )  # fmt: skip
+        np.concatenate([first.kind, second.kind]),
+        np.concatenate([first.parent, behind]),
+        np.concatenate([first.iq, second.iq]),
+        np.concatenate([first.iv, second.iv]),
+        np.concatenate([first.multiplier, second.multiplier]),
+        np.concatenate([first.offset, second.offset]),
+        np.concatenate([first.placement, second.placement]),
+        ends,
+        second.nq,
+        second.nv,
+    )
     return both, replace(both, at=first.at)
 
 
@@ -148,22 +191,40 @@ def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
 
 
 def held_ties(system: Compiled, table: Table) -> list[Tie]:
-    """All ties that hold positions: of joints that the tree left out, in explicit form, and of declared constraints.
+    """All ties that hold positions: of joints that the tree left out, in explicit form, and of
+    declared constraints.
 
-    One-sided constraints are among them. `table` has the frames of these joints, led on through their motion.
+    One-sided constraints are among them. `table` has the frames of these joints, led on through
+    their motion.
     """
     return _ties(system, table, frozenset(system.structure.closures), (), True)
 
 
 def _ties(
-    system: Compiled, table: Table, explicit: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
-) -> list[Tie]:  # fmt: skip
+    system: Compiled,
+    table: Table,
+    explicit: frozenset[str],
+    pins: tuple[tuple[str, bool], ...],
+    one_sided: bool,
+) -> list[Tie]:
     mechanism = system._mechanism
-    ties = [_of_joint(system, table, mechanism.joints[n], n in explicit) for n in system.structure.closures]
+    ties = [
+        _of_joint(system, table, mechanism.joints[n], n in explicit)
+        for n in system.structure.closures
+    ]
     ties += declared_ties(system, table, one_sided)
     ground = (-1, np.eye(4), False)
     for relation in system.structure.relations:
-        ties.append(Tie(relation.of, ground, ground, turns=L.LINEAR, number=relation.offset, relation=relation))
+        ties.append(
+            Tie(
+                relation.of,
+                ground,
+                ground,
+                turns=L.LINEAR,
+                number=relation.offset,
+                relation=relation,
+            )
+        )
     for frame, turned in pins:
         mask = _mask("xyz"[: system.dim])
         turns = L.NO_TURN if not turned else L.ANGLE if system.dim == 2 else L.FULL
@@ -172,7 +233,9 @@ def _ties(
 
 
 def _flat(end: End, of: End, table: Table) -> End:
-    """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the plane is along z."""
+    """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the
+    plane is along z.
+    """
     z = plane_normal(of, table)
     x = np.array([0.0, 0.0, 1.0])
     C = np.eye(4)
@@ -181,7 +244,9 @@ def _flat(end: End, of: End, table: Table) -> End:
 
 
 def plane_normal(end: End, table: Table) -> np.ndarray:
-    """The normal of the plane of a planar system, in axes of a frame: the same in all configurations."""
+    """The normal of the plane of a planar system, in axes of a frame: the same in all
+    configurations.
+    """
     z = np.array([0.0, 0.0, 1.0])
     row = end[0]
     way: list[np.ndarray] = [end[1]]
@@ -218,7 +283,9 @@ def _mask(axes: str) -> int:
 
 
 def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
-    """The ties so that those that share coordinates are near each other: it keeps the envelope of J J^T small."""
+    """The ties so that those that share coordinates are near each other: it keeps the envelope of J
+    J^T small.
+    """
     if len(ties) < 8:
         return ties
     from scipy.sparse import csgraph, csr_matrix
@@ -236,15 +303,21 @@ def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
     return [ties[int(k)] for k in order]
 
 
-def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places) -> list[Tie]:
-    """The ties in the order of levels, each in an order of its own, so that it is the same without the last level.
+def _by_level(
+    ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places
+) -> list[Tie]:
+    """The ties in the order of levels, each in an order of its own, so that it is the same without
+    the last level.
 
-    Those of the last level that hold one coordinate each stand before the first other one that it moves: this keeps the
-    envelope small.
+    Those of the last level that hold one coordinate each stand before the first other one that it
+    moves: this keeps the envelope small.
     """
     last = max(level(t) for t in ties)
     loose = [t for t in ties if t.own >= 0 and level(t) == last]
-    groups = [[t for t in ties if level(t) == n and t not in loose] for n in sorted({level(t) for t in ties})]
+    groups = [
+        [t for t in ties if level(t) == n and t not in loose]
+        for n in sorted({level(t) for t in ties})
+    ]
     out: list[Tie] = []
     for tie in (t for group in groups for t in _in_order(group, table, first)):
         moved_by = _coordinates_of(tie, table, first)
@@ -254,7 +327,8 @@ def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int], first:
 
 
 def _coordinates_of(tie: Tie, table: Table, first: Places) -> set[int]:
-    """Velocity coordinates that the equations of a tie depend on, by which its neighbours in the order are found.
+    """Velocity coordinates that the equations of a tie depend on, by which its neighbours in the
+    order are found.
 
     `table` holds the rows of the tree, `first` the places of coordinates by name.
     """

@@ -1,4 +1,6 @@
-"""How large a mechanism is and where it stands: what tolerances, and the digits of its loops, are measured by."""
+"""How large a mechanism is and where it stands: what tolerances, and the digits of its loops, are
+measured by.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +22,24 @@ if TYPE_CHECKING:
 NOTHING = 1e-12
 """Lengths, in metres, that no link has."""
 SHORT = 1e-2
-"""Links shorter than this part of the longest but one are offsets by which axes miss each other, and not typical.
+"""Links shorter than this part of the longest but one are offsets by which axes miss each other,
+and not typical.
 
-It is the widest tolerance of dimensions, as a part of the size: rounded numbers do not decide what the size is.
+It is the widest tolerance of dimensions, as a part of the size: rounded numbers do not decide what
+the size is.
 """
 FAR = 10.0
-"""Characteristic lengths from the ground's origin to its joints beyond which loops are measured from there."""
+"""Characteristic lengths from the ground's origin to its joints beyond which loops are measured
+from there."""
 
 
 @kept
 def characteristic_length(system: Compiled) -> float:
     """A typical length of a link in metres; 1 if all is 0.
 
-    The median over the links of how far apart their joints are (for two, their distance): it depends neither on where
-    loops are cut nor on where bodies have their origins. Where no link has two, the mean distance of frames from the
-    joint before them.
+    The median over the links of how far apart their joints are (for two, their distance): it
+    depends neither on where loops are cut nor on where bodies have their origins. Where no link has
+    two, the mean distance of frames from the joint before them.
     """
     found: list[float] = []
     for links in _links(system).values():
@@ -55,7 +60,9 @@ def characteristic_length(system: Compiled) -> float:
 
 
 def _unit(v: np.ndarray) -> float:
-    """A power of two by which vectors are divided before they are squared: 1 unless squares would be infinite."""
+    """A power of two by which vectors are divided before they are squared: 1 unless squares would
+    be infinite.
+    """
     return 2.0**600 if np.abs(v).max(initial=0.0) > 1e150 else 1.0
 
 
@@ -66,7 +73,9 @@ def _lengths(v: np.ndarray) -> np.ndarray:
 
 
 def as_large_as(system: SystemType, other: Compiled) -> SystemType:
-    """The system, measured by the characteristic length of another one, of which it is a small change."""
+    """The system, measured by the characteristic length of another one, of which it is a small
+    change.
+    """
     system._kept.setdefault(LENGTH, {})[()] = characteristic_length(other)
     return system
 
@@ -76,7 +85,9 @@ LENGTH: Any = characteristic_length.__wrapped__  # type: ignore[attr-defined]
 
 
 def origin_of(system: Compiled) -> np.ndarray:
-    """Where (3,) to measure loops from, so that a mechanism far from the ground's origin loses no digits."""
+    """Where (3,) to measure loops from, so that a mechanism far from the ground's origin loses no
+    digits.
+    """
     points = _links(system).get(-1, [])
     center = np.mean(points, axis=0) if len(points) else np.zeros(3)
     return center if np.linalg.norm(center) > FAR * characteristic_length(system) else np.zeros(3)
@@ -89,13 +100,18 @@ def moved(table: Table, by: np.ndarray) -> Table:
     placement = table.placement.copy()
     root = table.parent == -1
     placement[..., root, :, :] = X @ placement[..., root, :, :]
-    at = {name: (row, X @ pose if row < 0 else pose, particle) for name, (row, pose, particle) in table.at.items()}
+    at = {
+        name: (row, X @ pose if row < 0 else pose, particle)
+        for name, (row, pose, particle) in table.at.items()
+    }
     return replace(table, placement=placement, at=at)
 
 
 @kept
 def _links(system: Compiled) -> dict[int, list[np.ndarray]]:
-    """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
+    """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed
+    joints are none.
+    """
     system = own_tree(system)
     out: dict[int, list[np.ndarray]] = {}
     for body, point in _ends(system):

@@ -24,12 +24,15 @@ if TYPE_CHECKING:
     from kempe.model.compiled_system import Compiled
 
 HELD_TOLERANCE = 1e-9
-"""How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""
+"""How far a coordinate that follows a locked one may be outside its limits: rounding of the
+multiplier."""
 
 
 @dataclass(frozen=True)
 class Follower:
-    """A coordinate that is not in `q`: multiplier * source + offset, or the constant `offset` where source is None."""
+    """A coordinate that is not in `q`: multiplier * source + offset, or the constant `offset` where
+    source is None.
+    """
 
     source: str | None
     multiplier: float
@@ -47,7 +50,9 @@ class Relation:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The coordinates of a system in the order of `q` (and of velocities), with their limits and dependencies."""
+    """The coordinates of a system in the order of `q` (and of velocities), with their limits and
+    dependencies.
+    """
 
     names: tuple[str, ...]
     velocity_names: tuple[str, ...]
@@ -75,7 +80,9 @@ def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
 
 
 def coordinate_name(joint: str, coordinate: str) -> str:
-    """The full name of a joint's coordinate, which has a name of its own where the joint has several."""
+    """The full name of a joint's coordinate, which has a name of its own where the joint has
+    several.
+    """
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
@@ -96,7 +103,9 @@ def units(system: Compiled) -> dict[str, str]:
 
 
 def coordinates_of(mechanism: Mechanism) -> Coordinates:
-    """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits that do not fit."""
+    """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits
+    that do not fit.
+    """
     balls: set[str] = set()
     every: dict[str, Joint] = {}
     taken: dict[str, str] = {}
@@ -106,14 +115,20 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
         for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
             full = coordinate_name(joint.name, name)
             if full in taken:
-                refuse(f"joint {joint.name!r}", f"its coordinate {full!r} has the same name as one of joint "
-                        f"{taken[full]!r}", joint.where, "rename one of the joints")  # fmt: skip
+                refuse(
+                    f"joint {joint.name!r}",
+                    f"its coordinate {full!r} has the same name as one of joint {taken[full]!r}",
+                    joint.where,
+                    "rename one of the joints",
+                )
             taken[full] = joint.name
         for name in names:
             every[coordinate_name(joint.name, name)] = joint
         for p in primitives:
             if p.kind == Q:
-                balls |= {coordinate_name(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
+                balls |= {
+                    coordinate_name(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]
+                }
     followers, relations = _resolve(mechanism, every, balls)
     _check_written(mechanism, every, balls)
     every_name: list[str] = []
@@ -134,7 +149,11 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
             first[full] = (len(every_name), len(velocity_names))
             triples.append((kinds[i], len(every_name), len(velocity_names)))
             every_name += [coordinate_name(joint.name, n) for n in local[i : i + size]]
-            velocity_names += [full] if size == 1 else [coordinate_name(joint.name, w) for w in ("wx", "wy", "wz")]
+            velocity_names += (
+                [full]
+                if size == 1
+                else [coordinate_name(joint.name, w) for w in ("wx", "wy", "wz")]
+            )
     layout = layout_of(triples, len(every_name), len(velocity_names))
     lower, upper, speed = _limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
@@ -142,14 +161,25 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     for array in (lower, upper, speed, turning):
         array.setflags(write=False)
     return Coordinates(
-        tuple(every_name), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
-    )  # fmt: skip
+        tuple(every_name),
+        tuple(velocity_names),
+        first,
+        followers,
+        relations,
+        layout,
+        lower,
+        upper,
+        speed,
+        turning,
+    )
 
 
 def _resolve(
     mechanism: Mechanism, every: dict[str, Joint], balls: set[str]
 ) -> tuple[dict[str, Follower], tuple[Relation, ...]]:
-    """Followers by repeated substitution, without recursion; relations of several sources stay rows."""
+    """Followers by repeated substitution, without recursion; relations of several sources stay
+    rows.
+    """
     followers: dict[str, Follower] = {}
     for name, number in _locks(mechanism, every, balls).items():
         followers[name] = Follower(None, 0.0, number)
@@ -172,10 +202,16 @@ def _resolve(
             else:
                 offset += factor * follower.offset
                 if follower.source is not None:
-                    flat[follower.source] = flat.get(follower.source, 0.0) + factor * follower.multiplier
+                    flat[follower.source] = (
+                        flat.get(follower.source, 0.0) + factor * follower.multiplier
+                    )
         flat = {k: v for k, v in flat.items() if v != 0.0}
         if not (math.isfinite(offset) and all(map(math.isfinite, flat.values()))):
-            refuse(f"coupling of {of!r}", "its multiplier or offset is not a number", mechanism.couplings[of].where)
+            refuse(
+                f"coupling of {of!r}",
+                "its multiplier or offset is not a number",
+                mechanism.couplings[of].where,
+            )
         if len(flat) > 1:
             relations.append(Relation(of, flat, offset))
         else:
@@ -193,12 +229,22 @@ def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str
             subject = f"constraint {c.name!r}"
             if name not in every:
                 allowed = "for the time say time=True" if name == TIME else ""
-                refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), c.where, allowed)
+                refuse(
+                    subject,
+                    str(UnknownNameError("coordinate", name, every, mechanism.name)),
+                    c.where,
+                    allowed,
+                )
             if name in balls and Op.VELOCITY not in operations:
                 refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
         both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
         if both:
-            refuse(f"constraint {c.name!r}", f"{both[0]!r} is a coordinate and a parameter", c.where, "rename one")
+            refuse(
+                f"constraint {c.name!r}",
+                f"{both[0]!r} is a coordinate and a parameter",
+                c.where,
+                "rename one",
+            )
 
 
 PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do not read"
@@ -206,7 +252,9 @@ OF_BALL = "use a joint with angles=True, or a constraint on a frame"
 
 
 def check_read(system: Compiled, names: Iterable[str], what: str) -> None:
-    """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`, `InputError`."""
+    """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`,
+    `InputError`.
+    """
     known = [*system.coordinate_names, *system.structure.couplings]
     for name in names:
         if name not in known:
@@ -215,8 +263,12 @@ def check_read(system: Compiled, names: Iterable[str], what: str) -> None:
             raise InputError(f"{what}: {PART_OF_BALL.format(name)}: {OF_BALL}")
 
 
-def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]) -> list[str]:
-    """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a cycle, printed."""
+def _in_order(
+    mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]
+) -> list[str]:
+    """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a
+    cycle, printed.
+    """
     done: dict[str, bool] = {}
     order: list[str] = []
     for start in pending:
@@ -231,7 +283,12 @@ def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], f
                     path = [n for n, _ in stack]
                     cycle = " -> ".join([*path[path.index(source) :], source])
                     where = mechanism.couplings[source].where
-                    refuse(f"coordinate {source!r}", f"it follows itself: {cycle}", where, "one of them must be free")
+                    refuse(
+                        f"coordinate {source!r}",
+                        f"it follows itself: {cycle}",
+                        where,
+                        "one of them must be free",
+                    )
                 done[source] = False
                 stack.append((source, iter(pending[source][0])))
                 break
@@ -242,11 +299,17 @@ def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], f
     return order
 
 
-def _check_coupling(mechanism: Mechanism, coupling: Coupling, every: dict[str, Joint], balls: set[str]) -> None:
+def _check_coupling(
+    mechanism: Mechanism, coupling: Coupling, every: dict[str, Joint], balls: set[str]
+) -> None:
     subject = f"coupling of {coupling.of!r}"
     for name in (coupling.of, *coupling.sources):
         if name not in every:
-            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), coupling.where)
+            refuse(
+                subject,
+                str(UnknownNameError("coordinate", name, every, mechanism.name)),
+                coupling.where,
+            )
         if name in balls:
             said = f"{name!r} is part of a quaternion"
             refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
@@ -254,7 +317,11 @@ def _check_coupling(mechanism: Mechanism, coupling: Coupling, every: dict[str, J
         if isinstance(v, Expression):
             for name in v.names:
                 if name not in mechanism.parameters:
-                    refuse(subject, str(UnknownNameError("parameter", name, mechanism.parameters)), coupling.where)
+                    refuse(
+                        subject,
+                        str(UnknownNameError("parameter", name, mechanism.parameters)),
+                        coupling.where,
+                    )
 
 
 def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
@@ -264,10 +331,20 @@ def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> di
             refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
         joint = every[name]
         if name in balls:
-            missing = [c for c in coordinate_names(mechanism, joint) if c in balls and c not in mechanism.locks]
+            missing = [
+                c
+                for c in coordinate_names(mechanism, joint)
+                if c in balls and c not in mechanism.locks
+            ]
             if missing:
-                refuse(subject, f"a quaternion is locked as a whole; missing are {', '.join(missing)}", None)
-            if not any(mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls):
+                refuse(
+                    subject,
+                    f"a quaternion is locked as a whole; missing are {', '.join(missing)}",
+                    None,
+                )
+            if not any(
+                mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls
+            ):
                 refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
         local = name[len(joint.name) + 1 :]
         lower, upper = joint.limits.get(local, (-math.inf, math.inf))
@@ -297,8 +374,12 @@ def _limits(
                 if follower.source is None:
                     slack = HELD_TOLERANCE * (1.0 + abs(follower.offset))
                     if not low - slack <= follower.offset <= high + slack:
-                        refuse(f"coordinate {name!r}", f"it is held at {follower.offset:g}, outside its limits "
-                                f"[{low:g}, {high:g}]", joint.where)  # fmt: skip
+                        refuse(
+                            f"coordinate {name!r}",
+                            f"it is held at {follower.offset:g}, outside its limits "
+                            f"[{low:g}, {high:g}]",
+                            joint.where,
+                        )
                     continue
                 m = follower.multiplier
                 low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
@@ -306,26 +387,48 @@ def _limits(
                 fast = fast / abs(m)
             i = index[name]
             before = (lower[i], upper[i])
-            lower[i], upper[i], speed[i] = max(lower[i], low), min(upper[i], high), min(speed[i], fast)
+            lower[i], upper[i], speed[i] = (
+                max(lower[i], low),
+                min(upper[i], high),
+                min(speed[i], fast),
+            )
             if lower[i] > upper[i]:
                 if lower[i] - upper[i] > HELD_TOLERANCE * (1.0 + abs(lower[i])):
-                    _refuse_limits(mechanism.joints[setter[i]], before, joint, (low, high), name, follower is None)
-                lower[i] = upper[i] = before[1] if low > before[1] else before[0]  # they touch, up to rounding
+                    _refuse_limits(
+                        mechanism.joints[setter[i]],
+                        before,
+                        joint,
+                        (low, high),
+                        name,
+                        follower is None,
+                    )
+                lower[i] = upper[i] = (
+                    before[1] if low > before[1] else before[0]
+                )  # they touch, up to rounding
             if (lower[i], upper[i]) != before:
                 setter[i] = joint.name
     return lower, upper, speed
 
 
 def _refuse_limits(
-    first: Joint, before: tuple[float, float], second: Joint, now: tuple[float, float], name: str, swap: bool
-):  # fmt: skip
-    """Refuse limits of two joints that one coordinate moves; the one that follows is named as the subject."""
+    first: Joint,
+    before: tuple[float, float],
+    second: Joint,
+    now: tuple[float, float],
+    name: str,
+    swap: bool,
+):
+    """Refuse limits of two joints that one coordinate moves; the one that follows is named as the
+    subject.
+    """
     a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
     refuse(
         f"joint {a[0].name!r}",
-        f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in [{a[1][0]:g}, {a[1][1]:g}], "
-        f"those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]", a[0].where, "these must overlap",
-    )  # fmt: skip
+        f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in "
+        f"[{a[1][0]:g}, {a[1][1]:g}], those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]",
+        a[0].where,
+        "these must overlap",
+    )
 
 
 def relation_text(relation: Relation) -> str:
@@ -340,14 +443,18 @@ def _returns(p: Primitive, multiplier: float) -> bool:
 
 
 def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
-    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
+    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
+    nothing.
+    """
     back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
     number = {name: i for i, name in enumerate(c.velocity_names)}
     for joint in mechanism.joints.values() if c.followers else ():
         names = coordinate_names(mechanism, joint)
         for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = c.followers.get(names[p.coordinate])
-            if follower is not None and follower.source is not None:  # it must return after a full turn, too
+            if (
+                follower is not None and follower.source is not None
+            ):  # it must return after a full turn, too
                 back[number[follower.source]] &= _returns(p, follower.multiplier)
     for relation in c.relations:
         for name in (relation.of, *relation.sources):
@@ -356,7 +463,9 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
 
 
 def distinct(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
-    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
+    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell
+    whole turns apart.
+    """
     out = np.zeros(len(c.velocity_names), dtype=bool)
     number = {name: i for i, name in enumerate(c.velocity_names)}
     for declared in mechanism.constraints.values():

@@ -1,7 +1,8 @@
 """Tables of chains in the cheapest equivalent form.
 
-The frame that a row is written in may be turned about and slid along the row's axis without any effect: the
-freedom of Denavit and Hartenberg (1955), used so that most placements become [Rx(alpha) | p] with p_y = 0.
+The frame that a row is written in may be turned about and slid along the row's axis without any
+effect: the freedom of Denavit and Hartenberg (1955), used so that most placements become [Rx(alpha)
+| p] with p_y = 0.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ from kempe.kernels.forward.table_layout import (
 )
 
 PARALLEL = 2.0**-53
-"""Largest sine of the angle between two axes that is rounding noise: parallel axes leave a turn free."""
+"""Largest sine of the angle between two axes that is rounding noise: parallel axes leave a turn
+free."""
 
 SKEW = 0.5
-"""Smallest sine of the angle between two axes whose common normal is used: else it may be far away."""
+"""Smallest sine of the angle between two axes whose common normal is used: else it may be far
+away."""
 
 
 def _unit(c: float, s: float) -> tuple[float, float]:
@@ -46,11 +49,14 @@ def _turn(c: float, s: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray, tuple[float, float]]:
-    """(cos a, sin a), M and (cos b, sin b) with placement = Rz(a) M Rz(b), M = [Rx(alpha) | p], all 3x4.
+def split_turns(
+    placement: np.ndarray,
+) -> tuple[tuple[float, float], np.ndarray, tuple[float, float]]:
+    """(cos a, sin a), M and (cos b, sin b) with placement = Rz(a) M Rz(b), M = [Rx(alpha) | p], all
+    3x4.
 
-    Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are parallel,
-    a is free and taken such that p_y = 0.
+    Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are
+    parallel, a is free and taken such that p_y = 0.
     """
     rotation = placement[:, :3]
     origin = placement[:, 3]
@@ -64,14 +70,18 @@ def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray,
     rest = _turn(*a).T @ placement
     b = _unit(rest[0, 0], -rest[0, 1])
     cosine, sine = _unit(rotation[2, 2], sine)
-    middle = np.column_stack([[[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]], rest[:, 3]])
+    middle = np.column_stack(
+        [[[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]], rest[:, 3]]
+    )
     if sine == 0.0:
         middle[:, 3] = math.hypot(origin[0], origin[1]), 0.0, origin[2]
     return a, middle, b
 
 
 def _flatten(middle: np.ndarray) -> float:
-    """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is far."""
+    """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is
+    far.
+    """
     sine = middle[2, 1]
     cosine = middle[2, 2]
     if abs(sine) <= SKEW or middle[1, 3] == 0.0:
@@ -85,9 +95,10 @@ def _flatten(middle: np.ndarray) -> float:
 def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A table of the same chain, as many of its rows as possible in form RX or RX_FLAT.
 
-    Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns about an axis
-    are folded into the offsets of turning rows and carried on through sliding ones. A placement stays general
-    where a turn is left over: after a slide or at the root (`a` has no gauge), before a ball (`b` has none).
+    Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns
+    about an axis are folded into the offsets of turning rows and carried on through sliding ones. A
+    placement stays general where a turn is left over: after a slide or at the root (`a` has no
+    gauge), before a ball (`b` has none).
 
     ints, floats: table of one chain (see `kempe.kernels.forward.table_layout`), not changed.
     ValueError for other tables.

@@ -1,10 +1,11 @@
 """Spanning trees whose fundamental loops are short.
 
-A spanning tree of least total loop length is NP-hard to find (Deo, Prabhu and Krishnamoorthy, 1982). The heuristic here
-reduces the graph to branches between bodies where loops meet, keeps the branches that lie on many short loops
-(a shortest loop through every branch, as in Horton, 1987), and then exchanges branches of the tree for branches that it
-left out while this shortens the loops (Amaldi, Liberti, Maculan and Maffioli, 2009). It is exact for chains of loops,
-ladders and trusses. The result depends on the graph and on the order of preference only, not on how bodies and joints
+A spanning tree of least total loop length is NP-hard to find (Deo, Prabhu and Krishnamoorthy,
+1982). The heuristic here reduces the graph to branches between bodies where loops meet, keeps the
+branches that lie on many short loops (a shortest loop through every branch, as in Horton, 1987),
+and then exchanges branches of the tree for branches that it left out while this shortens the loops
+(Amaldi, Liberti, Maculan and Maffioli, 2009). It is exact for chains of loops, ladders and trusses.
+The result depends on the graph and on the order of preference only, not on how bodies and joints
 are numbered.
 """
 
@@ -16,16 +17,20 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 REACH = 400
-"""Bodies at most that the search for a shortest loop through a branch looks at: others count as on no short loop."""
+"""Bodies at most that the search for a shortest loop through a branch looks at: others count as on
+no short loop."""
 EXCHANGES = 400
-"""Work for exchanges, in loops that are looked at for each branch: it makes the whole search linear in the size."""
+"""Work for exchanges, in loops that are looked at for each branch: it makes the whole search linear
+in the size."""
 
 FEW = 200
 """Branches up to which the search begins at the preferred tree, too."""
 
 
 class Branch(NamedTuple):
-    """A row of joints between two bodies where loops meet; a tree leaves out one joint of a branch, or none."""
+    """A row of joints between two bodies where loops meet; a tree leaves out one joint of a branch,
+    or none.
+    """
 
     ends: tuple[int, int]
     members: tuple[int, ...]
@@ -37,7 +42,9 @@ class Branch(NamedTuple):
         return self.ends[1] if self.ends[0] == body else self.ends[0]
 
 
-def edges_left_out(ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]) -> set[int]:
+def edges_left_out(
+    ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]
+) -> set[int]:
     """Edges that a spanning tree with short loops leaves out.
 
     Parameters
@@ -45,14 +52,17 @@ def edges_left_out(ends: Sequence[tuple[int, int]], grade: Sequence[Any], order:
     ends
         For each edge the two bodies that it joins; several edges may join the same two.
     grade
-        For each edge its grade: of each loop an edge of the highest grade is left out, however long loops become.
+        For each edge its grade: of each loop an edge of the highest grade is left out, however long
+        loops become.
     order
-        For each edge its place in the order of preference, each another number: among choices with loops of the same
-        total length, edges that come late are left out.
+        For each edge its place in the order of preference, each another number: among choices with
+        loops of the same total length, edges that come late are left out.
     """
     branches, out = _branches(ends, grade, order)
     if branches:
-        branches.sort(key=lambda b: order[b.worst])  # from here on a branch's number is its preference
+        branches.sort(
+            key=lambda b: order[b.worst]
+        )  # from here on a branch's number is its preference
         out |= _Search(branches, [grade[b.worst] for b in branches]).left_out()
     return out
 
@@ -104,7 +114,9 @@ def _branches(
 
 
 class _Search:
-    """A tree of branches, improved by exchanges; branches come in the order of preference, kept ones first."""
+    """A tree of branches, improved by exchanges; branches come in the order of preference, kept
+    ones first.
+    """
 
     def __init__(self, branches: list[Branch], grade: list[Any]):
         self.branches = branches
@@ -119,7 +131,11 @@ class _Search:
         """Edges that the best tree found leaves out."""
         use = self._use()
         every = range(len(self.branches))
-        found = [self._improved(self._kruskal([(self.grade[k], -use[k], self.length[k], k) for k in every]))]
+        found = [
+            self._improved(
+                self._kruskal([(self.grade[k], -use[k], self.length[k], k) for k in every])
+            )
+        ]
         if len(self.branches) <= FEW:
             found.append(self._improved(self._kruskal([(self.grade[k], k) for k in every])))
         _, cut = min(found)
@@ -135,8 +151,12 @@ class _Search:
         return use
 
     def _shortest_loop(self, k: int) -> frozenset[int]:
-        """Branches of a shortest loop through branch k; none where there is none within `REACH` (Dijkstra, 1959)."""
-        start, goal = sorted(self.branches[k].ends, key=lambda body: self.at[body])  # an end that numbers do not choose
+        """Branches of a shortest loop through branch k; none where there is none within `REACH`
+        (Dijkstra, 1959).
+        """
+        start, goal = sorted(
+            self.branches[k].ends, key=lambda body: self.at[body]
+        )  # an end that numbers do not choose
         came: dict[int, int] = {}
         front = [(0, k, start)]
         while front and len(came) < REACH:
@@ -204,11 +224,12 @@ class _Search:
         return loops
 
     def _improved(self, kept: list[int]) -> tuple[int, list[int]]:
-        """Total length of the loops, and what is left out, after exchanges that make the length less.
+        """Total length of the loops, and what is left out, after exchanges that make the length
+        less.
 
-        Branch e comes in for f of its loop. Each other loop through f then goes round the rest of e's loop: it becomes
-        longer by the length of e's loop less twice what the two share. Exchanges of the same length are made where
-        the branch that comes in is preferred.
+        Branch e comes in for f of its loop. Each other loop through f then goes round the rest of
+        e's loop: it becomes longer by the length of e's loop less twice what the two share.
+        Exchanges of the same length are made where the branch that comes in is preferred.
         """
         loops = self._loops(kept)
         through: dict[int, set[int]] = defaultdict(set)
@@ -239,7 +260,12 @@ class _Search:
         return sum(size.values()), sorted(loops)
 
     def _exchange(
-        self, e: int, f: int, loops: dict[int, set[int]], through: dict[int, set[int]], size: dict[int, int]
+        self,
+        e: int,
+        f: int,
+        loops: dict[int, set[int]],
+        through: dict[int, set[int]],
+        size: dict[int, int],
     ) -> None:
         """Take branch e into the tree and leave out f, which is on its loop."""
         own = loops.pop(e)

@@ -1,8 +1,10 @@
-"""An order of joints that follows from the structure of a mechanism: names decide only between joints that are alike.
+"""An order of joints that follows from the structure of a mechanism: names decide only between
+joints that are alike.
 
-Bodies get colours that are refined until neighbours tell nothing new (Weisfeiler and Leman, 1968): first by what is
-connected to what by which type of joint, then by the placements of joints, then by limits. Colours are numbers whose
-order follows from these data, not from names and not from the order of declaration.
+Bodies get colours that are refined until neighbours tell nothing new (Weisfeiler and Leman, 1968):
+first by what is connected to what by which type of joint, then by the placements of joints, then by
+limits. Colours are numbers whose order follows from these data, not from names and not from the
+order of declaration.
 """
 
 from __future__ import annotations
@@ -22,16 +24,21 @@ from kempe.values import Expression, Value, evaluate
 SWEEPS = 16
 """Refinements at most of one stage, each from the ground outwards and back; two are usual."""
 DIGITS = 9
-"""Decimals to which placements are compared, in parts of the largest distance and in numbers of a rotation."""
+"""Decimals to which placements are compared, in parts of the largest distance and in numbers of a
+rotation."""
 
 
 def natural(name: str) -> tuple[Any, ...]:
     """Sort key by which 'J2' comes before 'J10'."""
     parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
-    return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + ((-1, 0, name),)
+    return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + (
+        (-1, 0, name),
+    )
 
 
-def structural_order(mechanism: Mechanism, level: Mapping[str, int], first: Mapping[str, Any]) -> dict[str, int]:
+def structural_order(
+    mechanism: Mechanism, level: Mapping[str, int], first: Mapping[str, Any]
+) -> dict[str, int]:
     """Place of each joint of `first` in an order that names decide last.
 
     Parameters
@@ -47,7 +54,13 @@ def structural_order(mechanism: Mechanism, level: Mapping[str, int], first: Mapp
     colours = _Colours(mechanism, joints, level)
     coupled = _coupled(mechanism)
     labels: dict[str, list[Any]] = {
-        j.name: [first[j.name], j.type.type_name, repr(sorted(j.type.options.items())), coupled[j.name]] for j in joints
+        j.name: [
+            first[j.name],
+            j.type.type_name,
+            repr(sorted(j.type.options.items())),
+            coupled[j.name],
+        ]
+        for j in joints
     }
     colours.refine(labels)
     if not colours.all_differ(labels):
@@ -57,16 +70,20 @@ def structural_order(mechanism: Mechanism, level: Mapping[str, int], first: Mapp
         colours.refine(labels)
     if not colours.all_differ(labels):
         for j in joints:
-            labels[j.name].append(sorted((name, low, high) for name, (low, high) in j.limits.items()))
+            labels[j.name].append(
+                sorted((name, low, high) for name, (low, high) in j.limits.items())
+            )
         colours.refine(labels)
     alike = not colours.all_differ(labels)
     key: dict[str, tuple[Any, ...]] = {
         j.name: (
-            labels[j.name], colours.of[j.parent], colours.of[j.child],
+            labels[j.name],
+            colours.of[j.parent],
+            colours.of[j.child],
             (str(j.X_PF), str(j.X_CM), natural(j.name)) if alike else (),
         )
         for j in joints
-    }  # fmt: skip
+    }
     return {name: k for k, name in enumerate(sorted(first, key=key.__getitem__))}
 
 
@@ -95,7 +112,9 @@ class _Colours:
             before += len(layer)
 
     def _colour(self, layer: list[str], key: Mapping[str, Any], before: int) -> None:
-        """Give the bodies of a layer the number of bodies whose keys are smaller, those of layers before included."""
+        """Give the bodies of a layer the number of bodies whose keys are smaller, those of layers
+        before included.
+        """
         last: Any = None
         colour = before
         for k, body in enumerate(sorted(layer, key=key.__getitem__)):
@@ -105,7 +124,9 @@ class _Colours:
             self.of[body] = colour
 
     def refine(self, labels: Mapping[str, Any]) -> None:
-        """Refine the colours by joints with these labels until their number stays, layer by layer, out and back."""
+        """Refine the colours by joints with these labels until their number stays, layer by layer,
+        out and back.
+        """
         places = {repr(x): x for x in labels.values()}
         number = {text: k for k, text in enumerate(sorted(places, key=places.__getitem__))}
         label = {name: number[repr(x)] for name, x in labels.items()}
@@ -119,8 +140,15 @@ class _Colours:
             for k in (*range(len(self.layers)), *reversed(range(len(self.layers)))):
                 layer = self.layers[k]
                 if len({self.of[b] for b in layer}) < len(layer):
-                    key = {b: (self.of[b], sorted((label[j], back, self.of[other]) for j, back, other in self.at[b]))
-                           for b in layer}  # fmt: skip
+                    key = {
+                        b: (
+                            self.of[b],
+                            sorted(
+                                (label[j], back, self.of[other]) for j, back, other in self.at[b]
+                            ),
+                        )
+                        for b in layer
+                    }
                     self._colour(layer, key, before[k])
             if len(set(self.of.values())) == count:
                 return
@@ -135,7 +163,10 @@ def _coupled(mechanism: Mechanism) -> dict[str, list[Any]]:
     """For each joint in which couplings it takes part, and by which factors."""
     out: dict[str, list[Any]] = defaultdict(list)
     for coupling in mechanism.couplings.values():
-        terms = [(coupling.of, True, -1.0), *((c, False, _number(x)) for c, x in coupling.sources.items())]
+        terms = [
+            (coupling.of, True, -1.0),
+            *((c, False, _number(x)) for c, x in coupling.sources.items()),
+        ]
         factors = sorted(factor for _, _, factor in terms[1:])
         for name, of, factor in terms:
             joint = name if name in mechanism.joints else name.rpartition(".")[0]
@@ -146,7 +177,9 @@ def _coupled(mechanism: Mechanism) -> dict[str, list[Any]]:
 
 
 def _number(x: Value) -> float:
-    """A number of the description, with all parameters taken as 1: so neither their names nor values decide."""
+    """A number of the description, with all parameters taken as 1: so neither their names nor
+    values decide.
+    """
     found = float(evaluate(x, dict.fromkeys(x.names, 1.0) if isinstance(x, Expression) else {}))
     return found if math.isfinite(found) else 0.0
 
@@ -164,9 +197,11 @@ def _largest(mechanism: Mechanism) -> float:
 
 
 def _seen(placement: Placement, size: float) -> list[float]:
-    """The numbers of a placement, rounded so that the same placement written in another way is the same.
+    """The numbers of a placement, rounded so that the same placement written in another way is the
+    same.
 
-    Position first, the largest x first: the legs of most parallel robots are counted from the one on the x axis.
+    Position first, the largest x first: the legs of most parallel robots are counted from the one
+    on the x axis.
     """
     X = _pose(placement)
     position = [round(-X[k] / size, DIGITS) + 0.0 for k in (3, 7, 11)]

@@ -1,10 +1,12 @@
-"""Graph -> forest: which joints carry the spanning tree, which close loops, and how bodies are numbered.
+"""Graph -> forest: which joints carry the spanning tree, which close loops, and how bodies are
+numbered.
 
-Required of the result, and tested: the user's joint directions are kept (a tree joint may be walked from its child to
-its parent); a joint marked `cut` is left out if any other choice exists; fixed, actuated and coupled joints stay in the
-tree where they can; among the choices that remain the loops that the cut joints close are short. Between choices with
-loops of the same total length, joints of the least wanted kind are cut: passive ones, those with many freedoms, those
-far from the ground, those that are a second way into their child. What is alike in all this is ordered by structure,
+Required of the result, and tested: the user's joint directions are kept (a tree joint may be walked
+from its child to its parent); a joint marked `cut` is left out if any other choice exists; fixed,
+actuated and coupled joints stay in the tree where they can; among the choices that remain the loops
+that the cut joints close are short. Between choices with loops of the same total length, joints of
+the least wanted kind are cut: passive ones, those with many freedoms, those far from the ground,
+those that are a second way into their child. What is alike in all this is ordered by structure,
 then by placements, then by limits, and by names last; the order of declaration decides nothing.
 """
 
@@ -26,9 +28,10 @@ from kempe.model.tree.structural_order import structural_order
 class Topology:
     """The spanning tree of a mechanism.
 
-    `bodies` are names in their numbering, the ground first. For body i > 0, `parent[i - 1]` is the number of its
-    parent (the lecture's vector C), `parent_joints[i - 1]` the joint between them, and `reversed_[i - 1]` says
-    that the tree walks this joint from its child to its parent. `closures` are the joints left out.
+    `bodies` are names in their numbering, the ground first. For body i > 0, `parent[i - 1]` is the
+    number of its parent (the lecture's vector C), `parent_joints[i - 1]` the joint between them,
+    and `reversed_[i - 1]` says that the tree walks this joint from its child to its parent.
+    `closures` are the joints left out.
     """
 
     bodies: tuple[str, ...]
@@ -39,7 +42,9 @@ class Topology:
 
 
 def spanning_tree(mechanism: Mechanism) -> Topology:
-    """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies without a way to it."""
+    """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies
+    without a way to it.
+    """
     ground = mechanism.ground.name
     neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
     for joint in mechanism.joints.values():
@@ -68,7 +73,9 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
     )
 
 
-def _levels(mechanism: Mechanism, ground: str, neighbours: dict[str, list[tuple[str, Joint]]]) -> dict[str, int]:
+def _levels(
+    mechanism: Mechanism, ground: str, neighbours: dict[str, list[tuple[str, Joint]]]
+) -> dict[str, int]:
     level = {ground: 0}
     queue = deque([ground])
     while queue:
@@ -84,13 +91,17 @@ def _levels(mechanism: Mechanism, ground: str, neighbours: dict[str, list[tuple[
 def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
     detached = [b for b in mechanism.bodies.values() if b.name not in level]
     if detached:
-        names = ", ".join(repr(b.name) for b in detached[:8]) + (", ..." if len(detached) > 8 else "")
+        names = ", ".join(repr(b.name) for b in detached[:8]) + (
+            ", ..." if len(detached) > 8 else ""
+        )
         raise DescriptionError(
             Fault(
-                f"no joints lead from {mechanism.ground.name!r} to {names}", f"mechanism {mechanism.name!r}",
-                detached[0].where, "a free body needs a 'free' joint; a particle can hold no body",
+                f"no joints lead from {mechanism.ground.name!r} to {names}",
+                f"mechanism {mechanism.name!r}",
+                detached[0].where,
+                "a free body needs a 'free' joint; a particle can hold no body",
             )
-        )  # fmt: skip
+        )
 
 
 def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
@@ -98,8 +109,11 @@ def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
     joints = mechanism.joints
     if len(joints) < len(mechanism.bodies):  # a tree needs no choice
         return set(joints)
-    coupled = {c if c in joints else c.rpartition(".")[0]
-               for k in mechanism.couplings.values() for c in (k.of, *k.sources)}  # fmt: skip
+    coupled = {
+        c if c in joints else c.rpartition(".")[0]
+        for k in mechanism.couplings.values()
+        for c in (k.of, *k.sources)
+    }
     ways_in = Counter(j.child for j in joints.values())
     grade: dict[str, tuple[Any, ...]] = {}
     first: dict[str, tuple[Any, ...]] = {}
@@ -108,7 +122,13 @@ def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
         wish = 0 if joint.actuated or name in coupled else 1 if joint.actuated is None else 2
         grade[name] = joint.cut, dof > 0, wish > 0
         second_way_in = joint.child == mechanism.ground.name or ways_in[joint.child] > 1
-        first[name] = *grade[name], wish, dof, level[joint.parent] + level[joint.child], second_way_in
+        first[name] = (
+            *grade[name],
+            wish,
+            dof,
+            level[joint.parent] + level[joint.child],
+            second_way_in,
+        )
     order = structural_order(mechanism, level, first)
     number = {b: k for k, b in enumerate(mechanism.bodies)}
     names = [n for n, j in joints.items() if not mechanism.bodies[j.child].particle]
@@ -118,7 +138,9 @@ def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
         [order[n] for n in names],
     )
     kept = set(names) - {names[k] for k in out}
-    held: dict[str, str] = {}  # particles have no orientation: one joint holds each, and no branch goes on from it
+    held: dict[
+        str, str
+    ] = {}  # particles have no orientation: one joint holds each, and no branch goes on from it
     for name in sorted(set(joints) - set(names), key=lambda n: (grade[n], order[n])):
         held.setdefault(joints[name].child, name)
     return kept | set(held.values())

@@ -1,1 +1,3 @@
-"""The inverse geometric model in closed form and by elimination: every configuration that reaches a target."""
+"""The inverse geometric model in closed form and by elimination: every configuration that reaches a
+target.
+"""

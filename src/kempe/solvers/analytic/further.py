@@ -1,8 +1,10 @@
-"""Other values of the joints that a redundant chain has to spare, for targets that the first values do not reach.
+"""Other values of the joints that a redundant chain has to spare, for targets that the first values
+do not reach.
 
-A target has solutions at some values of a spare joint only, near the boundary of the workspace and in the corners of
-the limits at hardly more than one. So a grid of values misses some. A numerical search finds a configuration wherever
-there is one; with the spare joints held where that has them, all the other solutions follow.
+A target has solutions at some values of a spare joint only, near the boundary of the workspace and
+in the corners of the limits at hardly more than one. So a grid of values misses some. A numerical
+search finds a configuration wherever there is one; with the spare joints held where that has them,
+all the other solutions follow.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, answered,
 from kempe.spatial import Array
 
 VALUES = 64
-"""Values of the spare joints that are tried before it is said that there is no solution, the first among them."""
+"""Values of the spare joints that are tried before it is said that there is no solution, the first
+among them."""
 
 LOOSE = 1e-6
 """Tolerance of the last search, which is polished after."""
@@ -45,7 +48,8 @@ ROOM = 512
 CHUNK = 256
 SERIAL_BELOW = 1024
 PIECE = 16
-"""Targets of a chunk, from how many on there are threads, and targets between two looks at the clock."""
+"""Targets of a chunk, from how many on there are threads, and targets between two looks at the
+clock."""
 
 SIGN = -(2**63)
 """The bit that codes of rows in use do not have."""
@@ -55,17 +59,24 @@ Solve = Callable[[Question, Array, Array], tuple[Array, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class SpareJoints:
-    """Where the spare joints are: `locked` (1 or N, n) coordinates of which those count that are held, and of each
-    target how many values were `tried` (N,)."""
+    """Where the spare joints are: `locked` (1 or N, n) coordinates of which those count that are
+    held, and of each target how many values were `tried` (N,).
+    """
 
     locked: Array
     tried: np.ndarray
 
 
 def look_further(
-    question: Question, plan: ChainPlan, near: Array, locked: Array, rows: Array, counts: np.ndarray, solve: Solve,
+    question: Question,
+    plan: ChainPlan,
+    near: Array,
+    locked: Array,
+    rows: Array,
+    counts: np.ndarray,
+    solve: Solve,
     threads: int | None,
-) -> SpareJoints:  # fmt: skip
+) -> SpareJoints:
     """Where the spare joints are in the end, if there are some.
 
     `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
@@ -77,9 +88,16 @@ def look_further(
     if not len(left):
         return SpareJoints(locked, tried)
     many = _Targets(
-        question, plan, near, np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))), rows, counts, tried,
-        solve, threads,
-    )  # fmt: skip
+        question,
+        plan,
+        near,
+        np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))),
+        rows,
+        counts,
+        tried,
+        solve,
+        threads,
+    )
     left = many.searched(left, FEW, question.tolerance, True)
     if len(left):
         left = left[outside(frame_problem(question), question.targets[left]) == 0.0]
@@ -100,13 +118,17 @@ def _used(rows: Array) -> np.ndarray:
 
 def _reached(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution inside the limits."""
-    code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(np.int64)  # by solutions: many times as fast
+    code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(
+        np.int64
+    )  # by solutions: many times as fast
     return np.any((code & (SIGN | int(A.INSIDE_BIT))) == int(A.INSIDE_BIT), axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Targets:
-    """The targets of a closed-form problem with the best solutions so far, in arrays that are written in place."""
+    """The targets of a closed-form problem with the best solutions so far, in arrays that are
+    written in place.
+    """
 
     question: Question
     plan: ChainPlan
@@ -124,9 +146,11 @@ class _Targets:
         return [i for i in self.plan.locked if i not in self.plan.fixed]
 
     def solutions_at(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
-        """All solutions of the targets `which` (m indices) with the spare joints held at `locked` (1 or m, n).
+        """All solutions of the targets `which` (m indices) with the spare joints held at `locked`
+        (1 or m, n).
 
-        Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts (m, 2).
+        Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts
+        (m, 2).
         """
         lead = None if self.question.lead is None and len(which) == 1 else (len(which),)
         some = self.question.of(which, lead)
@@ -134,7 +158,9 @@ class _Targets:
         return self.solve(some, near, locked)
 
     def take(self, which: np.ndarray, locked: Array, rows: Array, counts: np.ndarray) -> None:
-        """Keep the answers that are better: they have a solution inside the limits, or have one at all."""
+        """Keep the answers that are better: they have a solution inside the limits, or have one at
+        all.
+        """
         old = self.rows[which]
         better = (_reached(rows) & ~_reached(old)) | (_used(rows) & ~_used(old))
         at = which[better]
@@ -156,15 +182,21 @@ class _Targets:
             grade = (2 * _reached(rows) + _used(rows)).reshape(len(left), len(some))
             first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
             self.take(left, locked[first], rows[first], counts[first])
-            self.tried[left] += np.where(grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some))
+            self.tried[left] += np.where(
+                grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some)
+            )
             left = left[~_reached(self.rows[left])]
             k = k + len(some)
         return left
 
-    def searched(self, left: np.ndarray, starts: int, tolerance: float, limited: bool) -> np.ndarray:
-        """The targets of `left` for which no start found a configuration, inside the limits where `limited`.
+    def searched(
+        self, left: np.ndarray, starts: int, tolerance: float, limited: bool
+    ) -> np.ndarray:
+        """The targets of `left` for which no start found a configuration, inside the limits where
+        `limited`.
 
-        The others have all solutions with the spare joints where their configuration has them, itself among them.
+        The others have all solutions with the spare joints where their configuration has them,
+        itself among them.
         """
         if not len(left) or self.question.stopped(left):
             return left
@@ -185,7 +217,9 @@ class _Targets:
     def _configurations(
         self, which: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> tuple[Array, Array, np.ndarray]:
-        """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance of the question."""
+        """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance
+        of the question.
+        """
         lines = self.plan.lines
         task = frame_problem(self.question)
         m = len(which)
@@ -200,8 +234,12 @@ class _Targets:
         out = np.empty((m, len(lines) + ANSWER))
         circular = chain.circular.copy()
         circular[at[pins]] = 0
-        task = replace(task, chain=replace(chain, circular=circular), starts=starts,
-                       tolerance=(tolerance, min(tolerance, max(self.question.angular, LOOSE))))  # fmt: skip
+        task = replace(
+            task,
+            chain=replace(chain, circular=circular),
+            starts=starts,
+            tolerance=(tolerance, min(tolerance, max(self.question.angular, LOOSE))),
+        )
         wanted = rows_of(task)
         limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
         near = self.near if len(self.near) == 1 else self.near[which]
@@ -226,8 +264,21 @@ class _Targets:
             first = seeds[i:j] if len(seeds) > 1 else seeds
             if chain.span.wide:
                 return answered(task, self.question.targets[which[i:j]], first, limits, out[i:j])
-            return schedule.reach(chain.ints, chain.floats, limits, wanted, goals[i:j], first, 0, 0, starts, ITERATIONS,
-                                *task.tolerance, 0.0, out[i:j])  # fmt: skip
+            return schedule.reach(
+                chain.ints,
+                chain.floats,
+                limits,
+                wanted,
+                goals[i:j],
+                first,
+                0,
+                0,
+                starts,
+                ITERATIONS,
+                *task.tolerance,
+                0.0,
+                out[i:j],
+            )
 
         if len(pins) and np.ptp(pinned, axis=0).any():
             for i in range(m):
@@ -240,7 +291,9 @@ class _Targets:
         found = out[:, n + STATUS] == SOLVED
         for i in np.flatnonzero(found & (error > self.question.tolerance)):
             q[i], error[i] = self._polished(which[i], q[i], limited)
-        within = (error <= self.question.tolerance) & (out[:, n + ANGULAR] <= max(self.question.angular, LOOSE))
+        within = (error <= self.question.tolerance) & (
+            out[:, n + ANGULAR] <= max(self.question.angular, LOOSE)
+        )
         return q, error, found & within
 
     def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
@@ -267,9 +320,11 @@ class _Targets:
 
 
 def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
-    """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the space between.
+    """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the
+    space between.
 
-    The points of one joint are those of van der Corput (1935), of several those of a Kronecker sequence.
+    The points of one joint are those of van der Corput (1935), of several those of a Kronecker
+    sequence.
     """
     lines = plan.lines
     k = len(spare)
@@ -289,11 +344,19 @@ def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
 
 
 def _put(row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool) -> None:
-    """Make a configuration one of the rows (K, n + 2) of its target: in place of itself, else where there is room."""
+    """Make a configuration one of the rows (K, n + 2) of its target: in place of itself, else where
+    there is room.
+    """
     n = len(q)
     used = row[:, n + A.CODE] >= 0.0
     off = np.where(used, np.abs(row[:, :n] - q).max(axis=1), np.inf)
-    at = int(np.argmin(off)) if off.min() < SAME else int(np.argmin(used)) if not used.all() else len(row) - 1
+    at = (
+        int(np.argmin(off))
+        if off.min() < SAME
+        else int(np.argmin(used))
+        if not used.all()
+        else len(row) - 1
+    )
     count[0] += int(not used[at])
     count[1] = 1
     own = np.concatenate([q, [error, A.MULTIPLICITY_UNIT + float(inside)]])

@@ -28,7 +28,15 @@ from kempe.solvers.analytic.plans.choice import plan_holding
 from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.plans.question import Question, Watch, held, held_by, near_of, within
 from kempe.solvers.common.clock import TimeLimit, begun_within
-from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
+from kempe.solvers.common.problem import (
+    Choice,
+    Problem,
+    Solver,
+    TaskOf,
+    choose,
+    chosen_by,
+    takes_all,
+)
 from kempe.solvers.common.serial_chain import inside, of_loops, shared_by
 from kempe.solvers.common.targets import (
     Z_AXIS,
@@ -57,13 +65,14 @@ CHUNK = 256
 SERIAL_BELOW = 4096
 PIECE = 512
 ELIMINATED = 64
-"""Targets of a chunk between two looks at the clock: in closed form, and by elimination, which takes ten times as long.
-Both are multiples of the targets that are solved side by side."""
+"""Targets of a chunk between two looks at the clock: in closed form, and by elimination, which
+takes ten times as long. Both are multiples of the targets that are solved side by side."""
 
 SINGLE = 30.0
 """Seconds that the answer for one target may take, unless the caller says otherwise."""
 FAR = 300.0
-"""Lengths of a chain with slides beyond which these are so long that its equations may say nothing of the rest."""
+"""Lengths of a chain with slides beyond which these are so long that its equations may say nothing
+of the rest."""
 
 NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
@@ -75,30 +84,42 @@ BATCH = Usual("ik_all", threads=None, time_limit=None)
 
 @explained
 def ik_all(
-    system: System, target: ArrayLike, frame: FrameLike, start: Any = None, *,
-    task: str | tuple[str, ArrayLike] | None = None, fixed: Mapping[str, Any] | None = None, limits: bool | str = False,
-    tolerance: float | None = None, budget: Budget | None = None,
-) -> Solutions | Modes:  # fmt: skip
-    """Every configuration in which `frame` reaches `target`: the inverse geometric model with all its solutions.
+    system: System,
+    target: ArrayLike,
+    frame: FrameLike,
+    start: Any = None,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    limits: bool | str = False,
+    tolerance: float | None = None,
+    budget: Budget | None = None,
+) -> Solutions | Modes:
+    """Every configuration in which `frame` reaches `target`: the inverse geometric model with all
+    its solutions.
 
-    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and, with
-    ``task="pose"``, x, y and angle (..., 3)) or a position (..., 3) (in planar systems also (..., 2)). `task` says
-    what of it counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another one in a
-    pair such as ("direction", (1, 0, 0))), "position_axis" (both). Joints of redundant chains are held by `fixed`,
-    a dict of numbers, or of arrays of one for each target; others that are to spare where `start` has them, and
-    elsewhere for targets that have no solution inside the limits there: `Solutions.held` says where. Solutions are
-    sorted: inside the limits first, then by nearness to `start` (nq,), which also chooses among turns; with
-    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed. Joints that do not
-    move `frame` keep their values in `start`, else the neutral ones, brought inside their limits, as in `ik`. What
-    violates one-sided constraints of the system is left out, and the status says so.
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
+    with ``task="pose"``, x, y and angle (..., 3)) or a position (..., 3) (in planar systems also
+    (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction" (of the
+    tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis"
+    (both). Joints of redundant chains are held by `fixed`, a dict of numbers, or of arrays of one
+    for each target; others that are to spare where `start` has them, and elsewhere for targets that
+    have no solution inside the limits there: `Solutions.held` says where. Solutions are sorted:
+    inside the limits first, then by nearness to `start` (nq,), which also chooses among turns; with
+    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed.
+    Joints that do not move `frame` keep their values in `start`, else the neutral ones, brought
+    inside their limits, as in `ik`. What violates one-sided constraints of the system is left out,
+    and the status says so.
 
-    Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding, far away). What is not
-    reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
-    `budget` are read: threads, and time_limit (30 s for one target, none for a batch). Targets whose work it ended have
-    the solutions that are known by then, are not `complete`, and say so (`late`). Errors: `UnsupportedError` for chains
-    with quaternions, `InputError`, `UnknownNameError`.
-    For one pose or position of a frame that moves with loops, or with joints that follow others (a helical joint, a
-    parallel linkage written as a coupling), the answer is that of `assembly_modes` with it known.
+    Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding,
+    far away). What is not reached has no solutions and a `status` that says why;
+    ``answer.expect()`` raises `NoSolutionError` for it. Of the `budget` are read: threads, and
+    time_limit (30 s for one target, none for a batch). Targets whose work it ended have the
+    solutions that are known by then, are not `complete`, and say so (`late`). Errors:
+    `UnsupportedError` for chains with quaternions, `InputError`, `UnknownNameError`.
+    For one pose or position of a frame that moves with loops, or with joints that follow others (a
+    helical joint, a parallel linkage written as a coupling), the answer is that of `assembly_modes`
+    with it known.
     Method: see `System.inverse.plan`, and `kempe.kernels.closed_form`, `kempe.kernels.elimination`.
     """
     name = system.structure.frame_name(frame)
@@ -115,8 +136,20 @@ def ik_all(
     if lead == () and not np.all(np.abs(targets) < FARTHEST):
         raise InputError(not_a_pose(targets[0]))
     known = held_by(fixed)
-    problem = Problem(system, "all", known, start, None, limits, tolerance, budget, frame=name, task=(task, direction),
-                      targets=targets, lead=lead)  # fmt: skip
+    problem = Problem(
+        system,
+        "all",
+        known,
+        start,
+        None,
+        limits,
+        tolerance,
+        budget,
+        frame=name,
+        task=(task, direction),
+        targets=targets,
+        lead=lead,
+    )
     time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
     with begun_within(USUAL, time):
@@ -128,7 +161,9 @@ def ik_all(
 def _of_loops(problem: Problem) -> Modes:
     """The answer for a frame that moves with loops, or with joints that follow others."""
     if problem.limits == "turns":
-        raise InputError(f"frame {problem.frame!r} moves with {_moving(problem)}: limits='turns' is for chains")
+        raise InputError(
+            f"frame {problem.frame!r} moves with {_moving(problem)}: limits='turns' is for chains"
+        )
     from kempe.solvers.analytic.through_loops import all_modes
 
     return all_modes(problem, _moving(problem))
@@ -154,14 +189,34 @@ def by_chain(problem: Problem) -> Solutions:
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
     sure = max(wanted, attainable(targets, lines))
-    question = Question(system, name, task, direction, targets, None if single else problem.lead, sure, wanted,
-                        watch)  # fmt: skip
+    question = Question(
+        system,
+        name,
+        task,
+        direction,
+        targets,
+        None if single else problem.lead,
+        sure,
+        wanted,
+        watch,
+    )
     plain = not one_sided_rows(system).declared
-    if plain and single and system.dim == 3 and task == "pose" and plan.side_by_side and (name,) not in system._queries:
+    if (
+        plain
+        and single
+        and system.dim == 3
+        and task == "pose"
+        and plan.side_by_side
+        and (name,) not in system._queries
+    ):
         bind(system, name)
     near = near_of(system, problem.start, question.lead)
     answer = solve(question, plan, near, values, threads)
-    if not single and (answer._counts[:, 0] < 0).any() and (mended := sound(targets, "target")) is not targets:
+    if (
+        not single
+        and (answer._counts[:, 0] < 0).any()
+        and (mended := sound(targets, "target")) is not targets
+    ):
         answer = solve(replace(question, targets=mended), plan, near, values, threads)
     if single and answer._counts[0, 0] < 0:
         raise InputError(not_a_pose(targets[0]))
@@ -192,28 +247,62 @@ def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | Non
 
 
 SOLVERS = (
-    Solver("assembly modes", "closed configurations with the frame known, see assembly_modes", _no_loops, _of_loops),
-    Solver("closed form, side by side", "subproblems of six turns, many targets at once; what is close is done again",
-           _needs("closed", True, "it is for six joints that turn, of which one equation in one unknown is left"),
-           by_chain),
-    Solver("closed form", "subproblems of the lines of the chain, and of lines that stand in for what the task leaves",
-           _needs("closed", False, "no three neighbouring axes of the chain meet or are parallel, or as it takes"),
-           by_chain),
-    Solver("elimination", "sixteen roots of six lines in general", _needs("elimination", False, "its lines are not "
-           "general enough to find random configurations again"), by_chain),
-    Solver("search", "many starts: what is found, with no claim that it is all", takes_all, by_chain),
-)  # fmt: skip
+    Solver(
+        "assembly modes",
+        "closed configurations with the frame known, see assembly_modes",
+        _no_loops,
+        _of_loops,
+    ),
+    Solver(
+        "closed form, side by side",
+        "subproblems of six turns, many targets at once; what is close is done again",
+        _needs(
+            "closed",
+            True,
+            "it is for six joints that turn, of which one equation in one unknown is left",
+        ),
+        by_chain,
+    ),
+    Solver(
+        "closed form",
+        "subproblems of the lines of the chain, and of lines that stand in for what the task "
+        "leaves",
+        _needs(
+            "closed",
+            False,
+            "no three neighbouring axes of the chain meet or are parallel, or as it takes",
+        ),
+        by_chain,
+    ),
+    Solver(
+        "elimination",
+        "sixteen roots of six lines in general",
+        _needs(
+            "elimination",
+            False,
+            "its lines are not general enough to find random configurations again",
+        ),
+        by_chain,
+    ),
+    Solver(
+        "search", "many starts: what is found, with no claim that it is all", takes_all, by_chain
+    ),
+)
 """Who answers for all configurations of a frame."""
 
 
 @kept
-def chosen(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> tuple[Solver, Choice]:
+def chosen(
+    system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]
+) -> tuple[Solver, Choice]:
     """Who answers for a frame, a task, and joints that are held."""
     return choose(SOLVERS, system, frame, task, fixed)
 
 
 class BoundIkAll:
-    """`ik_all` of single poses for one frame, with all that can be looked up looked up: the way of plain calls."""
+    """`ik_all` of single poses for one frame, with all that can be looked up looked up: the way of
+    plain calls.
+    """
 
     def __init__(self, system: System, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
         self.system = system
@@ -241,7 +330,9 @@ class BoundIkAll:
         rows = self.new()
         X = target.copy()
         try:
-            used = self.kernel(self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left)
+            used = self.kernel(
+                self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left
+            )
         except TypeError:  # not float64
             return None
         if used >= 0 or (used == -1 and not np.all(np.abs(X) < FARTHEST)):
@@ -260,13 +351,19 @@ def bind(system: System, frame: str) -> BoundIkAll | None:
 
 
 def attainable(targets: Array, lines: Lines) -> float:
-    """The error [m] that rounding leaves, given the size of targets and chain: far away it is above the tolerance."""
+    """The error [m] that rounding leaves, given the size of targets and chain: far away it is above
+    the tolerance.
+    """
     if len(targets) == 1:  # in Python: for three numbers arrays cost more
         far = max([abs(x) for x in targets[0, :3, 3].tolist() if math.isfinite(x)], default=0.0)
     else:
         size = np.abs(targets[:, :3, 3])
         far = float(size[np.isfinite(size)].max(initial=0.0))
-    return 16.0 * EPSILON * (far + lines.length * (1.0 + max(abs(x) for x in lines.tip[:3, 3].tolist())))
+    return (
+        16.0
+        * EPSILON
+        * (far + lines.length * (1.0 + max(abs(x) for x in lines.tip[:3, 3].tolist())))
+    )
 
 
 @kept
@@ -281,20 +378,33 @@ def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) ->
 
 
 def plan_for(
-    system: System, frame: str, lines: Lines, task: str, axis: tuple[float, float, float], fixed: tuple[str, ...]
+    system: System,
+    frame: str,
+    lines: Lines,
+    task: str,
+    axis: tuple[float, float, float],
+    fixed: tuple[str, ...],
 ) -> ChainPlan:
     """The plan for a task with these joints held; of redundant chains more are held, by choice."""
     return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
 
 
 @kept
-def _plan(system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]) -> ChainPlan:
+def _plan(
+    system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
+) -> ChainPlan:
     planar = system.dim == 2
-    return replace(plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar)
+    return replace(
+        plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar
+    )
 
 
 def solve(
-    question: Question, plan: ChainPlan, near: Array | None, values: Mapping[str, Array], threads: int | None
+    question: Question,
+    plan: ChainPlan,
+    near: Array | None,
+    values: Mapping[str, Array],
+    threads: int | None,
 ) -> Solutions:
     """The answer of the kernels; joints that are held by choice where there are solutions."""
     lines = plan.lines
@@ -308,24 +418,49 @@ def solve(
     decided = plan.locked == plan.fixed and not lines.span.wide
     if question.lead is None and not decided:
         code = float(out[0, 0, -A.INFO + A.CODE])
-        decided = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
+        decided = (
+            code >= 0.0 and code % 2.0 == 1.0
+        )  # the first of rows in order is inside the limits
     if decided:
         _outside(plan, out)
-        return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first,
-                         late=_late(question, counts))  # fmt: skip
+        return Solutions(
+            question,
+            plan,
+            base,
+            out,
+            counts,
+            question.lead,
+            locked=first,
+            first=first,
+            late=_late(question, counts),
+        )
     from kempe.solvers.analytic.further import look_further
 
     def at(some: Question, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
-        return solve_held(some, plan, near, locked, threads, starts=False)  # of which there are many for all values
+        return solve_held(
+            some, plan, near, locked, threads, starts=False
+        )  # of which there are many for all values
 
     held_at = look_further(question, plan, chain_near, first, out, counts, at, threads)
     _outside(plan, out)
-    return Solutions(question, plan, base, out, counts, question.lead, locked=held_at.locked, first=first,
-                     tried=held_at.tried, late=_late(question, counts))  # fmt: skip
+    return Solutions(
+        question,
+        plan,
+        base,
+        out,
+        counts,
+        question.lead,
+        locked=held_at.locked,
+        first=first,
+        tried=held_at.tried,
+        late=_late(question, counts),
+    )
 
 
 def _late(question: Question, counts: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """The time limit [s] and the targets (N,) whose work it ended, which are in doubt; None where it ended none."""
+    """The time limit [s] and the targets (N,) whose work it ended, which are in doubt; None where
+    it ended none.
+    """
     if question.watch is None or not question.watch.late.any():
         return None
     late = question.watch.late & (counts[:, 0] >= 0)
@@ -334,7 +469,9 @@ def _late(question: Question, counts: np.ndarray) -> tuple[float, np.ndarray] | 
 
 
 def _outside(plan: ChainPlan, rows: Array) -> None:
-    """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its own."""
+    """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its
+    own.
+    """
     if not plan.fixed:
         return
     at = list(plan.fixed)
@@ -346,12 +483,18 @@ def _outside(plan: ChainPlan, rows: Array) -> None:
 
 
 def solve_held(
-    question: Question, plan: ChainPlan, chain_near: Array, locked: Array, threads: int | None, starts: bool = True
+    question: Question,
+    plan: ChainPlan,
+    chain_near: Array,
+    locked: Array,
+    threads: int | None,
+    starts: bool = True,
 ) -> tuple[Array, np.ndarray]:
-    """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in `locked` (1 or N, n).
+    """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in
+    `locked` (1 or N, n).
 
-    chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a search looks for
-    solutions where the equations say nothing.
+    chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a
+    search looks for solutions where the equations say nothing.
     """
     targets = question.targets
     lines = plan.lines
@@ -368,7 +511,9 @@ def solve_held(
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
     side_by_side = side_by_side_of(plan)
-    piece = ELIMINATED if plan.method == "elimination" else PIECE if side_by_side is None else max(n, 1)
+    piece = (
+        ELIMINATED if plan.method == "elimination" else PIECE if side_by_side is None else max(n, 1)
+    )
     if not plan.locked:
         locked = locked[:1]
 
@@ -388,14 +533,30 @@ def solve_held(
         held_at = locked[i:j] if len(locked) > 1 else locked
         which = np.arange(j - i)
         if side_by_side:
-            padded = np.resize(some, (A.LANES, len(lines))) if 1 < len(some) < A.LANES and len(locked) == 1 else some
-            left = side_by_side(plan.ints, plan.floats, targets[i:j], padded, held_at, int(single), out[i:j], which)
+            padded = (
+                np.resize(some, (A.LANES, len(lines)))
+                if 1 < len(some) < A.LANES and len(locked) == 1
+                else some
+            )
+            left = side_by_side(
+                plan.ints, plan.floats, targets[i:j], padded, held_at, int(single), out[i:j], which
+            )
             if left <= 0:
                 return 0
             which = which[:left].copy()
         kernel_of(plan)(
-               plan.ints, plan.floats, targets[i:j], some, held_at, question.tolerance, question.angular,
-               int(single), which, out[i:j], counts[i:j])  # fmt: skip
+            plan.ints,
+            plan.floats,
+            targets[i:j],
+            some,
+            held_at,
+            question.tolerance,
+            question.angular,
+            int(single),
+            which,
+            out[i:j],
+            counts[i:j],
+        )
         return 0
 
     over_chunks(pieces, n, CHUNK, threads, SERIAL_BELOW)
@@ -410,10 +571,21 @@ def solve_held(
                 counts[some, 1] = 1
                 continue
             kernel_of(other)(
-                other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
-                int(single), some, out, counts,
-            )  # fmt: skip
-    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none and starts else NONE
+                other.ints,
+                other.floats,
+                targets,
+                chain_near,
+                locked,
+                question.tolerance,
+                question.angular,
+                int(single),
+                some,
+                out,
+                counts,
+            )
+    lost = (
+        np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none and starts else NONE
+    )
     if len(lost):  # the equations said nothing: starts may
         from kempe.solvers.analytic.start_search import search
 
@@ -440,7 +612,8 @@ def _locked(question: Question, plan: ChainPlan, near: Array, values: Mapping[st
             out[:, i] = np.broadcast_to(given, lead).reshape(-1) if given.ndim else given
         except ValueError:
             raise InputError(
-                f"{lines.names[i]} is held at values of shape {given.shape}; it must be a number or {lead}"
+                f"{lines.names[i]} is held at values of shape {given.shape}; it must be a number "
+                f"or {lead}"
             ) from None
     if question.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
         raise InputError("a joint is held at a value that is not finite")

@@ -13,10 +13,12 @@ from kempe.words import joined
 
 
 def obeying(solutions: Solutions) -> Solutions:
-    """The solutions that hold the one-sided constraints of their system; the status says how many do not, and which.
+    """The solutions that hold the one-sided constraints of their system; the status says how many
+    do not, and which.
 
-    Coordinates that the chain does not have are where the solutions have them: near, or neutral. Where a constraint
-    tells whole turns of one without limits apart, others of its turns may hold it: the answer is then not complete.
+    Coordinates that the chain does not have are where the solutions have them: near, or neutral.
+    Where a constraint tells whole turns of one without limits apart, others of its turns may hold
+    it: the answer is then not complete.
     """
     bounds = one_sided_rows(solutions.system)
     if not bounds.declared:

@@ -1,6 +1,8 @@
-"""Solutions by many starts, for chains with neither a closed form nor an elimination: never known to be complete.
+"""Solutions by many starts, for chains with neither a closed form nor an elimination: never known
+to be complete.
 
-The search of `ik`, without limits, leads each start to the target or gives it up; what is reached is made exact.
+The search of `ik`, without limits, leads each start to the target or gives it up; what is reached
+is made exact.
 """
 
 from __future__ import annotations
@@ -36,8 +38,8 @@ LONGEST = 0.7
 REACHED = 1e-6
 MANY = 64
 ALIKE = 1e-4
-"""Errors [m, rad] up to which a start is led; how many of those that are reached are made exact, at most; and how far
-these are apart."""
+"""Errors [m, rad] up to which a start is led; how many of those that are reached are made exact, at
+most; and how far these are apart."""
 
 FLOOR = 1e-14
 """Damping that is always there, and as a part of the trace."""
@@ -47,9 +49,17 @@ APART = 1e-6
 
 
 def search(
-    question: Question, plan: ChainPlan, near: Array, locked: Array, out: Array, counts: np.ndarray, which: np.ndarray
+    question: Question,
+    plan: ChainPlan,
+    near: Array,
+    locked: Array,
+    out: Array,
+    counts: np.ndarray,
+    which: np.ndarray,
 ) -> None:
-    """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in `which`."""
+    """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in
+    `which`.
+    """
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
     counts[which, 1] = 1
     for k, i in enumerate(which):
@@ -67,7 +77,9 @@ def search(
         counts[i, 0] = int((out[i, :, -A.INFO + A.CODE] >= 0.0).sum())
 
 
-def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array) -> tuple[Array, Array]:
+def _solutions(
+    question: Question, plan: ChainPlan, target: Array, locked: Array
+) -> tuple[Array, Array]:
     """Variables (k, n) of distinct solutions, and their errors (k,)."""
     lines = plan.lines
     rng = np.random.default_rng(0)
@@ -77,8 +89,11 @@ def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array
     T[:3, 3] = (T[:3, 3] - lines.origin) / lines.length
     moves = np.array([i for i in range(len(lines)) if i not in plan.locked], dtype=np.int64)
     aim = Aim(lines, np.flatnonzero(TASKS[plan.task]), T, moves)
-    theta = np.where(lines.kinds == SLIDE, rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
-                     rng.uniform(-np.pi, np.pi, (STARTS, len(lines))))  # fmt: skip
+    theta = np.where(
+        lines.kinds == SLIDE,
+        rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
+        rng.uniform(-np.pi, np.pi, (STARTS, len(lines))),
+    )
     theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
     if not lines.span.wide:
         theta = _reached(question, plan, target, theta)
@@ -94,8 +109,9 @@ def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array
         y[:, moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
         return y
 
-    theta = gauss_newton_of_many(lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0,
-                                 longest=LONGEST)  # fmt: skip
+    theta = gauss_newton_of_many(
+        lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0, longest=LONGEST
+    )
     size = np.linalg.norm(aim.at(theta)[0], axis=1)
     found: list[Array] = []
     error: list[float] = []
@@ -112,8 +128,17 @@ def frame_problem(question: Question) -> FrameProblem:
     """The problem, as numerical solvers read it."""
     chain = chain_of(question.system, question.frame, question.axis)
     tolerance = (question.tolerance, question.angular)
-    return FrameProblem(question.system, question.frame, question.targets, question.task, question.axis, tolerance,
-                        MOST, 0, chain)  # fmt: skip
+    return FrameProblem(
+        question.system,
+        question.frame,
+        question.targets,
+        question.task,
+        question.axis,
+        tolerance,
+        MOST,
+        0,
+        chain,
+    )
 
 
 def places_in(chain: Chain, lines: Lines) -> np.ndarray:
@@ -122,7 +147,9 @@ def places_in(chain: Chain, lines: Lines) -> np.ndarray:
 
 
 def _reached(question: Question, plan: ChainPlan, target: Array, theta: Array) -> Array:
-    """Variables (k, n) from which the target is a few steps, and which differ, of searches from theta (m, n)."""
+    """Variables (k, n) from which the target is a few steps, and which differ, of searches from
+    theta (m, n).
+    """
     lines = plan.lines
     task = frame_problem(question)
     chain = task.chain
@@ -141,8 +168,22 @@ def _reached(question: Question, plan: ChainPlan, target: Array, theta: Array) -
     wanted = rows_of(replace(task, chain=replace(chain, circular=circular)))
     goals = np.repeat(goal, len(theta), axis=0)
     out = np.empty((len(theta), n + ANSWER))
-    schedule.reach(chain.ints, chain.floats, limits, wanted, goals, seeds, 0, 0, 1, ITERATIONS, REACHED, REACHED, 0.0,
-                   out)  # fmt: skip
+    schedule.reach(
+        chain.ints,
+        chain.floats,
+        limits,
+        wanted,
+        goals,
+        seeds,
+        0,
+        0,
+        1,
+        ITERATIONS,
+        REACHED,
+        REACHED,
+        0.0,
+        out,
+    )
     found = lines.theta(out[out[:, n + STATUS] == SOLVED][:, at])
     kept: list[Array] = []
     for x in found:
@@ -162,8 +203,12 @@ def _wrapped(x: Array) -> Array:
     return x - 2.0 * math.pi * np.round(x / (2.0 * math.pi))
 
 
-def _write(plan: ChainPlan, found: Array, error: Array, near: Array, out: Array, sort: bool) -> None:
-    """Write the rows of one target, of each angle the turn inside the limits that is nearest to `near`."""
+def _write(
+    plan: ChainPlan, found: Array, error: Array, near: Array, out: Array, sort: bool
+) -> None:
+    """Write the rows of one target, of each angle the turn inside the limits that is nearest to
+    `near`.
+    """
     lines = plan.lines
     period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / np.abs(lines.multiplier))
     low, high = lines.limits

@@ -1,4 +1,5 @@
-"""All configurations in which a frame reaches a target that moves with loops, or with joints that follow others.
+"""All configurations in which a frame reaches a target that moves with loops, or with joints that
+follow others.
 
 They are the assembly modes with the frame known.
 """
@@ -23,7 +24,8 @@ TASKS = ("pose", "position")
 
 
 def all_modes(problem: Problem, moving: str = "loops") -> Modes:
-    """The configurations that are found, those inside the limits first; the frame moves with what `moving` says.
+    """The configurations that are found, those inside the limits first; the frame moves with what
+    `moving` says.
 
     Errors: `UnsupportedError`.
     """
@@ -34,7 +36,8 @@ def all_modes(problem: Problem, moving: str = "loops") -> Modes:
     if task not in TASKS or problem.lead != ():
         what = f"task {task!r}" if task not in TASKS else "more than one target"
         raise UnsupportedError(
-            f"frame {frame!r} moves with {moving}: `ik_all` takes one pose or position there, not {what}; `ik` can"
+            f"frame {frame!r} moves with {moving}: `ik_all` takes one pose or position there, not "
+            f"{what}; `ik` can"
         )
     X = targets[0] if task == "pose" else targets[0, : system.dim, 3]
     limit = LOOPS.of(problem.budget).time_limit
@@ -43,6 +46,10 @@ def all_modes(problem: Problem, moving: str = "loops") -> Modes:
     found = assembly_modes(system, known, problem.start, limits=bool(problem.limits), budget=spend)
     order = np.argsort(~found.inside, kind="stable")
     return replace(
-        found, q=found.q[order], branches=tuple(found.branches[int(i)] for i in order),
-        multiplicity=found.multiplicity[order], freedoms=found.freedoms[order], inside=found.inside[order],
-    )  # fmt: skip
+        found,
+        q=found.q[order],
+        branches=tuple(found.branches[int(i)] for i in order),
+        multiplicity=found.multiplicity[order],
+        freedoms=found.freedoms[order],
+        inside=found.inside[order],
+    )

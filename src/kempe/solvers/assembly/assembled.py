@@ -1,4 +1,6 @@
-"""The answer of an assembly: the configuration, whether and how well it closes, and the sentence that says so."""
+"""The answer of an assembly: the configuration, whether and how well it closes, and the sentence
+that says so.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,10 @@ if TYPE_CHECKING:
 class Assembly(Answer):
     """Answer of `assemble`: one configuration for each set of known values.
 
-    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is nearest to closing.
-    `residual` is the norm of the closure equations, in radians and characteristic lengths; `iterations` and `starts`
-    count the work. All have the leading shape of the known values; for a single set they are plain Python numbers.
+    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is
+    nearest to closing. `residual` is the norm of the closure equations, in radians and
+    characteristic lengths; `iterations` and `starts` count the work. All have the leading shape of
+    the known values; for a single set they are plain Python numbers.
     """
 
     __repr__ = brief
@@ -43,17 +46,26 @@ class Assembly(Answer):
     late: bool = False
     """Whether the time limit ended the search for the nearest mechanism that closes exactly.
 
-    Nothing is then known to be closed, and nothing is a success. Sets of known values for which it ended the search for
-    a closed configuration have the `code` `OUT_OF_TIME`, too.
+    Nothing is then known to be closed, and nothing is a success. Sets of known values for which it
+    ended the search for a closed configuration have the `code` `OUT_OF_TIME`, too.
     """
     limit: float | None = field(default=None, repr=False)
     """The time limit, in seconds, where it may have ended the work."""
 
     @classmethod
     def single(
-        cls, q: Array, success: bool, code: Status, residual: float, iterations: int, starts: int, assembler: Any
+        cls,
+        q: Array,
+        success: bool,
+        code: Status,
+        residual: float,
+        iterations: int,
+        starts: int,
+        assembler: Any,
     ) -> Assembly:
-        """The answer for a single set of known values, in a fraction of the time that a frozen class takes."""
+        """The answer for a single set of known values, in a fraction of the time that a frozen
+        class takes.
+        """
         out = object.__new__(cls)
         own = out.__dict__
         own["q"] = q
@@ -74,6 +86,8 @@ class Assembly(Answer):
         return np.where(self.success, self.residual, 0.0)
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it
+        is not closed.
+        """
         names, q = super().table()
         return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)

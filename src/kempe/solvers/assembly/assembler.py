@@ -38,19 +38,24 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 STARTS = 20
-"""Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones close."""
+"""Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones
+close."""
 STEPS = 60
 """Steps of a start; 3 to 6 are usual, at singular positions up to 50."""
 LARGE = 24
-"""Equations between frames or coordinates from which on later starts change only a part of the mechanism."""
+"""Equations between frames or coordinates from which on later starts change only a part of the
+mechanism."""
 WHOLE = 0.1
 """Part of the starts that are drawn anew as a whole, after those that change a part only."""
 LOCAL_STEPS = 20
-"""Steps of a start that changes a part; a third of those of another, so that three of them count as one start."""
+"""Steps of a start that changes a part; a third of those of another, so that three of them count as
+one start."""
 HOPS = 4
-"""How far from an open place, counted in loops that share coordinates, a start is changed at most."""
+"""How far from an open place, counted in loops that share coordinates, a start is changed at
+most."""
 TOLERANCE = 1e-10
-"""Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
+"""Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15
+is usual."""
 NOT_FINITE = "known values and start lead to numbers that are not finite"
 LOOSEST = 1e-3
 """The largest tolerance that can be requested: above it, an open loop would be called closed."""
@@ -65,13 +70,17 @@ BATCH = Usual("assemble", starts=STARTS, time_limit=None, rng=0, threads=None)
 CHUNK = 64
 SERIAL_BELOW = 2048
 ROUNDING = 1e-14
-"""Residual, in radians and characteristic lengths, up to which a configuration of a closed form is taken as it is."""
+"""Residual, in radians and characteristic lengths, up to which a configuration of a closed form is
+taken as it is."""
 PIECE = 4096
 CONFIRMED_BELOW = 20_000
 """Rows whose equations are evaluated at once, and rows from which on several threads do so."""
 LONG = 512
-"""Rows of a sequence from which on a closed form, where there is one, is tried before rows are searched one by one."""
-CONTINUED = Choice("dyads", "closed form on the branch of the first row, which no row comes near to leaving", ())
+"""Rows of a sequence from which on a closed form, where there is one, is tried before rows are
+searched one by one."""
+CONTINUED = Choice(
+    "dyads", "closed form on the branch of the first row, which no row comes near to leaving", ()
+)
 """Who answers for a sequence that `_along` follows."""
 PLAIN_NUMBERS = {float, int, np.float64}
 FLOAT = np.dtype(np.float64)
@@ -80,7 +89,9 @@ FEW = 300
 
 
 def _spent(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
-    """Starts, the number that random starts are drawn by, threads and seconds: what a budget asks for, checked."""
+    """Starts, the number that random starts are drawn by, threads and seconds: what a budget asks
+    for, checked.
+    """
     spend = USUAL.of(budget)
     deadline(spend.time_limit)
     return start_count(spend.starts), seed_number(spend.rng), spend.threads, spend.time_limit
@@ -92,19 +103,24 @@ SPENT = _spent(None)
 
 
 class Assembler:
-    """A reusable `assemble`: the names of known coordinates and frames are looked up, and the loops packed, only once.
+    """A reusable `assemble`: the names of known coordinates and frames are looked up, and the loops
+    packed, only once.
 
-    `known` are names of coordinates and of frames, in the order in which values are given. Without `one_sided` the
-    inequalities among the declared constraints do not count.
+    `known` are names of coordinates and of frames, in the order in which values are given. Without
+    `one_sided` the inequalities among the declared constraints do not count.
     """
 
     def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
         self.system = system
         self.known = tuple(known)
         self.tree = own_tree(system)
-        self.one_sided = one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
+        self.one_sided = (
+            one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
+        )
         self.names: AbstractSet[str] = set(self.known)
-        coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
+        coordinates = [
+            k for k in self.known if k not in system.frame_names or k in system.coordinate_names
+        ]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
         self.explicit = must_be_explicit(self.tree, self.sources)
@@ -116,10 +132,11 @@ class Assembler:
         return f"Assembler of {self.system.name!r} from {', '.join(self.known) or 'nothing known'}"
 
     def _places(self, names: list[str]) -> None:
-        """Find the places in q of the known coordinates; for a coupled one the place, factor and offset of its source.
+        """Find the places in q of the known coordinates; for a coupled one the place, factor and
+        offset of its source.
 
-        Sets `places`, `factors`, `offsets`, `held`, and the limits `low` and `high`. Errors: `UnknownNameError`,
-        `InputError`.
+        Sets `places`, `factors`, `offsets`, `held`, and the limits `low` and `high`. Errors:
+        `UnknownNameError`, `InputError`.
         """
         system = self.system
         index = {n: i for i, n in enumerate(system.coordinate_names)}
@@ -129,11 +146,19 @@ class Assembler:
         for name in names:
             follower = system.structure.couplings.get(name)
             if follower is not None and follower.source is None:
-                raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
+                raise InputError(
+                    f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given"
+                )
             if follower is None and name not in index:
-                allowed = (*system.coordinate_names, *system.structure.couplings, *system.structure.frames)
+                allowed = (
+                    *system.coordinate_names,
+                    *system.structure.couplings,
+                    *system.structure.frames,
+                )
                 raise UnknownNameError("coordinate or frame", name, allowed, system.name)
-            places.append(index[name if follower is None or follower.source is None else follower.source])
+            places.append(
+                index[name if follower is None or follower.source is None else follower.source]
+            )
             factors.append(1.0 if follower is None else 1.0 / follower.multiplier)
             offsets.append(0.0 if follower is None else follower.offset)
         if len(set(places)) < len(places):
@@ -154,7 +179,9 @@ class Assembler:
             given = set(range(iq, iq + 4)) & set(places)
             if given and len(given) < 4:
                 missing = [system.coordinate_names[i] for i in range(iq, iq + 4) if i not in given]
-                raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
+                raise InputError(
+                    f"a quaternion is given as a whole; missing are {', '.join(missing)}"
+                )
             held += [iv, iv + 1, iv + 2] if given else []
         self.held = frozenset(system.structure.velocity_names[int(v)] for v in held)
         limits = np.full((2, len(places)), np.inf) * [[-1.0], [1.0]]
@@ -173,8 +200,8 @@ class Assembler:
     def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> PackedLoops:
         """The packed loops, with the known frames held in place, and in orientation where `turned`.
 
-        `whole`: the coordinates of all joints are unknowns, also of those that the tree left out, so that what is
-        nearest does not depend on where the loops are cut.
+        `whole`: the coordinates of all joints are unknowns, also of those that the tree left out,
+        so that what is nearest does not depend on where the loops are cut.
         """
         bounded = self.one_sided is not None
         explicit = frozenset(self.tree.structure.closures) if whole or bounded else self.explicit
@@ -183,7 +210,9 @@ class Assembler:
 
     @cached_property
     def freedoms(self) -> int:
-        """Freedoms left when the known ones are given, at a closed configuration near home; -1: not counted."""
+        """Freedoms left when the known ones are given, at a closed configuration near home; -1: not
+        counted.
+        """
         if self.frames or len(self.loops.names) > FEW:
             return -1
         home = home_of(self.system)[None]
@@ -193,14 +222,25 @@ class Assembler:
         return freedoms_left(self.system, q[0], self.held)
 
     def run(
-        self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = 0, rng: int = 0,
-        threads: int | None = 1, limits: bool = True, tolerance: float = TOLERANCE, follow: bool = False,
-        loops: PackedLoops | None = None, limit: float | None = None,
-    ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
-        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq).
+        self,
+        starts: Array,
+        pins: Array,
+        tries: int = STARTS,
+        nearest: int = 0,
+        rng: int = 0,
+        threads: int | None = 1,
+        limits: bool = True,
+        tolerance: float = TOLERANCE,
+        follow: bool = False,
+        loops: PackedLoops | None = None,
+        limit: float | None = None,
+    ) -> tuple[Array, Array, np.ndarray]:
+        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N,
+        nq).
 
-        Rows that the time `limit` [s] ended have the status `OUT_OF_TIME`, and what is nearest to closing by then. The
-        clock is read after the first start of each row, of many equations before each step.
+        Rows that the time `limit` [s] ended have the status `OUT_OF_TIME`, and what is nearest to
+        closing by then. The clock is read after the first start of each row, of many equations
+        before each step.
         """
         n = len(starts)
         few = False
@@ -212,18 +252,55 @@ class Assembler:
             few = self.quick and n <= CHUNK and not (follow or nearest)
         weights = loops.weights if limits else limitless(self.system, loops)
         if few and not kernel.assemble(
-            loops.ints, loops.floats, loops.plan, weights, starts, pins, 0, 1, STEPS, tolerance,
-            UNFINISHED if tries > 1 else 0, rng, 0, False, 0, q, residual, info,
-        ):  # fmt: skip
+            loops.ints,
+            loops.floats,
+            loops.plan,
+            weights,
+            starts,
+            pins,
+            0,
+            1,
+            STEPS,
+            tolerance,
+            UNFINISHED if tries > 1 else 0,
+            rng,
+            0,
+            False,
+            0,
+            q,
+            residual,
+            info,
+        ):
             return q, residual, info
-        by_parts = tries > 1 and len(loops.ties) >= LARGE and not (nearest or follow) and self.one_sided is None
+        by_parts = (
+            tries > 1
+            and len(loops.ties) >= LARGE
+            and not (nearest or follow)
+            and self.one_sided is None
+        )
 
         def work(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
             before = info[i:j, 1].copy() if first else 0
             left = kernel.assemble(
-                loops.ints, loops.floats, loops.plan, weights, starts[i:j], pins[i:j] if len(pins) > 1 else pins,
-                first, most, STEPS, tolerance, steps, rng, i, follow, stop, q[i:j], residual[i:j], info[i:j],
-            )  # fmt: skip
+                loops.ints,
+                loops.floats,
+                loops.plan,
+                weights,
+                starts[i:j],
+                pins[i:j] if len(pins) > 1 else pins,
+                first,
+                most,
+                STEPS,
+                tolerance,
+                steps,
+                rng,
+                i,
+                follow,
+                stop,
+                q[i:j],
+                residual[i:j],
+                info[i:j],
+            )
             if first:
                 info[i:j, 1] += before
             if stop and (error := clock().taken()):
@@ -234,8 +311,19 @@ class Assembler:
             sound = np.isfinite(starts).all(axis=-1) & np.isfinite(pins).all(axis=-1)
             if not sound.all():  # the others follow as if these rows were not there
                 q[:], residual[:], info[:] = np.nan, np.nan, (BAD_INPUT, 0, 0)
-                inner = self.run(starts[sound], pins[sound] if len(pins) > 1 else pins, tries, nearest, rng, threads,
-                                 limits, tolerance, True, loops, limit)  # fmt: skip
+                inner = self.run(
+                    starts[sound],
+                    pins[sound] if len(pins) > 1 else pins,
+                    tries,
+                    nearest,
+                    rng,
+                    threads,
+                    limits,
+                    tolerance,
+                    True,
+                    loops,
+                    limit,
+                )
                 q[sound], residual[sound], info[sound] = inner
                 return q, residual, info
         if not few:
@@ -252,13 +340,22 @@ class Assembler:
                 elif self.one_sided is not None:
                     from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
 
-                    bounded = OneSidedAssembly(self.system, loops, weights, STEPS, tolerance, rng, threads)
-                    (bounded.follow if follow else bounded.assemble)(starts, pins, tries, q, residual, info)
+                    bounded = OneSidedAssembly(
+                        self.system, loops, weights, STEPS, tolerance, rng, threads
+                    )
+                    (bounded.follow if follow else bounded.assemble)(
+                        starts, pins, tries, q, residual, info
+                    )
                 elif n <= CHUNK or follow:
                     work(0, n, 0, 1 if by_parts else tries, nearest, stop)
                 else:
-                    over_chunks(lambda i, j: work(i, j, 0, 1 if by_parts else tries, nearest, stop), n, CHUNK, threads,
-                                SERIAL_BELOW)  # fmt: skip
+                    over_chunks(
+                        lambda i, j: work(i, j, 0, 1 if by_parts else tries, nearest, stop),
+                        n,
+                        CHUNK,
+                        threads,
+                        SERIAL_BELOW,
+                    )
                 loops.check()
                 if by_parts:
                     search = LocalStarts(self.system, loops, weights, tolerance)
@@ -271,13 +368,22 @@ class Assembler:
         return q, residual, info
 
     def _is_quick(self, loops: PackedLoops) -> bool:
-        """Whether one start takes less than about a millisecond: then the clock is read after the first one only."""
+        """Whether one start takes less than about a millisecond: then the clock is read after the
+        first one only.
+        """
         return len(loops.names) < MANY and len(loops.ties) < LARGE and not loops.functions
 
     def _end(
-        self, loops: PackedLoops, weights: Array, starts: Array, pins: Array, q: Array, residual: Array,
-        info: np.ndarray, by_parts: bool,
-    ) -> None:  # fmt: skip
+        self,
+        loops: PackedLoops,
+        weights: Array,
+        starts: Array,
+        pins: Array,
+        q: Array,
+        residual: Array,
+        info: np.ndarray,
+        by_parts: bool,
+    ) -> None:
         """Complete what was written when the time was up."""
         for function in loops.functions:
             function.error = None  # it was the time that was up
@@ -308,8 +414,12 @@ class Assembler:
         free = ~np.isin(layout.vector_q, self.places) & ((low > -LARGEST) | (high < LARGEST))
         return layout.vector_q[free], low[free], high[free]
 
-    def _equations(self, q: Array, residual: Array, limits: bool, threads: int | None) -> np.ndarray:
-        """Which (N,) of the configurations q (N, nq) are closed and inside the limits; writes the residuals (N,)."""
+    def _equations(
+        self, q: Array, residual: Array, limits: bool, threads: int | None
+    ) -> np.ndarray:
+        """Which (N,) of the configurations q (N, nq) are closed and inside the limits; writes the
+        residuals (N,).
+        """
         loops = self.loops
         none = np.empty((0, len(self.loops.names), self.system.nv))
         good = np.empty(len(q), dtype=bool)
@@ -334,11 +444,15 @@ class Assembler:
         loops.check()
         return good
 
-    def _confirm(self, starts: Array, limits: bool, threads: int | None) -> tuple[Assembly, np.ndarray, Array]:
-        """The answer for configurations (..., nq) of a closed form, the rows that were searched, and their starts.
+    def _confirm(
+        self, starts: Array, limits: bool, threads: int | None
+    ) -> tuple[Assembly, np.ndarray, Array]:
+        """The answer for configurations (..., nq) of a closed form, the rows that were searched,
+        and their starts.
 
-        Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer; from the others one
-        search starts. The answer is written to `starts`, which must be contiguous.
+        Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer;
+        from the others one search starts. The answer is written to `starts`, which must be
+        contiguous.
         """
         lead = starts.shape[:-1]
         q = starts.reshape(-1, self.system.nq)
@@ -358,7 +472,9 @@ class Assembler:
 
     @cached_property
     def _units(self) -> tuple[Array, np.ndarray]:
-        """Coordinates (nq,) of one radian or one characteristic length, and places of those that turns bring back."""
+        """Coordinates (nq,) of one radian or one characteristic length, and places of those that
+        turns bring back.
+        """
         layout = self.system.structure.layout
         unit = np.ones(self.system.nq)
         unit[layout.vector_q] = self.loops.scale[layout.vector_v]
@@ -367,15 +483,22 @@ class Assembler:
     def _along(
         self, starts: Array, tries: int, rng: int, limits: bool, tolerance: float
     ) -> tuple[Array, Array, np.ndarray] | None:
-        """As `run` with `follow`, by the closed form of dyads; None where that does not say how all rows go on."""
-        from kempe.solvers.dyads.dyads import Plan, closed_form  # only here: other calls do not need them
+        """As `run` with `follow`, by the closed form of dyads; None where that does not say how all
+        rows go on.
+        """
+        from kempe.solvers.dyads.dyads import (
+            Plan,
+            closed_form,
+        )  # only here: other calls do not need them
 
         if self.one_sided is not None or self.frames or not np.isfinite(starts).all():
             return None
         plan = closed_form(self.system, tuple(self.sources))
         if not isinstance(plan, Plan):
             return None
-        first = self.run(starts[:1], self.no_pins, tries, rng=rng, limits=limits, tolerance=tolerance)
+        first = self.run(
+            starts[:1], self.no_pins, tries, rng=rng, limits=limits, tolerance=tolerance
+        )
         if first[2][0, 0] != SOLVED:
             return None
         (unit, turns) = self._units
@@ -388,17 +511,27 @@ class Assembler:
         q[:1], residual[:1], info[:1] = first
         for i in range(1, n, PIECE):
             j = min(i + PIECE, n)
-            x = plan._continued(np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns)
+            x = plan._continued(
+                np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns
+            )
             if x is None or not self._equations(x, residual[i:j], limits, 1).all():
                 return None
             q[i:j] = x
         return q, residual, info
 
     def _ask(
-        self, values: Any = (), start: Any = None, *, prefer: str | None = None, limits: bool = True,
-        tolerance: float = TOLERANCE, budget: Budget | None = None,
-    ) -> Assembly:  # fmt: skip
-        """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict with all of them."""
+        self,
+        values: Any = (),
+        start: Any = None,
+        *,
+        prefer: str | None = None,
+        limits: bool = True,
+        tolerance: float = TOLERANCE,
+        budget: Budget | None = None,
+    ) -> Assembly:
+        """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict
+        with all of them.
+        """
         given: Any = values
         if prefer is None and limits is True and tolerance is TOLERANCE and budget is None:
             answer = self._usual(values, start)
@@ -406,7 +539,9 @@ class Assembler:
                 return answer
         named = values.__class__ is dict or isinstance(values, Mapping)
         given = given if named else self._by_name(values)
-        return self._solve(Problem(self.system, "one", given, start, prefer, limits, tolerance, budget))
+        return self._solve(
+            Problem(self.system, "one", given, start, prefer, limits, tolerance, budget)
+        )
 
     __call__ = explained(_ask, fast=True)
 
@@ -421,11 +556,15 @@ class Assembler:
             said = ", ".join(map(repr, given)) or "nothing"
             raise InputError(f"values are given for {said}; needed are {self.known}")
         if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance <= LOOSEST):
-            raise InputError(f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}")
+            raise InputError(
+                f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}"
+            )
         if limits.__class__ is not bool:
             flag(limits, "limits")
         if prefer not in PREFER:
-            raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
+            raise InputError(
+                f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}"
+            )
         tries, number, threads, limit = SPENT if budget is None else _spent(budget)
         base = self._single(given, start)
         lead = ()
@@ -437,11 +576,24 @@ class Assembler:
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
         follow = prefer == "continuous" and len(base) > 1
-        along = self._along(base, tries, number, limits, tolerance) if follow and len(base) >= LONG else None
+        along = (
+            self._along(base, tries, number, limits, tolerance)
+            if follow and len(base) >= LONG
+            else None
+        )
         q, residual, info = along or self.run(
-            base, pins, tries, steps, number, threads, limits, tolerance, follow,
-            self._loops(turned, steps > 0) if turned or steps else None, limit,
-        )  # fmt: skip
+            base,
+            pins,
+            tries,
+            steps,
+            number,
+            threads,
+            limits,
+            tolerance,
+            follow,
+            self._loops(turned, steps > 0) if turned or steps else None,
+            limit,
+        )
         if not lead and int(info[0, 0]) == BAD_INPUT:
             self._refuse(given, start)
         answer = self._answer(base, lead, q, residual, info, limits)
@@ -462,18 +614,30 @@ class Assembler:
         raise InputError(NOT_FINITE)
 
     def _answer(
-        self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
-    ) -> Assembly:  # fmt: skip
+        self,
+        base: Array,
+        lead: tuple[int, ...],
+        q: Array,
+        residual: Array,
+        info: np.ndarray,
+        limits: bool,
+    ) -> Assembly:
         if not lead:
             code, steps, starts = info.tolist()[0]
             if code == BAD_INPUT:
                 refuse_far(self.system, base[0], "start")
                 raise InputError(NOT_FINITE)
-            if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
+            if (
+                self.limited and limits
+            ):  # in Python: for a few numbers an array costs as much as the assembly
                 known = base[0, self.places].tolist()
-                if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
+                if any(
+                    x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)
+                ):
                     code = Status.OUTSIDE_LIMITS
-            return Assembly.single(q[0], code == SOLVED, MEMBERS[code], residual.item(), steps, starts, self)
+            return Assembly.single(
+                q[0], code == SOLVED, MEMBERS[code], residual.item(), steps, starts, self
+            )
         code = info[:, 0]
         if self.limited and limits:
             code = np.where(self._outside(base) & (code != BAD_INPUT), Status.OUTSIDE_LIMITS, code)
@@ -486,11 +650,14 @@ class Assembler:
     def _by_kernel(self) -> bool:
         """Whether one call of the kernel answers for known coordinates as they are given."""
         loops = self.loops
-        more = self.frames or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE
+        more = (
+            self.frames or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE
+        )
         return self.plain and not more
 
     def _usual(self, given: Any, start: Any) -> Assembly | None:
-        """The answer to the usual call, one array and plain numbers by name, in a fraction of the time; else None.
+        """The answer to the usual call, one array and plain numbers by name, in a fraction of the
+        time; else None.
 
         None leaves to `_solve` what it is to be said of other arguments.
         """
@@ -505,9 +672,25 @@ class Assembler:
         residual = np.empty(1)
         info = np.empty((1, 3), np.int64)
         if kernel.assemble(
-            loops.ints, loops.floats, loops.plan, loops.weights, base, self.no_pins, 0, 1, STEPS, TOLERANCE, UNFINISHED,
-            number, 0, False, 0, q, residual, info,
-        ):  # fmt: skip
+            loops.ints,
+            loops.floats,
+            loops.plan,
+            loops.weights,
+            base,
+            self.no_pins,
+            0,
+            1,
+            STEPS,
+            TOLERANCE,
+            UNFINISHED,
+            number,
+            0,
+            False,
+            0,
+            q,
+            residual,
+            info,
+        ):
             q, residual, info = self.run(base, self.no_pins, limit=None if checks() else SHORT)
         if info[0, 0] == BAD_INPUT:
             return None
@@ -517,8 +700,14 @@ class Assembler:
         return answer
 
     def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
-        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
-        if start.__class__ is not np.ndarray or start.shape != self.shape or start.dtype is not FLOAT:
+        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the
+        time; else None.
+        """
+        if (
+            start.__class__ is not np.ndarray
+            or start.shape != self.shape
+            or start.dtype is not FLOAT
+        ):
             return None
         if self.frames or not self.plain:
             return None
@@ -526,7 +715,9 @@ class Assembler:
         row = base[0]
         for name, place in self.named_places:
             x = given.get(name)
-            if x.__class__ not in PLAIN_NUMBERS or not isfinite(row[place]):  # a start is read whole
+            if x.__class__ not in PLAIN_NUMBERS or not isfinite(
+                row[place]
+            ):  # a start is read whole
                 return None
             if x.__class__ is int and not is_real(x):
                 return None
@@ -540,26 +731,39 @@ class Assembler:
         if array.ndim == 1 and len(array) == len(self.known):
             return dict(zip(self.known, array.tolist(), strict=True))
         if array.ndim == 0 or array.shape[-1] != len(self.known):
-            raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
+            raise InputError(
+                f"values have shape {array.shape}; needed are (..., {len(self.known)}): "
+                f"{self.known}"
+            )
         return {k: array[..., i] for i, k in enumerate(self.known)}
 
     def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
         base = home_of(system) if start is None else as_start(system, start)
-        columns = [reals(given[k], f"the known value of {k!r}", "a number, or an array") for k in self.coordinates]
+        columns = [
+            reals(given[k], f"the known value of {k!r}", "a number, or an array")
+            for k in self.coordinates
+        ]
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
-        shapes += [np.shape(given[f])[: -2 if t else -1] for f, t in zip(self.frames, self._turned(given), strict=True)]
+        shapes += [
+            np.shape(given[f])[: -2 if t else -1]
+            for f, t in zip(self.frames, self._turned(given), strict=True)
+        ]
         try:
             lead = np.broadcast_shapes(*shapes) if any(shapes) else ()
         except ValueError:
-            raise InputError(f"known values and near have shapes that do not fit together: {shapes}") from None
+            raise InputError(
+                f"known values and near have shapes that do not fit together: {shapes}"
+            ) from None
         starts = np.empty((*lead, system.nq))
         starts[:] = base
         for k, column in enumerate(columns):
             value = column if self.plain else (column - self.offsets[k]) * self.factors[k]
             at = starts[..., self.places[k]]
-            starts[..., self.places[k]] = np.where(np.isfinite(at), value, np.nan)  # a start is read whole
+            starts[..., self.places[k]] = np.where(
+                np.isfinite(at), value, np.nan
+            )  # a start is read whole
         return starts.reshape(math.prod(lead), system.nq), lead
 
     def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
@@ -574,10 +778,14 @@ class Assembler:
                 out.append(False)
             else:
                 allowed = f"a position (..., {size}) or a pose (..., 4, 4)"
-                raise InputError(f"the place of frame {frame!r} has shape {shape}; it must be {allowed}")
+                raise InputError(
+                    f"the place of frame {frame!r} has shape {shape}; it must be {allowed}"
+                )
         return tuple(out)
 
-    def _pins(self, given: Mapping[str, Any], turned: tuple[bool, ...], lead: tuple[int, ...]) -> Array:
+    def _pins(
+        self, given: Mapping[str, Any], turned: tuple[bool, ...], lead: tuple[int, ...]
+    ) -> Array:
         """Poses (N, 12 k) of the known frames."""
         n = math.prod(lead)
         pins = np.zeros((n, len(self.frames), 3, 4))
@@ -600,10 +808,11 @@ class Assembler:
 class LocalStarts:
     """Further starts of an assembly of many loops, each changed near a place that stayed open.
 
-    The more loops are far from closed, the more often some of them end in a local minimum of the residual, also from
-    starts that are drawn as a whole. A loop that stays open affects its neighbours most. So coordinates near it are
-    drawn anew, the others begin where they are, and the start is kept if it leaves less open (iterated local search:
-    Lourenco, Martin and Stuetzle, 2003).
+    The more loops are far from closed, the more often some of them end in a local minimum of the
+    residual, also from starts that are drawn as a whole. A loop that stays open affects its
+    neighbours most. So coordinates near it are drawn anew, the others begin where they are, and the
+    start is kept if it leaves less open (iterated local search: Lourenco, Martin and Stuetzle,
+    2003).
     """
 
     def __init__(self, system: System, loops: PackedLoops, weights: Array, tolerance: float):
@@ -622,9 +831,18 @@ class LocalStarts:
         self.reached: tuple[Array, float, np.ndarray]
 
     def close_all(
-        self, starts: Array, pins: Array, tries: int, rng: int, q: Array, residual: Array, info: np.ndarray
-    ) -> None:  # fmt: skip
-        """Go on where a first start did not close, as `q`, `residual` and `info` say, and write there."""
+        self,
+        starts: Array,
+        pins: Array,
+        tries: int,
+        rng: int,
+        q: Array,
+        residual: Array,
+        info: np.ndarray,
+    ) -> None:
+        """Go on where a first start did not close, as `q`, `residual` and `info` say, and write
+        there.
+        """
         for i in np.flatnonzero(info[:, 0] == NOT_FOUND).tolist():
             self.reached = q[i], float(residual[i]), info[i]
             try:
@@ -636,11 +854,12 @@ class LocalStarts:
 
     def close(
         self, start: Array, q: Array, pin: Array, tries: int, rng: int, row: int, before: np.ndarray
-    ) -> tuple[Array, float, np.ndarray]:  # fmt: skip
-        """Configuration, residual and (status, steps, starts), from what a first start came to and `before` says of it.
+    ) -> tuple[Array, float, np.ndarray]:
+        """Configuration, residual and (status, steps, starts), from what a first start came to and
+        `before` says of it.
 
-        `row` is the number of the start `start` in its batch, by which random numbers are drawn. `reached` is the same
-        of what was done by now.
+        `row` is the number of the start `start` in its batch, by which random numbers are drawn.
+        `reached` is the same of what was done by now.
         """
         random = np.random.default_rng([rng, row])
         _, steps, first = before.tolist()
@@ -651,8 +870,14 @@ class LocalStarts:
             square = np.zeros(len(self.moved_by))
             np.add.at(square, self.of_row, self._equations(q, pin) ** 2)
             least = min(least, math.sqrt(square.sum()))
-            self.reached = q, least, np.array([NOT_FOUND + LATE, steps, first + k * LOCAL_STEPS // STEPS])
-            there = self._changed(q, int(random.choice(len(square), p=square / square.sum())), random)
+            self.reached = (
+                q,
+                least,
+                np.array([NOT_FOUND + LATE, steps, first + k * LOCAL_STEPS // STEPS]),
+            )
+            there = self._changed(
+                q, int(random.choice(len(square), p=square / square.sum())), random
+            )
             found, residual, info = self._run(there, pin, 1, LOCAL_STEPS, rng, row)
             steps += int(info[1])
             if residual < least:
@@ -698,9 +923,25 @@ class LocalStarts:
         residual = np.empty(1)
         info = np.empty((1, 3), dtype=np.int64)
         kernel.assemble(
-            loops.ints, loops.floats, loops.plan, self.weights, start[None].copy(), pin[None], 0, tries, steps,
-            self.tolerance, 0, rng, row, False, clock().address, q, residual, info,
-        )  # fmt: skip
+            loops.ints,
+            loops.floats,
+            loops.plan,
+            self.weights,
+            start[None].copy(),
+            pin[None],
+            0,
+            tries,
+            steps,
+            self.tolerance,
+            0,
+            rng,
+            row,
+            False,
+            clock().address,
+            q,
+            residual,
+            info,
+        )
         if error := clock().taken():
             raise error
         loops.check()
@@ -715,7 +956,9 @@ def limitless(system: System, loops: PackedLoops) -> Array:
 
 
 def bare(system: System, known: Iterable[str] = ()) -> Assembler:
-    """The assembler for the mechanism exactly as it is given, without any tolerance of its dimensions."""
+    """The assembler for the mechanism exactly as it is given, without any tolerance of its
+    dimensions.
+    """
     return _assembler(system, tuple(known), True)
 
 
@@ -725,5 +968,7 @@ def _assembler(system: System, known: tuple[str, ...], one_sided: bool) -> Assem
 
 
 def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
-    """As `assembler`, but one-sided constraints do not count: what they leave out is looked at elsewhere."""
+    """As `assembler`, but one-sided constraints do not count: what they leave out is looked at
+    elsewhere.
+    """
     return _assembler(system, listed(known, "known"), not one_sided_rows(system).declared)

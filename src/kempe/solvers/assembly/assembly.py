@@ -1,4 +1,6 @@
-"""Assembly: from some known coordinates, or places of frames, a configuration that closes all loops."""
+"""Assembly: from some known coordinates, or places of frames, a configuration that closes all
+loops.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, USUAL, Assembler, bare
 from kempe.solvers.assembly.ideal import ideal_of, is_known, one_number, within
 from kempe.solvers.common.clock import LEAST, TimeLimit, TimeUp
-from kempe.solvers.common.problem import NOTHING, Choice, Problem, Solver, choose, chosen_by, takes_all
+from kempe.solvers.common.problem import (
+    NOTHING,
+    Choice,
+    Problem,
+    Solver,
+    choose,
+    chosen_by,
+    takes_all,
+)
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
@@ -30,37 +40,54 @@ if TYPE_CHECKING:
 
 @explained
 def assemble(
-    system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, branch: str | None = None,
-    prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
+    system: System,
+    known: Mapping[str, Any] | None = None,
+    start: Any = None,
+    *,
+    branch: str | None = None,
+    prefer: str | None = None,
+    limits: bool = True,
+    also: Any = (),
+    tolerance: float | str | None = None,
     budget: Budget | None = None,
-) -> Assembly:  # fmt: skip
+) -> Assembly:
     """A configuration that closes all loops, with the `known` given and everything else found.
 
-    `known` maps names of coordinates to values in radians and metres, and names of frames to positions (..., 3) (in
-    planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch; the time of equations in time is known as
-    "t", one number. What the loops leave open is decided by *additional considerations*: `start` (nq,) or (..., nq), or
-    a dict by name, is where the search starts (default: the posture 'closed' of the file, else the middle of the
-    limits); steps of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are left,
-    it is the closed configuration nearest to it. `branch` names a branch: signs such as '+-' for planar mechanisms made
-    of dyads (see `assembly_modes`), or a posture, which is where the search starts. ``prefer="continuous"``: row by
-    row, each started where the last two lead; a long sequence that keeps away from where branches of dyads meet is
-    taken from their closed form. Coordinates stay inside their limits unless `limits=False`; one-sided
-    constraints of the system always hold: a start that violates them is brought there.
+    `known` maps names of coordinates to values in radians and metres, and names of frames to
+    positions (..., 3) (in planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch;
+    the time of equations in time is known as "t", one number. What the loops leave open is decided
+    by *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the
+    search starts (default: the posture 'closed' of the file, else the middle of the limits); steps
+    of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are
+    left, it is the closed configuration nearest to it. `branch` names a branch: signs such as '+-'
+    for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
+    search starts. ``prefer="continuous"``: row by row, each started where the last two lead; a long
+    sequence that keeps away from where branches of dyads meet is taken from their closed form.
+    Coordinates stay inside their limits unless `limits=False`; one-sided constraints of the system
+    always hold: a start that violates them is brought there.
 
-    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s; none for the search of a batch, whose
-    length says how long it takes). Sets of known values for which it ended the search have the code `OUT_OF_TIME`, and
-    in `q` what is nearest to closing by then. Where it ended the search for the nearest mechanism that closes exactly,
-    which is made once for each system and decides for all verbs what is closed, nothing is a success, and the answer
-    says so. The first start is `start`; the others are drawn around it from rng, wider and wider. An open loop is never
-    a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
-    ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no obstacle. Method: damped least
-    squares with steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
-    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call. `tolerance` is
-    as in `kempe.solvers.assembly.ideal`; where no other mechanism closes, the largest residual of a success.
+    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s; none for the
+    search of a batch, whose length says how long it takes). Sets of known values for which it ended
+    the search have the code `OUT_OF_TIME`, and in `q` what is nearest to closing by then. Where it
+    ended the search for the nearest mechanism that closes exactly, which is made once for each
+    system and decides for all verbs what is closed, nothing is a success, and the answer says so.
+    The first start is `start`; the others are drawn around it from rng, wider and wider. An open
+    loop is never a success: the answer then says which loop is open, by how much, and `q` is the
+    nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are
+    no obstacle. Method: damped least squares with steps of minimum norm (Nakamura and Hanafusa,
+    1986; Sugihara, 2011).
+    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this
+    call. `tolerance` is as in `kempe.solvers.assembly.ideal`; where no other mechanism closes, the
+    largest residual of a success.
     """
     given: Mapping[str, Any] = {} if known is None else known
-    if given.__class__ is not dict and not isinstance(given, Mapping):  # asking what a dict is takes long
-        raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
+    if given.__class__ is not dict and not isinstance(
+        given, Mapping
+    ):  # asking what a dict is takes long
+        raise InputError(
+            f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame "
+            "name"
+        )
     if also.__class__ is not tuple or also:
         system = held_too(system, also)
     if TIME in given:
@@ -73,13 +100,23 @@ def assemble(
         except TimeUp:
             if not time.spent:
                 raise
-            q = q_from_dict(system, branch) if branch is not None and start is None and not signs else start
+            q = (
+                q_from_dict(system, branch)
+                if branch is not None and start is None and not signs
+                else start
+            )
             problem = Problem(system, "one", given, q, None, limits, TOLERANCE)
             return replace(_unsolved(bare(system, given), problem), late=True, limit=time.limit)
         budget = _left(budget, time)
     if tolerance is not None:
         system, tolerance = allowing(system, tolerance)
-    if branch is None and prefer is None and limits is True and tolerance is None and budget is None:
+    if (
+        branch is None
+        and prefer is None
+        and limits is True
+        and tolerance is None
+        and budget is None
+    ):
         answer = bound(system, tuple(given))._usual(given, start)
         if answer is not None:
             return _within_limit(answer, time)
@@ -88,7 +125,9 @@ def assemble(
         options = {"branch": branch}
     elif branch is not None and start is None:
         start = q_from_dict(system, branch)
-    problem = Problem(system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options)
+    problem = Problem(
+        system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options
+    )
     return _within_limit(chosen(system, tuple(given), signs)[0].run(problem), time)
 
 
@@ -111,21 +150,32 @@ def _left(budget: Budget | None, time: TimeLimit) -> Budget | None:
 
 
 def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
-    """The answer where the time was up before it was known what closes, or configurations on a named branch."""
-    answer = assembler._solve(problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST)))
-    code = np.where(np.asarray(answer.code) == Status.BAD_INPUT, Status.BAD_INPUT, Status.OUT_OF_TIME)
-    return replace(answer, success=plain(np.zeros(np.shape(code), dtype=bool)), code=member(plain(code)))
+    """The answer where the time was up before it was known what closes, or configurations on a
+    named branch.
+    """
+    answer = assembler._solve(
+        problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST))
+    )
+    code = np.where(
+        np.asarray(answer.code) == Status.BAD_INPUT, Status.BAD_INPUT, Status.OUT_OF_TIME
+    )
+    return replace(
+        answer, success=plain(np.zeros(np.shape(code), dtype=bool)), code=member(plain(code))
+    )
 
 
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
     """The system to assemble within a tolerance, and the largest residual that counts as success.
 
-    A near mechanism that closes exactly takes the place of the given one; without one, the tolerance is that residual.
+    A near mechanism that closes exactly takes the place of the given one; without one, the
+    tolerance is that residual.
     """
     found = within(system, tolerance)
     if found is not None:
         return found.system, TOLERANCE
-    return system, TOLERANCE if isinstance(tolerance, str) else min(float(one_number(tolerance)), LOOSEST)
+    return system, TOLERANCE if isinstance(tolerance, str) else min(
+        float(one_number(tolerance)), LOOSEST
+    )
 
 
 # ---- the bound form
@@ -139,7 +189,9 @@ def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
 
 @kept
 def bound(system: System, known: tuple[str, ...]) -> Assembler:
-    """The assembler for the mechanism that replaces this one in computations, such as with exact dimensions."""
+    """The assembler for the mechanism that replaces this one in computations, such as with exact
+    dimensions.
+    """
     return bare(ideal_of(system), known)
 
 
@@ -161,7 +213,10 @@ def _of_known(problem: Problem) -> Assembly:
 
 def on_named_branch(problem: Problem) -> Assembly:
     """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
-    from kempe.solvers.dyads.dyads import closed_form, on_branch  # only here: other calls do not need them
+    from kempe.solvers.dyads.dyads import (
+        closed_form,
+        on_branch,
+    )  # only here: other calls do not need them
 
     assembler = bound(problem.system, tuple(problem.known))
     asked = USUAL.of(problem.budget)
@@ -171,8 +226,12 @@ def on_named_branch(problem: Problem) -> Assembly:
     time = TimeLimit(None) if many else _time(problem.budget)
     try:
         with time:
-            start = on_branch(assembler.system, problem.known, problem.options["branch"], problem.start, threads)
-            answer, searched, before = assembler._confirm(start, flag(problem.limits, "limits"), threads)
+            start = on_branch(
+                assembler.system, problem.known, problem.options["branch"], problem.start, threads
+            )
+            answer, searched, before = assembler._confirm(
+                start, flag(problem.limits, "limits"), threads
+            )
     except TimeUp:
         if not time.spent:
             raise
@@ -188,11 +247,25 @@ def on_named_branch(problem: Problem) -> Assembly:
 
 
 SOLVERS = (
-    Solver("dyads", "closed form on the branch with these signs, then least squares", _no_signs, on_named_branch),
-    Solver("active set", "damped least squares in which bounds are taken up and released", _no_bounds, _of_known),
-    Solver("least squares", "damped least squares of the closure equations, with steps of minimum norm",
-           takes_all, _of_known),
-)  # fmt: skip
+    Solver(
+        "dyads",
+        "closed form on the branch with these signs, then least squares",
+        _no_signs,
+        on_named_branch,
+    ),
+    Solver(
+        "active set",
+        "damped least squares in which bounds are taken up and released",
+        _no_bounds,
+        _of_known,
+    ),
+    Solver(
+        "least squares",
+        "damped least squares of the closure equations, with steps of minimum norm",
+        takes_all,
+        _of_known,
+    ),
+)
 """Who answers for one closed configuration."""
 
 

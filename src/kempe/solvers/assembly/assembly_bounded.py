@@ -1,7 +1,9 @@
-"""Assembly of systems with one-sided constraints: all equations and bounds are held by the solver of tasks.
+"""Assembly of systems with one-sided constraints: all equations and bounds are held by the solver
+of tasks.
 
-Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.active_set`). What is found is then
-led back towards its start, so that a start which violates a bound is brought to the nearest place that holds all.
+Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.active_set`). What
+is found is then led back towards its start, so that a start which violates a bound is brought to
+the nearest place that holds all.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ MANY = 60
 
 @dataclass(frozen=True, eq=False)
 class OneSidedAssembly:
-    """One assembly: packed ties with one-sided ones, `weights` with or without limits, steps of a start, tolerance."""
+    """One assembly: packed ties with one-sided ones, `weights` with or without limits, steps of a
+    start, tolerance.
+    """
 
     system: System
     loops: PackedLoops
@@ -48,8 +52,9 @@ class OneSidedAssembly:
 
     def assemble(
         self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
-    ) -> None:  # fmt: skip
-        """Write configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as kernels write them.
+    ) -> None:
+        """Write configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as
+        kernels write them.
 
         Where `TimeUp` ends it, what was found by then is written.
         """
@@ -60,7 +65,7 @@ class OneSidedAssembly:
 
     def follow(
         self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
-    ) -> None:  # fmt: skip
+    ) -> None:
         """The same, each row started where the two before it lead, with its own held coordinates."""
         try:
             self._follow(starts, pins, tries, q, info)
@@ -72,25 +77,39 @@ class OneSidedAssembly:
             first = starts[i : i + 1]
             if i:
                 ahead = self.system.structure.layout.difference(q[max(i - 2, 0)], q[i - 1])
-                first = self._with_known(self.system.structure.layout.integrate(q[i - 1], ahead)[None], first)
+                first = self._with_known(
+                    self.system.structure.layout.integrate(q[i - 1], ahead)[None], first
+                )
             own = pins[i : i + 1] if len(pins) > 1 else pins
             self._search(first, own, tries, i, q[i : i + 1], info[i : i + 1])
 
     def residuals(self, q: Array, pins: Array) -> Array:
-        """Norm (N,) of what equations and bounds miss at configurations, in radians and characteristic lengths."""
+        """Norm (N,) of what equations and bounds miss at configurations, in radians and
+        characteristic lengths.
+        """
         loops = self.loops
         m = len(self.loops.names)
         g = np.empty((len(q), m))
         none = np.empty((0, m, 0))
         closure_batch.equations(
-            loops.ints, loops.floats, loops.plan, self.weights, pins, np.ascontiguousarray(q), False, g, none
+            loops.ints,
+            loops.floats,
+            loops.plan,
+            self.weights,
+            pins,
+            np.ascontiguousarray(q),
+            False,
+            g,
+            none,
         )
         return np.linalg.norm(g - np.clip(g, *loops.bounds), axis=1)
 
     def _search(
         self, starts: Array, pins: Array, tries: int, offset: int, q: Array, info: np.ndarray
-    ) -> None:  # fmt: skip
-        """Write configurations and (status, steps, starts), from starts drawn wider and wider about those given."""
+    ) -> None:
+        """Write configurations and (status, steps, starts), from starts drawn wider and wider about
+        those given.
+        """
         self._solve(starts, starts, pins, q, info)
         left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
         nv = self.system.nv
@@ -98,7 +117,10 @@ class OneSidedAssembly:
         scale = self.loops.scale * ~self.held
         count = 1
         while count < tries and len(left):
-            each = [np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv) for i in left]
+            each = [
+                np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv)
+                for i in left
+            ]
             spread = min(1.0, L.WIDER * count) * np.pi * scale
             some = pins[left] if len(pins) > 1 else pins
             begin = self.system.structure.layout.integrate(starts[left], np.stack(each) * spread)
@@ -119,21 +141,39 @@ class OneSidedAssembly:
             count = count + 1
 
     def _solve(self, starts: Array, goals: Array, pins: Array, q: Array, info: np.ndarray) -> None:
-        """Write the ends of one start each; what is found is led towards the goals. It may end by `TimeUp`."""
+        """Write the ends of one start each; what is found is led towards the goals. It may end by
+        `TimeUp`.
+        """
         loops = self.loops
         ties = len(self.loops.ties)
         stages = np.ones(2 * ties, dtype=np.int64)
         strengths = np.ones((ties, 3))
         strengths[:, 1:] = self.tolerance
 
-        stop = clock().address if len(loops.names) >= MANY or loops.functions else 0  # each start is short, else
+        stop = (
+            clock().address if len(loops.names) >= MANY or loops.functions else 0
+        )  # each start is short, else
 
         def work(i: int, j: int) -> int:
             left = kernel.solve(
-                loops.ints, loops.floats, loops.plan, self.weights, stages, strengths, starts[i:j], goals[i:j],
-                pins[i:j] if len(pins) > 1 else pins, 1, self.steps, S.AHEAD, stop, False,
-                self.rng, q[i:j], info[i:j],
-            )  # fmt: skip
+                loops.ints,
+                loops.floats,
+                loops.plan,
+                self.weights,
+                stages,
+                strengths,
+                starts[i:j],
+                goals[i:j],
+                pins[i:j] if len(pins) > 1 else pins,
+                1,
+                self.steps,
+                S.AHEAD,
+                stop,
+                False,
+                self.rng,
+                q[i:j],
+                info[i:j],
+            )
             if error := clock().taken():
                 raise error
             return left

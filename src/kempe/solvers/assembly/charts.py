@@ -1,12 +1,15 @@
-"""Minimal coordinates of systems with loops: which of the joint coordinates are independent, and the others from them.
+"""Minimal coordinates of systems with loops: which of the joint coordinates are independent, and
+the others from them.
 
-Near a regular configuration the closed configurations form a surface of dimension p, and p of the n velocity
-coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's generalised positions). It is as good
-as the smallest singular value of the tangent space's rows of these p coordinates: 1 where they are the tangent space, 0
-where they no longer move the others (a turning point of a driver).
+Near a regular configuration the closed configurations form a surface of dimension p, and p of the n
+velocity coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's
+generalised positions). It is as good as the smallest singular value of the tangent space's rows of
+these p coordinates: 1 where they are the tangent space, 0 where they no longer move the others (a
+turning point of a driver).
 
-The three angles of a ball would be such coordinates, but are not part of q: their place take the components of the
-rotation vector from where the chart was chosen (exponential coordinates, Murray, Li, Sastry, 1994, section 2.2).
+The three angles of a ball would be such coordinates, but are not part of q: their place take the
+components of the rotation vector from where the chart was chosen (exponential coordinates, Murray,
+Li, Sastry, 1994, section 2.2).
 """
 
 from __future__ import annotations
@@ -48,13 +51,15 @@ MANY = 300
 """Velocities from which idle spins are looked for only where there is no other choice."""
 TRIES = 60
 LONGEST = 0.5
-"""Steps of a search for rotation vectors, and the longest, in radians and characteristic lengths."""
+"""Steps of a search for rotation vectors, and the longest, in radians and characteristic
+lengths."""
 REACHED = 1e-9
 """How far coordinates may be from what was requested."""
 FARTHEST = 3.0
 """Angle of a ball from the origin up to which its rotation vector is used."""
 WORST = 0.02
-"""Conditioning below which a chart is given up, for up to four coordinates a freedom; with more, less is usual."""
+"""Conditioning below which a chart is given up, for up to four coordinates a freedom; with more,
+less is usual."""
 
 
 @explained_methods
@@ -62,10 +67,11 @@ WORST = 0.02
 class Chart(Report):
     """Independent coordinates of a system about a closed configuration.
 
-    `independent` are the names of the p coordinates chosen, `dependent` those of all others, `origin` (nq,) where it
-    was chosen, `quality` its conditioning there, from 0 (useless) to 1. Names `B.ex`, `B.ey`, `B.ez` are those of the
-    rotation vector [rad] that leads the ball B from the origin to where it is, in axes of its child. The last of the
-    independent ones, `idle`, move nothing but bodies that spin idly.
+    `independent` are the names of the p coordinates chosen, `dependent` those of all others,
+    `origin` (nq,) where it was chosen, `quality` its conditioning there, from 0 (useless) to 1.
+    Names `B.ex`, `B.ey`, `B.ez` are those of the rotation vector [rad] that leads the ball B from
+    the origin to where it is, in axes of its child. The last of the independent ones, `idle`, move
+    nothing but bodies that spin idly.
     """
 
     system: System
@@ -101,14 +107,17 @@ class Chart(Report):
         if self._plain:
             return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
         way = self.system.structure.layout.difference(self.origin, q)
-        way[..., self.system.structure.layout.vector_v] = q[..., self.system.structure.layout.vector_q]
+        way[..., self.system.structure.layout.vector_v] = q[
+            ..., self.system.structure.layout.vector_q
+        ]
         return way[..., self._rows()]
 
     def q(self, u: Any, start: Any = None) -> Assembly:
-        """The configuration with these independent coordinates (..., p), reached by one search from `start`.
+        """The configuration with these independent coordinates (..., p), reached by one search from
+        `start`.
 
-        Default for `start`: the origin. From far away it may be on another branch: lead it in steps. Idle ones may be
-        left out: what spins then stays about as it is at `start`.
+        Default for `start`: the origin. From far away it may be on another branch: lead it in
+        steps. Idle ones may be left out: what spins then stays about as it is at `start`.
         """
         u = numbers(u, "u")
         given = self.independent
@@ -117,11 +126,18 @@ class Chart(Report):
         if u.shape[-1:] != (self.dim,):
             given = self.useful
         if u.shape[-1:] != (len(given),):
-            names = ", ".join(self.useful) + (f" (and, idle, {', '.join(self.idle)})" if self.idle else "")
+            names = ", ".join(self.useful) + (
+                f" (and, idle, {', '.join(self.idle)})" if self.idle else ""
+            )
             raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
         start = self.origin if start is None else start
         if self._plain:
-            return assemble(self.system, {n: u[..., i] for i, n in enumerate(given)}, start, budget=Budget(starts=1))
+            return assemble(
+                self.system,
+                {n: u[..., i] for i, n in enumerate(given)},
+                start,
+                budget=Budget(starts=1),
+            )
         known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
         if len(known) < len(given):
             start = self._led(u, given, start)
@@ -133,7 +149,9 @@ class Chart(Report):
         code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
         bound = copy(answer.assembler)
         own = self.system.structure.velocity_names
-        bound.held |= {own[i] for i in self._rows(given)}  # rotation vectors are given, too: they leave nothing open
+        bound.held |= {
+            own[i] for i in self._rows(given)
+        }  # rotation vectors are given, too: they leave nothing open
         return replace(answer, success=plain(success), code=member(code), assembler=bound)
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
@@ -144,7 +162,9 @@ class Chart(Report):
         return [own.index(n) if n in own else exponential[n] for n in names]
 
     def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
-        """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
+        """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q
+        (nq,).
+        """
         system = self.system
         rows = self._rows(names)
         out = np.eye(system.nv)
@@ -154,7 +174,9 @@ class Chart(Report):
         return out[rows]
 
     def _led(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
-        """Configurations (..., nq) near those that have such coordinates: Newton's method, of least movement."""
+        """Configurations (..., nq) near those that have such coordinates: Newton's method, of least
+        movement.
+        """
         system = self.system
         scale = scales(self.system)
         rows = self._rows(given)
@@ -167,15 +189,25 @@ class Chart(Report):
         def both(q: Array, target: Array) -> tuple[Array, Array]:
             error, J = evaluate(system, q, True, True)
             more = self._rates(q, given) * scale / scale[rows, None]
-            return np.append(error, (self.u(q)[: len(given)] - target) / scale[rows]), np.concatenate([J, more])
+            return np.append(
+                error, (self.u(q)[: len(given)] - target) / scale[rows]
+            ), np.concatenate([J, more])
 
         for k, target in enumerate(wanted):
-            out[k] = gauss_newton(lambda q, u=target: both(q, u), out[k], TRIES, cut=RANK_TOLERANCE, longest=LONGEST,
-                                  move=lambda q, y: system.structure.layout.integrate(q, scale * y)).x  # fmt: skip
+            out[k] = gauss_newton(
+                lambda q, u=target: both(q, u),
+                out[k],
+                TRIES,
+                cut=RANK_TOLERANCE,
+                longest=LONGEST,
+                move=lambda q, y: system.structure.layout.integrate(q, scale * y),
+            ).x
         return out.reshape(*lead, system.nq)
 
     def tangent(self, q: Any) -> Array:
-        """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed configuration (nq,)."""
+        """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed
+        configuration (nq,).
+        """
         N, scale = tangent_space(self.system, q, self.dim)
         N = scale[:, None] * N
         if self._plain:
@@ -183,9 +215,11 @@ class Chart(Report):
         return N @ np.linalg.inv(self._rates(as_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
-        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not at all.
+        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not
+        at all.
 
-        It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where these jump.
+        It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where
+        these jump.
         """
         N, scale = tangent_space(self.system, q, self.dim)
         if self._plain:
@@ -193,7 +227,11 @@ class Chart(Report):
         q = as_q(self.system, q)
         way = self.system.structure.layout.difference(self.origin, q)
         rows = {*self._rows()}
-        own = {i for i in self.system.structure.layout.quaternion_v.tolist() if {i, i + 1, i + 2} & rows}
+        own = {
+            i
+            for i in self.system.structure.layout.quaternion_v.tolist()
+            if {i, i + 1, i + 2} & rows
+        }
         if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
             return 0.0
         rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
@@ -212,27 +250,38 @@ class Chart(Report):
         """Which coordinates are independent, and how well they move the others."""
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
-            f"{counted(self.dim, 'independent coordinate')}: {', '.join(self.useful) or 'none'}{idle} "
-            f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
+            f"{counted(self.dim, 'independent coordinate')}: "
+            f"{', '.join(self.useful) or 'none'}{idle} (conditioning {self.quality:.2g}); "
+            f"dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
         )
 
     def _data(self) -> dict[str, Any]:
         names = ("independent", "dependent", "idle", "useful", "dim", "quality")
-        return {"system": self.system.name, **{n: getattr(self, n) for n in names}, "origin": self.origin}
+        return {
+            "system": self.system.name,
+            **{n: getattr(self, n) for n in names},
+            "origin": self.origin,
+        }
 
 
 @explained
 @tolerant("q")
 def independent(
-    system: System, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
-) -> Chart:  # fmt: skip
-    """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others follow.
+    system: System,
+    q: Any = None,
+    prefer: Iterable[str] = (),
+    *,
+    tolerance: float | str | None = None,
+) -> Chart:
+    """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others
+    follow.
 
-    Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the tangent space: Golub,
-    1965): angles and lengths; where these cannot do, rotation vectors of balls from q on (`B.ex`, `B.ey`, `B.ez`); and
-    those that move idle spins only come last. `prefer` are names of coordinates that must be among them. Default for q:
-    the closed configuration that `assemble` finds. Errors: `InputError` if q is not closed, or if the preferred ones
-    cannot be set independently, with the reason; `UnknownNameError`.
+    Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the
+    tangent space: Golub, 1965): angles and lengths; where these cannot do, rotation vectors of
+    balls from q on (`B.ex`, `B.ey`, `B.ez`); and those that move idle spins only come last.
+    `prefer` are names of coordinates that must be among them. Default for q: the closed
+    configuration that `assemble` finds. Errors: `InputError` if q is not closed, or if the
+    preferred ones cannot be set independently, with the reason; `UnknownNameError`.
     """
     if q is None:
         answer = assemble(system)
@@ -246,12 +295,15 @@ def independent(
     rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
         given = f"{counted(len(rows), 'coordinate')} {verb(len(rows), 'is', 'are')} preferred"
-        raise InputError(f"{given}; {counted(p, 'freedom')} can be chosen here{', each once' * (p > 1)}")
+        raise InputError(
+            f"{given}; {counted(p, 'freedom')} can be chosen here{', each once' * (p > 1)}"
+        )
     least = _worst(p, system.nv)
     if rows and _quality(N, rows) < least:
         raise InputError(
-            f"{', '.join(wish)} cannot be set independently here: conditioning {_quality(N, rows):.2g}, at least "
-            f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
+            f"{', '.join(wish)} cannot be set independently here: conditioning "
+            f"{_quality(N, rows):.2g}, at least {least:.2g} is needed; the best choice is "
+            f"{', '.join(independent(system, q).independent)}"
         )
     plain = sorted(system.structure.layout.vector_v.tolist())
     found = _extend(N, rows, plain)
@@ -264,12 +316,21 @@ def independent(
             found, idle = _in_turn(N, rows, plain, spins, idle_part(system, q, N, scale, spins))
             quality = _quality(N, found)
     if len(found) < p or (p and quality < least):
-        raise InputError(f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}")
+        raise InputError(
+            f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}"
+        )
     idle = sorted(idle)
     chosen = [*sorted({*found} - {*idle}), *idle]
     names = system.structure.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
     rest = tuple(n for v, n in enumerate(system.structure.velocity_names) if v not in chosen)
-    return Chart(system, tuple(names[v] for v in chosen), rest, q.copy(), quality, tuple(names[v] for v in idle))
+    return Chart(
+        system,
+        tuple(names[v] for v in chosen),
+        rest,
+        q.copy(),
+        quality,
+        tuple(names[v] for v in idle),
+    )
 
 
 def _wished(system: System, names: Iterable[str]) -> list[int]:
@@ -283,8 +344,10 @@ def _wished(system: System, names: Iterable[str]) -> list[int]:
 
 def _in_turn(
     N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...], idle: Array
-) -> tuple[list[int], list[int]]:  # fmt: skip
-    """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths first."""
+) -> tuple[list[int], list[int]]:
+    """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths
+    first.
+    """
     nv, p = N.shape
     moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
     others = [v for v in range(nv) if v not in plain]
@@ -313,7 +376,9 @@ def _numbers(system: System) -> dict[str, int]:
 
 
 def _of_log(w: Array) -> Array:
-    """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo, Murray, 1995)."""
+    """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo,
+    Murray, 1995).
+    """
     angle = float(np.linalg.norm(w))
     K = skew(w)
     if angle < 1e-4:
@@ -324,18 +389,22 @@ def _of_log(w: Array) -> Array:
 
 
 def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
-    """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the scales (nv,).
+    """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the
+    scales (nv,).
 
     Those are left out that lead to no motion, where the equations touch all along
     (`kempe.analysis.continuation.deflation`); this need not be looked at where p is known (`dim`).
 
-    Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors: `InputError` if q
-    is not closed.
+    Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors:
+    `InputError` if q is not closed.
     """
     q = one_finite(system, q)
     error, J = evaluate(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
-        raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")
+        raise InputError(
+            f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use "
+            "assemble"
+        )
     U, values, Vt = svd(J, full_matrices=True)
     rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
     N = Vt[rank:].T
@@ -351,15 +420,22 @@ def _quality(N: Array, rows: list[int]) -> float:
 
 
 def _worst(p: int, n: int) -> float:
-    """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p / n)."""
+    """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p /
+    n).
+    """
     return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
 
 
 def _extend(
-    N: Array, rows: list[int], usable: list[int], most: int | None = None, better: Sequence[int] = ()
-) -> list[int]:  # fmt: skip
-    """The rows, extended to p (or `most`), each time by that which is farthest from the span of those chosen; it ends
-    where one of the `better` rows is much farther."""  # fmt: skip
+    N: Array,
+    rows: list[int],
+    usable: list[int],
+    most: int | None = None,
+    better: Sequence[int] = (),
+) -> list[int]:
+    """The rows, extended to p (or `most`), each time by that which is farthest from the span of
+    those chosen; it ends where one of the `better` rows is much farther.
+    """
     rows = list(rows)
     p = N.shape[1] if most is None else most
     rest = N.copy()
@@ -367,7 +443,9 @@ def _extend(
         rest = _without(rest, rest[row])
     while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
-        row = usable[int(np.argmax(size.round(9)))]  # rounding does not decide between equals: the first is taken
+        row = usable[
+            int(np.argmax(size.round(9)))
+        ]  # rounding does not decide between equals: the first is taken
         if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
             break
         rows.append(row)

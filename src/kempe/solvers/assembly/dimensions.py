@@ -1,4 +1,6 @@
-"""Small changes of the dimensions of a mechanism, and those by which it closes exactly all along a motion."""
+"""Small changes of the dimensions of a mechanism, and those by which it closes exactly all along a
+motion.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,13 @@ if TYPE_CHECKING:
 Steps = tuple[tuple[str, tuple[float]], ...]
 """Slides and turns by numbers, one after the other."""
 Equations = Callable[..., tuple[Array, Array]]
-"""Values (..., m) and derivatives (..., m, n) of equations at configurations (..., nq), the latter if requested."""
+"""Values (..., m) and derivatives (..., m, n) of equations at configurations (..., nq), the latter
+if requested."""
 STRIDE = 0.4
 FAR = 20
 NEAR = 10
-"""Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of several, in each of some
-directions."""
+"""Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of
+several, in each of some directions."""
 STRIDES = (STRIDE, 0.25 * STRIDE)
 """The lengths that are tried, one after the other."""
 MANY = 6
@@ -44,9 +47,11 @@ ENOUGH = 6
 GROWN = 10.0
 """Ratio of what is open from which on configurations are of another motion."""
 REGULAR = 1e-2
-"""Smallest singular value, relative to the largest, of configurations at which dimensions are fitted."""
+"""Smallest singular value, relative to the largest, of configurations at which dimensions are
+fitted."""
 ADDED = "change "
-"""How names begin of the bodies and joints that are added to a mechanism where its dimensions change."""
+"""How names begin of the bodies and joints that are added to a mechanism where its dimensions
+change."""
 IN_SPACE = ("x", "y", "z", "rz", "ry", "rx")
 """Translations and rotations, one after the other, by which a placement changes."""
 IN_PLANE = (("y", "z", "rx"), ("z", "x", "ry"), ("x", "y", "rz"))
@@ -55,20 +60,22 @@ TO_Z = {"rx": place(quat_wxyz=(0.5, 0.5, 0.5, 0.5)), "ry": place(quat_wxyz=(0.5,
 """Rotations to axes of which the third is the normal, by the motion about it."""
 ROUNDS = 24
 DAMPING = (3.0, 0.3, 30.0)
-"""Steps of a fit at most, and its dampings as multiples of what is open, one after the other until one ends."""
+"""Steps of a fit at most, and its dampings as multiples of what is open, one after the other until
+one ends."""
 LEAST = 1e-6
 LITTLE = 1e-8
 SOON = 12
 LATE = 1e-9
-"""The least damping where `LITTLE` is open, so that rounding changes nothing, and elsewhere and after some steps, for
-mechanisms about which several families meet."""
+"""The least damping where `LITTLE` is open, so that rounding changes nothing, and elsewhere and
+after some steps, for mechanisms about which several families meet."""
 PATIENCE = 6
 HOPEFUL = 1e-5
 """Steps in which a fit must gain, and what may stay open for another damping to be tried."""
 AT_FIRST = 14
 """Configurations at most that dimensions are fitted to at first."""
 MUCH = 3.0
-"""Ratio of changes from which on those that make more configurations close are for another motion."""
+"""Ratio of changes from which on those that make more configurations close are for another
+motion."""
 TRIES = 3
 """Fits, each with configurations between those of the one before."""
 EXACT = 2e-14
@@ -76,15 +83,17 @@ EXACT = 2e-14
 CLOSED = 8e-14
 """Residual up to which what was fitted is closed, at other configurations, too."""
 ZERO = 1e-9
-"""Singular values below this part of the largest are those of a motion, where dimensions were fitted."""
+"""Singular values below this part of the largest are those of a motion, where dimensions were
+fitted."""
 
 
 class Dimensions:
-    """The placements of all joints and constraints of a system, and small changes `p` of these dimensions.
+    """The placements of all joints and constraints of a system, and small changes `p` of these
+    dimensions.
 
-    `p` (size,) are translations and rotations by the motions of `places`, in characteristic lengths and radians, after
-    each placement (table, name, side); in the plane those that stay in it. `unit` (size,) are metres or radians of one
-    unit.
+    `p` (size,) are translations and rotations by the motions of `places`, in characteristic lengths
+    and radians, after each placement (table, name, side); in the plane those that stay in it.
+    `unit` (size,) are metres or radians of one unit.
     """
 
     def __init__(self, system: System):
@@ -94,7 +103,9 @@ class Dimensions:
         joints = [("joints", j.name) for j in m.joints.values() if not isinstance(j.type, Fixed)]
         declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
         every = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
-        places = [place for place in every if not m.bodies[self.body(*place)].particle]  # which is its only point
+        places = [
+            place for place in every if not m.bodies[self.body(*place)].particle
+        ]  # which is its only point
         self.places = {place: self._motions(*place) if m.dim == 2 else IN_SPACE for place in places}
         of = (x for motions in self.places.values() for x in motions)
         self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
@@ -123,10 +134,14 @@ class Dimensions:
         """The steps that follow one placement, in metres and radians."""
         part = self.part[place]
         changes = (p[part] * self.unit[part]).tolist()
-        return tuple((motion, (x,)) for motion, x in zip(self.places[place], changes, strict=True) if x)
+        return tuple(
+            (motion, (x,)) for motion, x in zip(self.places[place], changes, strict=True) if x
+        )
 
     def changed(self, p: Array, system: System | None = None) -> System:
-        """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is kept."""
+        """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is
+        kept.
+        """
         own = system is None or system is self.system
         if own and self._last is not None and np.array_equal(self._last[0], p):
             return self._last[1]
@@ -134,7 +149,9 @@ class Dimensions:
         m = given.mechanism
         for (table, name, side), more in self.steps(p).items():
             parts = getattr(m, table)
-            parts[name] = replace(parts[name], **{side: Placement(getattr(parts[name], side).steps + more)})
+            parts[name] = replace(
+                parts[name], **{side: Placement(getattr(parts[name], side).steps + more)}
+            )
         found = as_large_as(type(given)(m, given.structure.topology), self.system)
         if own:
             self._last = p.copy(), found
@@ -142,9 +159,11 @@ class Dimensions:
 
     @cached_property
     def _freed(self) -> tuple[PackedLoops, System, np.ndarray, np.ndarray, np.ndarray]:
-        """The packed loops of the mechanism with a joint at each place, whose coordinates are the changes, and it.
+        """The packed loops of the mechanism with a joint at each place, whose coordinates are the
+        changes, and it.
 
-        Indices say where the coordinates of the mechanism, those of the changes, and the equations are in it.
+        Indices say where the coordinates of the mechanism, those of the changes, and the equations
+        are in it.
         """
         m = self.system.mechanism
         given = self.system.structure
@@ -159,20 +178,35 @@ class Dimensions:
             joint = m.free(here.name, self.body(table, name, side), here, angles=True)
             m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)
             parts[name] = replace(parts[name], **{end: here.name, side: turned.inverse()})
-            added += [f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)]
+            added += [
+                f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)
+            ]
         system = as_large_as(type(self.system)(m), self.system)
-        own = np.array([system.coordinate_names.index(name) for name in self.system.coordinate_names], dtype=int)
+        own = np.array(
+            [system.coordinate_names.index(name) for name in self.system.coordinate_names],
+            dtype=int,
+        )
         loops = loops_of(system, frozenset(system.structure.closures))
         first = system.structure.coordinates.first
         rows = {row: i for i, row in enumerate(_numbered(loops.names))}
         order = np.array([rows[row] for row in _numbered(full(self.system, True).names)], dtype=int)
-        return loops, system, own, np.array([first[name] for name in added], dtype=int).reshape(-1, 2).T, order
+        return (
+            loops,
+            system,
+            own,
+            np.array([first[name] for name in added], dtype=int).reshape(-1, 2).T,
+            order,
+        )
 
     def equations(self, p: Array) -> Equations:
-        """The loop equations at the changes p, as a function of configurations q (N, nq), without another system."""
+        """The loop equations at the changes p, as a function of configurations q (N, nq), without
+        another system.
+        """
         loops, system, own, (iq, _), order = self._freed
         names = system.structure.velocity_names
-        columns = np.array([names.index(name) for name in self.system.structure.velocity_names], dtype=int)
+        columns = np.array(
+            [names.index(name) for name in self.system.structure.velocity_names], dtype=int
+        )
 
         def at(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
             x = np.empty((*q.shape[:-1], system.nq))
@@ -184,7 +218,9 @@ class Dimensions:
         return at
 
     def derivative(self, p: Array, q: Array) -> Array:
-        """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with respect to p (size,)."""
+        """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with
+        respect to p (size,).
+        """
         loops, system, own, (iq, iv), order = self._freed
         x = np.empty((len(q), system.nq))
         x[:, own] = q
@@ -203,7 +239,8 @@ def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
 
 
 class Step(NamedTuple):
-    """Where a step along a valley leads, the direction (n,) in which it goes on, and what stays open there.
+    """Where a step along a valley leads, the direction (n,) in which it goes on, and what stays
+    open there.
 
     `regular` tells whether the combinations of equations that count are independent there.
     """
@@ -215,7 +252,8 @@ class Step(NamedTuple):
 
 
 class Valley:
-    """Where the loop equations of a system are nearest to zero, if only their `rank` strongest combinations count.
+    """Where the loop equations of a system are nearest to zero, if only their `rank` strongest
+    combinations count.
 
     `equations` are those of other dimensions, by default of the system's.
     """
@@ -227,7 +265,9 @@ class Valley:
         self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
 
     def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
-        """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors (n, n) at q (nq,)."""
+        """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors
+        (n, n) at q (nq,).
+        """
         f, J = self.equations(q)
         U, s, Vt = svd(J)
         return f, U, s, Vt
@@ -241,8 +281,15 @@ class Valley:
             U, s, Vt = svd(J)
             return -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
 
-        return gauss_newton(lambda q: self.equations(q), q, rounds, step=step, last=1e-13, longest=0.3,
-                            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y)).x  # fmt: skip
+        return gauss_newton(
+            lambda q: self.equations(q),
+            q,
+            rounds,
+            step=step,
+            last=1e-13,
+            longest=0.3,
+            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y),
+        ).x
 
     def converge_all(self, q: Array, rounds: int = 12) -> Array:
         """As `converge`, of many configurations (N, nq)."""
@@ -251,11 +298,19 @@ class Valley:
 
         def step(f: Array, J: Array) -> Array:
             U, s, Vt = svd(J)
-            part = (np.swapaxes(U[..., :r], -1, -2) @ f[..., None])[..., 0] / np.maximum(s[..., :r], 1e-300)
+            part = (np.swapaxes(U[..., :r], -1, -2) @ f[..., None])[..., 0] / np.maximum(
+                s[..., :r], 1e-300
+            )
             return -(np.swapaxes(Vt[..., :r, :], -1, -2) @ part[..., None])[..., 0]
 
-        return gauss_newton_of_many(lambda q, _: self.equations(q), q, rounds, step=step, longest=0.3,
-                                    move=lambda q, y: system.structure.layout.integrate(q, self.scale * y))  # fmt: skip
+        return gauss_newton_of_many(
+            lambda q, _: self.equations(q),
+            q,
+            rounds,
+            step=step,
+            longest=0.3,
+            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y),
+        )
 
     def residual(self, q: Array) -> Array:
         """Norms (...) of the residual at configurations (..., nq)."""
@@ -269,30 +324,41 @@ class Valley:
     def ahead(self, q: Array, direction: Array, length: float) -> Step:
         """One step ahead along the valley from q in a direction (n,)."""
         r = self.rank
-        there = self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
+        there = self.converge(
+            self.system.structure.layout.integrate(q, self.scale * direction * length)
+        )
         f, _, s, Vt = self.at(there)
         onward = Vt[r:].T @ (Vt[r:] @ direction)
         onward = onward / max(float(np.linalg.norm(onward)), 1e-300)
-        return Step(there, onward, float(np.linalg.norm(f)), r == 0 or bool(s[r - 1] > REGULAR * s[0]))
+        return Step(
+            there, onward, float(np.linalg.norm(f)), r == 0 or bool(s[r - 1] > REGULAR * s[0])
+        )
 
     def between(self, q: Array) -> list[Array]:
         """Regular configurations some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return []
         ways = svd(self.equations(q)[1])[2][:, -1]
-        found = self.converge_all(self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways))
+        found = self.converge_all(
+            self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways)
+        )
         return [x for x in found if np.isfinite(x).all() and self.regular(x)]
 
     def walk(self, q: Array, most: float, rng: np.random.Generator) -> Array:
-        """Regular configurations (N, nq) along the valley on both sides of q, where at most `most` stays open.
+        """Regular configurations (N, nq) along the valley on both sides of q, where at most `most`
+        stays open.
 
-        The first are those that the fewest steps lead to. Where long steps lead to few, as the valley bends much, they
-        are shorter. Where much more is open than on the way to the `ENOUGH` that are closest to closed, the steps went
-        over to another valley: a way ends there.
+        The first are those that the fewest steps lead to. Where long steps lead to few, as the
+        valley bends much, they are shorter. Where much more is open than on the way to the `ENOUGH`
+        that are closest to closed, the steps went over to another valley: a way ends there.
         """
         freedoms = self.system.nv - self.rank
         null_space = self.at(q)[3][self.rank :]
-        ways = null_space if freedoms == 1 else rng.normal(size=(min(2 * freedoms, MANY), freedoms)) @ null_space
+        ways = (
+            null_space
+            if freedoms == 1
+            else rng.normal(size=(min(2 * freedoms, MANY), freedoms)) @ null_space
+        )
         ways = [sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)]
         found: list[tuple[int, float, Array]] = []
         for length in STRIDES:
@@ -307,13 +373,19 @@ class Valley:
         near = [x for _, left, x in found if left <= most]
         return np.array(near).reshape(len(near), self.system.nq)
 
-    def _one_way(self, q: Array, way: Array, length: float, most: float, steps: int) -> list[tuple[int, float, Array]]:
-        """For each regular configuration ahead: steps to it, what stays open at most on the way, and it."""
+    def _one_way(
+        self, q: Array, way: Array, length: float, most: float, steps: int
+    ) -> list[tuple[int, float, Array]]:
+        """For each regular configuration ahead: steps to it, what stays open at most on the way,
+        and it.
+        """
         found: list[tuple[int, float, Array]] = []
         left = float(self.residual(q))
         for k in range(steps):
             ahead = self.ahead(q, way, length)
-            moved = float(np.linalg.norm(self.system.structure.layout.difference(q, ahead.q) / self.scale))
+            moved = float(
+                np.linalg.norm(self.system.structure.layout.difference(q, ahead.q) / self.scale)
+            )
             left = max(left, ahead.left)
             if not left <= most or not 0.5 * length < moved < 2.0 * length or ahead.way @ way < 0.5:
                 break
@@ -325,9 +397,11 @@ class Valley:
 
 
 class Fit(NamedTuple):
-    """Changes `p` (size,) with which configurations `q` (N, nq) close, and what stays open at most, `left`.
+    """Changes `p` (size,) with which configurations `q` (N, nq) close, and what stays open at most,
+    `left`.
 
-    Where they do not all close with small changes, `closed` is false, and `p` and `q` are where the fit ended.
+    Where they do not all close with small changes, `closed` is false, and `p` and `q` are where the
+    fit ended.
     """
 
     closed: bool
@@ -337,15 +411,21 @@ class Fit(NamedTuple):
 
 
 def fitted_all_along(
-    shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
-    also: Relations | None = None, tries: int = len(DAMPING),
-) -> Fit:  # fmt: skip
+    shape: Dimensions,
+    rank: int,
+    q: Array,
+    most: float,
+    time: TimeLimit,
+    also: Relations | None = None,
+    tries: int = len(DAMPING),
+) -> Fit:
     """As `fitted`, of configurations q (N, nq) that begin with the nearest ones.
 
-    What closes along a part of a motion closes all along, so that a fit to the nearest is enough, unless it leaves
-    dimensions undetermined. Far ones may lie on another motion, which crosses the first where the mechanism is flat:
-    then the changes with which that one closes, too, are much larger, if there are any. Where the nearest are on both
-    sides of a crossing, those of one side are enough, too.
+    What closes along a part of a motion closes all along, so that a fit to the nearest is enough,
+    unless it leaves dimensions undetermined. Far ones may lie on another motion, which crosses the
+    first where the mechanism is flat: then the changes with which that one closes, too, are much
+    larger, if there are any. Where the nearest are on both sides of a crossing, those of one side
+    are enough, too.
     """
     first = q[:AT_FIRST] if rank == shape.system.nv - 1 else q
     near = fitted(shape, rank, first, most, time, also, tries)
@@ -353,31 +433,46 @@ def fitted_all_along(
         if near.closed:
             break
         near = fitted(shape, rank, part, most, time, also, tries)
-    if not near.closed or len(q) <= len(first) or moves_all_along(Valley(shape.changed(near.p), rank), q):
+    if (
+        not near.closed
+        or len(q) <= len(first)
+        or moves_all_along(Valley(shape.changed(near.p), rank), q)
+    ):
         return near
     far = fitted(shape, rank, q, most, time, also, tries)
     return far if far.closed and np.abs(far.p).max() <= MUCH * np.abs(near.p).max() else near
 
 
 def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
-    """Of configurations q (N, nq) along a motion of one freedom those on each side of the first, as many as needed."""
+    """Of configurations q (N, nq) along a motion of one freedom those on each side of the first, as
+    many as needed.
+    """
     valley = Valley(shape.system, rank)
     if rank != shape.system.nv - 1 or len(q) < ENOUGH:
         return []
     along = (
-        shape.system.structure.layout.difference(np.tile(q[0], (len(q), 1)), q) / valley.scale @ valley.at(q[0])[3][-1]
+        shape.system.structure.layout.difference(np.tile(q[0], (len(q), 1)), q)
+        / valley.scale
+        @ valley.at(q[0])[3][-1]
     )
-    return [side for sign in (1.0, -1.0) if len(side := q[sign * along >= 0.0][:AT_FIRST]) >= ENOUGH]
+    return [
+        side for sign in (1.0, -1.0) if len(side := q[sign * along >= 0.0][:AT_FIRST]) >= ENOUGH
+    ]
 
 
 def fitted(
-    shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
-    also: Relations | None = None, tries: int = len(DAMPING),
-) -> Fit:  # fmt: skip
+    shape: Dimensions,
+    rank: int,
+    q: Array,
+    most: float,
+    time: TimeLimit,
+    also: Relations | None = None,
+    tries: int = len(DAMPING),
+) -> Fit:
     """The changes nearest to none with which all configurations q (N, nq) close, and these then.
 
-    `most` is the largest change, in metres and radians. What is fitted must close at configurations in between, too;
-    where they do not they are fitted as well. `also` are relations that must hold;
+    `most` is the largest change, in metres and radians. What is fitted must close at configurations
+    in between, too; where they do not they are fitted as well. `also` are relations that must hold;
     `tries` are the dampings that are tried.
     """
     p = np.zeros(shape.size)
@@ -407,10 +502,17 @@ def fitted(
 
 
 def _fit(
-    shape: Dimensions, rank: int, p: Array, q: Array, most: float, time: TimeLimit, damped: float,
+    shape: Dimensions,
+    rank: int,
+    p: Array,
+    q: Array,
+    most: float,
+    time: TimeLimit,
+    damped: float,
     also: Relations | None,
-) -> tuple[Array, Array, float]:  # fmt: skip
-    """Changes from p on with which configurations q close, by Levenberg's method, these, and what stays open.
+) -> tuple[Array, Array, float]:
+    """Changes from p on with which configurations q close, by Levenberg's method, these, and what
+    stays open.
 
     It acts on those combinations of equations that the configurations cannot answer for.
     """
@@ -426,12 +528,16 @@ def _fit(
         F, J = valley.equations(q)
         h = also.values(p) if also is not None else np.zeros(0)
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
-        if not left < 0.9 * before[-PATIENCE] or (left <= EXACT and before[-1] <= EXACT):  # one more for the last digit
+        if not left < 0.9 * before[-PATIENCE] or (
+            left <= EXACT and before[-1] <= EXACT
+        ):  # one more for the last digit
             return p, q, left
         if not np.isfinite(left) or np.abs(p * shape.unit).max() > 3.0 * most:
             return p, q, np.inf
         before.append(left)
-        if np.abs(p - at).max() > (1e-6 if damped else 0.0):  # the last digits count where roots are nearly double
+        if np.abs(p - at).max() > (
+            1e-6 if damped else 0.0
+        ):  # the last digits count where roots are nearly double
             P = shape.derivative(p, q)
             at = p
             H = also.derivative(p) if also is not None else H
@@ -455,6 +561,10 @@ def moves(valley: Valley, q: Array) -> bool:
 
 
 def moves_all_along(valley: Valley, q: Array) -> bool:
-    """Whether loops close exactly along the valley near configurations q (N, nq), and between, with its freedoms."""
+    """Whether loops close exactly along the valley near configurations q (N, nq), and between, with
+    its freedoms.
+    """
     q = valley.converge_all(q)
-    return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(valley, q)
+    return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(
+        valley, q
+    )

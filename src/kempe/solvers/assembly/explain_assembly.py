@@ -1,4 +1,6 @@
-"""Why loops could not be closed: which is open, by how much, and whether limits or the known values prevent it."""
+"""Why loops could not be closed: which is open, by how much, and whether limits or the known values
+prevent it.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +37,8 @@ COINCIDE = 1e-6
 
 
 LATE = (
-    "the time limit of {:g} s ended the search for the nearest mechanism that closes exactly: what closes is not known"
-    "; allow more by kempe.Budget(time_limit=...)"
+    "the time limit of {:g} s ended the search for the nearest mechanism that closes exactly: what "
+    "closes is not known; allow more by kempe.Budget(time_limit=...)"
 )
 """The answer where this search did not end."""
 
@@ -57,7 +59,8 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
 def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     bound: Assembler = answer.assembler
     code, residual, steps, starts = (
-        np.asarray(x)[index].item() for x in (answer.code, answer.residual, answer.iterations, answer.starts)
+        np.asarray(x)[index].item()
+        for x in (answer.code, answer.residual, answer.iterations, answer.starts)
     )
     q = answer.q[index]
     if code == Status.BAD_INPUT:
@@ -86,7 +89,9 @@ def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
 
 
 def _left(bound: Assembler, q: Array) -> str:
-    """How many freedoms are left open, with a warning where these are more than the mechanism is for."""
+    """How many freedoms are left open, with a warning where these are more than the mechanism is
+    for.
+    """
     if bound.frames or len(bound.loops.names) > MOST:
         return ""
     system = bound.system
@@ -96,23 +101,35 @@ def _left(bound: Assembler, q: Array) -> str:
     count = system.nv - len(bound.held) - len(closure_rows.row_names(system))
     who = "by the count"
     sure = count >= 0 or 0 <= bound.freedoms < left
-    if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
+    if (
+        count < 0
+        # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their
+        # group
+    ):
         somewhere = random(system, np.random.default_rng(0))
         count = closure_rows.freedoms_left(system, somewhere, bound.held)
         who = "in general"
     folded = _coinciding(system, q) if count < left else []
-    return wording.left_open(left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1)
+    return wording.left_open(
+        left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1
+    )
 
 
 def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
-    """Pairs of joints at one place that no body holds there: neither both of them nor others at the same place."""
+    """Pairs of joints at one place that no body holds there: neither both of them nor others at the
+    same place.
+    """
     joints = [*system.mechanism.joints.values()]
     number = {b: i for i, b in enumerate(system.body_names)}
     bodies = fk(system, q)
     m = system.mechanism
-    places = np.array([bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints])[:, :3]
+    places = np.array(
+        [bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints]
+    )[:, :3]
     cells: dict[tuple[int, ...], list[int]] = {}
-    for i, cell in enumerate(np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()):
+    for i, cell in enumerate(
+        np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()
+    ):
         cells.setdefault(tuple(int(x) for x in cell), []).append(i)
     out: list[tuple[str, str]] = []
     for members in cells.values():
@@ -142,7 +159,9 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
     length = bound.loops.length
     parts: dict[tuple[str, bool], list[float]] = {}
     plain = [tie.plain for tie in closure_rows.full(system, False).ties for _ in tie.rows]
-    for (name, row), off, value in zip(row_names(system), plain, residual(system, q).tolist(), strict=True):
+    for (name, row), off, value in zip(
+        row_names(system), plain, residual(system, q).tolist(), strict=True
+    ):
         part = parts.setdefault((name, off), [0.0, 0.0])
         kind = int(row.startswith("r") or off)
         part[kind] = math.hypot(part[kind], value)
@@ -150,7 +169,10 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
     text = "nothing is open"
     if bound.frames:  # loops that are open by next to nothing are not the reason
         worst = 0.1 * missed
-        text = f"the place of {' or '.join(map(repr, bound.frames))} is missed by {missed * length:.6g} m"
+        text = (
+            f"the place of {' or '.join(map(repr, bound.frames))} is missed by "
+            f"{missed * length:.6g} m"
+        )
     for (name, related), (apart, turned) in parts.items():
         size = math.hypot(apart / length, turned)
         if size <= worst:
@@ -160,8 +182,14 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
             what = "constraint" if name in system.mechanism.constraints else "the relation of"
             text = f"{what} {name!r} is off by {turned:.6g}"
             continue
-        text = f"the loop of joint {name!r}" if name in system.structure.joints else f"constraint {name!r}"
-        text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
+        text = (
+            f"the loop of joint {name!r}"
+            if name in system.structure.joints
+            else f"constraint {name!r}"
+        )
+        text += f" stays open by {apart:.6g} m" + (
+            f" and {turned:.3g} rad" if turned > 1e-9 else ""
+        )
     for v in bound.one_sided.violations(q) if bound.one_sided is not None else ():
         if v.size > worst:
             text = f"the one-sided constraint {v.name!r} is violated by {v.amount}"
@@ -170,14 +198,21 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
 
 
 def _one_sided(bound: Assembler, q: Array) -> Evidence | None:
-    """Whether the equations alone can be closed with what is known, and which one-sided constraints are then violated.
+    """Whether the equations alone can be closed with what is known, and which one-sided constraints
+    are then violated.
 
     With no freedom left that is a contradiction of what is known with them.
     """
     if bound.one_sided is None or bound.frames:
         return None
-    answer = of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
-    violated = [v.text for v in bound.one_sided.violations(answer.q)] if answer is not None and answer.success else []
+    answer = (
+        of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
+    )
+    violated = (
+        [v.text for v in bound.one_sided.violations(answer.q)]
+        if answer is not None and answer.success
+        else []
+    )
     if answer is None or not violated:
         return None
     known = bool(bound.known) and not closure_rows.freedoms_left(bound.system, answer.q, bound.held)

@@ -1,9 +1,11 @@
-"""One tolerance: the nearest mechanism that closes exactly and moves, where given numbers are slightly wrong.
+"""One tolerance: the nearest mechanism that closes exactly and moves, where given numbers are
+slightly wrong.
 
-Redundant constraints of an overconstrained mechanism agree only if its dimensions obey conditions, which rounded and
-measured numbers miss. *Within a tolerance* it closes, and has so many freedoms, if changes of the placements of its
-joints by at most this tolerance, in metres and radians, make it close exactly with them. That nearest mechanism, here
-the *ideal* one, has the same coordinates; what is required of the given one is answered for it, and says so.
+Redundant constraints of an overconstrained mechanism agree only if its dimensions obey conditions,
+which rounded and measured numbers miss. *Within a tolerance* it closes, and has so many freedoms,
+if changes of the placements of its joints by at most this tolerance, in metres and radians, make it
+close exactly with them. That nearest mechanism, here the *ideal* one, has the same coordinates;
+what is required of the given one is answered for it, and says so.
 """
 
 from __future__ import annotations
@@ -42,7 +44,14 @@ from kempe.solvers.assembly.dimensions import (
     moves_all_along,
 )
 from kempe.solvers.assembly.relations import Place, Relations, snapped
-from kempe.solvers.common.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, begun_within, time_limited
+from kempe.solvers.common.clock import (
+    ENDLESS,
+    LONG,
+    TIME_LIMIT,
+    TimeLimit,
+    begun_within,
+    time_limited,
+)
 from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
 from kempe.words import InWords, counted
@@ -53,20 +62,25 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 USUAL_TOLERANCE = 1e-5
-"""The tolerance that nobody has to ask for, in characteristic lengths and radians: what is off by less is rounding."""
+"""The tolerance that nobody has to ask for, in characteristic lengths and radians: what is off by
+less is rounding."""
 WIDEST = 1e-2
-"""The largest tolerance, in characteristic lengths and radians: above it, it would be another mechanism."""
+"""The largest tolerance, in characteristic lengths and radians: above it, it would be another
+mechanism."""
 FINEST = 1e-13
-"""The smallest one, in characteristic lengths, also those to the joints from the origin: below it is rounding."""
+"""The smallest one, in characteristic lengths, also those to the joints from the origin: below it
+is rounding."""
 MEASURED = "measured"
 """The smallest tolerance with which the loops close, up to the largest one."""
 MOST = 60
-"""Velocity coordinates up to which a mechanism is compared with others: it takes dense decompositions."""
+"""Velocity coordinates up to which a mechanism is compared with others: it takes dense
+decompositions."""
 EXACT = 1e-14
-"""Residual up to which a mechanism is closed as it is, and singular values, as parts of the largest, that are zero.
+"""Residual up to which a mechanism is closed as it is, and singular values, as parts of the
+largest, that are zero.
 
-It is a tenth of what motions may stay open by, `kempe.solvers.common.tracing.CLOSED`, so that what counts as exact at
-some configurations is closed all along a motion.
+It is a tenth of what motions may stay open by, `kempe.solvers.common.tracing.CLOSED`, so that what
+counts as exact at some configurations is closed all along a motion.
 """
 SHOWN = 1e-3
 """Part of the largest change below which others are not listed."""
@@ -76,12 +90,13 @@ FEW = 3
 """Starts of the search for a configuration at which the given loops are least open."""
 BESIDE = 2
 ASIDE = 0.2
-"""Configurations beside home where it is looked, too, as home may be singular, and how far away, in radians and
-characteristic lengths."""
+"""Configurations beside home where it is looked, too, as home may be singular, and how far away, in
+radians and characteristic lengths."""
 WAYS = 16
 """Directions in which it is looked beside a singular home."""
 CLOSE = 0.02
-"""Places where the same rank would lead to the same motion, in radians and characteristic lengths."""
+"""Places where the same rank would lead to the same motion, in radians and characteristic
+lengths."""
 HELD = "held"
 """Name of the joint that holds a part of a mechanism in the ground."""
 NEARLY = 4.0
@@ -94,7 +109,9 @@ GAP = 3.0
 
 @dataclass(frozen=True)
 class Change(InWords):
-    """What differs at a joint or constraint: its placement `side`, before and after, `moved` [m] and `turned` [rad]."""
+    """What differs at a joint or constraint: its placement `side`, before and after, `moved` [m]
+    and `turned` [rad].
+    """
 
     name: str
     side: str
@@ -111,11 +128,13 @@ class Change(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Idealised(Report):
-    """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the `given` one.
+    """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the
+    `given` one.
 
-    `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a placement, in metres
-    and radians; `requested` what was allowed. `residual` is how far the given loops stay open along its motion, in
-    metres and radians, `absorbed` the same by closing joint or constraint.
+    `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
+    placement, in metres and radians; `requested` what was allowed. `residual` is how far the given
+    loops stay open along its motion, in metres and radians, `absorbed` the same by closing joint or
+    constraint.
     """
 
     given: System = field(repr=False)
@@ -153,7 +172,11 @@ class Idealised(Report):
         """What differs, the largest change first, and what the given numbers contradict."""
         off = sorted(self.absorbed.items(), key=lambda x: -x[1])
         said = ", ".join(f"{name!r} by {x:.2g}" for name, x in off if x >= SHOWN * self.residual)
-        return [self.exactly, f"absorbed is what misses in {said} (m, rad)", *map(str, self.changes)]
+        return [
+            self.exactly,
+            f"absorbed is what misses in {said} (m, rad)",
+            *map(str, self.changes),
+        ]
 
     def _data(self) -> dict[str, Any]:
         return {
@@ -167,7 +190,8 @@ class Idealised(Report):
         }
 
     def closed(self, q: Any) -> Array:
-        """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is where it is open.
+        """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is
+        where it is open.
 
         What is farther from closed than the tolerance explains is left as it is.
         """
@@ -199,7 +223,9 @@ def one_number(tolerance: Any) -> Any:
 
 
 def tolerance_of(system: System, tolerance: Any) -> float:
-    """The tolerance that was requested, in metres and radians. Errors: `InputError` with both bounds."""
+    """The tolerance that was requested, in metres and radians. Errors: `InputError` with both
+    bounds.
+    """
     size = characteristic_length(system)
     widest = WIDEST * min(size, 1.0)
     if tolerance is None:
@@ -209,18 +235,21 @@ def tolerance_of(system: System, tolerance: Any) -> float:
     finest = FINEST * max(size, float(np.linalg.norm(origin_of(system))))
     if not (is_real(tolerance) and finest <= float(tolerance) <= widest):
         raise InputError(
-            f"tolerance is {shown(tolerance)}; it must be from {finest:.2g} (rounding) to {widest:.2g} (a hundredth of "
-            f"the size of {system.name}), in metres and radians, or {MEASURED!r}"
+            f"tolerance is {shown(tolerance)}; it must be from {finest:.2g} (rounding) to "
+            f"{widest:.2g} (a hundredth of the size of {system.name}), in metres and radians, or "
+            f"{MEASURED!r}"
         )
     return float(tolerance)
 
 
 def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> Idealised | None:
-    """The nearest mechanism within a tolerance; None where the given one closes as it is, or where there is none.
+    """The nearest mechanism within a tolerance; None where the given one closes as it is, or where
+    there is none.
 
-    `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding. Of a
-    `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the `time` ends the search, of which nothing is
-    kept then; without one, and where no verb with a time limit asks, `TimeLimitError` after 600 s.
+    `tolerance` is a number in metres and radians, "measured", or None: that of the system, else
+    what is rounding. Of a `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the
+    `time` ends the search, of which nothing is kept then; without one, and where no verb with a
+    time limit asks, `TimeLimitError` after 600 s.
     """
     answers, key, tolerance = _kept(system, tolerance)
     found = answers.get(key, answers)  # it never holds itself
@@ -236,12 +265,16 @@ def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> 
             return keep(answers, key, _searched(system, most, time=time))
     except TimeUp:
         if own:
-            raise TimeLimitError("the search for the nearest mechanism that closes exactly", time.limit) from None
+            raise TimeLimitError(
+                "the search for the nearest mechanism that closes exactly", time.limit
+            ) from None
         raise
 
 
 def decided_within(usual: Usual, time: TimeLimit, system: System) -> None:
-    """Decide within the time of a verb which mechanism answers for the system. Errors: `TimeLimitError`."""
+    """Decide within the time of a verb which mechanism answers for the system. Errors:
+    `TimeLimitError`.
+    """
     if _closes(system) and not is_known(system):
         with begun_within(usual, time):
             within(system)
@@ -272,12 +305,14 @@ USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 @time_limited(USUAL)
 def idealised(
     system: System, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
-) -> Idealised | None:  # fmt: skip
-    """The nearest system that closes exactly and moves, as a proposal: what differs, and by how much.
+) -> Idealised | None:
+    """The nearest system that closes exactly and moves, as a proposal: what differs, and by how
+    much.
 
-    None where the given one closes as it is, or where there is none within the `tolerance`: a number in metres and
-    radians, or "measured", the smallest up to a hundredth of the system's size. Of the `budget` the time_limit (120 s)
-    is read. Errors: `InputError`, `TimeLimitError` where the search did not end by then.
+    None where the given one closes as it is, or where there is none within the `tolerance`: a
+    number in metres and radians, or "measured", the smallest up to a hundredth of the system's
+    size. Of the `budget` the time_limit (120 s) is read. Errors: `InputError`, `TimeLimitError`
+    where the search did not end by then.
     """
     return within(system, tolerance)
 
@@ -303,7 +338,9 @@ def said(found: Nearest | None) -> str:
     return "" if found is None else f"; {found.sentence}"
 
 
-def _searched(system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS) -> Idealised | None:
+def _searched(
+    system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS
+) -> Idealised | None:
     if system._ideal is not None or not _closes(system):
         return None
     if not system.nv or timed(system) or rolls(system) or _closes_anyway(system, most):
@@ -319,8 +356,9 @@ def _searched(system: System, most: float, thorough: bool = True, time: TimeLimi
 
 
 class _Found(NamedTuple):
-    """A part of a mechanism whose dimensions were changed: what it becomes, configurations (N, nq) of its motion, its
-    freedoms, and the names of the coordinates."""
+    """A part of a mechanism whose dimensions were changed: what it becomes, configurations (N, nq)
+    of its motion, its freedoms, and the names of the coordinates.
+    """
 
     ideal: System
     places: tuple[Place, ...]
@@ -332,35 +370,51 @@ class _Found(NamedTuple):
 
 
 def _parts(system: System) -> list[tuple[System, np.ndarray]]:
-    """The parts whose loops share no joint, as systems, and the places (nq,) of their coordinates in q of the whole.
+    """The parts whose loops share no joint, as systems, and the places (nq,) of their coordinates
+    in q of the whole.
 
-    Loops that share no joint close by themselves: to change one does not change what another needs. Where equations of
-    coordinates tie several of them the whole is one part.
+    Loops that share no joint close by themselves: to change one does not change what another needs.
+    Where equations of coordinates tie several of them the whole is one part.
     """
     m = system._mechanism
     edges = [("joints", j.name, j.parent, j.child) for j in m.joints.values()]
-    edges += [("constraints", c.name, c.parent, c.child) for c in m.constraints.values() if c.parent]
+    edges += [
+        ("constraints", c.name, c.parent, c.child) for c in m.constraints.values() if c.parent
+    ]
     blocks = _blocks([(a, b) for *_, a, b in edges])
     owner = {edges[i][:2]: k for k, block in enumerate(blocks) for i in block}
-    own = {c: ("joints", name) for name in m.joints for c in system.structure.coordinates_of_joint(name)}
+    own = {
+        c: ("joints", name)
+        for name in m.joints
+        for c in system.structure.coordinates_of_joint(name)
+    }
     tied = [{c.of, *c.sources} for c in m.couplings.values()]
     tied += [{*c.of.reads} | ({c.name} if c.parent else set()) for c in m.constraints.values()]
-    of_tied = ({owner.get(own.get(name, ("constraints", name)), -1) for name in names} for names in tied)
+    of_tied = (
+        {owner.get(own.get(name, ("constraints", name)), -1) for name in names} for names in tied
+    )
     if any(len(of) != 1 for of in of_tied) or (len(blocks) == 1 and len(blocks[0]) == len(edges)):
         return [(system, np.arange(system.nq))]
     parts = (_part(system, [edges[i][:2] for i in block]) for block in blocks)
     places = {name: i for i, name in enumerate(system.coordinate_names)}
-    return [(part, np.array([places[name] for name in part.coordinate_names], dtype=int)) for part in parts]
+    return [
+        (part, np.array([places[name] for name in part.coordinate_names], dtype=int))
+        for part in parts
+    ]
 
 
 def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
-    """The system of these joints and constraints alone, one of its bodies held where the ground is not among them."""
+    """The system of these joints and constraints alone, one of its bodies held where the ground is
+    not among them.
+    """
     m = system.mechanism
     kept = {table: {name for t, name in edges if t == table} for table in ("joints", "constraints")}
     m.joints = {name: j for name, j in m.joints.items() if name in kept["joints"]}
     m.constraints = {name: c for name, c in m.constraints.items() if name in kept["constraints"]}
     order = list(m.bodies)
-    bodies = {body for j in (*m.joints.values(), *m.constraints.values()) for body in (j.parent, j.child)}
+    bodies = {
+        body for j in (*m.joints.values(), *m.constraints.values()) for body in (j.parent, j.child)
+    }
     m.bodies = {name: b for name, b in m.bodies.items() if name in bodies or name == m.ground.name}
     m.frames = {}
     coordinates = {c for name in m.joints for c in system.structure.coordinates_of_joint(name)}
@@ -373,7 +427,9 @@ def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
 
 
 def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
-    """The edges of a graph, by their numbers, that lie on a common cycle (Hopcroft and Tarjan, 1973); no bridges."""
+    """The edges of a graph, by their numbers, that lie on a common cycle (Hopcroft and Tarjan,
+    1973); no bridges.
+    """
     around: dict[str, list[tuple[int, str]]] = {}
     for i, (a, b) in enumerate(edges):
         around.setdefault(a, []).append((i, b))
@@ -416,24 +472,37 @@ def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
 
 def _of_part(
     system: System, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
-) -> _Found | None:  # fmt: skip
+) -> _Found | None:
     """What a part becomes; None where it closes as it is, or nothing near does."""
     equations = full(system, True)
-    if not 0 < system.nv <= MOST or not len(equations.names) or any(t.function is not None for t in equations.ties):
+    if (
+        not 0 < system.nv <= MOST
+        or not len(equations.names)
+        or any(t.function is not None for t in equations.ties)
+    ):
         return None
     starts = _starts(system, home, scaled)
     moving = [(rank, q) for rank, q in starts if rank < system.nv]
     found = _first(system, moving, most, scaled, thorough, time)
     if found is not None or len(moving) == len(starts):
         return found
-    rigid = _first(system, [(rank, q) for rank, q in starts if rank == system.nv], most, scaled, thorough, time)
+    rigid = _first(
+        system, [(rank, q) for rank, q in starts if rank == system.nv], most, scaled, thorough, time
+    )
     return None if rigid is None or _moves_within_more(system, home, most, time) else rigid
 
 
 def _first(
-    system: System, starts: Sequence[tuple[int, Array]], most: float, scaled: float, thorough: bool, time: TimeLimit
-) -> _Found | None:  # fmt: skip
-    """What a part becomes with the first of the ranks, and about the first of the places, that lead to something."""
+    system: System,
+    starts: Sequence[tuple[int, Array]],
+    most: float,
+    scaled: float,
+    thorough: bool,
+    time: TimeLimit,
+) -> _Found | None:
+    """What a part becomes with the first of the ranks, and about the first of the places, that lead
+    to something.
+    """
     for rank, q in starts:
         time.check()
         found = _with_rank(system, rank, q, most, scaled, thorough, time)
@@ -443,10 +512,11 @@ def _first(
 
 
 def _moves_within_more(system: System, home: Array, most: float, time: TimeLimit) -> bool:
-    """Whether larger changes than those allowed, up to the largest tolerance, make a part close and move.
+    """Whether larger changes than those allowed, up to the largest tolerance, make a part close and
+    move.
 
-    Rounded loops of a mechanism nearly close at single places, where small changes close them. They make a structure of
-    it, which says nothing of the mechanism that was meant.
+    Rounded loops of a mechanism nearly close at single places, where small changes close them. They
+    make a structure of it, which says nothing of the mechanism that was meant.
     """
     size = characteristic_length(system)
     widest = WIDEST * min(size, 1.0)
@@ -458,9 +528,11 @@ def _moves_within_more(system: System, home: Array, most: float, time: TimeLimit
 
 
 def _closes_anyway(system: System, most: float) -> bool:
-    """Whether no change of dimensions gives the part more freedoms than it has: one loop in the plane, of hinges.
+    """Whether no change of dimensions gives the part more freedoms than it has: one loop in the
+    plane, of hinges.
 
-    Its equations depend on each other only where all hinges are on one line, which they are not all along a motion.
+    Its equations depend on each other only where all hinges are on one line, which they are not all
+    along a motion.
     """
     m = system._mechanism
     if system.dim != 2 or len(system.structure.closures) != 1 or m.constraints or m.couplings:
@@ -479,10 +551,14 @@ def _closes_anyway(system: System, most: float) -> bool:
 
 
 def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
-    """Ranks that the equations may have, the lowest first, and where to look for a motion: first about home."""
+    """Ranks that the equations may have, the lowest first, and where to look for a motion: first
+    about home.
+    """
     valley = Valley(system, 0)
     limit = OPEN * scaled
-    exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)
+    exact = EXACT + 4.0 * np.finfo(float).eps * float(
+        np.linalg.norm(origin_of(system))
+    ) / characteristic_length(system)
     out: list[tuple[int, Array]] = []
     rng = np.random.default_rng(0)
     looked = 0
@@ -491,7 +567,9 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
     for k in range(BESIDE + 1):
         start = home
         if k:
-            start = system.structure.layout.integrate(home, valley.scale * rng.normal(size=system.nv) * ASIDE)
+            start = system.structure.layout.integrate(
+                home, valley.scale * rng.normal(size=system.nv) * ASIDE
+            )
         q = bare(system)(start=start, budget=Budget(starts=FEW)).q
         f, _, s, _ = valley.at(q)
         left = float(np.linalg.norm(f))
@@ -515,7 +593,9 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
                 here = _relative(valley.at(at)[2], system.nv)
                 held = min(held, int(np.sum(here >= limit)))
                 out += [(r, at) for r in _ranks(here, top, limit, least)]
-    top = min(system.nv, len(full(system, True).names))  # of this rank no equation is too many, or nothing moves
+    top = min(
+        system.nv, len(full(system, True).names)
+    )  # of this rank no equation is too many, or nothing moves
     if held < top - 1:
         out += _beside(valley, home, held, top, limit, rng)
     return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)
@@ -523,11 +603,12 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
 
 def _beside(
     valley: Valley, home: Array, held: int, top: int, limit: float, rng: np.random.Generator
-) -> list[tuple[int, Array]]:  # fmt: skip
-    """Ranks from `held` to below `top`, and where to look for a motion, beside a home that is singular.
+) -> list[tuple[int, Array]]:
+    """Ranks from `held` to below `top`, and where to look for a motion, beside a home that is
+    singular.
 
-    Each motion leaves along some direction that nothing holds at home. Of those that are tried the ones come first on
-    which least stays open.
+    Each motion leaves along some direction that nothing holds at home. Of those that are tried the
+    ones come first on which least stays open.
     """
     system = valley.system
     null_space = valley.at(home)[3][held:]
@@ -543,13 +624,16 @@ def _beside(
         fit = [
             i
             for i in np.argsort(left)
-            if left[i] <= limit and r in _ranks(_relative(along.at(found[i])[2], system.nv), r + 1, limit, EXACT)
+            if left[i] <= limit
+            and r in _ranks(_relative(along.at(found[i])[2], system.nv), r + 1, limit, EXACT)
         ]
         out += [(r, found[i]) for i in fit if along.regular(found[i])][:FEW]
     return out
 
 
-def _apart(system: System, starts: Sequence[tuple[int, Array]], scale: Array) -> list[tuple[int, Array]]:
+def _apart(
+    system: System, starts: Sequence[tuple[int, Array]], scale: Array
+) -> list[tuple[int, Array]]:
     """The ranks and places without those that are close to one before them."""
     out: list[tuple[int, Array]] = []
     for r, q in starts:
@@ -560,14 +644,18 @@ def _apart(system: System, starts: Sequence[tuple[int, Array]], scale: Array) ->
 
 
 def _relative(s: Array, n: int) -> Array:
-    """Singular values (n,) of equations of n unknowns as parts of the largest; missing ones are zero."""
+    """Singular values (n,) of equations of n unknowns as parts of the largest; missing ones are
+    zero.
+    """
     return np.append(s, np.zeros(max(n - len(s), 0)))[:n] / max(float(s[0]), 1e-300)
 
 
 def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
-    """Where to read a rank: at the start, if little is open there, and where the given numbers close best, `q`.
+    """Where to read a rank: at the start, if little is open there, and where the given numbers
+    close best, `q`.
 
-    The loops of rounded numbers may close exactly far away only, where the mechanism is flat and other ranks are near.
+    The loops of rounded numbers may close exactly far away only, where the mechanism is flat and
+    other ranks are near.
     """
     layout = valley.system.structure.layout
     if valley.residual(start) > limit:
@@ -577,15 +665,21 @@ def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
 
 
 def _ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
-    """Ranks below `top` at which relative singular values (n,) may part what moves from what is held."""
+    """Ranks below `top` at which relative singular values (n,) may part what moves from what is
+    held.
+    """
     ratio = np.append(np.maximum(s, least), least)
-    return [r for r in range(1, top) if ratio[r - 1] >= GAP * ratio[r] and (r == len(s) or s[r] < limit)]
+    return [
+        r for r in range(1, top) if ratio[r - 1] >= GAP * ratio[r] and (r == len(s) or s[r] < limit)
+    ]
 
 
 def _with_rank(
     system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
-) -> _Found | None:  # fmt: skip
-    """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
+) -> _Found | None:
+    """The nearest mechanism whose equations have this rank along its motion near q; None if there
+    is none.
+    """
     shape = Dimensions(system)
     freedoms = system.nv - rank
     limit = OPEN * scaled
@@ -605,11 +699,17 @@ def _with_rank(
     found = fitted_all_along(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)
     if thorough:
         found = _best(found, shape, rank, points, most, time)
-    return _Found(shape.changed(found.p, system), tuple(shape.places), found.q, freedoms) if found.closed else None
+    return (
+        _Found(shape.changed(found.p, system), tuple(shape.places), found.q, freedoms)
+        if found.closed
+        else None
+    )
 
 
 def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit) -> Fit:
-    """Of what was found, and what obeys relations that nearly hold, the latter if it closes with small changes."""
+    """Of what was found, and what obeys relations that nearly hold, the latter if it closes with
+    small changes.
+    """
     off = float(Valley(shape.system, rank).residual(q).max())
     size = float(np.abs(found.p).max()) if found.closed else off
     if size <= EXACT or off <= EXACT or not found.closed and found.left > NEARLY_CLOSED:
@@ -618,7 +718,9 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
     if not relations.rows:
         return found
     largest = min(most, NEARLY * size * shape.unit.max()) if found.closed else most
-    nicer = fitted_all_along(shape, rank, q, largest, time, relations, 1 if found.closed else len(DAMPING))
+    nicer = fitted_all_along(
+        shape, rank, q, largest, time, relations, 1 if found.closed else len(DAMPING)
+    )
     return nicer if nicer.closed else found
 
 
@@ -633,8 +735,12 @@ def _changes(system: System, changed: Sequence[_Found], home: Array, most: float
     for part in changed:
         for table, name, side in part.places:
             parts = getattr(new, table)
-            parts[name] = replace(parts[name], **{side: getattr(getattr(part.ideal.mechanism, table)[name], side)})
-            old, becomes = (getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, new))
+            parts[name] = replace(
+                parts[name], **{side: getattr(getattr(part.ideal.mechanism, table)[name], side)}
+            )
+            old, becomes = (
+                getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, new)
+            )
             before: Array = old
             between = np.linalg.inv(before) @ becomes
             twist = log_so3(between[:3, :3])
@@ -659,7 +765,9 @@ def _changes(system: System, changed: Sequence[_Found], home: Array, most: float
     at = home.copy()
     for part in changed:  # what does not change counts as it is at home
         at[[index[name] for name in part.ideal.coordinate_names]] = part.q[-1]
-    freedoms = freedoms_left(ideal, at, frozenset(n for x in changed for n in x.ideal.structure.velocity_names))
+    freedoms = freedoms_left(
+        ideal, at, frozenset(n for x in changed for n in x.ideal.structure.velocity_names)
+    )
     freedoms += sum(x.freedoms for x in changed)
     left = max(absorbed.values(), default=0.0)
     answer = Idealised(system, ideal, most, size, left, freedoms, tuple(reported), absorbed)
@@ -674,7 +782,10 @@ def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
     b = xyz_rpy_from_pose(new)
     digits = max(3, 2 - math.floor(math.log10(least)))
     differ = [i for i in range(6) if abs(a[i] - b[i]) >= least] or [int(np.argmax(np.abs(a - b)))]
-    said = [", ".join(f"{names[i]} {_number(x[i], i > 2, digits)}" for i in differ if names[i]) for x in (a, b)]
+    said = [
+        ", ".join(f"{names[i]} {_number(x[i], i > 2, digits)}" for i in differ if names[i])
+        for x in (a, b)
+    ]
     return said[0], said[1]
 
 
@@ -683,14 +794,17 @@ def _number(x: float, is_angle: bool, digits: int) -> str:
     part = Fraction(round(12.0 * x / math.pi), 12)
     if is_angle and part and abs(x - math.pi * part) < 1e-14:
         return f"{'-' * (part < 0)}{abs(part.numerator) if abs(part.numerator) > 1 else ''}pi" + (
-            f"/{part.denominator}" if part.denominator > 1 else "")  # fmt: skip
+            f"/{part.denominator}" if part.denominator > 1 else ""
+        )
     return f"{x:.{digits}f}"
 
 
 def tolerant(*closed: str) -> Callable[[Function], Function]:
-    """A verb that answers for the nearest mechanism within its `tolerance`, and says so by `within` of its answer.
+    """A verb that answers for the nearest mechanism within its `tolerance`, and says so by `within`
+    of its answer.
 
-    `closed` are its arguments that are configurations and must close the loops: they are led to where that one does.
+    `closed` are its arguments that are configurations and must close the loops: they are led to
+    where that one does.
     """
 
     def of(function: Function) -> Function:

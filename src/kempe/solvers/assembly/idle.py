@@ -23,8 +23,9 @@ ZERO = 1e-8
 
 
 class Spin(NamedTuple):
-    """An idle spin: a body that spins, point and direction (3,) of its line in the body's axes, velocities (nv,) that
-    it moves, and the sentence that says it."""  # fmt: skip
+    """An idle spin: a body that spins, point and direction (3,) of its line in the body's axes,
+    velocities (nv,) that it moves, and the sentence that says it.
+    """
 
     body: str
     point: Array
@@ -34,8 +35,9 @@ class Spin(NamedTuple):
 
 
 def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
-    """The idle spins of a system: as at its posture `closed`, or at a closed configuration that is found; if there is
-    none, at q (nq,)."""  # fmt: skip
+    """The idle spins of a system: as at its posture `closed`, or at a closed configuration that is
+    found; if there is none, at q (nq,).
+    """
     tree = own_tree(system)
     found = _at_home(tree)
     if found is not None:
@@ -47,7 +49,9 @@ def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
 
 def moved_by_spins(system: System, q: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) idle spins change; of a rotation, all three."""
-    out = np.any([s.moves for s in spins_of(system, q)] or [np.zeros(system.nv, dtype=bool)], axis=0)
+    out = np.any(
+        [s.moves for s in spins_of(system, q)] or [np.zeros(system.nv, dtype=bool)], axis=0
+    )
     for iv in system.structure.layout.quaternion_v:
         out[iv : iv + 3] = out[iv : iv + 3].any()
     return np.asarray(out)
@@ -55,7 +59,11 @@ def moved_by_spins(system: System, q: Array) -> np.ndarray:
 
 def not_spun(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) idle spins leave alone."""
-    return ~moved_by_spins(system, mid(system)) if has_loops(system) else np.ones(system.nv, dtype=bool)
+    return (
+        ~moved_by_spins(system, mid(system))
+        if has_loops(system)
+        else np.ones(system.nv, dtype=bool)
+    )
 
 
 def spin_rates(system: System, q: Array) -> Array:
@@ -80,12 +88,16 @@ def _spins(system: System, report: Mobility) -> tuple[Spin, ...]:
 
 def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
     X = fk(system, q, found.bodies[0])
-    point, line = (X[:3, :3].T @ v for v in (np.array(found.point) - X[:3, 3], np.array(found.direction)))
+    point, line = (
+        X[:3, :3].T @ v for v in (np.array(found.point) - X[:3, 3], np.array(found.direction))
+    )
     return Spin(found.bodies[0], point, line, found.velocity != 0.0, str(found))
 
 
 def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spin, ...]) -> Array:
-    """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal, that are idle spins."""
+    """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal,
+    that are idle spins.
+    """
     tree = own_tree(system)
     found = [np.zeros((0, N.shape[1]))]
     for spin in spins:

@@ -35,24 +35,31 @@ if TYPE_CHECKING:
 READ = 1e-6
 """Metres and radians by which poses may violate a joint and still be read."""
 STARTS = 64
-"""Starts from which the coordinates of a joint are searched for that are not read off in closed form."""
+"""Starts from which the coordinates of a joint are searched for that are not read off in closed
+form."""
 LESS = 0.9
-"""Part of the residual of the first of these starts, up to which what another one finds is better."""
+"""Part of the residual of the first of these starts, up to which what another one finds is
+better."""
 ANGLES_SINGULAR = 1e-9
 """Cosine of ry below which the turns about z and x of three angles are not distinguished."""
 TURNS = (0, 32, 6, 2, 1)
-"""Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them tells their turns."""
+"""Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them
+tells their turns."""
 FULL_TURN = 2.0 * math.pi
 
 
 @explained
-def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance: float | None = None) -> Array:
-    """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its joint's bodies are.
+def from_maximal(
+    system: System, poses: ArrayLike, start: Any = None, tolerance: float | None = None
+) -> Array:
+    """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its
+    joint's bodies are.
 
-    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the signs of quaternions;
-    a driver has made the full turns that those which follow it tell. Limits and one-sided rows are not looked at.
-    Errors: `InputError` for poses that violate a joint, a constraint or a coupling by more than `tolerance` (metres
-    or radians, by default 1e-6), naming it and by how much, and for matrices that are no poses.
+    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the
+    signs of quaternions; a driver has made the full turns that those which follow it tell. Limits
+    and one-sided rows are not looked at. Errors: `InputError` for poses that violate a joint, a
+    constraint or a coupling by more than `tolerance` (metres or radians, by default 1e-6), naming
+    it and by how much, and for matrices that are no poses.
     """
     poses = as_poses(system, poses)
     tolerance = READ if tolerance is None else tolerance
@@ -64,8 +71,14 @@ def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance:
     joints = system.mechanism.joints
     read = read_joints(system, poses, mid(system) if start is None else start, tolerance)
     for name, (_, length, angle) in read.items():
-        _refuse_far(f"joint {name!r} ({joints[name].type.type_name})", {"m": length, "rad": angle}, tolerance)
-    values = {n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()}
+        _refuse_far(
+            f"joint {name!r} ({joints[name].type.type_name})",
+            {"m": length, "rad": angle},
+            tolerance,
+        )
+    values = {
+        n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()
+    }
     _refuse_held(system, values, tolerance)
     relations = _relations(system)
     find_turns(relations, values, tolerance)
@@ -84,8 +97,9 @@ def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance:
 
 def read_joints(
     system: System, poses: Array, near: Array, tolerance: float = TOLERANCE
-) -> dict[str, tuple[Array, Array, Array]]:  # fmt: skip
-    """For each joint its coordinates (..., n) at the poses, near to those of a configuration, and how far these miss.
+) -> dict[str, tuple[Array, Array, Array]]:
+    """For each joint its coordinates (..., n) at the poses, near to those of a configuration, and
+    how far these miss.
 
     The second is a length, the third an angle (...): from where they put frame M to where it is.
     """
@@ -96,7 +110,10 @@ def read_joints(
     for joint in m.joints.values():
         alike.setdefault((joint.type, m.bodies[joint.child].particle), []).append(joint)
     out: dict[str, tuple[Array, Array, Array]] = {}
-    for (kind, particle), joints in alike.items():  # what joints of one kind have in common is done once
+    for (
+        kind,
+        particle,
+    ), joints in alike.items():  # what joints of one kind have in common is done once
         X = np.empty((len(joints), *lead, 4, 4))
         at: list[Array] = []
         for k, joint in enumerate(joints):
@@ -107,15 +124,27 @@ def read_joints(
                 X_BE = flat_frame(X_BE) if slides_along_z(kind, system.dim, particle) else X_BE
                 ends.append(poses[..., i - 1, :, :] @ X_BE if i else X_BE)
             X[k] = spatial.inverse(ends[0]) @ ends[1]
-            values = [coordinate_value(system, near, n) for n in system.structure.coordinates_of_joint(joint.name)]
-            at.append(np.broadcast_to(np.stack(values, axis=-1) if values else near[..., :0], (*lead, len(values))))
+            values = [
+                coordinate_value(system, near, n)
+                for n in system.structure.coordinates_of_joint(joint.name)
+            ]
+            at.append(
+                np.broadcast_to(
+                    np.stack(values, axis=-1) if values else near[..., :0], (*lead, len(values))
+                )
+            )
         found = fit(kind, system.dim, particle, X, np.stack(at), tolerance)
-        out |= {joint.name: (own, length, angle) for joint, own, length, angle in zip(joints, *found, strict=True)}
+        out |= {
+            joint.name: (own, length, angle)
+            for joint, own, length, angle in zip(joints, *found, strict=True)
+        }
     return {name: out[name] for name in m.joints}
 
 
 def coordinates_at(system: System, poses: Array, near: Array) -> Array:
-    """Configurations (..., nq) near others (..., nq), with the joints as the poses say; these may violate them."""
+    """Configurations (..., nq) near others (..., nq), with the joints as the poses say; these may
+    violate them.
+    """
     values: dict[str, Array] = {}
     for name, (own, *_) in read_joints(system, poses, near).items():
         values |= _by_name(system, name, own)
@@ -131,10 +160,12 @@ def _by_name(system: System, joint: str, own: Array) -> dict[str, Array]:
 
 def fit(
     kind: JointType, dim: int, particle: bool, X: Array, near: Array, tolerance: float = TOLERANCE
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Coordinates (..., n) of a joint whose frame M is at X (..., 4, 4) in F, and the length and angle that they miss.
+) -> tuple[Array, Array, Array]:
+    """Coordinates (..., n) of a joint whose frame M is at X (..., 4, 4) in F, and the length and
+    angle that they miss.
 
-    Of several the ones found from `near` (..., n). In the plane a joint that slides along z does so along x of X.
+    Of several the ones found from `near` (..., n). In the plane a joint that slides along z does so
+    along x of X.
     """
     system, free, lengths = _apart(kind, dim, particle)
     lead = X.shape[:-2]
@@ -143,7 +174,9 @@ def fit(
     pitch = screw(kind) if dim == 3 and not particle else None
     if pitch:
         near = X[..., 2, 3, None] / pitch  # the slide tells the turns
-    start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(math.prod(lead), system.nq)
+    start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(
+        math.prod(lead), system.nq
+    )
     form = implicit_form(kind, dim, particle)
     bound = assembler(system, free)
     tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
@@ -152,10 +185,16 @@ def fit(
     if form is None and far.any():
         others, less, _ = bound.run(start[far], bound.no_pins, STARTS, tolerance=tolerance)
         found[far] = np.where((less < LESS * size[far])[:, None], others, found[far])
-    angles = [n + k for a in ("yaw", "pitch", "roll") for k, how in (form.readings if form else ())
-              if how == f"turn {a}"]  # fmt: skip
+    angles = [
+        n + k
+        for a in ("yaw", "pitch", "roll")
+        for k, how in (form.readings if form else ())
+        if how == f"turn {a}"
+    ]
     if angles:
-        found[:, angles] = _three_angles(X[..., :3, :3].reshape(-1, 3, 3), found[:, angles], start[:, angles])
+        found[:, angles] = _three_angles(
+            X[..., :3, :3].reshape(-1, 3, 3), found[:, angles], start[:, angles]
+        )
     off = evaluate(system, found, False)[0].reshape(*lead, len(lengths))
     sizes = [np.linalg.norm(off[..., rows], axis=-1) for rows in (lengths, ~lengths)]
     return found[:, n:].reshape(*lead, own), sizes[0], sizes[1]
@@ -163,7 +202,9 @@ def fit(
 
 @lru_cache(maxsize=256)
 def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Any, tuple[str, ...], np.ndarray]:
-    """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which rows are lengths."""
+    """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which
+    rows are lengths.
+    """
     m = Mechanism("joint", dim)
     child = m.particle("M") if particle else m.body("M")
     m.free("M", m.ground, child)
@@ -181,11 +222,15 @@ def _three_angles(R: Array, angles: Array, near: Array) -> Array:
     a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
     rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ R
     c = np.where(locked, np.arctan2(rest[:, 2, 1], rest[:, 1, 1]), c)
-    ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(1, 2)  # (2, N, 3)
+    ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(
+        1, 2
+    )  # (2, N, 3)
     ways += FULL_TURN * np.round((near - ways) / FULL_TURN)
     one: Array = ways[0]
     other: Array = ways[1]
-    second: np.ndarray = np.linalg.norm(ways[1] - near, axis=-1) < np.linalg.norm(ways[0] - near, axis=-1)
+    second: np.ndarray = np.linalg.norm(ways[1] - near, axis=-1) < np.linalg.norm(
+        ways[0] - near, axis=-1
+    )
     return np.where(second[:, None], other, one)
 
 
@@ -195,8 +240,9 @@ def _three_angles(R: Array, angles: Array, near: Array) -> Array:
 class LinearRow(NamedTuple):
     """sum of factor * coordinate = offset, the dependent coordinate first with factor 1.
 
-    `turns` says that the dependent one is an angle, `free` that it is part of q. `periods` are those of the other
-    terms that can turn fully, so that poses do not tell how far they have turned.
+    `turns` says that the dependent one is an angle, `free` that it is part of q. `periods` are
+    those of the other terms that can turn fully, so that poses do not tell how far they have
+    turned.
     """
 
     name: str
@@ -215,18 +261,38 @@ def _relations(system: System) -> list[LinearRow]:
     for joint in system.mechanism.joints.values():
         names = system.structure.coordinates_of_joint(joint.name)
         steps = joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]
-        slow = {p.coordinate for p in steps if p.kind == P and p.multiplier or not float(p.multiplier).is_integer()}
+        slow = {
+            p.coordinate
+            for p in steps
+            if p.kind == P and p.multiplier or not float(p.multiplier).is_integer()
+        }
         turning |= {names[p.coordinate] for p in steps if p.coordinate not in slow and p.kind != Q}
         balls |= {n for p in steps if p.kind == Q for n in names[p.coordinate : p.coordinate + 4]}
     wide = {
         n: not high - low < FULL_TURN
-        for n, (low, high) in zip(system.structure.velocity_names, system.structure.limits, strict=True)
+        for n, (low, high) in zip(
+            system.structure.velocity_names, system.structure.limits, strict=True
+        )
     }
-    rows = [(n, {f.source: f.multiplier} if f.source else {}, f.offset) for n, f in followers.items() if n not in balls]
+    rows = [
+        (n, {f.source: f.multiplier} if f.source else {}, f.offset)
+        for n, f in followers.items()
+        if n not in balls
+    ]
     rows += [(r.of, r.sources, r.offset) for r in system.structure.relations]
-    return [LinearRow(n, ((n, 1.0), *((s, -m) for s, m in sources.items())), offset, n in turning, n not in followers,
-                      tuple((s, -m) for s, m in sources.items() if s in turning and (wide[s] or n in followers)))
-            for n, sources, offset in rows]  # fmt: skip
+    return [
+        LinearRow(
+            n,
+            ((n, 1.0), *((s, -m) for s, m in sources.items())),
+            offset,
+            n in turning,
+            n not in followers,
+            tuple(
+                (s, -m) for s, m in sources.items() if s in turning and (wide[s] or n in followers)
+            ),
+        )
+        for n, sources, offset in rows
+    ]
 
 
 def off_by(relation: LinearRow, values: dict[str, Array]) -> Array:
@@ -242,9 +308,11 @@ def _turn_counts(n: int) -> Array:
 
 
 def find_turns(relations: list[LinearRow], values: dict[str, Array], tolerance: float) -> None:
-    """Give coordinates full turns, few against those that they have, with which all that depends on them is right.
+    """Give coordinates full turns, few against those that they have, with which all that depends on
+    them is right.
 
-    Turns of a driver are those that fit all that follows it; then relations choose for coordinates that drive nothing.
+    Turns of a driver are those that fit all that follows it; then relations choose for coordinates
+    that drive nothing.
     """
     followers: dict[str, list[LinearRow]] = {}
     for r in relations:
@@ -283,7 +351,9 @@ def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
         subject = f"pose of body {body!r}"
         refuse_no_poses(poses[..., i, :, :], subject, tolerance)
         if bodies[body].particle and np.any(np.abs(R[..., i, :, :] - np.eye(3)) > tolerance):
-            raise InputError(f"{subject}: a particle has no orientation; its rotation must be the identity")
+            raise InputError(
+                f"{subject}: a particle has no orientation; its rotation must be the identity"
+            )
         if system.dim == 2 and np.any(np.maximum(np.abs(p[..., i, 2]), tilt[..., i]) > tolerance):
             raise InputError(f"{subject} leaves the plane")
 
@@ -308,9 +378,15 @@ def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float
 def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> None:
     """Refuse rotations that are not those of quaternions that are held."""
     for joint in system.mechanism.joints.values():
-        names = [n for n in system.structure.coordinates_of_joint(joint.name) if n in system.structure.couplings]
+        names = [
+            n
+            for n in system.structure.coordinates_of_joint(joint.name)
+            if n in system.structure.couplings
+        ]
         for p in joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]:
-            four = system.structure.coordinates_of_joint(joint.name)[p.coordinate : p.coordinate + 4]
+            four = system.structure.coordinates_of_joint(joint.name)[
+                p.coordinate : p.coordinate + 4
+            ]
             if p.kind == Q and four[0] in names:
                 quat = np.array([system.structure.couplings[n].offset for n in four])
                 found = spatial.quat_wxyz_to_matrix(np.stack([values[n] for n in four], axis=-1))
@@ -323,5 +399,10 @@ def _refuse_far(subject: str, sizes: Mapping[str, Array], tolerance: float) -> N
     """Refuse what is violated by more than the tolerance, by its sizes (...) by unit."""
     parts = [(float(np.abs(x).max(initial=0.0)), unit) for unit, x in sizes.items()]
     if any(size > tolerance for size, _ in parts):
-        said = " and ".join(f"{size:.3g} {unit}".removesuffix(" 1") for size, unit in parts if size > tolerance)
-        raise InputError(f"the poses violate {subject} by {said}; at most {tolerance:g} is read; project them first")
+        said = " and ".join(
+            f"{size:.3g} {unit}".removesuffix(" 1") for size, unit in parts if size > tolerance
+        )
+        raise InputError(
+            f"the poses violate {subject} by {said}; at most {tolerance:g} is read; project them "
+            "first"
+        )

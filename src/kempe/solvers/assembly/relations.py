@@ -1,4 +1,6 @@
-"""Relations that dimensions of a mechanism nearly obey: parallel, orthogonal and meeting axes, equal lengths."""
+"""Relations that dimensions of a mechanism nearly obey: parallel, orthogonal and meeting axes,
+equal lengths.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ Values = Callable[[dict[Place, Array]], Any]
 
 
 class Relations:
-    """Those relations between the axes on each body that hold within `near`, in characteristic lengths and radians."""
+    """Those relations between the axes on each body that hold within `near`, in characteristic
+    lengths and radians.
+    """
 
     def __init__(self, shape: Dimensions, near: float):
         self.shape = shape
@@ -81,7 +85,9 @@ class Relations:
         return bool(np.abs(_parallel(a, b)(self.given)).max() >= self.near)
 
     def _pair(self, a: Place, b: Place) -> list[tuple[float, Values]]:
-        """Take what nearly holds between two axes of a body; the length between them, if there is one."""
+        """Take what nearly holds between two axes of a body; the length between them, if there is
+        one.
+        """
         length = self.shape.length
         if self.shape.mechanism.dim == 2:
             far = _apart(a, b, length)
@@ -89,7 +95,9 @@ class Relations:
         if self._add(_parallel(a, b)):
             far = _across(a, b, length)
         else:
-            angle = math.acos(float(np.clip(self.given[a][:3, 2] @ self.given[b][:3, 2], -1.0, 1.0)))
+            angle = math.acos(
+                float(np.clip(self.given[a][:3, 2] @ self.given[b][:3, 2], -1.0, 1.0))
+            )
             self._add(_inclined(a, b, math.cos(STEP * round(angle / STEP))))
             far = _normal(a, b, length)
         return [] if self._add(far) else [(abs(float(far(self.given)[0])), _size(far))]
@@ -110,16 +118,24 @@ class Relations:
             users = [i for i, at in enumerate(read) if place in at.used]
             part = self.shape.part[place]
             for k in range(part.start, part.stop) if users else ():
-                above, below = (self._beside(poses, place, p, k, s * DIFFERENCE) for s in (1.0, -1.0))
+                above, below = (
+                    self._beside(poses, place, p, k, s * DIFFERENCE) for s in (1.0, -1.0)
+                )
                 for i in users:
-                    out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (2.0 * DIFFERENCE)
+                    out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (
+                        2.0 * DIFFERENCE
+                    )
         return out
 
     def _poses(self, p: Array) -> dict[Place, Array]:
         """All placements at the changes p."""
-        return self.given | {place: self.given[place] @ _pose(d) for place, d in self.shape.steps(p).items()}
+        return self.given | {
+            place: self.given[place] @ _pose(d) for place, d in self.shape.steps(p).items()
+        }
 
-    def _beside(self, poses: dict[Place, Array], place: Place, p: Array, k: int, by: float) -> dict[Place, Array]:
+    def _beside(
+        self, poses: dict[Place, Array], place: Place, p: Array, k: int, by: float
+    ) -> dict[Place, Array]:
         """The poses where change k, which is one of this place, is larger by a number."""
         changed = p.copy()
         changed[k] += by
@@ -139,7 +155,9 @@ class _Read(dict[Place, Array]):
 
 
 def snapped(system: System, most: float) -> System | None:
-    """The system with angles that are within `most` of simple fractions of pi made these; None where there is none."""
+    """The system with angles that are within `most` of simple fractions of pi made these; None
+    where there is none.
+    """
     m = system.mechanism
     found = False
     tables: Any = (m.joints, m.constraints)
@@ -147,7 +165,9 @@ def snapped(system: System, most: float) -> System | None:
         for name, part in table.items():
             for side in ("X_PF", "X_CM"):
                 old = getattr(part, side).steps
-                new = tuple((k, tuple(_simple(x, most) for x in xs) if k in TURNS else xs) for k, xs in old)
+                new = tuple(
+                    (k, tuple(_simple(x, most) for x in xs) if k in TURNS else xs) for k, xs in old
+                )
                 if new != old:
                     part = table[name] = replace(part, **{side: Placement(new)})
                     found = True
@@ -188,7 +208,9 @@ def _apart(a: Place, b: Place, length: float) -> Values:
 
 def _across(a: Place, b: Place, length: float) -> Values:
     """Distance of parallel axes."""
-    return lambda at: np.array([np.linalg.norm(_cross(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length])
+    return lambda at: np.array(
+        [np.linalg.norm(_cross(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length]
+    )
 
 
 def _normal(a: Place, b: Place, length: float) -> Values:
@@ -202,7 +224,9 @@ def _normal(a: Place, b: Place, length: float) -> Values:
 
 
 def _offset(own: tuple[Place, Place], others: tuple[Place, Place], length: float) -> Values:
-    """Distance along the axis of a hinge between its common normals with an axis on each of its bodies."""
+    """Distance along the axis of a hinge between its common normals with an axis on each of its
+    bodies.
+    """
 
     def value(at: dict[Place, Array]) -> Array:
         feet: list[Any] = []
@@ -221,7 +245,12 @@ def _flat(a: Place, b: Place, c: Place, length: float) -> Values:
 
     def value(at: dict[Place, Array]) -> Array:
         u, v = (at[x][:2, 3] - at[a][:2, 3] for x in (b, c))
-        return np.array([(u[0] * v[1] - u[1] * v[0]) / (length * max(np.linalg.norm(u), np.linalg.norm(v), 1e-300))])
+        return np.array(
+            [
+                (u[0] * v[1] - u[1] * v[0])
+                / (length * max(np.linalg.norm(u), np.linalg.norm(v), 1e-300))
+            ]
+        )
 
     return value
 

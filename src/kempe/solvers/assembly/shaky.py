@@ -1,4 +1,6 @@
-"""Velocities that lead to no motion where the equations touch along all of a motion, and those that do."""
+"""Velocities that lead to no motion where the equations touch along all of a motion, and those that
+do.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,13 @@ VANISHES = 1e-6
 
 
 def moving(system: System, q: Array, left: Array, null_space: Array, scale: Array) -> Array:
-    """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have as velocities.
+    """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have
+    as velocities.
 
-    `left` (rows, k) are the left null vectors. Along a motion at which the rank stays, the second derivatives of the
-    equations vanish for `left`, a velocity and any of the null space; where these leave less than the null space, and
-    as much as there are freedoms, the rest is shaky. Elsewhere the null space is returned as it is.
+    `left` (rows, k) are the left null vectors. Along a motion at which the rank stays, the second
+    derivatives of the equations vanish for `left`, a velocity and any of the null space; where
+    these leave less than the null space, and as much as there are freedoms, the rest is shaky.
+    Elsewhere the null space is returned as it is.
     """
     some = np.cos(np.arange(null_space.shape[1], dtype=float))[None]
     if not np.abs(_change(system, q, left, null_space, scale, some)).max() > VANISHES:
@@ -41,8 +45,14 @@ def moving(system: System, q: Array, left: Array, null_space: Array, scale: Arra
     return null_space @ V[shaky:].T
 
 
-def _change(system: System, q: Array, left: Array, null_space: Array, scale: Array, along: Array) -> Array:
-    """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space, and the null space."""
+def _change(
+    system: System, q: Array, left: Array, null_space: Array, scale: Array, along: Array
+) -> Array:
+    """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space,
+    and the null space.
+    """
     steps = DIFFERENCE * scale * (along @ null_space.T)
-    J = evaluate(system, system.structure.layout.integrate(q, np.concatenate([steps, -steps])), True, True)[1]
+    J = evaluate(
+        system, system.structure.layout.integrate(q, np.concatenate([steps, -steps])), True, True
+    )[1]
     return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ null_space

@@ -1,4 +1,6 @@
-"""What all answers of solvers share: configurations, what they miss, and what an independent judge says of them."""
+"""What all answers of solvers share: configurations, what they miss, and what an independent judge
+says of them.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +39,14 @@ class Row:
 
 @explained_methods
 class Answer(Result, Tabular):
-    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers.
+    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why.
+    Base of answers.
 
-    A batch is a list of configurations: it has a length, ``answer[k]`` is a row of `q`, and ``for q in answer`` goes
-    through them.
+    A batch is a list of configurations: it has a length, ``answer[k]`` is a row of `q`, and
+    ``for q in answer`` goes through them.
 
-    Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input that is no number.
+    Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input
+    that is no number.
     """
 
     system: Any
@@ -60,7 +64,9 @@ class Answer(Result, Tabular):
 
     @property
     def within(self) -> Nearest | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, solved in place of the given one; None: that was solved."""
+        """The nearest mechanism that closes exactly, solved in place of the given one; None: that
+        was solved.
+        """
         return self._closing._ideal
 
     @property
@@ -99,7 +105,8 @@ class Answer(Result, Tabular):
 
     @cached_property
     def residual(self) -> Any:
-        """How much (...) each of `q` misses what is declared and requested: the largest norm of metres and radians.
+        """How much (...) each of `q` misses what is declared and requested: the largest norm of
+        metres and radians.
 
         It is NaN for configurations that are no numbers.
         """
@@ -107,14 +114,17 @@ class Answer(Result, Tabular):
 
     @cached_property
     def judged(self) -> Judgement:
-        """How far `q` misses what is declared and requested, by poses multiplied out in numpy, on demand.
+        """How far `q` misses what is declared and requested, by poses multiplied out in numpy, on
+        demand.
 
         It shares nothing with the equations by which kernels say `success`.
         """
         return judge(self.system, self.q, self._goals(), self._left(), self._when(), self._closing)
 
     def _when(self) -> Any:
-        """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time of their own."""
+        """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time
+        of their own.
+        """
         return 0.0
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
@@ -131,7 +141,8 @@ class Answer(Result, Tabular):
 
     @property
     def verdict(self) -> str:
-        """What the judge says of what succeeded, in one sentence; '' where nothing did, or there is nothing to judge.
+        """What the judge says of what succeeded, in one sentence; '' where nothing did, or there is
+        nothing to judge.
 
         Of a batch only what contradicts a success is said.
         """
@@ -152,7 +163,9 @@ class Answer(Result, Tabular):
         return ()
 
     def plot(self, **options: Any) -> Any:
-        """Matplotlib axes with its configurations, or its motion, with the options of `System.plot`."""
+        """Matplotlib axes with its configurations, or its motion, with the options of
+        `System.plot`.
+        """
         return late("plots").plot(self.system, self, **options)
 
     def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
@@ -163,11 +176,15 @@ class Answer(Result, Tabular):
         return late("plots").plot_path(self, names=names, ax=ax)
 
     def animate(self, file: Any, **options: Any) -> Any:
-        """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of `System.animate`."""
+        """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of
+        `System.animate`.
+        """
         return late("films").animate(self.system, self, file, **options)
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
+        """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and
+        metres.
+        """
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def expect(self) -> Self:
@@ -181,7 +198,9 @@ class Answer(Result, Tabular):
 
     @property
     def solver(self) -> Choice | None:
-        """The solver that answered, and why those before it in the table did not; None where there is no choice."""
+        """The solver that answered, and why those before it in the table did not; None where there
+        is no choice.
+        """
         return self.__dict__.get("_choice") or (self._row.choice(self) if self.row else None)
 
     def __len__(self) -> int:
@@ -200,8 +219,11 @@ class Answer(Result, Tabular):
         """Refuse to take the answer to one problem for a list. Errors: `CallError`."""
         if not self._shape:
             name = type(self).__name__
-            raise CallError(name, "it is the answer to one problem and no list: its configuration is `q`; a batch of "
-                                  "problems has a row for each")  # fmt: skip
+            raise CallError(
+                name,
+                "it is the answer to one problem and no list: its configuration is `q`; a batch of "
+                "problems has a row for each",
+            )
 
     def _headline(self) -> str:
         if self._shape:
@@ -211,7 +233,9 @@ class Answer(Result, Tabular):
     def _cells(self) -> Cells:
         if np.ndim(self.q) > 1:
             return (), ()
-        return (), [(name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)]
+        return (), [
+            (name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)
+        ]
 
     def _notes(self) -> Sequence[str]:
         said = "" if self._shape else self.verdict
@@ -222,13 +246,17 @@ class Answer(Result, Tabular):
         return {"system": self.system.name, "angle_unit": "rad"} | solver
 
     def _data(self) -> dict[str, Any]:
-        out = {name: getattr(self, name) for name in self.also} | {"residual": np.asarray(self.residual).tolist()}
+        out = {name: getattr(self, name) for name in self.also} | {
+            "residual": np.asarray(self.residual).tolist()
+        }
         if np.size(self.q) <= MOST_JUDGED:
             out["judged"] = self.judged.data()
         return out | {"q": self._by_name(self.q)}
 
     def _by_name(self, q: Array) -> Any:
-        """Values by coordinate name of a configuration, nested lists of these of several; None for NaN."""
+        """Values by coordinate name of a configuration, nested lists of these of several; None for
+        NaN.
+        """
         if np.ndim(q) > 1:
             return [self._by_name(x) for x in q]
         named = dict(zip(self.system.coordinate_names, q.tolist(), strict=True))
@@ -236,7 +264,9 @@ class Answer(Result, Tabular):
 
 
 class ConfigurationList:
-    """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which there may be many."""
+    """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which
+    there may be many.
+    """
 
     q: Any
 
@@ -251,21 +281,26 @@ class ConfigurationList:
 
 
 def row_of(q: Array, k: Any) -> Array:
-    """Rows of configurations (n, ..., nq) by a number, a slice or an array. Errors: `InputError`, `IndexError`."""
+    """Rows of configurations (n, ..., nq) by a number, a slice or an array. Errors: `InputError`,
+    `IndexError`.
+    """
     try:
         return q[k]
     except IndexError:
         if is_whole(k):  # where an iteration ends
             raise
-        raise InputError(f"index is {shown(k)}; it must be a whole number, a slice or an array of these") from None
+        raise InputError(
+            f"index is {shown(k)}; it must be a whole number, a slice or an array of these"
+        ) from None
 
 
 @explained_methods
 class Configurations(ConfigurationList, Answer):
-    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way.
+    Base of such answers.
 
-    Where the time limit came (`late`), these are those found by then. After Ctrl-C (`interrupted`) they are in the
-    `answer` of the `Interrupted` that the verb raises.
+    Where the time limit came (`late`), these are those found by then. After Ctrl-C (`interrupted`)
+    they are in the `answer` of the `Interrupted` that the verb raises.
     """
 
     interrupted: bool
@@ -280,7 +315,9 @@ class Configurations(ConfigurationList, Answer):
         return self._broken_off() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
 
     def _broken_off(self) -> Status | None:
-        """The `Status` that says what ended the computation early, an interrupt or the time limit; None otherwise."""
+        """The `Status` that says what ended the computation early, an interrupt or the time limit;
+        None otherwise.
+        """
         return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
 
     def _partial(self) -> str:

@@ -34,7 +34,9 @@ def start_count(starts: object, most: int = 2**62 - 1) -> int:
 def step_count(iterations: object) -> int:
     """The number of steps of a start. Errors: `InputError`."""
     if not is_whole(iterations) or not 1 <= iterations < 2**31:
-        raise InputError(f"iterations is {shown(iterations)}; it must be a whole number, at least 1")
+        raise InputError(
+            f"iterations is {shown(iterations)}; it must be a whole number, at least 1"
+        )
     return int(iterations)
 
 
@@ -43,14 +45,21 @@ LONGEST = 1e15
 
 
 def deadline(time_limit: Any) -> float:
-    """When a search that begins now must end, by the clock `time.monotonic`; never without a limit [s].
+    """When a search that begins now must end, by the clock `time.monotonic`; never without a limit
+    [s].
 
     Errors: `InputError`.
     """
     if time_limit is None:
         return math.inf
-    if isinstance(time_limit, bool) or not isinstance(time_limit, (int, float)) or not time_limit > 0.0:
-        raise InputError(f"time_limit is {shown(time_limit)}; it must be a positive number of seconds, or None")
+    if (
+        isinstance(time_limit, bool)
+        or not isinstance(time_limit, (int, float))
+        or not time_limit > 0.0
+    ):
+        raise InputError(
+            f"time_limit is {shown(time_limit)}; it must be a positive number of seconds, or None"
+        )
     return time.monotonic() + (math.inf if time_limit > LONGEST else float(time_limit))
 
 
@@ -60,7 +69,9 @@ def seed_number(rng: object) -> int:
         return int(rng)
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
-    raise InputError(f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62")
+    raise InputError(
+        f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62"
+    )
 
 
 def tolerances(tolerance: Any) -> tuple[float, float]:
@@ -71,25 +82,33 @@ def tolerances(tolerance: Any) -> tuple[float, float]:
             return float(linear), float(angular)
     except (TypeError, ValueError):
         pass
-    raise InputError(f"tolerance is {shown(tolerance)}; it must be one or two positive numbers, in metres and radians")
+    raise InputError(
+        f"tolerance is {shown(tolerance)}; it must be one or two positive numbers, in metres and "
+        "radians"
+    )
 
 
 def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
     """Known values by name, the places of frames as arrays. Errors: `InputError`."""
     if not frames:
         return given
-    return {k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()}
+    return {
+        k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()
+    }
 
 
 def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
-    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let through.
+    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
+    through.
 
     Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
     """
     what = f"the place of frame {frame!r}"
     if whole:
         X = poses_of(place, 3, what)
-        for bad in X[~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))][:1]:
+        for bad in X[
+            ~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
+        ][:1]:
             refuse_no_poses(bad, what)
         return poses_of(X, system.dim, what)
     x = reals(place, what, "numbers")

@@ -21,7 +21,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SHORT = 30.0
 """Seconds that a single call may take which usually takes less than a second."""
 TIME_LIMIT = 120.0
-"""Seconds that a call may take whose work nobody can tell beforehand, unless the caller says otherwise."""
+"""Seconds that a call may take whose work nobody can tell beforehand, unless the caller says
+otherwise."""
 LONG = 600.0
 """The same where samples or targets say how much work there is."""
 LEAST = 1e-3
@@ -33,8 +34,9 @@ SHARE = 0.8
 class TimeLimit(watched_by):
     """The time of one call [s], None for as long as it takes. Errors: `InputError`.
 
-    As a block: what is done in it ends with `TimeUp` at the next `look`, on whichever layer that is. It comes once in
-    each thread, so that what was done can be put in order by whoever catches it; `spent` says that it came.
+    As a block: what is done in it ends with `TimeUp` at the next `look`, on whichever layer that
+    is. It comes once in each thread, so that what was done can be put in order by whoever catches
+    it; `spent` says that it came.
     """
 
     def __init__(self, limit: Any):
@@ -84,12 +86,13 @@ ENDLESS = TimeLimit(None)
 
 def time_limited(
     usual: Usual, otherwise: Callable[..., Any] | None = None
-) -> Callable[[Function], Function]:  # fmt: skip
-    """A decorator for verbs: their time limit is looked at on all layers, from the first line to the last.
+) -> Callable[[Function], Function]:
+    """A decorator for verbs: their time limit is looked at on all layers, from the first line to
+    the last.
 
-    Verbs say themselves what was done by then. Where the time is up before anything is, `otherwise` answers, from the
-    `TimeLimit` and the arguments of the verb; without it `TimeLimitError` is raised. A verb that another one asks,
-    without a time limit of its own, has the time of that one.
+    Verbs say themselves what was done by then. Where the time is up before anything is, `otherwise`
+    answers, from the `TimeLimit` and the arguments of the verb; without it `TimeLimitError` is
+    raised. A verb that another one asks, without a time limit of its own, has the time of that one.
     """
 
     def of(verb: Function) -> Function:
@@ -121,9 +124,11 @@ def time_limited(
 
 @contextlib.contextmanager
 def begun_within(usual: Usual, time: TimeLimit) -> Generator[None]:
-    """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in it.
+    """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in
+    it.
 
-    For verbs that keep what was done by then once the work has begun: before that there is nothing to keep.
+    For verbs that keep what was done by then once the work has begun: before that there is nothing
+    to keep.
     """
     try:
         with time:
@@ -138,7 +143,9 @@ _running = threading.local()
 
 
 def time_of(usual: Usual, budget: Budget | None = None) -> TimeLimit:
-    """The time of the call of a `time_limited` verb that runs now; where none does, that of a budget."""
+    """The time of the call of a `time_limited` verb that runs now; where none does, that of a
+    budget.
+    """
     verb, time = getattr(_running, "call", None) or (None, ENDLESS)
     return time if verb is usual else TimeLimit(usual.of(budget).time_limit)
 

@@ -1,4 +1,6 @@
-"""What is required of a system, and who answers: rows of a table, each of which says what it is not for."""
+"""What is required of a system, and who answers: rows of a table, each of which says what it is not
+for.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,11 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 class Problem(NamedTuple):
     """What is required of a `system`, checked: what the solvers of the table get.
 
-    `requested` is "one" configuration, "all" of them, a "path" of them, or a "set" that is continuous. `known` are
-    coordinates, and places of frames, by name. `targets` (N, 4, 4) are those of a `frame`, of which `task` names what
-    counts, with the axis of the tool that is pointed; `lead` is their leading shape. `wanted` are tasks of any frames.
-    The search begins at `start`. `options` are what only this verb reads, by the names of its arguments.
+    `requested` is "one" configuration, "all" of them, a "path" of them, or a "set" that is
+    continuous. `known` are coordinates, and places of frames, by name. `targets` (N, 4, 4) are
+    those of a `frame`, of which `task` names what counts, with the axis of the tool that is
+    pointed; `lead` is their leading shape. `wanted` are tasks of any frames. The search begins at
+    `start`. `options` are what only this verb reads, by the names of its arguments.
     """
 
     system: System
@@ -50,8 +53,8 @@ class Problem(NamedTuple):
 class Solver(NamedTuple):
     """A row of the table: its name, how it works, and two functions.
 
-    `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the structure only, not
-    at numbers that differ from call to call. `run` answers.
+    `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the
+    structure only, not at numbers that differ from call to call. `run` answers.
     """
 
     name: str
@@ -65,18 +68,24 @@ class Solver(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """Which solver answered and how it works, and why those before it in the table did not: names and sentences."""
+    """Which solver answered and how it works, and why those before it in the table did not: names
+    and sentences.
+    """
 
     name: str
     how: str
     refused: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        return "\n".join([f"{self.name}: {self.how}", *(f"  not {name}: {why}" for name, why in self.refused)])
+        return "\n".join(
+            [f"{self.name}: {self.how}", *(f"  not {name}: {why}" for name, why in self.refused)]
+        )
 
 
 def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
-    """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says, if all refuse."""
+    """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says,
+    if all refuse.
+    """
     refused: list[tuple[str, str]] = []
     for solver in rows:
         why = solver.refuses(*structure)

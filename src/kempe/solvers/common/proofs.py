@@ -22,16 +22,20 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True, slots=True)
 class Evidence(InWords):
-    """What was found out about why there is no answer: of which `kind`, with `figures`, names and numbers of that kind.
+    """What was found out about why there is no answer: of which `kind`, with `figures`, names and
+    numbers of that kind.
 
-    Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer are
+    Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer
+    are
 
-    - "lengths": the target is out of reach of the links by at least so many metres, at its `place` whatever its
-      orientation, `turned` together with it, or off the `plane` of the system;
+    - "lengths": the target is out of reach of the links by at least so many metres, at its `place`
+      whatever its orientation, `turned` together with it, or off the `plane` of the system;
     - "tilted": by an `angle` out of the plane of the system;
-    - "outside": all `count` configurations that reach it are outside limits, or slides end `short` metres before it;
+    - "outside": all `count` configurations that reach it are outside limits, or slides end `short`
+      metres before it;
     - "contradiction": tasks `first` and `second` exclude each other by `off` metres or radians;
-    - "no root": no angle of a `joint` brings what `axes` keep to where it must be, by `off` metres or radians.
+    - "no root": no angle of a `joint` brings what `axes` keep to where it must be, by `off` metres
+      or radians.
     """
 
     kind: str
@@ -66,24 +70,41 @@ def evidence(kind: str, **figures: Any) -> Evidence:
 
 
 def lengths(
-    system: System, place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", point: bool = False,
+    system: System,
+    place: float = 0.0,
+    turned: float = 0.0,
+    plane: float = 0.0,
+    task: str = "",
+    point: bool = False,
     slides: Sequence[str] = (),
-) -> Evidence | None:  # fmt: skip
-    """Evidence that a target is out of reach of a system by so many metres; None where all are zero.
+) -> Evidence | None:
+    """Evidence that a target is out of reach of a system by so many metres; None where all are
+    zero.
 
-    Its figure `times` is the largest of them in typical lengths of a link, `point` says that the target is x, y, z,
-    and `slides` names the coordinates of slides, whose limits are a reason as the lengths are.
+    Its figure `times` is the largest of them in typical lengths of a link, `point` says that the
+    target is x, y, z, and `slides` names the coordinates of slides, whose limits are a reason as
+    the lengths are.
     """
     far = max(place, turned, plane)
     if not far > 0.0:
         return None
     times = far / characteristic_length(system)
-    return evidence("lengths", place=place, turned=turned, plane=plane, task=task, times=times, point=point,
-                    slides=list(slides))  # fmt: skip
+    return evidence(
+        "lengths",
+        place=place,
+        turned=turned,
+        plane=plane,
+        task=task,
+        times=times,
+        point=point,
+        slides=list(slides),
+    )
 
 
 def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
-    """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else as they are."""
+    """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else
+    as they are.
+    """
     structure = system.structure
     names: list[str] = []
     for i, v in zip(structure.layout.vector_q, structure.layout.vector_v, strict=True):
@@ -99,14 +120,20 @@ def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = 
 
 
 def by_lengths(
-    bounds: Sequence[ReachBound], X: Array, tolerance: tuple[float, float], turned: bool = True,
-    axes: Sequence[int] = (0, 1, 2), dim: int = 3, along: Array | None = None,
-) -> Array:  # fmt: skip
+    bounds: Sequence[ReachBound],
+    X: Array,
+    tolerance: tuple[float, float],
+    turned: bool = True,
+    axes: Sequence[int] = (0, 1, 2),
+    dim: int = 3,
+    along: Array | None = None,
+) -> Array:
     """How far (..., 2) in metres poses X (..., 4, 4) of a frame are past the bounds of its chain.
 
-    First as to the place, then together with the orientation, where that is `turned`, or points `along` an axis (3,) of
-    the frame. `axes` of the pose are those along which its place counts: with fewer than `dim`, no place is too near.
-    These are lower bounds of the error in its place; zero within the tolerances and what rounding makes of them.
+    First as to the place, then together with the orientation, where that is `turned`, or points
+    `along` an axis (3,) of the frame. `axes` of the pose are those along which its place counts:
+    with fewer than `dim`, no place is too near. These are lower bounds of the error in its place;
+    zero within the tolerances and what rounding makes of them.
     """
     linear, angular = tolerance
     out = np.zeros((*X.shape[:-2], 2))

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
 
 class ReachBound(NamedTuple):
-    """What lengths alone say: how far and how near a point of the frame can be to a point of the ground."""
+    """What lengths alone say: how far and how near a point of the frame can be to a point of the
+    ground.
+    """
 
     centre: Array
     """The point of the ground (3,)."""
@@ -96,22 +98,41 @@ def _chain(system: System, name: str) -> Chain:
     limits = np.ascontiguousarray(system.structure.limits[v_index].T)
     largest = float(np.abs(packed[1]).max(initial=0.0))
     if not largest < LARGEST:
-        raise UnsupportedError(f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m")
+        raise UnsupportedError(
+            f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m"
+        )
     ints, floats = regauge(*packed)
     circular = np.zeros(len(v_index), dtype=np.int64)
     wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi
     for iv in range(len(v_index)):
         rows = table.multiplier[table.iv == iv]
-        circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
+        circular[iv] = (
+            wide[iv]
+            and len(rows) == 1
+            and abs(rows[0]) == 1.0
+            and table.kind[table.iv == iv][0] == TURN
+        )
     bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
     base = inside(system, system.neutral[None].copy())
     no_seed = np.empty((1, 0, len(q_index)))
-    return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds,
-                 span_of(ints, floats))  # fmt: skip
+    return Chain(
+        ints,
+        floats,
+        q_index,
+        v_index,
+        limits,
+        circular,
+        base,
+        no_seed,
+        bounds,
+        span_of(ints, floats),
+    )
 
 
 def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (n,) of the chain's coordinates that rotate something and of those that translate it; screws do both."""
+    """Masks (n,) of the chain's coordinates that rotate something and of those that translate it;
+    screws do both.
+    """
     rows = rows_of(chain.ints)
     each = np.arange(len(chain.v_index))
     turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
@@ -119,7 +140,9 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def slides_of(system: System, frame: str) -> list[str]:
-    """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none without a chain."""
+    """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none
+    without a chain.
+    """
     if obstacle(system, frame) is not None:
         return []
     chain = chain_of(system, frame)
@@ -150,23 +173,31 @@ def obstacle(system: System, name: str) -> str | None:
     used = {system.structure.velocity_names[i] for i in moving}
     for closure in system.structure.closures:
         if used & loop_coordinates(system, closure):
-            return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
+            return (
+                f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of "
+                "its own leads there"
+            )
     for relation in system.structure.relations:
         if used & {relation.of, *relation.sources}:
             return (
-                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
-                f"own leads there"
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several "
+                "others: no chain of its own leads there"
             )
     if any(c.equations(system.dim) for c in system._mechanism.constraints.values()):
         loops = full(system, False)
         for k, tie in enumerate(loops.ties):
             if tie.name in system._mechanism.constraints and moving & set(loops.columns(k)):
-                return f"frame {name!r} moves with the constraint {tie.name!r}: no chain of its own leads there"
+                return (
+                    f"frame {name!r} moves with the constraint {tie.name!r}: no chain of its own "
+                    "leads there"
+                )
     return None
 
 
 def loop_coordinates(system: System, closure: str) -> set[str]:
-    """Velocity coordinates of the joints of the loop that a left-out joint closes, its own included."""
+    """Velocity coordinates of the joints of the loop that a left-out joint closes, its own
+    included.
+    """
     number = {b: i for i, b in enumerate(system.body_names)}
     joint = system.structure.joints[closure]
     ways: list[set[int]] = []
@@ -188,10 +219,11 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
 
 
 def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
-    """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is, by less lengths.
+    """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is,
+    by less lengths.
 
-    Of an axis that turns the best point counts: of the first the one nearest to the second joint, of the last the one
-    nearest to the joint before.
+    Of an axis that turns the best point counts: of the first the one nearest to the second joint,
+    of the last the one nearest to the joint before.
     """
     table = rows_of(ints)
     rows = placements_of(ints, floats)
@@ -202,7 +234,11 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
     start = p[0]
     slides = 0.0
     for row in np.flatnonzero(kinds == SLIDE):
-        slides += float(np.max(np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])))
+        slides += float(
+            np.max(
+                np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])
+            )
+        )
     if n and kinds[0] == TURN:
         start = start + p[1, 2] * R[0, :, 2]
         p[1, 2] = 0.0
@@ -219,7 +255,9 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
 
 
 def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array) -> ReachBound:
-    """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point away."""
+    """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point
+    away.
+    """
     lengths = np.sqrt((p * p).sum(axis=-1))
     total = float(lengths.sum()) + slides
     longest = 0.0 if any_slide else float(lengths.max(initial=0.0))

@@ -1,4 +1,6 @@
-"""Velocity constraints for solvers: whether there are any, their rows beside loops, and where a path slips."""
+"""Velocity constraints for solvers: whether there are any, their rows beside loops, and where a
+path slips.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ if TYPE_CHECKING:
 
 RELATIVE = 1e-6
 ABSOLUTE = 1e-9
-"""Slip, of the sizes that add up to it and in metres or radians, up to which a path counts as without."""
+"""Slip, of the sizes that add up to it and in metres or radians, up to which a path counts as
+without."""
 EXPLAINED = 0.5
-"""Part of the change from one way to two by which a slip must exceed what the bend between samples explains."""
+"""Part of the change from one way to two by which a slip must exceed what the bend between samples
+explains."""
 CONTRADICTION = 1e-9
 """By how much velocity rows may contradict loops, of rows of size 1."""
 
@@ -33,7 +37,9 @@ def rolls(system: System) -> bool:
 
 
 def hard_rows(system: System, q: Array, scale: Array) -> tuple[Array, Array]:
-    """Velocity rows (m, nv) of size 1 over scaled velocities, and what they must give (m,), at q (nq,) and time 0."""
+    """Velocity rows (m, nv) of size 1 over scaled velocities, and what they must give (m,), at q
+    (nq,) and time 0.
+    """
     A, b = rates(system, q)
     A = A * scale
     size = np.linalg.norm(A, axis=1)
@@ -42,7 +48,8 @@ def hard_rows(system: System, q: Array, scale: Array) -> tuple[Array, Array]:
 
 
 def at_rest(C: Array, A: Array, b: Array) -> Array:
-    """The shortest velocity vector (nv,) that fulfils the loops C v = 0 and the velocity rows A v = b.
+    """The shortest velocity vector (nv,) that fulfils the loops C v = 0 and the velocity rows A v =
+    b.
 
     Errors: `InputError` where they contradict each other.
     """
@@ -51,15 +58,21 @@ def at_rest(C: Array, A: Array, b: Array) -> Array:
     M = np.concatenate([C, A])
     wanted = np.concatenate([np.zeros(len(C)), b])
     u: Array = np.asarray(np.linalg.lstsq(M, wanted, rcond=1e-8)[0], dtype=float)
-    if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(1.0, float(np.abs(b).max())):
-        raise InputError(f"the velocity constraints cannot be satisfied at q: they contradict loops or each other by "
-                         f"{gap:.2g} (rows of size 1)")  # fmt: skip
+    if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(
+        1.0, float(np.abs(b).max())
+    ):
+        raise InputError(
+            "the velocity constraints cannot be satisfied at q: they contradict loops or each "
+            f"other by {gap:.2g} (rows of size 1)"
+        )
     return u
 
 
 @dataclass(frozen=True)
 class Slip:
-    """Where a path slips first: before sample `index`, by `amount` of the row called `name`, within the `time`."""
+    """Where a path slips first: before sample `index`, by `amount` of the row called `name`, within
+    the `time`.
+    """
 
     index: int
     name: str
@@ -76,8 +89,9 @@ class Slip:
 def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = None) -> Slip | None:
     """Where configurations (n, nq), one after the other, slip first; None where they do not.
 
-    The rows times the way between two samples, at its middle, are what they slip there, but for the third power of the
-    distance. Ways over two samples are compared with those over one to tell that apart (Richardson).
+    The rows times the way between two samples, at its middle, are what they slip there, but for the
+    third power of the distance. Ways over two samples are compared with those over one to tell that
+    apart (Richardson).
     """
     if len(q) < 2 or not rolls(system):
         return None
@@ -114,7 +128,9 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
 
 
 def _around(system: System, bend: Array) -> Array:
-    """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one unit: one passes 0."""
+    """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one
+    unit: one passes 0.
+    """
     units = np.array([row.unit for row in velocity_rows(system).names])
     out = np.empty_like(bend)
     for unit in set(units.tolist()):
@@ -125,7 +141,9 @@ def _around(system: System, bend: Array) -> Array:
 
 
 class _SlipVelocities(NamedTuple):
-    """Of each way between samples: what the rows make of it, the sizes that add up to that, length and time."""
+    """Of each way between samples: what the rows make of it, the sizes that add up to that, length
+    and time.
+    """
 
     slip: Array
     size: Array

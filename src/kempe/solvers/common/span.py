@@ -1,4 +1,6 @@
-"""How many orders of magnitude the lengths of a chain span, and what of that double precision can carry."""
+"""How many orders of magnitude the lengths of a chain span, and what of that double precision can
+carry.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ NOTHING = 1e-12
 
 EVEN = 1e3
 SQUEEZED = 3.0
-"""Ratio of lengths to their median from which a chain is uneven, and to which they are brought then."""
+"""Ratio of lengths to their median from which a chain is uneven, and to which they are brought
+then."""
 
 WIDE = 1e5
 """Ratio of lengths from which solutions are searched for and polished with care."""
@@ -34,9 +37,11 @@ EPSILON = float(np.finfo(float).eps)
 
 
 class Span(NamedTuple):
-    """The smallest and the largest length between the joints of a chain and to its tip, in metres; 0, 0 without any.
+    """The smallest and the largest length between the joints of a chain and to its tip, in metres;
+    0, 0 without any.
 
-    `middle` is the median of the steps from joint to joint, `away` how far from the ground's origin the first stands.
+    `middle` is the median of the steps from joint to joint, `away` how far from the ground's origin
+    the first stands.
     """
 
     smallest: float
@@ -68,8 +73,9 @@ class Span(NamedTuple):
         orders = math.log10(largest) - math.log10(self.smallest)
         what = "the distance of the base" if self.away > self.largest else "the longest"
         return (
-            f"lengths from {self.smallest:.3g} m to {largest:.3g} m, {what}, span {orders:.0f} orders of magnitude, of "
-            f"which double precision keeps 16: positions are known to {self.rounding:.1g} m"
+            f"lengths from {self.smallest:.3g} m to {largest:.3g} m, {what}, span {orders:.0f} "
+            "orders of magnitude, of which double precision keeps 16: positions are known to "
+            f"{self.rounding:.1g} m"
         )
 
     def sentence(self) -> str:
@@ -89,16 +95,19 @@ def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
 
 
 def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
-    """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what is rounding."""
+    """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what
+    is rounding.
+    """
     p = placements_of(ints, floats)[..., 3]
     return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
 
 
 def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
-    """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None where none is.
+    """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None
+    where none is.
 
-    What freedoms a chain has does not depend on how large its lengths are, only on which are zero: so they are counted
-    with lengths of one size. The first joint stands at the origin.
+    What freedoms a chain has does not depend on how large its lengths are, only on which are zero:
+    so they are counted with lengths of one size. The first joint stands at the origin.
     """
     p = offsets(ints, floats)
     p[0] = 0.0
@@ -110,4 +119,6 @@ def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     sizes = np.abs(p[np.nonzero(p)])
     if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:
         return None
-    return np.sign(p) * np.where(p == 0.0, 0.0, np.clip(np.abs(p), middle / SQUEEZED, middle * SQUEEZED))
+    return np.sign(p) * np.where(
+        p == 0.0, 0.0, np.clip(np.abs(p), middle / SQUEEZED, middle * SQUEEZED)
+    )

@@ -24,8 +24,9 @@ COLUMNS = {
 
 def said_columns(dim: int) -> str:
     """What columns of targets can be, in words."""
-    return ", ".join(",".join(names) + " (position only)" * (k == 0) for k, names in enumerate(COLUMNS[dim][:-1])) + (
-        f" or {','.join(COLUMNS[dim][-1])}")  # fmt: skip
+    return ", ".join(
+        ",".join(names) + " (position only)" * (k == 0) for k, names in enumerate(COLUMNS[dim][:-1])
+    ) + (f" or {','.join(COLUMNS[dim][-1])}")
 
 
 def poses_of_columns(
@@ -33,11 +34,19 @@ def poses_of_columns(
 ) -> tuple[Array, bool]:
     """Poses (..., 4, 4) of targets in columns (..., k), and whether only their position counts.
 
-    Columns are in the order of `COLUMNS`, or have the `names` there. Angles turn about fixed axes, as in URDF; where
-    `degrees` says so they are degrees. A quaternion of length zero gives NaN. Errors: `InputError`.
+    Columns are in the order of `COLUMNS`, or have the `names` there. Angles turn about fixed axes,
+    as in URDF; where `degrees` says so they are degrees. A quaternion of length zero gives NaN.
+    Errors: `InputError`.
     """
     width = values.shape[-1]
-    order = next((c for c in COLUMNS[dim] if (len(c) == width if names is None else sorted(c) == sorted(names))), None)
+    order = next(
+        (
+            c
+            for c in COLUMNS[dim]
+            if (len(c) == width if names is None else sorted(c) == sorted(names))
+        ),
+        None,
+    )
     if order is None:
         has = counted(width, "number") if names is None else f"the columns {listed(names, 12)}"
         raise InputError(f"the target has {has}; it must be {said_columns(dim)}")

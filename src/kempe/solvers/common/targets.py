@@ -28,11 +28,14 @@ TASKS = {
     "pose": (1, 1, 1, 1, 1, 1), "position": (1, 1, 1, 0, 0, 0), "orientation": (0, 0, 0, 1, 1, 1),
     "direction": (0, 0, 0, 1, 1, 0), "position_axis": (1, 1, 1, 1, 1, 0),
 }  # fmt: skip
-"""Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of its z axis."""
+"""Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of
+its z axis."""
 
 
 def twist_rows(task: str, dim: int) -> list[int]:
-    """Rows of a twist [linear; angular] that count in a task, in the plane of x, y and the turn about z."""
+    """Rows of a twist [linear; angular] that count in a task, in the plane of x, y and the turn
+    about z.
+    """
     return [r for r in range(6) if TASKS[task][r] and (dim == 3 or r in (0, 1, 5))]
 
 
@@ -56,7 +59,9 @@ def given_target(system: System, target: Any) -> Any:
         return arrays(target, "target")
     name = system.structure.frame_name(target)
     if system.structure.table.path(name):
-        raise InputError(f"target is the frame {name!r}, which moves; it must be on the ground, or give its pose")
+        raise InputError(
+            f"target is the frame {name!r}, which moves; it must be on the ground, or give its pose"
+        )
     from kempe.kinematics.forward import fk
 
     return fk(system, system.neutral, name)
@@ -74,13 +79,18 @@ def axis_of(axis: object) -> tuple[float, float, float]:
     v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
-        raise InputError(f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's frame")
+        raise InputError(
+            f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's "
+            "frame"
+        )
     x, y, z = (v / size).tolist()
     return x, y, z
 
 
 def axis_for(axis: object, task: str | None) -> tuple[float, float, float]:
-    """The pointing axis of a task, z where it has none; `axis` is checked in any case. Errors: `InputError`."""
+    """The pointing axis of a task, z where it has none; `axis` is checked in any case. Errors:
+    `InputError`.
+    """
     given = Z_AXIS if axis is Z_AXIS else axis_of(axis)
     return given if points_along(task) else Z_AXIS
 
@@ -97,11 +107,12 @@ def frame_of(z: Array) -> Array:
 def targets_of(
     system: System, target: Any, task: str | None, axis: tuple[float, float, float]
 ) -> tuple[Array, tuple[int, ...], bool]:
-    """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors: `InputError`.
+    """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors:
+    `InputError`.
 
-    Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3) for "orientation",
-    and (..., 6), position and direction, for "position_axis"; directions are those of the tool's axis. In the plane
-    (..., 3), x, y and angle, for "pose".
+    Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3)
+    for "orientation", and (..., 6), position and direction, for "position_axis"; directions are
+    those of the tool's axis. In the plane (..., 3), x, y and angle, for "pose".
     """
     try:
         shape = np.shape(target)
@@ -133,7 +144,9 @@ def targets_of(
 
 
 def _turned_in_plane(target: Array) -> Array:
-    """Poses (..., 4, 4) of x, y and an angle (..., 3); planar poses (..., 3, 3) are left as they are."""
+    """Poses (..., 4, 4) of x, y and an angle (..., 3); planar poses (..., 3, 3) are left as they
+    are.
+    """
     if target.shape[-2:] == (3, 3) and np.all(target[..., 2, :] == [0.0, 0.0, 1.0]):
         return target
     x, y, angle = np.moveaxis(target, -1, 0)
@@ -149,14 +162,17 @@ def refuse_position(task: str, is_position: bool, dim: int) -> None:
     if is_position and task != "position":
         also = ", or x, y and angle (..., 3)" if dim == 2 and task == "pose" else ""
         raise InputError(
-            f"target is a position, but task {task!r} asks for an orientation; give a pose (..., 4, 4){also}"
+            f"target is a position, but task {task!r} asks for an orientation; give a pose (..., "
+            f"4, 4){also}"
         )
 
 
 def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
-    """Poses (..., 4, 4) and the task "pose" or "orientation" that point an axis of the tool in the plane.
+    """Poses (..., 4, 4) and the task "pose" or "orientation" that point an axis of the tool in the
+    plane.
 
-    Directions and positions have two or three numbers; poses and other shapes stay as they are. Errors: `InputError`.
+    Directions and positions have two or three numbers; poses and other shapes stay as they are.
+    Errors: `InputError`.
     """
     full = "orientation" if task == "direction" else "pose"
     shape = np.shape(target)
@@ -170,7 +186,9 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
     if not shape[:-1] and not np.any(d):
         raise InputError("the direction of the target must be finite and not zero")
     if math.hypot(x, y) < 1e-9 or (k == 3 and np.any(np.abs(d[..., 2]) > 1e-9)):
-        raise InputError("in a planar system the axis of the tool and its direction must lie in the plane")
+        raise InputError(
+            "in a planar system the axis of the tool and its direction must lie in the plane"
+        )
     angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
     out = _turned_in_plane(np.stack([np.zeros_like(angle), np.zeros_like(angle), angle], axis=-1))
     if task != "direction":
@@ -190,28 +208,45 @@ def numbers_of(target: Any) -> Array:
 
 def parse_targets(
     system: System, target: Any, positions: bool = False
-) -> tuple[Array, tuple[int, ...], bool]:  # fmt: skip
-    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with `positions`.
+) -> tuple[Array, tuple[int, ...], bool]:
+    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with
+    `positions`.
 
     Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
     """
     array = numbers_of(target)
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
-    if planar and array.ndim >= 2 and array.shape[-2:] == (3, 3) and np.all(array[..., 2, :] == [0.0, 0.0, 1.0]):
+    if (
+        planar
+        and array.ndim >= 2
+        and array.shape[-2:] == (3, 3)
+        and np.all(array[..., 2, :] == [0.0, 0.0, 1.0])
+    ):
         flat = array
         array = np.zeros((*flat.shape[:-2], 4, 4))
         array[..., :2, :2], array[..., :2, 3], array[..., 2, 2], array[..., 3, 3] = (
-            flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0)  # fmt: skip
+            flat[..., :2, :2],
+            flat[..., :2, 2],
+            1.0,
+            1.0,
+        )
         is_pose = True
     if is_pose:
         lead = array.shape[:-2]
         if not lead:  # of many, the kernels tell those that need a closer look
             array = sound(array, "target")
         out = array.reshape(math.prod(lead), 4, 4)
-        if not lead and out.flags.c_contiguous and out.flags.aligned and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]:
+        if (
+            not lead
+            and out.flags.c_contiguous
+            and out.flags.aligned
+            and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+        ):
             return out, lead, False  # the usual case, without the cost of arrays
-        bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)  # a transposed pose would pass for another one
+        bad = np.any(
+            out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1
+        )  # a transposed pose would pass for another one
         if bad.any():
             out = out.copy()
             out[bad, :3] = math.nan
@@ -229,7 +264,10 @@ def parse_targets(
     in_plane = ", or (..., 3, 3) or (..., 2) in the plane" if planar else ""
     allowed = f"a pose (..., 4, 4) or a position (..., 3){in_plane}"
     if array.shape == (7,):
-        allowed += "; with a quaternion, write {'at': [x, y, z], 'quat_xyzw': [x, y, z, w]}, or 'quat_wxyz'"
+        allowed += (
+            "; with a quaternion, write {'at': [x, y, z], 'quat_xyzw': [x, y, z, w]}, or "
+            "'quat_wxyz'"
+        )
     elif array.shape == (6,):
         allowed += "; with angles, write {'at': [x, y, z], 'rpy': [roll, pitch, yaw]}"
     raise InputError(f"target has shape {array.shape}; it must be {allowed}")
@@ -237,9 +275,13 @@ def parse_targets(
 
 def check_particle(targets: Array, name: str) -> None:
     """Refuse, with an `InputError`, poses that turn a particle."""
-    turned = np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED  # a NaN stays one
+    turned = (
+        np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED
+    )  # a NaN stays one
     if turned.any():
-        raise InputError(f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target")
+        raise InputError(
+            f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target"
+        )
 
 
 def not_a_pose(target: Array, other: str = "target") -> str:

@@ -1,7 +1,9 @@
-"""One tracer for curves of configurations: predictor along the tangent, corrector across it, steps that stay on it.
+"""One tracer for curves of configurations: predictor along the tangent, corrector across it, steps
+that stay on it.
 
-A curve is where n - 1 independent equations of n unknowns hold; there may be more, dependent ones. Everything is done
-in numbers without unit: turns in radians, slides and positions divided by a characteristic length.
+A curve is where n - 1 independent equations of n unknowns hold; there may be more, dependent ones.
+Everything is done in numbers without unit: turns in radians, slides and positions divided by a
+characteristic length.
 Source: Allgower, Georg, *Numerical Continuation Methods*, 1990, chapters 2, 6 and 8.
 """
 
@@ -21,7 +23,8 @@ from kempe.spatial import Array
 RANK = 1e-8
 """Singular values below this, relative to the largest, count as zero."""
 CLOSED = 1e-13
-"""Residual below which the equations hold; rounding leaves about 1e-15. A shaky structure cannot move by 1e-6 then."""
+"""Residual below which the equations hold; rounding leaves about 1e-15. A shaky structure cannot
+move by 1e-6 then."""
 BEND = 0.25
 """Largest angle between the tangents at both ends of a step."""
 IDEAL_BEND = 0.1
@@ -38,7 +41,8 @@ NONE = np.zeros((0, 0))
 class Curve:
     """The equations of a curve over points x (n,), each a vector. `n` is the number of unknowns.
 
-    What is written here is what others than plain vectors, or with other correctors, do in their own way.
+    What is written here is what others than plain vectors, or with other correctors, do in their
+    own way.
     """
 
     least = 0.0
@@ -47,7 +51,9 @@ class Curve:
     """How many variables there are: set once by some curves, a property of others."""
 
     def both(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n rows, some zero."""
+        """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n
+        rows, some zero.
+        """
         raise NotImplementedError
 
     def matrix(self, x: Array) -> Array:
@@ -67,11 +73,15 @@ class Curve:
         return CLOSED
 
     def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
-        """The corrected point of the curve near `x`, in the plane normal to the direction `across` (n,); or None."""
+        """The corrected point of the curve near `x`, in the plane normal to the direction `across`
+        (n,); or None.
+        """
         return correct(self, x, across)
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
-        """The node at a point of the curve, with its derivatives, the tangent in the sense of `toward` (n,)."""
+        """The node at a point of the curve, with its derivatives, the tangent in the sense of
+        `toward` (n,).
+        """
         return node(self, x, toward, J)
 
 
@@ -79,9 +89,9 @@ class Curve:
 class Node:
     """A point of a curve: where, the unit tangent, how regular it is.
 
-    `sigma` is the last singular value that is not zero on the regular curve, relative to the largest; `nullity` counts
-    those that are zero here: 1 at regular points. `lines` (k, n) are the directions of all branches at a singular
-    point, None where the point is regular.
+    `sigma` is the last singular value that is not zero on the regular curve, relative to the
+    largest; `nullity` counts those that are zero here: 1 at regular points. `lines` (k, n) are the
+    directions of all branches at a singular point, None where the point is regular.
     """
 
     x: Array
@@ -116,7 +126,8 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
 
 
 def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> GaussNewtonEnd | None:
-    """The point of the curve in the plane through `x` normal to the direction `across` (n,), or None.
+    """The point of the curve in the plane through `x` normal to the direction `across` (n,), or
+    None.
 
     Newton's method with least squares, so that dependent equations do no harm.
     """
@@ -126,11 +137,17 @@ def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Gauss
         return np.append(F, 0.0), np.vstack([J, across])
 
     found = gauss_newton(both, x, tries, cut=BLUNT, halving=True, move=equations.move)
-    return GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1]) if found.size < equations.tolerance(found.x) else None
+    return (
+        GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1])
+        if found.size < equations.tolerance(found.x)
+        else None
+    )
 
 
 def step(curve: Curve, a: Node, h: float) -> Node | None:
-    """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long to be safe."""
+    """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long
+    to be safe.
+    """
     guess = curve.move(a.x, h * a.t)
     there = curve.corrected(guess, a.t)
     if there is None or float(np.linalg.norm(curve.between(guess, there.x))) > ACROSS * h:
@@ -146,13 +163,19 @@ def next_step(h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_B
 
 
 def walk(
-    a: Node, taken: Callable[[Node, float], list[Node] | None], longest: float, h: float, *,
-    least: float = LEAST_STEP, ideal: float = IDEAL_BEND,
-) -> Iterator[Node]:  # fmt: skip
-    """Nodes of a curve after `a`, by steps of which the first has the length `h`, until they would be below `least`.
+    a: Node,
+    taken: Callable[[Node, float], list[Node] | None],
+    longest: float,
+    h: float,
+    *,
+    least: float = LEAST_STEP,
+    ideal: float = IDEAL_BEND,
+) -> Iterator[Node]:
+    """Nodes of a curve after `a`, by steps of which the first has the length `h`, until they would
+    be below `least`.
 
-    `taken` gives the nodes that a step of some length from a node leads to, None where that is too long. `ideal` is the
-    angle between tangents that the length aims at.
+    `taken` gives the nodes that a step of some length from a node leads to, None where that is too
+    long. `ideal` is the angle between tangents that the length aims at.
     """
     while True:
         found = taken(a, h)
@@ -174,9 +197,10 @@ def bend(a: Node, b: Node) -> float:
 def flipped(a: Node, b: Node) -> bool | None:
     """Whether the determinant of the equations and the tangent changes its sign between two nodes.
 
-    It does at a simple crossing of branches, and where a step went over to another branch (Allgower, Georg, 1990,
-    section 8.1). None where the nodes are too different to tell. The image of the equations at `a` stands for both:
-    of dependent equations only independent combinations count.
+    It does at a simple crossing of branches, and where a step went over to another branch
+    (Allgower, Georg, 1990, section 8.1). None where the nodes are too different to tell. The image
+    of the equations at `a` stands for both: of dependent equations only independent combinations
+    count.
     """
     if a.nullity > 1 or b.nullity > 1:
         return False
@@ -208,5 +232,7 @@ def inside(equations: Curve, a: Node, b: Node, distance: float, whole: bool = Tr
 
 
 def arc(equations: Curve, a: Node, b: Node) -> float:
-    """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an error O(h^5)."""
+    """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an
+    error O(h^5).
+    """
     return float(np.linalg.norm(equations.between(a.x, b.x))) * (1.0 + bend(a, b) ** 2 / 24.0)

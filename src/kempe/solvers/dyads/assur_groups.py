@@ -1,4 +1,6 @@
-"""The search for dyads, Assur groups of two clusters, and the program that closes them one after another."""
+"""The search for dyads, Assur groups of two clusters, and the program that closes them one after
+another.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,19 @@ from typing import TYPE_CHECKING
 from kempe.budget import look
 from kempe.joints import P, R
 from kempe.kernels.dyads import dyads_layout as K
-from kempe.solvers.dyads.decompose import NOWHERE, SAME, Code, Dyad, Link, PartLine, Parts, Pose, inverse, times, turned
+from kempe.solvers.dyads.decompose import (
+    NOWHERE,
+    SAME,
+    Code,
+    Dyad,
+    Link,
+    PartLine,
+    Parts,
+    Pose,
+    inverse,
+    times,
+    turned,
+)
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -54,7 +68,9 @@ class Decomposition:
         self.relations: list[Relation] = list(system.structure.relations)
         self.number = {link.name: i for i, link in enumerate(parts.links)}
         layout = system.structure.layout
-        bounds = zip(layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True)
+        bounds = zip(
+            layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True
+        )
         self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
         if parts.misfit > 0.0:
             self._expect(parts.misfit, {})
@@ -86,7 +102,9 @@ class Decomposition:
             self.drives += self.by_slot.get(slot, [])
 
     def _relate(self) -> bool:
-        """Whether a relation of coordinates was used: to find its one unknown, or as a check if it has none."""
+        """Whether a relation of coordinates was used: to find its one unknown, or as a check if it
+        has none.
+        """
         slots = {c: i for i, c in enumerate(self.system.coordinate_names)} if self.relations else {}
         for relation in self.relations:
             terms = {slots[relation.of]: 1.0, **{slots[k]: -m for k, m in relation.sources.items()}}
@@ -107,7 +125,9 @@ class Decomposition:
         return False
 
     def _expect(self, constant: float, terms: dict[int, float]) -> None:
-        """Append a check to the program: constant + sum of m q[slot], times the size of the parts, is an opening."""
+        """Append a check to the program: constant + sum of m q[slot], times the size of the parts,
+        is an opening.
+        """
         self.code.append(K.SET, [K.SPARE], [constant])
         for slot, m in terms.items():
             self.code.append(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])
@@ -133,7 +153,9 @@ class Decomposition:
             numbers = [sign * link.multiplier, *start, *inverse(end)]
             register = self.code.register
             coordinate = self.code.coordinate(link.slot)
-            self.code.append(K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers)
+            self.code.append(
+                K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers
+            )
             if len(self.members[other]) > 1:
                 self.code.append(K.DIVIDE, [out, register(part)])
             self._join(base, {other: out})
@@ -160,7 +182,13 @@ class Decomposition:
         o = link.offset
         if link.kind == R:
             between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
-            numbers = [*between[:2], 1.0 / m, -o / m, 2.0 * math.pi / abs(m), *self.limits[link.slot]]
+            numbers = [
+                *between[:2],
+                1.0 / m,
+                -o / m,
+                2.0 * math.pi / abs(m),
+                *self.limits[link.slot],
+            ]
             code.append(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
         else:
             a, b = link.rails(True)
@@ -174,7 +202,9 @@ class Decomposition:
         return sorted(clusters, key=lambda c: (c != GROUND, -len(self.members[c]), c))
 
     def _out(self, cluster: int, spare: int) -> int:
-        """Where to put the pose of a cluster: its part's register, or a spare one where it has several parts."""
+        """Where to put the pose of a cluster: its part's register, or a spare one where it has
+        several parts.
+        """
         members = self.members[cluster]
         return self.code.register(members[0] if len(members) == 1 else self.code.n_parts + spare)
 
@@ -256,7 +286,9 @@ class Decomposition:
         return False
 
     def _twice(self, base: int, other: int, edges: list[Edge]) -> bool:
-        """Place a cluster by two of its joints to another; what they do not agree on shows when joints are read."""
+        """Place a cluster by two of its joints to another; what they do not agree on shows when
+        joints are read.
+        """
         pins = [e for e in edges if e[0] == R]
         rails = [e for e in edges if e[0] == P]
         out = self._out(other, 0)
@@ -264,7 +296,12 @@ class Decomposition:
             a, b = (self._pins(e, base, other) for e in pins[:2])
             self.code.pins(K.PIN_PIN, [a[0], b[0], a[1], b[1]], [out])
         elif pins and rails:
-            self.code.pins(K.PIN_RAIL, [*self._rails(rails[0], base), *self._pins(pins[0], base, other)], [out], 2)
+            self.code.pins(
+                K.PIN_RAIL,
+                [*self._rails(rails[0], base), *self._pins(pins[0], base, other)],
+                [out],
+                2,
+            )
         else:
             ends = [self._rails(e, base) for e in rails]
             crossing = next((e for e in ends[1:] if not _parallel(ends[0][0], e[0])), None)
@@ -325,7 +362,9 @@ class Decomposition:
         pins = self._seen(fixed, a), self._seen(moving, b1)
         if self.cluster[link.a] != still:
             pins = pins[::-1]
-        self._record(base, first, second, group, meaning, (pins[0], link.rails(True)[0], pins[1]), True)
+        self._record(
+            base, first, second, group, meaning, (pins[0], link.rails(True)[0], pins[1]), True
+        )
         self._finish(base, outs, rebase)
 
     def _lines(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> bool:
@@ -344,8 +383,12 @@ class Decomposition:
         self._finish(base, outs, rebase)
         return True
 
-    def _outs(self, base: int, still: int, y: int, z: int) -> tuple[dict[int, int], tuple[int, int] | None]:
-        """Registers for the poses of y and z seen from `still`; where the base is not that, what to turn round."""
+    def _outs(
+        self, base: int, still: int, y: int, z: int
+    ) -> tuple[dict[int, int], tuple[int, int] | None]:
+        """Registers for the poses of y and z seen from `still`; where the base is not that, what to
+        turn round.
+        """
         if still == base:
             return {y: self._out(y, 0), z: self._out(z, 1)}, None
         spare = {c: self.code.register(self.code.n_parts + k) for k, c in enumerate((y, z))}
@@ -354,31 +397,53 @@ class Decomposition:
     def _finish(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
         if rebase is not None:
             still, other = rebase
-            new = {still: self._out(still, 2), other: self._out(other, 0 if len(self.members[other]) == 1 else 1)}
+            new = {
+                still: self._out(still, 2),
+                other: self._out(other, 0 if len(self.members[other]) == 1 else 1),
+            }
             self.code.append(K.REBASE, [outs[base], outs[other], new[still], new[other]])
             outs = new
         self._join(base, outs)
 
     def _record(
-        self, base: int, first: int, second: int, group: tuple[Edge, ...], meaning: str, ends: tuple[PartLine, ...],
-        along: bool, sign: int | None = 0,
-    ) -> None:  # fmt: skip
-        bodies = tuple(tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second))
+        self,
+        base: int,
+        first: int,
+        second: int,
+        group: tuple[Edge, ...],
+        meaning: str,
+        ends: tuple[PartLine, ...],
+        along: bool,
+        sign: int | None = 0,
+    ) -> None:
+        bodies = tuple(
+            tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second)
+        )
         kind = "".join("RP"[e[0] == P] for e in group)
         number = None if sign is None else self.code.signs - 1
         names = self._names(base, first, second, group)
-        root = next((self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0)
+        root = next(
+            (self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0
+        )
         self.dyads.append(Dyad(kind, root, bodies, names, number, meaning, ends, along))  # type: ignore[arg-type]
 
-    def _names(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> tuple[str, str, str]:
-        """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where there is one."""
+    def _names(
+        self, base: int, first: int, second: int, group: tuple[Edge, ...]
+    ) -> tuple[str, str, str]:
+        """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where
+        there is one.
+        """
         names: list[str] = []
-        for (kind, k), pair in zip(group, ({base, first}, {first, second}, {second, base}), strict=True):
+        for (kind, k), pair in zip(
+            group, ({base, first}, {first, second}, {second, base}), strict=True
+        ):
             if kind == P:
                 names.append(self.parts.links[k].name)
                 continue
             here = self.parts.hinges[k][0]
-            direct = [n for n in here if {self.cluster[p] for p in self._sides(self.number[n])} == pair]
+            direct = [
+                n for n in here if {self.cluster[p] for p in self._sides(self.number[n])} == pair
+            ]
             names.append((direct or list(here))[0])
         return names[0], names[1], names[2]
 

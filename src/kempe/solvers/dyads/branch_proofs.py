@@ -1,11 +1,12 @@
 """Branches of dyads that cannot close, that are determined, and that are neither: proofs by discs.
 
-The program of a closed form is walked with discs of the complex plane in place of points and directions (circular
-arithmetic: Gargantini and Henrici, Numer. Math. 18, 1972): each disc contains what is true, rounding of the input
-included. A branch ends where its circles, or its line and circle, cannot meet, or where a joint is open for all members
-of the discs. What remains is determined to the radii of its coordinates. These are large behind a dyad whose centres
-coincide, whose link has no length or whose slides are parallel, and grow to the square root of rounding where two roots
-meet.
+The program of a closed form is walked with discs of the complex plane in place of points and
+directions (circular arithmetic: Gargantini and Henrici, Numer. Math. 18, 1972): each disc contains
+what is true, rounding of the input included. A branch ends where its circles, or its line and
+circle, cannot meet, or where a joint is open for all members of the discs. What remains is
+determined to the radii of its coordinates. These are large behind a dyad whose centres coincide,
+whose link has no length or whose slides are parallel, and grow to the square root of rounding where
+two roots meet.
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ if TYPE_CHECKING:
 UNIT = 4.0 * float(np.finfo(float).eps)
 """Bound of the relative error of a few operations, with a margin."""
 INPUT = 1e-15
-"""Uncertainty of the points of parts, as a share of the mechanism's size: rounding of what describes them."""
+"""Uncertainty of the points of parts, as a share of the mechanism's size: rounding of what
+describes them."""
 HUGE = 1e60
 """The largest radius: what has it is not known at all."""
 FARTHEST = 1e9
-"""Slides on rails that are parallel up to rounding, in sizes of the mechanism, beyond which nothing is looked for."""
+"""Slides on rails that are parallel up to rounding, in sizes of the mechanism, beyond which nothing
+is looked for."""
 TURN = 2.0 * math.pi
 COINCIDING = 1
 NO_LENGTH = 2
@@ -133,10 +136,12 @@ def _root(low: Array, high: Array) -> Disc:
 
 
 def _pinned(v1: Array, off1: Array, v2: Array, off2: Array) -> Array:
-    """Radii of the pin of two links with vectors v1 and v2 to it, whose other ends and lengths are off by so much.
+    """Radii of the pin of two links with vectors v1 and v2 to it, whose other ends and lengths are
+    off by so much.
 
-    To first order the pin moves along each link by what that is off; the rest by the theorem of Kantorovich: on a disc
-    of twice that radius the directions of the links change by less than half of what would make them parallel.
+    To first order the pin moves along each link by what that is off; the rest by the theorem of
+    Kantorovich: on a disc of twice that radius the directions of the links change by less than half
+    of what would make them parallel.
     """
     n1 = np.abs(v1)
     n2 = np.abs(v2)
@@ -179,7 +184,9 @@ class Placed(NamedTuple):
 
 
 class Coordinate(NamedTuple):
-    """Enclosures of a coordinate, and the steps by which it may differ: whole turns of what was read."""
+    """Enclosures of a coordinate, and the steps by which it may differ: whole turns of what was
+    read.
+    """
 
     value: Disc
     steps: tuple[float, ...] = ()
@@ -189,9 +196,9 @@ class Coordinate(NamedTuple):
 class Enclosed:
     """Branches that may close: all others are proven not to.
 
-    `branch` (k,) are their numbers in the order of `Plan.branches`, `middle` and `radius` (k, nq) enclose their
-    coordinates (angles modulo whole turns), `why` (k,) are bits that say what may make radii large, and `dyad` (k,) is
-    the first dyad that does, -1 for none.
+    `branch` (k,) are their numbers in the order of `Plan.branches`, `middle` and `radius` (k, nq)
+    enclose their coordinates (angles modulo whole turns), `why` (k,) are bits that say what may
+    make radii large, and `dyad` (k,) is the first dyad that does, -1 for none.
     """
 
     branch: np.ndarray
@@ -207,9 +214,15 @@ class Enclosed:
             return ""
         bits = int(self.why[rows[0]])
         k = int(self.dyad[rows[0]])
-        words = [word for bit, word in REASONS.items() if bits & bit] or ["rounding has grown along the chain of dyads"]
+        words = [word for bit, word in REASONS.items() if bits & bit] or [
+            "rounding has grown along the chain of dyads"
+        ]
         joints = self.plan.dyads[k].joints if 0 <= k < len(self.plan.dyads) else ()
-        named = f", first in the dyad with joints {', '.join(joints)}" if joints and bits & ~WINDING else ""
+        named = (
+            f", first in the dyad with joints {', '.join(joints)}"
+            if joints and bits & ~WINDING
+            else ""
+        )
         return " and ".join(words) + named
 
     def may_move(self, rows: list[int]) -> bool:
@@ -217,10 +230,11 @@ class Enclosed:
         return bool(np.any(self.why[rows] & ~MERGED))
 
     def undetermined(self, within: Array, closed: np.ndarray) -> np.ndarray:
-        """Which (k,) may close in several places, or, if they are not `closed` (k,), in a place that is not known.
+        """Which (k,) may close in several places, or, if they are not `closed` (k,), in a place
+        that is not known.
 
-        A branch without a reason to the contrary has one place at most: all its circles and lines cross for all that
-        the discs contain. Others must be determined to so much (nq,).
+        A branch without a reason to the contrary has one place at most: all its circles and lines
+        cross for all that the discs contain. Others must be determined to so much (nq,).
         """
         loose = (self.radius > within).any(axis=1)
         return loose & ((self.why > 0) | ~closed) | (self.why & WINDING > 0)
@@ -233,7 +247,9 @@ class Enclosed:
 
 
 def enclose(plan: Plan, values: Array, limits: bool, size: float) -> Enclosed:
-    """The branches of a plan that may close for known values (n_known,); `limits`: inside the limits is enough."""
+    """The branches of a plan that may close for known values (n_known,); `limits`: inside the
+    limits is enough.
+    """
     with np.errstate(all="ignore"):
         return _Walk(plan, values, limits, size).run()
 
@@ -262,7 +278,8 @@ class _Walk:
             K.REGISTERS + 4 * k: Placed(one, zero, zero) for k in range(ints[K.N_REGISTERS])
         }
         self.known: dict[int, Coordinate] = {
-            self.first + slot: Coordinate(self.constant(float(x))) for slot, x in zip(given, values, strict=True)
+            self.first + slot: Coordinate(self.constant(float(x)))
+            for slot, x in zip(given, values, strict=True)
         }
 
     def run(self) -> Enclosed:
@@ -331,7 +348,9 @@ class _Walk:
         return Placed(self.constant(complex(f[0], f[1])), self.constant(0.0), self.point(f[2:]))
 
     def windings(self, x: Coordinate, factor: float, period: float) -> bool:
-        """Whether the whole turns by which a coordinate may differ count, times a factor, modulo a period."""
+        """Whether the whole turns by which a coordinate may differ count, times a factor, modulo a
+        period.
+        """
         return any(not period or abs(math.remainder(factor * s, period)) > 1e-9 for s in x.steps)
 
     # ---- operations
@@ -413,17 +432,27 @@ class _Walk:
         self.note((r1.low <= 0.0) | (r2.low <= 0.0), NO_LENGTH)
         near = np.where(together, 1.0, d.low)
         squares = less * total
-        ratios = [(squares.mid + k * squares.rad) / x**2 for k in (-1.0, 1.0) for x in (near, d.high)]
+        ratios = [
+            (squares.mid + k * squares.rad) / x**2 for k in (-1.0, 1.0) for x in (near, d.high)
+        ]
         slope = np.max([np.abs(1.0 - x) for x in ratios], axis=0)
-        x = Disc(0.5 * (d.mid + squares.mid / np.where(together, 1.0, d.mid)),
-                 0.5 * (slope * d.rad + squares.rad / near))  # fmt: skip
+        x = Disc(
+            0.5 * (d.mid + squares.mid / np.where(together, 1.0, d.mid)),
+            0.5 * (slope * d.rad + squares.rad / near),
+        )
         lows: list[Array] = []
         highs: list[Array] = []
         for part in (total + d, total - d, d - less, d + less):
             lows.append(np.maximum(part.mid - part.rad, 0.0))
             highs.append(np.maximum(part.mid + part.rad, 0.0))
         y = _root(lows[0] * lows[1] * lows[2] * lows[3], highs[0] * highs[1] * highs[2] * highs[3])
-        y = Disc(0.5 * y.mid / np.where(together, 1.0, d.mid), 0.5 * (y.rad + y.high * d.rad / near) / near) * sign
+        y = (
+            Disc(
+                0.5 * y.mid / np.where(together, 1.0, d.mid),
+                0.5 * (y.rad + y.high * d.rad / near) / near,
+            )
+            * sign
+        )
         self.note((lows[1] <= 0.0) | (lows[2] <= 0.0) | (lows[3] <= 0.0), MERGED)
         u = _direction(way)
         e1 = Disc(x.mid + 1j * y.mid, np.hypot(x.rad, y.rad))
@@ -465,7 +494,9 @@ class _Walk:
         one = Placed(turn, Q, P + slid * D)
         two = Placed(turn, b1, A + D * to)
         self.poses[i[8]] = one.or_else(two)
-        self.poses[i[9]] = Placed(_unit(_unit(D * _direction(to)) * _direction(w).conjugate()), a2, A)
+        self.poses[i[9]] = Placed(
+            _unit(_unit(D * _direction(to)) * _direction(w).conjugate()), a2, A
+        )
         self.dyads += 1
 
     def _on_line(self, i: list[int], f: list[float]) -> tuple[Any, ...]:
@@ -496,7 +527,9 @@ class _Walk:
         """Note rails that may be parallel; what they are apart ends branches."""
         parallel = det.low <= 0.0
         self.note(parallel, PARALLEL)
-        self.keep(~(parallel & (apart.low > np.maximum(FARTHEST * self.size * det.high, self.tolerance))))
+        self.keep(
+            ~(parallel & (apart.low > np.maximum(FARTHEST * self.size * det.high, self.tolerance)))
+        )
 
     def pin_pin(self, i: list[int], f: list[float]) -> None:
         """PIN_PIN: a cluster on two pins."""
@@ -542,7 +575,9 @@ class _Walk:
                 self.note(np.ones(self.n, dtype=bool), WINDING)
             else:
                 off = angle - x.value
-                self.closed(Disc(off.mid - period * np.round(off.mid.real / period), off.rad), f[11])
+                self.closed(
+                    Disc(off.mid - period * np.round(off.mid.real / period), off.rad), f[11]
+                )
         else:
             self.known[i[3]] = Coordinate(angle, () if narrow else (period,))
         self.closed(self.pin(i[2], f[9:]) - self.pin(i[1], f[7:]))
@@ -569,9 +604,21 @@ class _Walk:
 
 
 OPERATIONS = {
-    K.SET: _Walk.set, K.ADD: _Walk.add, K.EXPECT_ZERO: _Walk.expect_zero, K.TURN: _Walk.turn, K.SLIDE: _Walk.slide,
-    K.DIVIDE: _Walk.divide, K.CARRY: _Walk.carry, K.REBASE: _Walk.rebase, K.CIRCLES: _Walk.circles,
-    K.LINE_CIRCLE: _Walk.line_circle, K.LINES: _Walk.lines, K.PIN_PIN: _Walk.pin_pin, K.PIN_RAIL: _Walk.pin_rail,
-    K.RAIL_RAIL: _Walk.rail_rail, K.READ_TURN: _Walk.read_turn, K.READ_SLIDE: _Walk.read_slide,
-}  # fmt: skip
+    K.SET: _Walk.set,
+    K.ADD: _Walk.add,
+    K.EXPECT_ZERO: _Walk.expect_zero,
+    K.TURN: _Walk.turn,
+    K.SLIDE: _Walk.slide,
+    K.DIVIDE: _Walk.divide,
+    K.CARRY: _Walk.carry,
+    K.REBASE: _Walk.rebase,
+    K.CIRCLES: _Walk.circles,
+    K.LINE_CIRCLE: _Walk.line_circle,
+    K.LINES: _Walk.lines,
+    K.PIN_PIN: _Walk.pin_pin,
+    K.PIN_RAIL: _Walk.pin_rail,
+    K.RAIL_RAIL: _Walk.rail_rail,
+    K.READ_TURN: _Walk.read_turn,
+    K.READ_SLIDE: _Walk.read_slide,
+}
 """What each operation of a program does to enclosures."""

@@ -1,10 +1,12 @@
-"""A planar mechanism as a program of dyads: which dyads of three rigid clusters close one after another.
+"""A planar mechanism as a program of dyads: which dyads of three rigid clusters close one after
+another.
 
-Bodies that cannot move against each other form one rigid *cluster*. A joint whose coordinate is known merges two
-clusters; three clusters, joined in a circle by three joints of one freedom, are rigid and merge too: with the ground
-among them that is a dyad (Assur, 1914), without it the closed form is the same. Two clusters joined twice are
-over-constrained: two joints place them, the rest is checked. Revolute joints that share a point of a body are one
-hinge of several bodies, so it does not matter which pairs of them the description names.
+Bodies that cannot move against each other form one rigid *cluster*. A joint whose coordinate is
+known merges two clusters; three clusters, joined in a circle by three joints of one freedom, are
+rigid and merge too: with the ground among them that is a dyad (Assur, 1914), without it the closed
+form is the same. Two clusters joined twice are over-constrained: two joints place them, the rest is
+checked. Revolute joints that share a point of a body are one hinge of several bodies, so it does
+not matter which pairs of them the description names.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ if TYPE_CHECKING:
 NOWHERE = -1
 """In place of the number of a coordinate, or of a body: there is none."""
 SAME = 1e-12
-"""Points nearer than this share of the mechanism's size are one, and directions nearer than this are parallel."""
+"""Points nearer than this share of the mechanism's size are one, and directions nearer than this
+are parallel."""
 
 Pose = tuple[float, float, float, float]
 """A pose in the plane: cosine and sine of the orientation, origin."""
@@ -63,8 +66,9 @@ class PartLine:
 class Link:
     """A joint of one freedom between two parts: frames F on the first and M on the second.
 
-    A revolute joint turns by multiplier * q[slot] + offset, a prismatic one slides by that along x of F. Constraints
-    that are not joints have links too, whose motion is no coordinate: their slot is NOWHERE.
+    A revolute joint turns by multiplier * q[slot] + offset, a prismatic one slides by that along x
+    of F. Constraints that are not joints have links too, whose motion is no coordinate: their slot
+    is NOWHERE.
     """
 
     name: str
@@ -92,9 +96,10 @@ def _against(end: PartLine) -> PartLine:
 class Parts:
     """The graph that is decomposed: parts (bodies without motion between them), links and hinges.
 
-    A distance between two points is a part too, a rod on two pins, and a point on a line a block on a rail and a pin.
-    `hinges` are lists of ends that coincide, with the names of their joints; `reps` the body whose frame is the
-    part's; `misfit` the largest opening of a loop of fixed joints; `trouble` says why there is no such graph.
+    A distance between two points is a part too, a rod on two pins, and a point on a line a block on
+    a rail and a pin. `hinges` are lists of ends that coincide, with the names of their joints;
+    `reps` the body whose frame is the part's; `misfit` the largest opening of a loop of fixed
+    joints; `trouble` says why there is no such graph.
     """
 
     names: tuple[tuple[str, ...], ...] = ()
@@ -108,12 +113,14 @@ class Parts:
 
 @dataclass(frozen=True)
 class Dyad(InWords):
-    """A dyad that was closed: the joint types on the way round from the base, and what its two roots are.
+    """A dyad that was closed: the joint types on the way round from the base, and what its two
+    roots are.
 
-    `bodies` are those of the two clusters that it places; `joints` lie between base and first, first and second, and
-    second and base. `sign` is its number among the branch signs, None where there is one root only. For `branch_of`:
-    the signed height of `ends[2]` above the line from `ends[0]` to `ends[1]`, or, with `along`, the distance from
-    `ends[0]` to `ends[2]` along the direction of `ends[1]`.
+    `bodies` are those of the two clusters that it places; `joints` lie between base and first,
+    first and second, and second and base. `sign` is its number among the branch signs, None where
+    there is one root only. For `branch_of`: the signed height of `ends[2]` above the line from
+    `ends[0]` to `ends[1]`, or, with `along`, the distance from `ends[0]` to `ends[2]` along the
+    direction of `ends[1]`.
     """
 
     kind: str
@@ -134,7 +141,12 @@ class Dyad(InWords):
 def times(a: Pose, b: Pose) -> Pose:
     """The planar pose a b, b in the frame of a."""
     c, s, x, y = a
-    return c * b[0] - s * b[1], s * b[0] + c * b[1], x + c * b[2] - s * b[3], y + s * b[2] + c * b[3]
+    return (
+        c * b[0] - s * b[1],
+        s * b[0] + c * b[1],
+        x + c * b[2] - s * b[3],
+        y + s * b[2] + c * b[3],
+    )
 
 
 def inverse(a: Pose) -> Pose:
@@ -166,7 +178,9 @@ def _slides(constraint: Declared) -> bool:
 
 
 def alone(joint: Joint) -> Primitive | None:
-    """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one that has several."""
+    """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one
+    that has several.
+    """
     primitives = joint.type.layout(2)[1]
     return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
 
@@ -179,7 +193,9 @@ def parts_of(system: System) -> Parts:
     particles = [b.name for b in mechanism.bodies.values() if b.particle]
     if particles:
         return Parts(trouble=f"{particles[0]!r} is a particle")
-    other = [c for c in mechanism.constraints.values() if c.equations(2) and not (c.rod or _slides(c))]
+    other = [
+        c for c in mechanism.constraints.values() if c.equations(2) and not (c.rod or _slides(c))
+    ]
     if other:
         return Parts(trouble=f"constraint {other[0].name!r} is of kind {other[0].kind}")
     held: dict[str, tuple[str, str, Pose]] = {}
@@ -217,7 +233,9 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
         assert motion is not None
         turns = motion.kind == R
         axis = "xyz".index(motion.axis)
-        F, M = (times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))
+        F, M = (
+            times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM))
+        )
         source = coordinate_names(mechanism, joint)[0]
         multiplier = 1.0
         offset = 0.0
@@ -226,7 +244,9 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
             source = follower.source or ""
             multiplier = follower.multiplier
             offset = follower.offset
-        links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))
+        links.append(
+            Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset)
+        )
     constraints = mechanism.constraints
     for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=natural):
         links += _tie(system, name, len(groups), at)
@@ -259,7 +279,9 @@ def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) 
 def _merge(
     order: list[str], held: dict[str, tuple[str, str, Pose]]
 ) -> tuple[dict[str, tuple[int, Pose]], list[list[str]], float]:
-    """Part and pose in it of each body, the bodies of each part, and the largest misfit of a loop of fixed joints."""
+    """Part and pose in it of each body, the bodies of each part, and the largest misfit of a loop
+    of fixed joints.
+    """
     ways: dict[str, list[tuple[str, Pose]]] = {b: [] for b in order}
     for parent, child, X in held.values():
         ways[parent].append((child, X))
@@ -278,7 +300,9 @@ def _merge(
                 if there not in at:
                     at[there] = len(groups) - 1, pose
                     groups[-1].append(there)
-                misfit = max(misfit, max(abs(u - w) for u, w in zip(pose, at[there][1], strict=True)))
+                misfit = max(
+                    misfit, max(abs(u - w) for u, w in zip(pose, at[there][1], strict=True))
+                )
     return at, groups, misfit
 
 
@@ -310,7 +334,8 @@ def _hinges(
 
     for part, ends in points.items():
         if part not in slides and all(math.dist(p, ends[0][1]) <= same for _, p in ends):
-            continue  # a link without length: to merge its ends would leave its orientation to nothing
+            # a link without length: to merge its ends would leave its orientation to nothing
+            continue
         ends.sort(key=lambda e: e[1])
         for n, (i, p) in enumerate(ends):
             for j, q in ends[n + 1 :]:
@@ -332,7 +357,9 @@ def _hinges(
 
 
 class Code:
-    """A program for the dyad kernel while it is written: operations, and the places of registers and coordinates."""
+    """A program for the dyad kernel while it is written: operations, and the places of registers
+    and coordinates.
+    """
 
     def __init__(self, n_parts: int, nq: int):
         self.registers = n_parts + 3
@@ -359,7 +386,9 @@ class Code:
         return self.target(self.nq) + self.signs - 1
 
     def append(self, code: int, ints: list[int], floats: object = ()) -> None:
-        """Append an operation: its number `code` (of `dyad_layout`) with its integer and float operands."""
+        """Append an operation: its number `code` (of `dyad_layout`) with its integer and float
+        operands.
+        """
         self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
 
     def pins(self, code: int, ends: list[PartLine], more: list[int], rails: int = 0) -> None:
@@ -384,11 +413,16 @@ class Code:
         return ints, floats
 
 
-def operations(program: tuple[np.ndarray, Array]) -> tuple[list[int], list[tuple[list[int], list[float]]]]:
+def operations(
+    program: tuple[np.ndarray, Array],
+) -> tuple[list[int], list[tuple[list[int], list[float]]]]:
     """Slots of the known coordinates of a program, and its operations: code and places, numbers."""
     ints: list[int] = program[0].tolist()
     floats: list[float] = program[1].tolist()
     start = K.HEADER + ints[K.N_KNOWN]
     each = range(ints[K.N_OPS])
-    ops = [(ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS]) for k in each]
+    ops = [
+        (ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS])
+        for k in each
+    ]
     return ints[K.HEADER : start], ops

@@ -1,4 +1,6 @@
-"""The closed form of a planar mechanism of dyads as formulas: body after body, coordinate after coordinate."""
+"""The closed form of a planar mechanism of dyads as formulas: body after body, coordinate after
+coordinate.
+"""
 
 from __future__ import annotations
 
@@ -41,21 +43,25 @@ LEFT = "+1 has the middle joint to the left"
 
 @dataclass(frozen=True, eq=False)
 class DyadFormulas(Derivation):
-    """Formulas of all coordinates of a mechanism from those that are known; `sign_1`, ... are the branch signs.
+    """Formulas of all coordinates of a mechanism from those that are known; `sign_1`, ... are the
+    branch signs.
 
-    Angles are found up to full turns. Symbols `x_b`, `y_b`, `theta_b` are the place and the angle of the body b.
+    Angles are found up to full turns. Symbols `x_b`, `y_b`, `theta_b` are the place and the angle
+    of the body b.
     """
 
     plan: Plan
 
     def __call__(self, values: ArrayLike, branch: Any = None) -> Array:
-        """Configurations (..., nq) for known coordinates (..., n), nan where a branch does not close; see `Plan.solve`.
+        """Configurations (..., nq) for known coordinates (..., n), nan where a branch does not
+        close; see `Plan.solve`.
 
         Angles that are found are in (-pi, pi].
         """
         given, lead = self.plan.values(values)
         found = self.evaluate(
-            given, np.broadcast_to(self.plan.sign_rows(branch, None, lead), (len(given), self.plan.signs))
+            given,
+            np.broadcast_to(self.plan.sign_rows(branch, None, lead), (len(given), self.plan.signs)),
         )
         names = self.system.coordinate_names
         turning = self.system.structure.coordinates.turning
@@ -80,7 +86,9 @@ class _Place(NamedTuple):
 
 
 class _Geometry(NamedTuple):
-    """A joint of one freedom in the plane: a point on each of two bodies, and the angle of its frames there."""
+    """A joint of one freedom in the plane: a point on each of two bodies, and the angle of its
+    frames there.
+    """
 
     joint: Joint
     turns: bool
@@ -104,10 +112,18 @@ class _Writing:
         self.steps: list[FormulaStep] = []
         taken = {*plan.system.coordinate_names, *plan.system.structure.parameters}
         own = {f"{word}_{b}" for word in ("theta", "x", "y") for b in plan.system.body_names}
-        own |= {f"{word}_{k}" for word in (*Names._fields, "d_x", "d_y") for k in range(1, len(plan.dyads) + 1)}
-        self.end = next(end for end in endings() if not any(f"{word}{end}" in taken for word in own))
+        own |= {
+            f"{word}_{k}"
+            for word in (*Names._fields, "d_x", "d_y")
+            for k in range(1, len(plan.dyads) + 1)
+        }
+        self.end = next(
+            end for end in endings() if not any(f"{word}{end}" in taken for word in own)
+        )
         self.found: list[str] = []
-        self.unknown = {sympy.Symbol(n) for n in plan.system.coordinate_names} - {sympy.Symbol(n) for n in plan.known}
+        self.unknown = {sympy.Symbol(n) for n in plan.system.coordinate_names} - {
+            sympy.Symbol(n) for n in plan.known
+        }
         self.places = {plan.system.body_names[0]: _Place((0, 0), 0)}
         self.joints = {name: self._geometry(j) for name, j in plan.system.structure.joints.items()}
         self.hinges = {name: names for names, _ in parts_of(plan.system).hinges for name in names}
@@ -116,18 +132,26 @@ class _Writing:
         """A joint as it lies on its bodies; without motion its value is zero."""
         motion = alone(joint)
         if motion is None and joint.type.layout(2)[1]:
-            raise UnsupportedError(f"joint {joint.name!r} has no formulas here; loops.closed_form has numbers")
-        ends: list[Any] = [pose_of(placement_steps(X, joint.name, self.leaves), self.leaves)
-                           for X in (joint.X_PF, joint.X_CM)]  # fmt: skip
+            raise UnsupportedError(
+                f"joint {joint.name!r} has no formulas here; loops.closed_form has numbers"
+            )
+        ends: list[Any] = [
+            pose_of(placement_steps(X, joint.name, self.leaves), self.leaves)
+            for X in (joint.X_PF, joint.X_CM)
+        ]
         turns = motion is None or motion.kind == R
         axis = 0 if turns or motion is None else "xyz".index(motion.axis)
         angles = [polar((X[0, axis], X[1, axis]))[1] for X in ends]
         name = self.system.structure.coordinates_of_joint(joint.name)
         value = self.leaves.coordinate(name[0]) if name else sympy.Integer(0)
-        return _Geometry(joint, turns, tuple((X[0, 3], X[1, 3]) for X in ends), tuple(angles), value)  # type: ignore[arg-type]
+        return _Geometry(
+            joint, turns, tuple((X[0, 3], X[1, 3]) for X in ends), tuple(angles), value
+        )  # type: ignore[arg-type]
 
     def write(self) -> DyadFormulas:
-        """Place body after body, by known coordinates, then by the next dyad, until all coordinates are known."""
+        """Place body after body, by known coordinates, then by the next dyad, until all coordinates
+        are known.
+        """
         dyads = list(self.plan.dyads)
         while True:
             while self._drive() or self._read():
@@ -140,7 +164,9 @@ class _Writing:
             raise UnsupportedError(f"no formulas for {names}; loops.closed_form has numbers")
         given = tuple(sympy.Symbol(n) for n in self.plan.known)
         signs = tuple(sympy.Symbol(f"sign_{k + 1}{self.end}") for k in range(self.plan.signs))
-        return DyadFormulas(self.system, tuple(self.steps), given, signs, tuple(self.found), self.plan)
+        return DyadFormulas(
+            self.system, tuple(self.steps), given, signs, tuple(self.found), self.plan
+        )
 
     # ---- what is known
 
@@ -154,7 +180,9 @@ class _Writing:
         end = f"{body}{self.end}"
         theta = self._say(f"theta_{end}", angle, f"angle of {body}")
         x, y = minus(at, turned(own, theta))
-        self.places[body] = _Place((self._say(f"x_{end}", x, f"place of {body}"), self._say(f"y_{end}", y)), theta)
+        self.places[body] = _Place(
+            (self._say(f"x_{end}", x, f"place of {body}"), self._say(f"y_{end}", y)), theta
+        )
 
     def _drive(self) -> bool:
         """Place a body by a joint whose coordinate is known."""
@@ -166,8 +194,12 @@ class _Writing:
                 return True
         return False
 
-    def _across(self, g: _Geometry, body: str, here: _Place, value: Any) -> tuple[str, Any, Vector, Vector]:
-        """What is on the other side of a joint at a value: the body, its angle, its point, and where that is."""
+    def _across(
+        self, g: _Geometry, body: str, here: _Place, value: Any
+    ) -> tuple[str, Any, Vector, Vector]:
+        """What is on the other side of a joint at a value: the body, its angle, its point, and
+        where that is.
+        """
         side = g.side(body)
         sense = -1 if side else 1
         angle = here.angle + g.angles[side] - g.angles[1 - side] + (sense * value if g.turns else 0)
@@ -183,7 +215,11 @@ class _Writing:
     def _read(self) -> bool:
         """Learn the coordinate of a joint that turns between bodies that are placed."""
         for g in self.joints.values():
-            if g.joint.parent in self.places and g.joint.child in self.places and g.value.free_symbols & self.unknown:
+            if (
+                g.joint.parent in self.places
+                and g.joint.child in self.places
+                and g.value.free_symbols & self.unknown
+            ):
                 parent = self.places[g.joint.parent]
                 child = self.places[g.joint.child]
                 if g.turns:
@@ -199,7 +235,11 @@ class _Writing:
         unknown = list(g.value.free_symbols & self.unknown)
         if len(unknown) == 1:
             rate = sympy.diff(g.value, unknown[0])
-            self._say(str(unknown[0]), (value - g.value.subs(unknown[0], 0)) / rate, f"coordinate of {g.joint.name}")
+            self._say(
+                str(unknown[0]),
+                (value - g.value.subs(unknown[0], 0)) / rate,
+                f"coordinate of {g.joint.name}",
+            )
             self.unknown -= {unknown[0]}
             self.found.append(str(unknown[0]))
 
@@ -214,7 +254,11 @@ class _Writing:
             for g in self.joints.values():
                 ends = g.joint.parent, g.joint.child
                 there = [b for b in ends if b in out]
-                if len(there) == 1 and {*ends} <= {*bodies} and not g.value.free_symbols & self.unknown:
+                if (
+                    len(there) == 1
+                    and {*ends} <= {*bodies}
+                    and not g.value.free_symbols & self.unknown
+                ):
                     other, angle, own, at = self._across(g, there[0], out[there[0]], g.value)
                     out[other] = _Place(minus(at, turned(own, angle)), angle)
                     grown = True
@@ -224,7 +268,9 @@ class _Writing:
         """The point of a hinge on bodies whose places are given."""
         for name in self.hinges.get(joint, (joint,)):
             g = self.joints.get(name)
-            for body, point in zip((g.joint.parent, g.joint.child), g.points, strict=True) if g else ():
+            for body, point in (
+                zip((g.joint.parent, g.joint.child), g.points, strict=True) if g else ()
+            ):
                 if body in places:
                     return places[body].of(point)
         raise self._none(joint)
@@ -238,10 +284,14 @@ class _Writing:
         raise self._none(joint)
 
     def _none(self, joint: str) -> UnsupportedError:
-        return UnsupportedError(f"no formulas for the dyad at {joint!r}; loops.closed_form has numbers")
+        return UnsupportedError(
+            f"no formulas for the dyad at {joint!r}; loops.closed_form has numbers"
+        )
 
     def _to(self, k: int, v: Vector) -> Vector:
-        return self._say(f"d_x_{k}{self.end}", v[0], "between the joints"), self._say(f"d_y_{k}{self.end}", v[1])
+        return self._say(f"d_x_{k}{self.end}", v[0], "between the joints"), self._say(
+            f"d_y_{k}{self.end}", v[1]
+        )
 
     def _polar(self, v: Vector) -> tuple[Any, Any]:
         """Length, not negative, and angle of a vector."""
@@ -266,7 +316,11 @@ class _Writing:
         how = {"RRR": self._circles, "RPR": self._turning, "PRP": self._both_slide}.get(dyad.kind)
         if how is None:
             how = self._line_circle if dyad.kind.count("P") == 1 else self._slide_on_slide
-        how(n, k, *(near if dyad.kind[0] == "P" or dyad.kind[-1] == "R" and dyad.kind != "RPP" else far))
+        how(
+            n,
+            k,
+            *(near if dyad.kind[0] == "P" or dyad.kind[-1] == "R" and dyad.kind != "RPP" else far),
+        )
 
     def _circles(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
         (x, y, z) = joints
@@ -287,7 +341,9 @@ class _Writing:
         self._place(second[0], here.angle + at1 + bend - at2, b2, here.of(b1))
 
     def _slid(self, rail: str, slider: Bodies) -> tuple[_Geometry, str, _Place, Vector]:
-        """A link that slides on what is placed: the joint, its placed body, where the link is at zero, and its way."""
+        """A link that slides on what is placed: the joint, its placed body, where the link is at
+        zero, and its way.
+        """
         g, still = self._rail(rail, self.places)
         own = self._cluster(slider)
         body, angle, point, at = self._across(g, still, self.places[still], 0)
@@ -344,9 +400,13 @@ class _Writing:
 
     def _both_slide(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
         """Place two sliders on what is placed, joined by a hinge."""
-        ways = [self._slid(rail, bodies) for rail, bodies in ((joints[0], first), (joints[2], second))]
-        pins = [way[2].of(self._pin(joints[1], self._cluster(bodies)))
-                for way, bodies in zip(ways, (first, second), strict=True)]  # fmt: skip
+        ways = [
+            self._slid(rail, bodies) for rail, bodies in ((joints[0], first), (joints[2], second))
+        ]
+        pins = [
+            way[2].of(self._pin(joints[1], self._cluster(bodies)))
+            for way, bodies in zip(ways, (first, second), strict=True)
+        ]
         (d1, d2) = (way[3] for way in ways)
         to = self._to(k, minus(pins[1], pins[0]))
         steps, *slides = two_lines(n, to, d1, (-d2[0], -d2[1]))
@@ -360,7 +420,9 @@ class _Writing:
         g1, still, start, d1 = self._slid(rail, near)
         before = self.places
         own = self._cluster(near)
-        self.places = {b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()}  # as at zero
+        self.places = {
+            b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()
+        }  # as at zero
         g2, _, tip, d2 = self._slid(middle, far)
         self.places = before
         to = minus(self._pin(pin, self.places), tip.of(self._pin(pin, self._cluster(far))))

@@ -1,4 +1,6 @@
-"""Planar mechanisms made of dyads in closed form: all configurations for known coordinates, with their branches."""
+"""Planar mechanisms made of dyads in closed form: all configurations for known coordinates, with
+their branches.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +37,9 @@ CLOSED = 1e-12
 CHUNK = 8192
 SERIAL_BELOW = 20_000
 STEP = 0.1
-"""Largest change of a coordinate between two rows, in radians and characteristic lengths, as a part of the least margin
-of a dyad, for a sequence of rows to stay on its branch: the sine of the angle between the links is that margin."""
+"""Largest change of a coordinate between two rows, in radians and characteristic lengths, as a part
+of the least margin of a dyad, for a sequence of rows to stay on its branch: the sine of the angle
+between the links is that margin."""
 MOST_SIGNS = 16
 """Branch signs up to which all combinations are tried: 65536 configurations."""
 
@@ -64,7 +67,9 @@ class Incomplete(Report):
 
     def formulas(self, *args: Any, **options: Any) -> NoReturn:
         """Refused, as all that needs a closed form. Errors: `UnsupportedError` with the reason."""
-        raise UnsupportedError(f"{self.reason}; `assemble` and `assembly_modes` find its configurations by numbers")
+        raise UnsupportedError(
+            f"{self.reason}; `assemble` and `assembly_modes` find its configurations by numbers"
+        )
 
     solve = close = all = heights = branch_of = formulas
 
@@ -75,10 +80,12 @@ class Incomplete(Report):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class DyadAnswer(Answer):
-    """Configurations `q` (..., nq) of a `plan`; which are closed (`success` or `ok`); their openings `gap` in metres.
+    """Configurations `q` (..., nq) of a `plan`; which are closed (`success` or `ok`); their
+    openings `gap` in metres.
 
-    `undetermined` (...) counts the parts of each that these inputs leave free: links without length, circles with one
-    centre, parallel lines. They got one of their infinitely many positions.
+    `undetermined` (...) counts the parts of each that these inputs leave free: links without
+    length, circles with one centre, parallel lines. They got one of their infinitely many
+    positions.
     """
 
     __repr__ = brief
@@ -118,13 +125,21 @@ class DyadAnswer(Answer):
         return held_at(self.system, dict(zip(plan.known, columns, strict=True)))
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        code, gap, free = (np.asarray(x)[index].item() for x in (self.code, self.gap, self.undetermined))
+        code, gap, free = (
+            np.asarray(x)[index].item() for x in (self.code, self.gap, self.undetermined)
+        )
         if code == Status.BAD_INPUT:
             return "known values are not finite or too large"
         if code != Status.SOLVED:
             text = f"open by {gap:.6g} m on this branch; q is where it nearly touches"
-            return text + (f"; {counted(free, 'part')} left undetermined, which may close elsewhere" if free else "")
-        return f"closed: open by {gap:.1e} m" + (f"; {counted(free, 'part')} left undetermined" if free else "")
+            return text + (
+                f"; {counted(free, 'part')} left undetermined, which may close elsewhere"
+                if free
+                else ""
+            )
+        return f"closed: open by {gap:.1e} m" + (
+            f"; {counted(free, 'part')} left undetermined" if free else ""
+        )
 
 
 @explained_methods
@@ -132,11 +147,12 @@ class DyadAnswer(Answer):
 class Plan(Report):
     """A mechanism in closed form for `known` coordinates: dyad after dyad of three rigid clusters.
 
-    `dyads` lists them; `signs` is how many of them have two roots, and so are chosen by a branch sign, +1 or -1.
-    A sign stays along a motion until its `heights` is zero: there two branches meet. Most mechanisms turn back at such
-    a place; at a change point, as of a parallelogram that is flat, a smooth motion goes on with the other sign.
-    Openings up to `tolerance` metres count as closed. Method: chained circle and line intersections of the dyads
-    (Assur, 1914), in vectors of configurations.
+    `dyads` lists them; `signs` is how many of them have two roots, and so are chosen by a branch
+    sign, +1 or -1. A sign stays along a motion until its `heights` is zero: there two branches
+    meet. Most mechanisms turn back at such a place; at a change point, as of a parallelogram that
+    is flat, a smooth motion goes on with the other sign. Openings up to `tolerance` metres count as
+    closed. Method: chained circle and line intersections of the dyads (Assur, 1914), in vectors of
+    configurations.
     """
 
     system: System
@@ -153,24 +169,36 @@ class Plan(Report):
     @property
     def status(self) -> str:
         """From what it is closed, and by how many dyads."""
-        return f"{self.system.name} from {', '.join(self.known) or 'nothing'}: {counted(len(self.dyads), 'dyad')}"
+        return (
+            f"{self.system.name} from {', '.join(self.known) or 'nothing'}: "
+            f"{counted(len(self.dyads), 'dyad')}"
+        )
 
     def describe(self) -> str:
         """What each dyad is, and what its branch sign means, as text; one line each."""
         return str(self)
 
     def _notes(self) -> list[str]:
-        return [f"{'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}" for d in self.dyads]
+        return [
+            f"{'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}"
+            for d in self.dyads
+        ]
 
     def _data(self) -> dict[str, Any]:
-        return {"system": self.system.name, "known": self.known, "signs": self.signs, "dyads": self._notes()}
+        return {
+            "system": self.system.name,
+            "known": self.known,
+            "signs": self.signs,
+            "dyads": self._notes(),
+        }
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
-        """The closed form as formulas, which can be called, printed and written as LaTeX and as code for numpy.
+        """The closed form as formulas, which can be called, printed and written as LaTeX and as
+        code for numpy.
 
-        `symbols` replaces coordinates and parameters as in `symbolic.fk`. Errors: `UnsupportedError` for rods and slots
-        without bodies of their own, laws of several coordinates, and links that are several bodies; `MissingExtraError`
-        without sympy.
+        `symbols` replaces coordinates and parameters as in `symbolic.fk`. Errors:
+        `UnsupportedError` for rods and slots without bodies of their own, laws of several
+        coordinates, and links that are several bodies; `MissingExtraError` without sympy.
         """
         from kempe.solvers.dyads.dyad_formulas import dyad_formulas
 
@@ -179,17 +207,21 @@ class Plan(Report):
     def solve(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> tuple[Array, Any, Any]:
-        """Configurations q (..., nq), whether they are closed (...), and their openings (...) in metres.
+        """Configurations q (..., nq), whether they are closed (...), and their openings (...) in
+        metres.
 
-        `values` (..., n_known) are the known coordinates in the order of `known`. `branch` are the signs, (signs,) or
-        (..., signs), or text such as '+-'; where it is left out, the branch of `start` is taken, else + everywhere.
-        Angles are those nearest to `start`, (nq,) or (..., nq), else to zero, and inside the limits where some
-        representative is. What cannot close is put where it nearly touches; NaN among the values gives NaN.
+        `values` (..., n_known) are the known coordinates in the order of `known`. `branch` are the
+        signs, (signs,) or (..., signs), or text such as '+-'; where it is left out, the branch of
+        `start` is taken, else + everywhere. Angles are those nearest to `start`, (nq,) or (...,
+        nq), else to zero, and inside the limits where some representative is. What cannot close is
+        put where it nearly touches; NaN among the values gives NaN.
         """
         closed = self.close(values, branch, start, threads)
         return closed.q, closed.ok, closed.gap
 
-    def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> DyadAnswer:
+    def close(
+        self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
+    ) -> DyadAnswer:
         """As `solve`, with what these inputs leave undetermined."""
         given, lead = self.values(values)
         nq = self.system.nq
@@ -198,7 +230,9 @@ class Plan(Report):
         else:
             targets = _rows(as_start(self.system, start), lead, "near")
             refuse_far(self.system, targets, "start")
-        signs = self.sign_rows(branch, targets if branch is None and start is not None else None, lead)
+        signs = self.sign_rows(
+            branch, targets if branch is None and start is not None else None, lead
+        )
         q, status = self._run(given, signs, targets, threads)
         gap = status[:, 0]
         ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
@@ -208,15 +242,19 @@ class Plan(Report):
         return DyadAnswer(q.reshape(*lead, nq), ok, gap, free, (self, given))
 
     def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
-        """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those that close.
+        """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those
+        that close.
 
-        Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to zero.
+        Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to
+        zero.
         """
         given, lead = self.values(values)
         signs = self.branches()
         k = len(signs)
         nq = self.system.nq
-        targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
+        targets = (
+            np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
+        )
         refuse_far(self.system, targets, "start")
         many = np.repeat(given, k, axis=0)
         q, status = self._run(many, np.tile(signs, (len(given), 1)), targets)
@@ -224,16 +262,23 @@ class Plan(Report):
         return q.reshape(*lead, k, nq), mask.reshape(*lead, k)
 
     def branches(self) -> Array:
-        """All combinations of signs (2**signs, signs), + before -. Errors: `InputError` where they are too many."""
+        """All combinations of signs (2**signs, signs), + before -. Errors: `InputError` where they
+        are too many.
+        """
         if self.signs > MOST_SIGNS:
-            raise InputError(f"there are 2**{self.signs} branches; all of them are listed up to 2**{MOST_SIGNS}")
-        return np.array(list(product((1.0, -1.0), repeat=self.signs))).reshape(2**self.signs, self.signs)
+            raise InputError(
+                f"there are 2**{self.signs} branches; all of them are listed up to 2**{MOST_SIGNS}"
+            )
+        return np.array(list(product((1.0, -1.0), repeat=self.signs))).reshape(
+            2**self.signs, self.signs
+        )
 
     def heights(self, q: Any) -> Array:
-        """What the branch signs are the signs of (..., signs), in metres; zero where two branches meet.
+        """What the branch signs are the signs of (..., signs), in metres; zero where two branches
+        meet.
 
-        For three revolute joints, the distance of the middle one from the line through the others; with a prismatic
-        joint, the way that it has slid from where its two roots meet.
+        For three revolute joints, the distance of the middle one from the line through the others;
+        with a prismatic joint, the way that it has slid from where its two roots meet.
         """
         q = as_q(self.system, q)
         X = fk(self.system, q)
@@ -254,7 +299,9 @@ class Plan(Report):
         return out
 
     def branch_of(self, q: Any) -> Array:
-        """Branch signs (..., signs), +1 or -1, of closed configurations q (..., nq); + where two branches meet."""
+        """Branch signs (..., signs), +1 or -1, of closed configurations q (..., nq); + where two
+        branches meet.
+        """
         return np.where(self.heights(q) < 0.0, -1.0, 1.0)
 
     def _place(self, X: Array, end: PartLine) -> tuple[Array, Array]:
@@ -262,13 +309,17 @@ class Plan(Report):
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
 
-    def _continued(self, values: Array, before: Array, unit: Array, turns: np.ndarray) -> Array | None:
-        """Configurations (N, nq) for known `values` (N, n_known) that continue the closed one `before` (nq,).
+    def _continued(
+        self, values: Array, before: Array, unit: Array, turns: np.ndarray
+    ) -> Array | None:
+        """Configurations (N, nq) for known `values` (N, n_known) that continue the closed one
+        `before` (nq,).
 
-        They lie on its branch, and each follows the row before it without a jump. None where a row does not close, is
-        undetermined, or differs from the row before it by more than `STEP` of the least margin of its dyads: the branch
-        alone does not say there how the sequence goes on. `unit` (nq,) are the coordinates of one radian or one
-        characteristic length; `turns` are indices of those that a full turn brings back.
+        They lie on its branch, and each follows the row before it without a jump. None where a row
+        does not close, is undetermined, or differs from the row before it by more than `STEP` of
+        the least margin of its dyads: the branch alone does not say there how the sequence goes on.
+        `unit` (nq,) are the coordinates of one radian or one characteristic length; `turns` are
+        indices of those that a full turn brings back.
         """
         q, status = self._run(values, self.branch_of(before)[None], before[None], 1)
         if not (np.all(status[:, 0] <= self.tolerance) and np.all(status[:, 1] == 0.0)):
@@ -288,8 +339,12 @@ class Plan(Report):
             np.maximum(most, np.abs(change) / unit[i], out=most)
         return q if np.all(most <= STEP * status[:, 2]) else None
 
-    def _run(self, values: Array, signs: Array, targets: Array, threads: int | None = None) -> tuple[Array, Array]:
-        """Configurations (N, nq), and of each the opening, the count of undetermined parts and the margin (N, 3)."""
+    def _run(
+        self, values: Array, signs: Array, targets: Array, threads: int | None = None
+    ) -> tuple[Array, Array]:
+        """Configurations (N, nq), and of each the opening, the count of undetermined parts and the
+        margin (N, 3).
+        """
         from kempe.kernels.compiled import dyads_program as dyads
 
         ints, floats = self.program
@@ -308,20 +363,33 @@ class Plan(Report):
         array = reals(values, "values")
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
-            raise InputError(f"values have {got}; they must be (..., {len(self.known)}): {', '.join(self.known)}")
+            raise InputError(
+                f"values have {got}; they must be (..., {len(self.known)}): {', '.join(self.known)}"
+            )
         lead = array.shape[:-1]
         return np.ascontiguousarray(array.reshape(math.prod(lead), len(self.known))), lead
 
     def sign_rows(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
-        """Signs (1 or N, signs) of a branch, else those of the configurations `start`, else +. Errors: `InputError`."""
+        """Signs (1 or N, signs) of a branch, else those of the configurations `start`, else +.
+        Errors: `InputError`.
+        """
         if branch is None:
-            return np.ones((1, self.signs)) if start is None else np.ascontiguousarray(self.branch_of(start))
-        given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch
+            return (
+                np.ones((1, self.signs))
+                if start is None
+                else np.ascontiguousarray(self.branch_of(start))
+            )
+        given = (
+            [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch]
+            if isinstance(branch, str)
+            else branch
+        )
         signs = reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{counted(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
             raise InputError(
-                f"branch is {branch!r}; it must be {each}; loops.closed_form({self.known}).describe() tells"
+                f"branch is {branch!r}; it must be {each}; "
+                f"loops.closed_form({self.known}).describe() tells"
             )
         return _rows(signs, lead, "branch")
 
@@ -329,17 +397,20 @@ class Plan(Report):
 def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
     """`x` as (1 or N, k), where it has no leading axes or those of the values."""
     if x.ndim > 1 and x.shape[:-1] != lead:
-        raise InputError(f"{what} has shape {x.shape}; it must be ({x.shape[-1]},) or {(*lead, x.shape[-1])}")
+        raise InputError(
+            f"{what} has shape {x.shape}; it must be ({x.shape[-1]},) or {(*lead, x.shape[-1])}"
+        )
     return np.ascontiguousarray(x.reshape(math.prod(x.shape[:-1]), x.shape[-1]))
 
 
 @explained
 def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete:
-    """The closed form of a planar system for these known coordinates, or `Incomplete`, which says what is left over.
+    """The closed form of a planar system for these known coordinates, or `Incomplete`, which says
+    what is left over.
 
-    It exists for bodies, joined by revolute, prismatic and fixed joints, that are placed by known coordinates, their
-    followers, and dyads of three rigid clusters (Assur groups of the second class). Errors:
-    `UnknownNameError` for the names, `InputError` for one that is not in q.
+    It exists for bodies, joined by revolute, prismatic and fixed joints, that are placed by known
+    coordinates, their followers, and dyads of three rigid clusters (Assur groups of the second
+    class). Errors: `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
     return _closed_form(system, listed(known, "known"))
 
@@ -347,7 +418,8 @@ def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete
 def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
     """Known values by coordinates of q: a coordinate that follows another is led back to that.
 
-    Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move together.
+    Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move
+    together.
     """
     out: dict[str, Any] = {}
     for name, given in known.items():
@@ -355,22 +427,33 @@ def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
         if follower is None and name not in system.coordinate_names:
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
         if follower is not None and follower.source is None:
-            raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
+            raise InputError(
+                f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given"
+            )
         number = reals(given, f"coordinate {name!r}", "a number")
         source = name if follower is None else str(follower.source)
         if source in out:
-            raise InputError(f"known coordinates {name!r} and {source!r} move together: give one of them")
-        out[source] = number if follower is None else (number - follower.offset) / follower.multiplier
+            raise InputError(
+                f"known coordinates {name!r} and {source!r} move together: give one of them"
+            )
+        out[source] = (
+            number if follower is None else (number - follower.offset) / follower.multiplier
+        )
     return out
 
 
 def on_branch(
-    system: System, known: Mapping[str, Any], branch: Any, near: Any = None, threads: int | None = None
+    system: System,
+    known: Mapping[str, Any],
+    branch: Any,
+    near: Any = None,
+    threads: int | None = None,
 ) -> Array:
-    """Configurations (..., nq) on a branch, as `Plan.solve` gives them, for known values by coordinate name.
+    """Configurations (..., nq) on a branch, as `Plan.solve` gives them, for known values by
+    coordinate name.
 
-    What cannot close on this branch is put where it nearly touches. Errors: `InputError` where there is no closed form,
-    and so no branch signs.
+    What cannot close on this branch is put where it nearly touches. Errors: `InputError` where
+    there is no closed form, and so no branch signs.
     """
     values = source_values(system, known)
     plan = closed_form(system, tuple(values))
@@ -390,7 +473,11 @@ def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
         follower = system.structure.couplings.get(name)
         if follower is None:
             raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        follows = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
+        follows = (
+            f"it follows {follower.source!r}"
+            if follower.source
+            else f"it is held at {follower.offset:g}"
+        )
         raise InputError(f"coordinate {name!r} is not part of q: {follows}")
     if len(set(names)) < len(names):
         raise InputError(f"known names a coordinate twice: {', '.join(names)}")
@@ -409,7 +496,9 @@ def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
 def _in_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
     """A dyad whose ends count bodies instead of parts."""
     ends = tuple(PartLine(reps[e.part], *e.rail) for e in dyad.ends)
-    return Dyad(dyad.kind, dyad.base, dyad.bodies, dyad.joints, dyad.sign, dyad.meaning, ends, dyad.along)
+    return Dyad(
+        dyad.kind, dyad.base, dyad.bodies, dyad.joints, dyad.sign, dyad.meaning, ends, dyad.along
+    )
 
 
 def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
@@ -422,4 +511,6 @@ def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
         why = f"by counting, {missing} more {them} must be known"
     else:
         why = "they form an Assur group of a higher class, which has no dyad"
-    return Incomplete(f"no closed form: {shown} cannot be placed one dyad after another; {why}", bodies)
+    return Incomplete(
+        f"no closed form: {shown} cannot be placed one dyad after another; {why}", bodies
+    )

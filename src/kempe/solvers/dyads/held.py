@@ -36,7 +36,9 @@ class HeldCoordinate(NamedTuple):
 
 
 def held_at(system: System, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
-    """Tasks, goals and tolerances of known values by the names of coordinates, or places by the names of frames."""
+    """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
+    names of frames.
+    """
     own = {*system.coordinate_names, *system.structure.couplings}
     turns = system.structure.coordinates.turning[system.structure.layout.vector_v].tolist()
     turning = dict(zip(system.structure.layout.vector_q.tolist(), turns, strict=True))

@@ -1,9 +1,10 @@
-"""Mirror images of configurations, and mixtures of them: places where more assembly modes are looked for.
+"""Mirror images of configurations, and mixtures of them: places where more assembly modes are
+looked for.
 
-Where the points by which bodies are connected lie in a plane (in a planar system: on a line), on the ground and on each
-body, the mirror image of a closed configuration in the ground's plane is closed, too: distances do not tell left from
-right. Where they do not, the bodies are put as near to the image as may be; whoever reads these configurations closes
-them, so nothing rests on them.
+Where the points by which bodies are connected lie in a plane (in a planar system: on a line), on
+the ground and on each body, the mirror image of a closed configuration in the ground's plane is
+closed, too: distances do not tell left from right. Where they do not, the bodies are put as near to
+the image as may be; whoever reads these configurations closes them, so nothing rests on them.
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 FLAT = 1e-6
-"""Distance of points from a plane, as a part of the mechanism's size, up to which they lie in it."""
+"""Distance of points from a plane, as a part of the mechanism's size, up to which they lie in
+it."""
 
 
 def mirrored(system: System, q: Array) -> Array:
-    """Configurations (n, nq) near the mirror images of others in the plane of the ground's points; none if these
-    points lie in no plane."""  # fmt: skip
+    """Configurations (n, nq) near the mirror images of others in the plane of the ground's points;
+    none if these points lie in no plane.
+    """
     plane = _plane(system)
     if plane is None or not len(q):
         return np.empty((0, system.nq))
@@ -45,7 +48,9 @@ def mirrored(system: System, q: Array) -> Array:
 
 
 def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
-    """Configurations (n, nq) whose joints stand as in one or another of some configurations (k, nq)."""
+    """Configurations (n, nq) whose joints stand as in one or another of some configurations (k,
+    nq).
+    """
     owner = np.array([name.rpartition(".")[0] or name for name in system.coordinate_names])
     joints, place = np.unique(owner, return_inverse=True)
     first, second = rng.integers(len(q), size=(2, n))
@@ -54,8 +59,9 @@ def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
 
 @kept
 def _points(system: System) -> list[Array]:
-    """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and slides a second one
-    on their axis, which a mirror image must keep as well."""  # fmt: skip
+    """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and
+    slides a second one on their axis, which a mirror image must keep as well.
+    """
     m = system.mechanism
     number = {b: i for i, b in enumerate(system.body_names)}
     length = characteristic_length(system)
@@ -84,7 +90,9 @@ def _points(system: System) -> list[Array]:
 
 @kept
 def _plane(system: System) -> tuple[Array, Array] | None:
-    """A point and the normal of the plane, in a planar system of the line, that the ground's points lie in."""
+    """A point and the normal of the plane, in a planar system of the line, that the ground's points
+    lie in.
+    """
     points = _points(system)[0]
     dim = system.dim
     if not len(points):
@@ -97,7 +105,9 @@ def _plane(system: System) -> tuple[Array, Array] | None:
 
 
 def _fitted(system: System, body: int, points: Array, image: Array, poses: Array) -> Array:
-    """Poses (n, 4, 4) that bring points (k, 3) of a body as near to their images (n, k, 3) as may be (Kabsch, 1976)."""
+    """Poses (n, 4, 4) that bring points (k, 3) of a body as near to their images (n, k, 3) as may
+    be (Kabsch, 1976).
+    """
     out = poses.copy()
     if not len(points):
         return out
@@ -109,7 +119,9 @@ def _fitted(system: System, body: int, points: Array, image: Array, poses: Array
     H = np.swapaxes(points - middle, 0, 1) @ (image - place[:, None])
     dim = system.dim
     scale = np.linalg.norm(H, axis=(1, 2), keepdims=True)
-    old = np.swapaxes(poses[:, :dim, :dim], 1, 2)  # where the points leave a turn open it stays small
+    old = np.swapaxes(
+        poses[:, :dim, :dim], 1, 2
+    )  # where the points leave a turn open it stays small
     U, _, V = svd(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old)
     flip = np.linalg.det(U @ V)
     U[:, :, -1] *= flip[:, None]

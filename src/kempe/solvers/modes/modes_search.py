@@ -1,10 +1,11 @@
 """The search for assembly modes from many starts, and what it is worth.
 
-Random starts are closed and sorted. When each mode has been found often enough, places are tried where others may hide:
-mirror images and mixtures of those found. Nothing of this proves that all are found, but parity can prove that some are
-not: the map from what is unknown to how far the loops are open has as many regular zeros as its degree modulo 2 says,
-which is 0 if not all values are taken. So their number is even where angles alone are unknown, which run around
-closed circles, and where particles are tied by distances, which are not negative (Milnor, Topology from the
+Random starts are closed and sorted. When each mode has been found often enough, places are tried
+where others may hide: mirror images and mixtures of those found. Nothing of this proves that all
+are found, but parity can prove that some are not: the map from what is unknown to how far the loops
+are open has as many regular zeros as its degree modulo 2 says, which is 0 if not all values are
+taken. So their number is even where angles alone are unknown, which run around closed circles, and
+where particles are tied by distances, which are not negative (Milnor, Topology from the
 differentiable viewpoint, 1965).
 """
 
@@ -45,18 +46,21 @@ ROUND = 128
 """Starts in one batch; after each it is checked whether the search may end."""
 SEEN_OFTEN = 6
 LEAST = 512
-"""The search ends when each mode has been found this many times, and after so many starts: of a mode to which 1 % of
-them leads, fewer would miss more than one in a hundred."""
+"""The search ends when each mode has been found this many times, and after so many starts: of a
+mode to which 1 % of them leads, fewer would miss more than one in a hundred."""
 MANY = 1024
 HOPELESS = 0.1
-"""After so many starts a search ends that, by estimate, has found less than this part: there are thousands."""
+"""After so many starts a search ends that, by estimate, has found less than this part: there are
+thousands."""
 KICK = 1e-2
 STAYED = 0.1
-"""A step along a freedom that seems left, and how much of it must remain when the loops are closed again."""
+"""A step along a freedom that seems left, and how much of it must remain when the loops are closed
+again."""
 LONGER = 1024
 """Starts after which a search may end though the number found is odd, where that proves nothing."""
 REGULAR = 1e-5
-"""Smallest singular value, as a part of the largest, of the equations at a mode that counts as one for parity."""
+"""Smallest singular value, as a part of the largest, of the equations at a mode that counts as one
+for parity."""
 MIXED = 64
 """Mixtures of modes that are tried, at most four for each."""
 CONFIDENCE = 0.95
@@ -65,11 +69,12 @@ CONFIDENCE = 0.95
 
 @dataclass
 class ModesSearch:
-    """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
+    """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those
+    that are its images.
 
-    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count
-    (`requested` whether they were looked for), `odd` says that the number found must be even, and is not, `broken` what
-    ended the search early.
+    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that
+    do not count (`requested` whether they were looked for), `odd` says that the number found must
+    be even, and is not, `broken` what ended the search early.
     """
 
     system: System
@@ -100,16 +105,18 @@ class ModesSearch:
         period = self.clusters.metric.period
         whole = coordinates.turning & (period > 0.0) & (high - low >= period * (1.0 - 1e-9))
         whole |= np.isinf(low) & np.isinf(high)
-        held = np.array([n in self.bound.held for n in self.system.structure.velocity_names], dtype=bool)
+        held = np.array(
+            [n in self.bound.held for n in self.system.structure.velocity_names], dtype=bool
+        )
         return not bool(np.all(whole | held))
 
     @property
     def hits(self) -> np.ndarray:
         """How often each isolated mode or one of its mirror images was found."""
         isolated = self.free == 0
-        return np.bincount(self.twin[isolated], weights=self.clusters.hits[isolated]).astype(np.int64)[
-            np.unique(self.twin[isolated])
-        ]
+        return np.bincount(self.twin[isolated], weights=self.clusters.hits[isolated]).astype(
+            np.int64
+        )[np.unique(self.twin[isolated])]
 
     def copy(self) -> ModesSearch:
         """What was found so far, which later rounds leave as it is."""
@@ -118,7 +125,9 @@ class ModesSearch:
         return replace(self, clusters=clusters, twin=self.twin.copy())
 
     def take(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Close configurations (n, nq) and sort them in; which of them closed (n,), and their clusters."""
+        """Close configurations (n, nq) and sort them in; which of them closed (n,), and their
+        clusters.
+        """
         answer = self.bound(self.known, q, limits=False, budget=ONCE)
         if np.shape(answer.success) != (len(q),):
             raise InputError("known coordinates must be single numbers, known frames single places")
@@ -141,7 +150,9 @@ class ModesSearch:
     def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
         """Count configurations that differ only by idle spins as one, from here on."""
         held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
-        idle = idle_at(own_tree(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))])
+        idle = idle_at(
+            own_tree(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))]
+        )
         self.spins = tuple(f for f in idle if not f.velocity[held].any())
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
         rest = tuple(b for b in self.system.body_names[1:] if b not in moved)
@@ -153,13 +164,23 @@ class ModesSearch:
             self._look(0)
 
     def complete(self) -> bool:
-        """Look for modes where those found suggest some, mirror images last; whether there are new ones."""
+        """Look for modes where those found suggest some, mirror images last; whether there are new
+        ones.
+        """
         before = len(self.free)
         modes = self.clusters.q[self.free == 0]
         if not len(modes):
             return False
         if len(modes) > 1:
-            self.take(mixed(self.system, modes, min(MIXED, 4 * len(modes)), np.random.default_rng(len(modes))), False)
+            self.take(
+                mixed(
+                    self.system,
+                    modes,
+                    min(MIXED, 4 * len(modes)),
+                    np.random.default_rng(len(modes)),
+                ),
+                False,
+            )
         isolated = np.flatnonzero(self.free == 0)
         modes = self.clusters.q[isolated]
         images = mirrored(self.system, modes)
@@ -172,28 +193,61 @@ class ModesSearch:
         return len(self.free) > before
 
     def decided(self) -> bool:
-        """Whether each mode was found often, others were looked for in vain, and their number is not against it."""
-        if self.tried < LEAST or not len(self.free) or not np.all(self.hits >= SEEN_OFTEN) or self.complete():
+        """Whether each mode was found often, others were looked for in vain, and their number is
+        not against it.
+        """
+        if (
+            self.tried < LEAST
+            or not len(self.free)
+            or not np.all(self.hits >= SEEN_OFTEN)
+            or self.complete()
+        ):
             return False
-        return not self.is_odd() and (len(self.free) % 2 == 0 or bool(self.free.any()) or self.tried >= LONGER)
+        return not self.is_odd() and (
+            len(self.free) % 2 == 0 or bool(self.free.any()) or self.tried >= LONGER
+        )
 
     def is_odd(self) -> bool:
-        """Whether the number of modes is odd, and must be even: of all modes, so not where limits leave some out."""
-        return not self.bounded and not self.free.any() and len(self.free) % 2 == 1 and must_be_even(self)
+        """Whether the number of modes is odd, and must be even: of all modes, so not where limits
+        leave some out.
+        """
+        return (
+            not self.bounded
+            and not self.free.any()
+            and len(self.free) % 2 == 1
+            and must_be_even(self)
+        )
 
 
 def search(
-    system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
-    budget: TimeLimit = ENDLESS, progress: Callable[[int, int], Any] | None = None, limits: bool = False,
-) -> ModesSearch:  # fmt: skip
+    system: System,
+    known: dict[str, Any],
+    near: Array | None,
+    frame: str | None,
+    rng: np.random.Generator,
+    starts: int,
+    budget: TimeLimit = ENDLESS,
+    progress: Callable[[int, int], Any] | None = None,
+    limits: bool = False,
+) -> ModesSearch:
     """Assembly modes from at most so many random starts, the first of them `near` or home.
 
-    With `limits` starts are drawn inside the limits, else all over the configurations. An interrupt, or the end of the
-    time, which is looked for after each round, leaves what the rounds before found.
+    With `limits` starts are drawn inside the limits, else all over the configurations. An
+    interrupt, or the end of the time, which is looked for after each round, leaves what the rounds
+    before found.
     """
     system = own_tree(system)
     bound = of_equations(system, known)
-    s = ModesSearch(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame, limits=limits)
+    s = ModesSearch(
+        system,
+        known,
+        near,
+        rng,
+        bound,
+        Clusters(system, _places(system, frame)),
+        frame,
+        limits=limits,
+    )
     while s.tried < starts:
         before = s.copy()
         try:
@@ -234,18 +288,26 @@ def _one_round(s: ModesSearch, starts: int) -> bool:
 def _places(system: System, frame: str | None) -> tuple[str, ...]:
     """The frames whose poses tell modes apart; none where coordinates do.
 
-    Angles in a relation of several wind up: after full turns of some of them all bodies are where they were.
+    Angles in a relation of several wind up: after full turns of some of them all bodies are where
+    they were.
     """
     if frame is not None:
         return (frame,)
-    turning = dict(zip(system.structure.velocity_names, system.structure.coordinates.turning.tolist(), strict=True))
+    turning = dict(
+        zip(
+            system.structure.velocity_names,
+            system.structure.coordinates.turning.tolist(),
+            strict=True,
+        )
+    )
     winds = any(sum(turning[n] for n in (r.of, *r.sources)) > 1 for r in system.structure.relations)
     return tuple(system.body_names[1:]) if winds else ()
 
 
 def random_starts(s: ModesSearch, n: int) -> Array:
-    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all inside the limits, if
-    these count, else every other one: in the rest angles run over their period, and lengths beyond their limits.
+    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all
+    inside the limits, if these count, else every other one: in the rest angles run over their
+    period, and lengths beyond their limits.
     """
     system = s.system
     metric = s.clusters.metric
@@ -275,11 +337,14 @@ def random_starts(s: ModesSearch, n: int) -> Array:
 # ---- what is left to move
 
 
-def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array) -> np.ndarray:
-    """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along one can be closed.
+def freedoms(
+    system: System, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array
+) -> np.ndarray:
+    """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along
+    one can be closed.
 
-    Where only some frames count, those that move them. Where frames are known, which the Jacobian does not hold, steps
-    go in random directions, and 1 stands for any.
+    Where only some frames count, those that move them. Where frames are known, which the Jacobian
+    does not hold, steps go in random directions, and 1 stands for any.
     """
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
     out = np.zeros(len(q), dtype=np.int64)
@@ -287,7 +352,9 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
         return out
     J = evaluate(system, q, True, True)[1][..., free]
     values = svd(J, compute_uv=False)
-    ranks = (values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]).sum(axis=-1)
+    ranks = (
+        values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]
+    ).sum(axis=-1)
     owner: list[int] = []
     kicks: list[Array] = []
     sizes: list[float] = []
@@ -307,7 +374,10 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     v = np.zeros((len(kicks), system.nv))
     v[:, free] = KICK * np.array(kicks)
     answer = bound(
-        known, system.structure.layout.integrate(q[owner], v * clusters.metric.scale), limits=False, budget=ONCE
+        known,
+        system.structure.layout.integrate(q[owner], v * clusters.metric.scale),
+        limits=False,
+        budget=ONCE,
     )
     moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
     moved &= np.asarray(answer.success)
@@ -316,7 +386,9 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     return out
 
 
-def _moving(system: System, clusters: Clusters, q: Array, free: list[int], null_space: Array) -> tuple[Array, Array]:
+def _moving(
+    system: System, clusters: Clusters, q: Array, free: list[int], null_space: Array
+) -> tuple[Array, Array]:
     """Directions (k, n) in a null space (rows) that move what counts, and how far they move it."""
     if not clusters.frames:
         return null_space, np.ones(len(null_space))
@@ -332,10 +404,12 @@ def _moving(system: System, clusters: Clusters, q: Array, free: list[int], null_
 
 
 def must_be_even(s: ModesSearch) -> bool:
-    """Whether the number of modes is even for sure, all found being regular solutions of as many equations as unknowns.
+    """Whether the number of modes is even for sure, all found being regular solutions of as many
+    equations as unknowns.
 
-    See the module. Limits do not count, and modes that are one only as to some frames are not looked at. Rods that spin
-    between balls act on all configurations, open ones too, and change no equation: what is counted are their orbits.
+    See the module. Limits do not count, and modes that are one only as to some frames are not
+    looked at. Rods that spin between balls act on all configurations, open ones too, and change no
+    equation: what is counted are their orbits.
     """
     system = s.system
     bound = s.bound
@@ -343,10 +417,16 @@ def must_be_even(s: ModesSearch) -> bool:
     if bound.frames or (s.clusters.frames and not s.spins) or not len(s.clusters.q):
         return False
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
-    if distinct(system.mechanism, system.structure.coordinates)[free].any():  # laws may read angles of no circle
+    if distinct(system.mechanism, system.structure.coordinates)[
+        free
+    ].any():  # laws may read angles of no circle
         return False
     J = evaluate(system, s.clusters.q, True, True)[1][..., free]
-    if J.shape[1] + len(s.spins) != J.shape[2] or not J.size or not all(_rigid(s, f) for f in s.spins):
+    if (
+        J.shape[1] + len(s.spins) != J.shape[2]
+        or not J.size
+        or not all(_rigid(s, f) for f in s.spins)
+    ):
         return False
     values = svd(J, compute_uv=False)
     if np.any(values[:, -1] < REGULAR * values[:, 0]):
@@ -355,16 +435,27 @@ def must_be_even(s: ModesSearch) -> bool:
 
 
 def _rigid(s: ModesSearch, spin: Any) -> bool:
-    """Whether what spins is one part with the known coordinates held, and has no further links in its balls."""
+    """Whether what spins is one part with the known coordinates held, and has no further links in
+    its balls.
+    """
     mechanism = s.system.mechanism
     inside = [j for j in mechanism.joints.values() if {j.parent, j.child} <= {*spin.bodies}]
-    names = {f"{j.name}.{v}" if v else j.name for j in inside for v in j.type.velocities(s.system.dim, False)}
+    names = {
+        f"{j.name}.{v}" if v else j.name
+        for j in inside
+        for v in j.type.velocities(s.system.dim, False)
+    }
     return not spin.links and not (names & {*s.system.structure.velocity_names}) - s.bound.held
 
 
 def _round(system: System, i: int) -> bool:
     """Whether a velocity is one of a quaternion, which runs around a sphere."""
-    return bool(np.any((i >= system.structure.layout.quaternion_v) & (i < system.structure.layout.quaternion_v + 3)))
+    return bool(
+        np.any(
+            (i >= system.structure.layout.quaternion_v)
+            & (i < system.structure.layout.quaternion_v + 3)
+        )
+    )
 
 
 def _equations(system: System) -> list[Declared]:
@@ -373,12 +464,18 @@ def _equations(system: System) -> list[Declared]:
 
 
 def _tied(system: System, i: int) -> bool:
-    """Whether a velocity is one of a particle's place, and distances are the only constraints: as some solution is
-    regular, these tie it to what stays near."""  # fmt: skip
+    """Whether a velocity is one of a particle's place, and distances are the only constraints: as
+    some solution is regular, these tie it to what stays near.
+    """
     mechanism = system.mechanism
     kinds = {c.rod for c in _equations(system)}
     joint = mechanism.joints.get(system.structure.velocity_names[i].rpartition(".")[0])
-    if joint is None or kinds != {True} or system.structure.relations or not mechanism.bodies[joint.child].particle:
+    if (
+        joint is None
+        or kinds != {True}
+        or system.structure.relations
+        or not mechanism.bodies[joint.child].particle
+    ):
         return False
     names, primitives = joint.type.layout(system.dim, True)
     slides = sorted((p.kind, p.axis) for p in primitives)
@@ -386,16 +483,19 @@ def _tied(system: System, i: int) -> bool:
 
 
 def share_found(hits: np.ndarray) -> float:
-    """Share of starts, by estimate, that lead to what was found: 1 - f1 / n, with f1 found once (Good, 1953)."""
+    """Share of starts, by estimate, that lead to what was found: 1 - f1 / n, with f1 found once
+    (Good, 1953).
+    """
     return 1.0 - float(np.sum(hits == 1)) / max(float(np.sum(hits)), 1.0)
 
 
 def estimates(hits: np.ndarray) -> tuple[float, float]:
     """Coverage and number of modes, from how often (k,) each was found; of coverage a lower bound.
 
-    The share of starts that lead to others is estimated as f1 / n, with f1 modes found once, and n hits (Good, 1953,
-    after Turing). The coverage is 1 less the upper bound of that share (Clopper, Pearson, 1934): with no mode found
-    once, 3 / n. The number is at least k + f1 (f1 - 1) / (2 (f2 + 1)), f2 found twice (Chao, 1984, bias-corrected).
+    The share of starts that lead to others is estimated as f1 / n, with f1 modes found once, and n
+    hits (Good, 1953, after Turing). The coverage is 1 less the upper bound of that share (Clopper,
+    Pearson, 1934): with no mode found once, 3 / n. The number is at least k + f1 (f1 - 1) / (2 (f2
+    + 1)), f2 found twice (Chao, 1984, bias-corrected).
     """
     n = int(np.sum(hits))
     once = int(np.sum(hits == 1))
@@ -406,14 +506,22 @@ def estimates(hits: np.ndarray) -> tuple[float, float]:
 
 
 def _upper(seen: int, n: int) -> float:
-    """The largest share at which no more than `seen` of `n` would still be seen with probability 1 - CONFIDENCE."""
+    """The largest share at which no more than `seen` of `n` would still be seen with probability 1
+    - CONFIDENCE.
+    """
     if seen >= n:
         return 1.0
     low = seen / n
     high = 1.0
-    ways = [math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) for i in range(seen + 1)]
+    ways = [
+        math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) for i in range(seen + 1)
+    ]
     for _ in range(60):
         x = 0.5 * (low + high)
-        terms = [w + i * math.log(x) + (n - i) * math.log1p(-x) for i, w in enumerate(ways)] if x < 1.0 else [-np.inf]
+        terms = (
+            [w + i * math.log(x) + (n - i) * math.log1p(-x) for i, w in enumerate(ways)]
+            if x < 1.0
+            else [-np.inf]
+        )
         low, high = (x, high) if sum(map(math.exp, terms)) > 1.0 - CONFIDENCE else (low, x)
     return high

@@ -1,4 +1,6 @@
-"""Which configurations are one and the same: angles modulo full turns, lengths in characteristic lengths."""
+"""Which configurations are one and the same: angles modulo full turns, lengths in characteristic
+lengths.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,14 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 HELD = 1e-6
-"""By how much more of the equations may be missing after whole turns, in radians and characteristic lengths."""
+"""By how much more of the equations may be missing after whole turns, in radians and characteristic
+lengths."""
 MOST_TURNS = 100
-"""Most turns of a source after which those that are geared to it must be back, to count as periodic."""
+"""Most turns of a source after which those that are geared to it must be back, to count as
+periodic."""
 SAME = 1e-6
-"""Configurations nearer than this, in radians and characteristic lengths, are one: double roots merge at 1e-8."""
+"""Configurations nearer than this, in radians and characteristic lengths, are one: double roots
+merge at 1e-8."""
 MOST_AT_ONCE = 1 << 20
 """Numbers in one comparison of configurations with clusters."""
 INSIDE = 1e-9
@@ -34,8 +39,8 @@ INSIDE = 1e-9
 class Metric:
     """Distances between configurations of a system.
 
-    `scale` (nv,) are the metres, or radians, that count as one. `period` (nv,) are the angles after which every body is
-    where it was, 0 for coordinates that have none; limits do not matter.
+    `scale` (nv,) are the metres, or radians, that count as one. `period` (nv,) are the angles after
+    which every body is where it was, 0 for coordinates that have none; limits do not matter.
     """
 
     def __init__(self, system: System):
@@ -45,11 +50,15 @@ class Metric:
         self.scale[(system.structure.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
         self.period = _periods(system)
         self._weights = np.random.default_rng(0).uniform(0.5, 1.0, size=(system.nq + 4, 4))
-        self.steepest = float(np.pi * system.nq + np.sum(2.0 * np.pi / self.period[self.period > 0.0]) + system.nq)
+        self.steepest = float(
+            np.pi * system.nq + np.sum(2.0 * np.pi / self.period[self.period > 0.0]) + system.nq
+        )
         """What keys of configurations that are 1 apart differ by at most."""
 
     def keys(self, q: Array) -> Array:
-        """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what differs, differs."""
+        """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what
+        differs, differs.
+        """
         layout = self.system.structure.layout
         w = self._weights
         x = q[:, layout.vector_q]
@@ -57,7 +66,10 @@ class Metric:
         back = period > 0.0
         weight = w[: len(period), 0]
         turned = np.cos(2.0 * np.pi * x[:, back] / period[back] + w[: len(period), 1][back])
-        out = turned @ weight[back] + (x[:, ~back] / self.scale[layout.vector_v][~back]) @ weight[~back]
+        out = (
+            turned @ weight[back]
+            + (x[:, ~back] / self.scale[layout.vector_v][~back]) @ weight[~back]
+        )
         for k, i in enumerate(layout.quaternion_q):
             p = unit(q[:, i : i + 4])
             A = w[k : k + 4]
@@ -65,16 +77,20 @@ class Metric:
         return out
 
     def distances(self, q: Array, to: Array, counts: Any = slice(None)) -> Array:
-        """Largest difference (...) in any coordinate that `counts` (nv,), in radians and characteristic lengths."""
+        """Largest difference (...) in any coordinate that `counts` (nv,), in radians and
+        characteristic lengths.
+        """
         v = self.system.structure.layout.difference(to, q)
         back = self.period > 0.0
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
     def representatives(self, q: Array, near: Array | None) -> Array:
-        """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and inside its limits.
+        """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and
+        inside its limits.
 
-        Angles of which a constraint tells whole turns apart stay as they are where it would else not hold.
+        Angles of which a constraint tells whole turns apart stay as they are where it would else
+        not hold.
         """
         system = self.system
         given = q
@@ -82,7 +98,9 @@ class Metric:
         high = np.minimum(system.upper, 1e300)
         q = np.array(q)
         for iq, iv in zip(
-            system.structure.layout.vector_q.tolist(), system.structure.layout.vector_v.tolist(), strict=True
+            system.structure.layout.vector_q.tolist(),
+            system.structure.layout.vector_v.tolist(),
+            strict=True,
         ):
             turn = float(self.period[iv])
             if not turn:
@@ -92,10 +110,16 @@ class Metric:
             down = np.where(x > high[iv], x - turn * np.ceil((x - high[iv]) / turn), x)
             up = np.where(down < low[iv], down + turn * np.ceil((low[iv] - down) / turn), down)
             q[:, iq] = np.where(up > high[iv] + INSIDE, x, up)
-        read = distinct(system.mechanism, system.structure.coordinates)[system.structure.layout.vector_v]
+        read = distinct(system.mechanism, system.structure.coordinates)[
+            system.structure.layout.vector_v
+        ]
         if read.any() and len(q):
-            off, before = (np.abs(closure_rows.evaluate(system, x, False, scaled=True)[0]).max(axis=1, initial=0.0)
-                           for x in (q, given))  # fmt: skip
+            off, before = (
+                np.abs(closure_rows.evaluate(system, x, False, scaled=True)[0]).max(
+                    axis=1, initial=0.0
+                )
+                for x in (q, given)
+            )
             at = system.structure.layout.vector_q[read]
             q[:, at] = np.where((off > before + HELD)[:, None], np.asarray(given)[:, at], q[:, at])
         return q
@@ -108,7 +132,8 @@ def metric_of(system: System) -> Metric:
 
 
 def _periods(system: System) -> Array:
-    """For each velocity coordinate (nv,) the turn after which everything is as before; 0 where there is none.
+    """For each velocity coordinate (nv,) the turn after which everything is as before; 0 where
+    there is none.
 
     A gear p / q brings its follower back only after q turns of its source.
     """
@@ -133,10 +158,11 @@ def _periods(system: System) -> Array:
 
 
 class Clusters:
-    """Configurations, those that are one together: `q` (k, nq) the first of each, `hits` (k,) how many there were.
+    """Configurations, those that are one together: `q` (k, nq) the first of each, `hits` (k,) how
+    many there were.
 
-    `members` are their numbers in the order in which they came. With `frames`, configurations that put these frames at
-    the same poses are one.
+    `members` are their numbers in the order in which they came. With `frames`, configurations that
+    put these frames at the same poses are one.
     """
 
     def __init__(self, system: System, frames: tuple[str, ...] = ()):
@@ -156,16 +182,19 @@ class Clusters:
         return np.array([len(m) for m in self.members], dtype=np.int64)
 
     def add(self, q: Array, tolerance: Array, counted: bool = True) -> np.ndarray:
-        """Numbers (n,) of the clusters into which configurations (n, nq) are sorted, new ones where needed.
+        """Numbers (n,) of the clusters into which configurations (n, nq) are sorted, new ones where
+        needed.
 
-        `tolerance` (n,) is the distance below which each is the same as another. Those that are not `counted` do not
-        become members.
+        `tolerance` (n,) is the distance below which each is the same as another. Those that are not
+        `counted` do not become members.
         """
         X = self._placed(q)
         keys = self._keys(q, X)
         out = self._nearest(q, X, keys, tolerance)
         rest = np.flatnonzero(out < 0)
-        first, place = np.unique(self._first(q[rest], X[rest], keys[rest], tolerance[rest]), return_inverse=True)
+        first, place = np.unique(
+            self._first(q[rest], X[rest], keys[rest], tolerance[rest]), return_inverse=True
+        )
         out[rest] = len(self.members) + place
         new = rest[first]
         fresh: list[list[int]] = [[] for _ in new]
@@ -217,7 +246,9 @@ class Clusters:
         return out
 
     def _first(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
-        """For each configuration (n,) the number of the first that it is the same as, itself where there is none."""
+        """For each configuration (n,) the number of the first that it is the same as, itself where
+        there is none.
+        """
         out = np.arange(len(q))
         if len(q) < 2:
             return out
@@ -235,7 +266,9 @@ class Clusters:
         return out
 
     def _reach(self, tolerance: float) -> float:
-        """How far keys may be apart of configurations that are this far apart, with a margin for rounding."""
+        """How far keys may be apart of configurations that are this far apart, with a margin for
+        rounding.
+        """
         return 1e-12 + 1.01 * tolerance * (np.sqrt(12.0) if self.frames else self.metric.steepest)
 
     def distances(self, q: Array, to: Array) -> Array:

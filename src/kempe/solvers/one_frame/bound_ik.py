@@ -1,4 +1,6 @@
-"""The way of plain calls of `ik` for one target of one frame: all is looked up but the target and the start."""
+"""The way of plain calls of `ik` for one target of one frame: all is looked up but the target and
+the start.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,30 @@ def bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> No
     system = question.system
     chain = question.chain
     key = (question.frame, task, len(shape))
-    point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
-    plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
-    if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
+    point = question.name == "position" and (
+        task is not None or shape != (4, 4)
+    )  # a turned particle is an error
+    plain = (
+        shape in ((4, 4), (3,), (2,))
+        if point
+        else (shape == (4, 4) and question.name != "position")
+    )
+    if (
+        plain
+        and question.axis == Z_AXIS
+        and not chain.ints[HAS_QUATERNION]
+        and key not in system._queries
+    ):
         usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
-        system._queries[key] = BoundIk(usual, shape).__call__  # a method, which takes less time to call
+        system._queries[key] = BoundIk(
+            usual, shape
+        ).__call__  # a method, which takes less time to call
 
 
 class BoundIk:
-    """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
+    """`ik` of single targets for one frame and task, with all looked up that can be: the way of
+    plain calls.
+    """
 
     def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
         self.requested = question
@@ -90,7 +107,11 @@ class BoundIk:
             base = self.base
             seeds = self.no_seed
         else:
-            if start.__class__ is not np.ndarray or start.dtype != np.float64 or start.shape != (self.nq,):
+            if (
+                start.__class__ is not np.ndarray
+                or start.dtype != np.float64
+                or start.shape != (self.nq,)
+            ):
                 return None
             if not (self.plain and start.flags.c_contiguous):
                 return None
@@ -100,9 +121,21 @@ class BoundIk:
         X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
         try:
             missed = self.reach(
-                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, LENGTH, ANGLE,
-                0.0, out,
-            )  # fmt: skip
+                chain.ints,
+                chain.floats,
+                chain.limits,
+                self.rows,
+                X,
+                seeds,
+                0,
+                0,
+                FEW,
+                ITERATIONS,
+                LENGTH,
+                ANGLE,
+                0.0,
+                out,
+            )
         except TypeError:  # not float64
             return None
         row = out[0]

@@ -1,7 +1,9 @@
-"""Why a target was not reached: by a proof, or by asking again with more starts, without limits, without orientation.
+"""Why a target was not reached: by a proof, or by asking again with more starts, without limits,
+without orientation.
 
-Proofs are lengths, and limits where all answers are known to be outside them. Else what is found by asking again is
-true, and what is not found is evidence: it is said with the number of starts, and as what may be the reason.
+Proofs are lengths, and limits where all answers are known to be outside them. Else what is found by
+asking again is true, and what is not found is evidence: it is said with the number of starts, and
+as what may be the reason.
 """
 
 from __future__ import annotations
@@ -24,7 +26,13 @@ from kempe.solvers.common.serial_chain import Chain, chain_of, slides_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of, not_a_pose
 from kempe.solvers.one_frame.derivative import derivative
 from kempe.solvers.one_frame.inverse import chosen, run
-from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, FrameProblem, past_lengths
+from kempe.solvers.one_frame.multi_start import (
+    ITERATIONS,
+    MOST,
+    TOLERANCE,
+    FrameProblem,
+    past_lengths,
+)
 from kempe.solvers.one_frame.shut_out import shut_out
 from kempe.solvers.one_frame.solution import Solution, SolutionRow
 from kempe.spatial import Array
@@ -35,10 +43,11 @@ AT_LIMIT = 1e-9
 NEAR_MISS = 1e-6
 NEAR_TURN = 1e-2
 SMALL = 1e-2
-"""Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of links [m] that are
-small for tolerances in metres."""
+"""Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of
+links [m] that are small for tolerances in metres."""
 ROUNDED = 2e-3
-"""Errors, in radians and parts of the chain's longest link, that rounding of published figures may have made."""
+"""Errors, in radians and parts of the chain's longest link, that rounding of published figures may
+have made."""
 FEW_LIMITS = 12
 """Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
 STARTS = 250
@@ -49,16 +58,20 @@ ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
 RANK_TOLERANCE = 1e-9
 NEARLY = 1e-4
-"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted, and when
-it is checked whether a search ended at a singular configuration."""
+"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are
+counted, and when it is checked whether a search ended at a singular configuration."""
 
 
 def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     """The sentence for one target of a solution."""
     task = solution.task
     figures = (
-        solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations
-    )  # fmt: skip
+        solution.code,
+        solution.position_error,
+        solution.orientation_error,
+        solution.starts,
+        solution.iterations,
+    )
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     missed = position if any(task.mask[:3]) else None, angle if any(task.mask[3:]) else None
     if code == Status.SOLVED:
@@ -68,7 +81,11 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return not_a_pose(target[0], "start")
     near = wording.nearest(*missed)
-    tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
+    tilt = (
+        float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0)))
+        if task.system.dim == 2 and any(task.mask[3:])
+        else 0.0
+    )
     if code == Status.OUT_OF_REACH:
         return wording.failed("", beyond(task, target), near)
     if tilt > max(task.tolerance[1], TILTED):
@@ -98,11 +115,19 @@ def beyond(task: FrameProblem, target: Array) -> Evidence | None:
     """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = past_lengths(task, target)[0].tolist()
-    return lengths(task.system, place, turned, off if off > task.tolerance[0] else 0.0,
-                   point=task.name == "position", slides=slides_of(task.system, task.frame))  # fmt: skip
+    return lengths(
+        task.system,
+        place,
+        turned,
+        off if off > task.tolerance[0] else 0.0,
+        point=task.name == "position",
+        slides=slides_of(task.system, task.frame),
+    )
 
 
-def _reasons(task: FrameProblem, target: Array, q: Array, position: float, angle: float) -> list[Any]:
+def _reasons(
+    task: FrameProblem, target: Array, q: Array, position: float, angle: float
+) -> list[Any]:
     """What speaks for there being no answer; q (n,) is the nearest found, with its errors."""
     span = task.chain.span
     found = span.sentence() if span.wide else _again(task, target, q)
@@ -112,15 +137,20 @@ def _reasons(task: FrameProblem, target: Array, q: Array, position: float, angle
     return [found or _close(task, position, angle) or _not_found(task)]
 
 
-def _solved(task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
-    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None if none does."""
+def _solved(
+    task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None
+) -> Array | None:
+    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None
+    if none does.
+    """
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
     q, _, info = run(task, seeds, 1, limits, target)
     return q[0] if info[0, 0] == Status.SOLVED else None
 
 
 def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
-    """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the task uses.
+    """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the
+    task uses.
 
     Singular values count from `tolerance` times the largest on.
     """
@@ -134,7 +164,9 @@ def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
 
 
 def rank_of(task: FrameProblem) -> tuple[int, int]:
-    """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
+    """The equations of a task, and the freedoms in which the chain moves its frame at random
+    configurations.
+    """
     system = task.system
     rows = sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
@@ -142,7 +174,9 @@ def rank_of(task: FrameProblem) -> tuple[int, int]:
 
 
 def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
-    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random
+    configurations.
+    """
     equations, freedoms = rank_of(task)
     if freedoms >= max(equations, 1):
         return None
@@ -150,14 +184,18 @@ def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
     if freedoms and task.name in ("pose", "position_axis"):
         place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(task.system, task.frame))
         alone = _solved(place, target) is not None
-    return evidence("rank", equations=equations, freedoms=freedoms, frame=task.frame, position=alone)
+    return evidence(
+        "rank", equations=equations, freedoms=freedoms, frame=task.frame, position=alone
+    )
 
 
 def rounded(position: float, angle: float, length: float, one: bool = False) -> Evidence | None:
-    """Of a target with more equations than freedoms: the tolerance that accepts it, if it may have been rounded.
+    """Of a target with more equations than freedoms: the tolerance that accepts it, if it may have
+    been rounded.
 
-    `position` and `angle` are the errors of the nearest found; None where these are more than rounding of figures, seen
-    from a robot with links of this `length`. With `one` the tolerance is one number for both.
+    `position` and `angle` are the errors of the nearest found; None where these are more than
+    rounding of figures, seen from a robot with links of this `length`. With `one` the tolerance is
+    one number for both.
     """
     if position > ROUNDED * length or angle > ROUNDED:
         return None
@@ -174,11 +212,18 @@ def _above(error: float) -> float:
 
 def _many(task: FrameProblem) -> FrameProblem:
     """The same with as many starts as are given by default, at least, and no limit of time."""
-    return replace(task, starts=max(MOST, task.starts), iterations=max(ITERATIONS, task.iterations), end=math.inf)
+    return replace(
+        task,
+        starts=max(MOST, task.starts),
+        iterations=max(ITERATIONS, task.iterations),
+        end=math.inf,
+    )
 
 
 def _again(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
-    """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,) is what it found."""
+    """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,)
+    is what it found.
+    """
     if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
         return None
     return evidence("more starts", singular=_singular(task, nearest))
@@ -192,7 +237,8 @@ def _singular(task: FrameProblem, q: Array) -> bool:
 
 
 def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
-    """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what came nearest.
+    """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what
+    came nearest.
 
     Or that they do not, for all starts may fail where there is an answer.
     """
@@ -205,8 +251,12 @@ def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | Non
         return None
     if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
         return evidence("more starts")
-    suspects = list(bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free))
-    few = replace(many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects))))
+    suspects = list(
+        bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free)
+    )
+    few = replace(
+        many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects)))
+    )
 
     def without(lifted: Sequence[Any]) -> bool:
         limits = chain.limits.copy()
@@ -214,12 +264,18 @@ def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | Non
         return _solved(few, target, limits, free) is not None
 
     alone = [i for i in suspects if without([i])]
-    lifted = suspects if len(suspects) < len(bounded) and not alone and without(suspects) else list(bounded)
+    lifted = (
+        suspects
+        if len(suspects) < len(bounded) and not alone and without(suspects)
+        else list(bounded)
+    )
     for i in [] if alone else list(lifted):  # what is left cannot be done without
         rest = [k for k in lifted if k != i]
         lifted = rest if without(rest) else lifted
     names = [task.system.structure.velocity_names[int(chain.v_index[i])] for i in alone or lifted]
-    return evidence("limits", names=names, together=not alone, each=bool(alone), proof=shut_out(task, target))
+    return evidence(
+        "limits", names=names, together=not alone, each=bool(alone), proof=shut_out(task, target)
+    )
 
 
 def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
@@ -232,7 +288,9 @@ def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) ->
 
 
 def _close(task: FrameProblem, position: float, angle: float) -> Evidence | None:
-    """What a near miss means, where it is one: by then neither the search nor the workspace is known to end there."""
+    """What a near miss means, where it is one: by then neither the search nor the workspace is
+    known to end there.
+    """
     if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
         return None
     longest = task.chain.span.largest
@@ -253,8 +311,12 @@ def choice(solution: Solution) -> Choice:
 
 
 def analyse(solution: Solution) -> tuple[int, int, int, Array]:
-    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer, scaled."""
-    from kempe.constraints.frame_targets import of_target  # only here: most answers are not analysed
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer,
+    scaled.
+    """
+    from kempe.constraints.frame_targets import (
+        of_target,
+    )  # only here: most answers are not analysed
     from kempe.solvers.tasks import reached
     from kempe.solvers.tasks.ik_tasks import pose_problem
 

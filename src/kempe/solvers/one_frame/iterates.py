@@ -33,9 +33,10 @@ MOST_LINES = 32
 class IkHistory(Report):
     """What a search found after each of its steps, one row each.
 
-    `q` (k, nq) is the nearest configuration that its start had found by then (steps that lead away are taken, too, and
-    repeat the row before), `position_error` (k,) in metres, `orientation_error` (k,) in radians, `start` (k,) the
-    number of the start, `step` (k,) that of the step in it: 0 is where it began.
+    `q` (k, nq) is the nearest configuration that its start had found by then (steps that lead away
+    are taken, too, and repeat the row before), `position_error` (k,) in metres, `orientation_error`
+    (k,) in radians, `start` (k,) the number of the start, `step` (k,) that of the step in it: 0 is
+    where it began.
     """
 
     system: System
@@ -55,20 +56,31 @@ class IkHistory(Report):
     @property
     def status(self) -> str:
         """How many steps and starts there are, and how the errors fell."""
-        last = f"{self.position_error[-1]:.2g} m" + f" and {self.orientation_error[-1]:.2g} rad" * self._turns
+        last = (
+            f"{self.position_error[-1]:.2g} m"
+            + f" and {self.orientation_error[-1]:.2g} rad" * self._turns
+        )
         kept = "" if self.starts <= MOST_STARTS else f", the first {MOST_STARTS} of {self.starts}"
         count = int(self.start[-1]) + 1
-        return f"{counted(len(self.q) - count, 'step')} of {counted(count, 'start')}{kept}: at last {last}"
+        return (
+            f"{counted(len(self.q) - count, 'step')} of {counted(count, 'start')}{kept}: at last "
+            f"{last}"
+        )
 
     @property
     def _turns(self) -> bool:
         return bool(np.any(self.orientation_error > 0.0))
 
     def _lines(self) -> list[str]:
-        rows = list(zip(self.start, self.step, self.position_error, self.orientation_error, strict=True))
+        rows = list(
+            zip(self.start, self.step, self.position_error, self.orientation_error, strict=True)
+        )
         if self.start[-1] > 0:  # of each of several starts the last step
             rows = [rows[k] for k in (*(np.flatnonzero(np.diff(self.start))), -1)]
-        lines = [f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns for s, k, p, a in rows]
+        lines = [
+            f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns
+            for s, k, p, a in rows
+        ]
         return cut(lines, MOST_LINES)
 
     def _data(self) -> dict[str, Any]:
@@ -76,7 +88,8 @@ class IkHistory(Report):
         return {name: getattr(self, name) for name in names}
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the errors over the steps, a line for each start; see `kempe.views.plots.plot_history`.
+        """Matplotlib axes with the errors over the steps, a line for each start; see
+        `kempe.views.plots.plot_history`.
 
         The iterates themselves are drawn by ``system.plot(history.q)``.
         """
@@ -86,7 +99,9 @@ class IkHistory(Report):
 def with_history(answer: Solution, problem: Problem) -> Solution:
     """The answer with its iterates. Errors: `InputError` for batches and other methods."""
     if np.ndim(answer.success) or problem.method != "numeric" or type(answer) is not Solution:
-        raise InputError("history=True is for one target of one frame that is searched for with method 'numeric'")
+        raise InputError(
+            "history=True is for one target of one frame that is searched for with method 'numeric'"
+        )
     from kempe.solvers.one_frame.inverse import seeds_of
 
     task = answer.task
@@ -96,8 +111,15 @@ def with_history(answer: Solution, problem: Problem) -> Solution:
 
 
 def _of_starts(task: FrameProblem, base: Array, seeds: Array, starts: int) -> IkHistory:
-    head = (task.chain.ints, task.chain.floats, task.chain.limits, multi_start.rows_of(task),
-            multi_start.goals_of(task, task.targets), seeds, task.rng)  # fmt: skip
+    head = (
+        task.chain.ints,
+        task.chain.floats,
+        task.chain.limits,
+        multi_start.rows_of(task),
+        multi_start.goals_of(task, task.targets),
+        seeds,
+        task.rng,
+    )
     n = len(task.chain.q_index)
     rows: list[Array] = []
     at: list[tuple[int, int]] = []

@@ -12,7 +12,16 @@ import numpy as np
 
 from kempe import spatial
 from kempe.budget import look
-from kempe.kernels.base.search_layout import ANSWER, DESCENTS, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
+from kempe.kernels.base.search_layout import (
+    ANSWER,
+    DESCENTS,
+    LINEAR,
+    NOT_FOUND,
+    SOLVED,
+    STARTS,
+    STATUS,
+    STEPS,
+)
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.kinematics.common.parallel import over_chunks
@@ -27,13 +36,16 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 MOST = 1000
-"""Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
+"""Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs
+more than 100."""
 GLANCE = 16
 """Starts after which a batch goes on, where what is nearest to such targets can wait."""
 FEW = 64
-"""Starts after which it is checked whether lengths put a target out of reach: then it is given up."""
+"""Starts after which it is checked whether lengths put a target out of reach: then it is given
+up."""
 ITERATIONS = 40
-"""Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are given up before."""
+"""Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are
+given up before."""
 TOLERANCE = (1e-6, 1e-6)
 """Largest position error [m] and rotation angle [rad] of a success."""
 ROUND = 32
@@ -43,14 +55,17 @@ SERIAL_BELOW = 1024
 LANES = 8
 WORK = 4096
 NEAREST = 64
-"""Targets of a chunk, and from how many on there are threads; the targets that are searched side by side; starts of all
-targets together, and targets whose nearest configuration is searched for, between two looks at the clock."""
+"""Targets of a chunk, and from how many on there are threads; the targets that are searched side by
+side; starts of all targets together, and targets whose nearest configuration is searched for,
+between two looks at the clock."""
 LONG = 16
-"""Coordinates of a chain, twice which make it long: rounds are shorter by the square of its length in these."""
+"""Coordinates of a chain, twice which make it long: rounds are shorter by the square of its length
+in these."""
 UNBEGUN = -1.0
 """In place of the status of an answer: the time was up before."""
 LOOSE = 1e-4
-"""Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be within it."""
+"""Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be
+within it."""
 SHARES = (1.0, 0.2, 5.0)
 """How the two tolerances are weighed against each other where they are loose."""
 
@@ -103,20 +118,34 @@ def rows_of(task: FrameProblem) -> np.ndarray:
 
 
 def answered(
-    task: FrameProblem, targets: Array, seeds: Array, limits: Array, out: Array, postpone: bool = False,
+    task: FrameProblem,
+    targets: Array,
+    seeds: Array,
+    limits: Array,
+    out: Array,
+    postpone: bool = False,
     threads: int | None = 1,
-) -> int:  # fmt: skip
-    """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach` does.
+) -> int:
+    """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach`
+    does.
 
-    seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths prove to be out of
-    reach is not searched for: their status is OUT_OF_REACH.
+    seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths
+    prove to be out of reach is not searched for: their status is OUT_OF_REACH.
 
-    All targets get their first starts before one gets its last. Between two pieces of the work, which take about 0.1 s,
-    Python sees an interrupt, and the clock is looked at.
+    All targets get their first starts before one gets its last. Between two pieces of the work,
+    which take about 0.1 s, Python sees an interrupt, and the clock is looked at.
     """
     chain = task.chain
     n = out.shape[1] - ANSWER
-    head = (chain.ints, chain.floats, limits, rows_of(task), goals_of(task, targets), seeds, task.rng)
+    head = (
+        chain.ints,
+        chain.floats,
+        limits,
+        rows_of(task),
+        goals_of(task, targets),
+        seeds,
+        task.rng,
+    )
     few = task.round or FEW
     count = min(task.starts, few, GLANCE if postpone else few)
     out[:, n + STATUS] = UNBEGUN
@@ -156,19 +185,27 @@ def starts_from(task: FrameProblem, head: tuple[Any, ...], start: int, steps: in
 
 
 def go_on(
-    task: FrameProblem, targets: Array, head: tuple[Any, ...], done: int, out: Array, threads: int | None = 1
-) -> int:  # fmt: skip
-    """Number of targets NOT_FOUND in `out` that are not reached in the end, after the first `done` starts.
+    task: FrameProblem,
+    targets: Array,
+    head: tuple[Any, ...],
+    done: int,
+    out: Array,
+    threads: int | None = 1,
+) -> int:
+    """Number of targets NOT_FOUND in `out` that are not reached in the end, after the first `done`
+    starts.
 
-    head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position and orientation
-    by them; more starts, unless lengths prove that they cannot help or the time is up; at last, the nearest
-    configurations.
+    head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position
+    and orientation by them; more starts, unless lengths prove that they cannot help or the time is
+    up; at last, the nearest configurations.
     """
     n = out.shape[1] - ANSWER
     every = left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
     if not left.size:
         return 0
-    left, done = _up_to(task, head, left, done, min(task.starts, FEW), out, threads)  # before lengths are asked
+    left, done = _up_to(
+        task, head, left, done, min(task.starts, FEW), out, threads
+    )  # before lengths are asked
     left = left[outside(task, targets[left]) == 0.0]
     linear, angular = task.tolerance
     if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
@@ -185,15 +222,22 @@ def go_on(
     left, done = _up_to(task, head, left, done, task.starts, out, threads)
     if done < task.starts and len(left):
         _end(task, targets, left, out)
-    return _nearest(task, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads) + int(
-        (out[every, n + STATUS] == Status.OUT_OF_TIME).sum()
-    )
+    return _nearest(
+        task, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads
+    ) + int((out[every, n + STATUS] == Status.OUT_OF_TIME).sum())
 
 
 def _nearest(
-    task: FrameProblem, targets: Array, head: tuple[Any, ...], rows: np.ndarray, out: Array, threads: int | None
-) -> int:  # fmt: skip
-    """Number of these rows that are not reached by the configurations nearest to their targets either."""
+    task: FrameProblem,
+    targets: Array,
+    head: tuple[Any, ...],
+    rows: np.ndarray,
+    out: Array,
+    threads: int | None,
+) -> int:
+    """Number of these rows that are not reached by the configurations nearest to their targets
+    either.
+    """
     from kempe.kernels.compiled import fallback
 
     n = out.shape[1] - ANSWER
@@ -216,7 +260,9 @@ def _nearest(
             if only > 1 and time.monotonic() >= task.end:
                 _end(task, targets, some, out)
                 return len(some)
-            missed = nearest(*own, only, task.starts, task.iterations, *task.tolerance, length, found)
+            missed = nearest(
+                *own, only, task.starts, task.iterations, *task.tolerance, length, found
+            )
             out[some] = found
         if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
             from kempe.solvers.one_frame.sharpen import search_again
@@ -236,10 +282,19 @@ def _part(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
 
 
 def _some(
-    task: FrameProblem, head: tuple[Any, ...], rows: Any, first: int, count: int, length: float, out: Array,
-    threads: int | None, chunk: int | None = None,
-) -> None:  # fmt: skip
-    """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head` as in `go_on`."""
+    task: FrameProblem,
+    head: tuple[Any, ...],
+    rows: Any,
+    first: int,
+    count: int,
+    length: float,
+    out: Array,
+    threads: int | None,
+    chunk: int | None = None,
+) -> None:
+    """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head`
+    as in `go_on`.
+    """
     search = _search(task.chain)
     given = _part(head, rows) if isinstance(rows, np.ndarray) else head
     piece = max(LANES, min(chunk or CHUNK, WORK // (count * task.share)))
@@ -250,16 +305,32 @@ def _some(
             if time.monotonic() >= task.end:
                 break
             last = min(k + piece, j)
-            search(*_part(given, slice(k, last)), first, count, task.iterations, *task.tolerance, length, out[k:last])
+            search(
+                *_part(given, slice(k, last)),
+                first,
+                count,
+                task.iterations,
+                *task.tolerance,
+                length,
+                out[k:last],
+            )
         return 0
 
     over_chunks(work, len(out), chunk or piece, threads, SERIAL_BELOW if chunk else 2 * piece)
 
 
 def _up_to(
-    task: FrameProblem, head: tuple[Any, ...], left: np.ndarray, done: int, starts: int, out: Array, threads: int | None
-) -> tuple[np.ndarray, int]:  # fmt: skip
-    """The rows that are still not reached after so many starts, or when the time is up, and how many these are."""
+    task: FrameProblem,
+    head: tuple[Any, ...],
+    left: np.ndarray,
+    done: int,
+    starts: int,
+    out: Array,
+    threads: int | None,
+) -> tuple[np.ndarray, int]:
+    """The rows that are still not reached after so many starts, or when the time is up, and how
+    many these are.
+    """
     while done < starts and len(left):
         count = min(task.round or starts, starts - done)
         some = _more(task, head, left, done, count, out, threads)
@@ -271,9 +342,16 @@ def _up_to(
 
 
 def _more(
-    task: FrameProblem, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array, threads: int | None
-) -> np.ndarray | None:  # fmt: skip
-    """The rows that are still not reached after further starts; None where there was no time for any.
+    task: FrameProblem,
+    head: tuple[Any, ...],
+    rows: np.ndarray,
+    first: int,
+    count: int,
+    out: Array,
+    threads: int | None,
+) -> np.ndarray | None:
+    """The rows that are still not reached after further starts; None where there was no time for
+    any.
 
     Answers that are better than the first are written.
     """
@@ -293,7 +371,9 @@ def _more(
     return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
-def _end(task: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False) -> None:
+def _end(
+    task: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False
+) -> None:
     """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
@@ -301,7 +381,9 @@ def _end(task: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike
 
 
 def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
-    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1, n)."""
+    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1,
+    n).
+    """
     from kempe.kinematics.forward import fk
 
     full = np.repeat(task.chain.base, len(q), axis=0)
@@ -314,7 +396,9 @@ def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
         a, b = (Y[:, :3, :3] @ np.array(task.axis) for Y in (X, targets))
         out[:, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
     elif any(task.mask[3:]):
-        out[:, 1] = np.linalg.norm(spatial.log_so3(np.swapaxes(X[:, :3, :3], 1, 2) @ targets[:, :3, :3]), axis=-1)
+        out[:, 1] = np.linalg.norm(
+            spatial.log_so3(np.swapaxes(X[:, :3, :3], 1, 2) @ targets[:, :3, :3]), axis=-1
+        )
     return out
 
 
@@ -328,9 +412,11 @@ def _search(chain: Chain) -> Callable[..., int]:
 
 
 def outside(task: FrameProblem, targets: Array) -> Array:
-    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that each one fixes.
+    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that
+    each one fixes.
 
-    Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the position error.
+    Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the
+    position error.
     """
     if not task.mask[0]:
         return np.zeros(len(targets))
@@ -346,7 +432,13 @@ def look_closer(task: FrameProblem, code: np.ndarray) -> None:
 
 
 def past_lengths(task: FrameProblem, targets: Array) -> Array:
-    """How far (N, 2) in metres targets are past what the lengths of the links reach; see `proofs.by_lengths`."""
-    free = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))  # else that is the reason
+    """How far (N, 2) in metres targets are past what the lengths of the links reach; see
+    `proofs.by_lengths`.
+    """
+    free = len(task.chain.v_index) >= (
+        3 if task.system.dim == 2 else sum(task.mask)
+    )  # else that is the reason
     along = np.array(task.axis) if free and points_along(task.name) else None
-    return by_lengths(task.chain.bounds, targets, task.tolerance, free and all(task.mask), along=along)
+    return by_lengths(
+        task.chain.bounds, targets, task.tolerance, free and all(task.mask), along=along
+    )

@@ -1,7 +1,9 @@
-"""Configurations brought onto their targets where lengths are far apart: steps that are solved, not damped.
+"""Configurations brought onto their targets where lengths are far apart: steps that are solved, not
+damped.
 
-Damping keeps a search alive, but it drowns a joint whose lever is a millionth of another's. Near a solution a
-Gauss-Newton step needs none; with each column of the Jacobian scaled to its own size small levers count as large ones.
+Damping keeps a search alive, but it drowns a joint whose lever is a millionth of another's. Near a
+solution a Gauss-Newton step needs none; with each column of the Jacobian scaled to its own size
+small levers count as large ones.
 """
 
 from __future__ import annotations
@@ -26,19 +28,23 @@ TRIES = 24
 STEPS = 30
 LONGEST = 0.5
 DONE = 1e-4
-"""Steps at most, the longest change of an angle in one, and the part of the tolerances at which they end.
+"""Steps at most, the longest change of an angle in one, and the part of the tolerances at which
+they end.
 
-A step may make the error larger: what a millionth of a long lever turns beside the mark, the next step makes good."""
+A step may make the error larger: what a millionth of a long lever turns beside the mark, the next
+step makes good."""
 
 CONDITION = 1e-14
 """Singular values below this part of the largest are zero."""
 
 
 def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
-    """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where they can.
+    """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where
+    they can.
 
-    head: the first arguments of the kernels. Starts are the ends of the first search and of further ones, then closed
-    forms. For poses the tip is moved to the last axis, which changes nothing but the lever of the tool.
+    head: the first arguments of the kernels. Starts are the ends of the first search and of further
+    ones, then closed forms. For poses the tip is moved to the last axis, which changes nothing but
+    the lever of the tool.
     """
     ints, floats, limits, rows, goals, seeds, rng = head
     n = out.shape[1] - ANSWER
@@ -58,11 +64,26 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
         elif k:
             own = seeds[left] if len(seeds) > 1 else seeds
             found = np.empty((len(left), out.shape[1]))
-            schedule.reach(ints, floats, limits, rows, goals[left], own, rng, k - 1, 1, task.iterations,
-                         *task.tolerance, 0.0, found)  # fmt: skip
+            schedule.reach(
+                ints,
+                floats,
+                limits,
+                rows,
+                goals[left],
+                own,
+                rng,
+                k - 1,
+                1,
+                task.iterations,
+                *task.tolerance,
+                0.0,
+                found,
+            )
             q = found[:, :n]
         q, error = sharpen(task, targets[left], q, limits)
-        better = np.max(error / task.tolerance, axis=1) < np.max(out[left, n:][:, :2] / task.tolerance, axis=1)
+        better = np.max(error / task.tolerance, axis=1) < np.max(
+            out[left, n:][:, :2] / task.tolerance, axis=1
+        )
         at = left[better]
         out[at, :n], out[at, n + LINEAR : n + STATUS] = q[better], error[better]
         out[left[np.all(error <= task.tolerance, axis=1)], n + STATUS] = SOLVED
@@ -71,7 +92,9 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
 
 
 def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
-    """Configurations (N, n) by closed form or elimination, inside the limits, where there are some; else q (N, n)."""
+    """Configurations (N, n) by closed form or elimination, inside the limits, where there are some;
+    else q (N, n).
+    """
     from kempe.solvers.analytic.ik_analytic import kept, plan_of
 
     plan = plan_of(task.system, task.frame, task.name, task.axis)
@@ -79,7 +102,9 @@ def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
 
 
 def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
-    """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and their errors (N, 2)."""
+    """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and
+    their errors (N, 2).
+    """
     best = q.copy()
     least = misses(task, targets, q)
     score = np.max(least / task.tolerance, axis=1)
@@ -104,7 +129,9 @@ def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tupl
 
 
 def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
-    """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by themselves."""
+    """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by
+    themselves.
+    """
     chain = task.chain
     system = task.system
     turn = frame_of(np.array(task.axis))

@@ -1,6 +1,8 @@
-"""Whether it is proven that limits keep the answers of the inverse model away: all of them are known, or slides end.
+"""Whether it is proven that limits keep the answers of the inverse model away: all of them are
+known, or slides end.
 
-Both hold for chains without loops and relations. That a search finds nothing inside the limits proves nothing.
+Both hold for chains without loops and relations. That a search finds nothing inside the limits
+proves nothing.
 """
 
 from __future__ import annotations
@@ -9,7 +11,15 @@ import numpy as np
 
 from kempe.calls import quiet
 from kempe.errors import UnsupportedError
-from kempe.kernels.forward.table_layout import KIND, MULTIPLIER, SLIDE, V_INDEX, numbers_of, placements_of, rows_of
+from kempe.kernels.forward.table_layout import (
+    KIND,
+    MULTIPLIER,
+    SLIDE,
+    V_INDEX,
+    numbers_of,
+    placements_of,
+    rows_of,
+)
 from kempe.rigid import sound
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.problem import Problem
@@ -19,13 +29,16 @@ from kempe.solvers.one_frame.multi_start import FrameProblem
 from kempe.spatial import Array
 
 CLEAR = 1e-3
-"""How far beyond a limit, in radians or parts of the target's distance, each answer must be: what is nearer may be
-reached within the tolerance, or be rounding where two answers are near each other."""
+"""How far beyond a limit, in radians or parts of the target's distance, each answer must be: what
+is nearer may be reached within the tolerance, or be rounding where two answers are near each
+other."""
 
 
 @quiet
 def shut_out(task: FrameProblem, target: Array) -> Evidence | None:
-    """What proves that a target (1, 4, 4) has no answer inside the limits; None where that is not proven."""
+    """What proves that a target (1, 4, 4) has no answer inside the limits; None where that is not
+    proven.
+    """
     return _slides_end(task, target) or _all_outside(task, target)
 
 
@@ -68,14 +81,18 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
 
 
 def _beyond(chain: Chain, q: Array) -> float:
-    """How far the coordinate that is farthest outside its limits is outside, whatever whole turns are added."""
+    """How far the coordinate that is farthest outside its limits is outside, whatever whole turns
+    are added.
+    """
     turning, sliding = moved_by(chain)
     (low, high) = chain.limits
     turns = 2.0 * np.pi * (turning & ~sliding)
     above = np.maximum(q - high, 0.0)
     below = np.maximum(low - q, 0.0)
     off = above + below
-    for v in np.flatnonzero((turns > 0.0) & (off > 0.0)):  # the nearest turns on both sides of the range
+    for v in np.flatnonzero(
+        (turns > 0.0) & (off > 0.0)
+    ):  # the nearest turns on both sides of the range
         x = off[v] % turns[v]
         room = high[v] - low[v]
         off[v] = max(min(x, turns[v] - x - room), 0.0)
@@ -83,7 +100,9 @@ def _beyond(chain: Chain, q: Array) -> float:
 
 
 def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
-    """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
+    """Whether slides which nothing turns end too far from the target, along some direction,
+    whatever the rest does.
+    """
     chain = task.chain
     table = rows_of(task.chain.ints)
     rows = placements_of(chain.ints, chain.floats)

@@ -1,4 +1,6 @@
-"""Answers of solvers: the configuration, whether and how well it solves the task, and the sentence that says so."""
+"""Answers of solvers: the configuration, whether and how well it solves the task, and the sentence
+that says so.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +32,14 @@ def _member(number: float) -> Status:
 
 
 _MEASURED: dict[str, tuple[int, Callable[..., Any]]] = {
-    "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, _member),
-    "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float),
-}  # fmt: skip
-"""Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
+    "iterations": (STEPS, int),
+    "starts": (STARTS, int),
+    "code": (STATUS, _member),
+    "position_error": (LINEAR, float),
+    "orientation_error": (ANGULAR, float),
+}
+"""Fields of an answer for a single target, where the kernels leave them, and as what they are
+read."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +59,15 @@ class SolutionRow(Row):
 class Solution(Answer):
     """Answer of the inverse model: one configuration for each target.
 
-    `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found inside the limits
-    (NaN for targets that are not numbers). `position_error` in metres and `orientation_error` in radians (0 for
-    position targets) are measured by a forward pass; `residual` is the norm of both. `iterations` and `starts` count
-    the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
+    `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found
+    inside the limits (NaN for targets that are not numbers). `position_error` in metres and
+    `orientation_error` in radians (0 for position targets) are measured by a forward pass;
+    `residual` is the norm of both. `iterations` and `starts` count the work. All have the leading
+    shape of the targets; for a single target they are plain Python numbers.
 
-    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when `q`, an error,
-    `iterations`, `starts` or `status` is first requested: `success`, `code` and `proven` need no search.
+    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for
+    when `q`, an error, `iterations`, `starts` or `status` is first requested: `success`, `code` and
+    `proven` need no search.
     """
 
     __repr__ = brief
@@ -82,10 +90,11 @@ class Solution(Answer):
 
     @classmethod
     def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
-        """The answer for a single target that was reached, in a fraction of the time that a frozen class takes.
+        """The answer for a single target that was reached, in a fraction of the time that a frozen
+        class takes.
 
-        `measured` ends with errors, status, steps and starts, as the kernels leave them: they become fields when one is
-        requested.
+        `measured` ends with errors, status, steps and starts, as the kernels leave them: they
+        become fields when one is requested.
         """
         out = object.__new__(cls)
         own = out.__dict__
@@ -96,8 +105,12 @@ class Solution(Answer):
         return out
 
     @classmethod
-    def postponed(cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
-        """The answer for a batch of which only codes (...) are known yet; ``later[0](*later[1])`` computes the rest."""
+    def postponed(
+        cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]
+    ) -> Solution:
+        """The answer for a batch of which only codes (...) are known yet; ``later[0](*later[1])``
+        computes the rest.
+        """
         out = object.__new__(cls)
         out.__dict__.update(success=code == Status.SOLVED, code=code, problem=problem, _later=later)
         return out
@@ -128,14 +141,18 @@ class Solution(Answer):
 
     @cached_property
     def residual(self) -> Any:
-        """Error (...) of each configuration: the norm of its position error [m] and orientation error [rad]."""
+        """Error (...) of each configuration: the norm of its position error [m] and orientation
+        error [rad].
+        """
         return plain(np.hypot(self.position_error, self.orientation_error))
 
     @property
     def proven(self) -> Any:
-        """Where (...) it is proven that no solution exists; elsewhere a failure only means that no start found one.
+        """Where (...) it is proven that no solution exists; elsewhere a failure only means that no
+        start found one.
 
-        Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
+        Proofs are lengths, two tasks that contradict each other, and limits outside of which all
+        the answers are.
         """
         out = np.array(np.isin(self.code, PROOFS))
         for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
@@ -160,9 +177,14 @@ class Solution(Answer):
 
     @cached_property
     def _local(self) -> tuple[int, int, int, Array]:
-        """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis of self-motions."""
+        """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis
+        of self-motions.
+        """
         if np.ndim(self.success):
-            raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
+            raise InputError(
+                "m, n, rank and self_motion are those of one answer: ask for one problem, not for "
+                "a batch"
+            )
         return self._row.analyse(self)
 
     @property
@@ -172,7 +194,8 @@ class Solution(Answer):
 
     @property
     def n(self) -> int:
-        """Freedoms, at the answer, of the joints that move the tasks' frames, directly or through loops.
+        """Freedoms, at the answer, of the joints that move the tasks' frames, directly or through
+        loops.
 
         Their velocity coordinates, less the rank of the loops and relations that these are in.
         """
@@ -180,7 +203,9 @@ class Solution(Answer):
 
     @property
     def rank(self) -> int:
-        """Rank of the hard tasks' Jacobian at the answer, restricted to velocities that keep the loops closed."""
+        """Rank of the hard tasks' Jacobian at the answer, restricted to velocities that keep the
+        loops closed.
+        """
         return self._local[2]
 
     @property
@@ -190,7 +215,9 @@ class Solution(Answer):
 
     @property
     def self_motion(self) -> Array:
-        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and characteristic lengths."""
+        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and
+        characteristic lengths.
+        """
         return self._local[3]
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
@@ -210,14 +237,18 @@ class Solution(Answer):
 
     @cached_property
     def derivative(self) -> Any:
-        """dq (..., nv, 6) for a twist [linear; angular] of the target; see `kempe.solvers.one_frame.derivative`."""
+        """dq (..., nv, 6) for a twist [linear; angular] of the target; see
+        `kempe.solvers.one_frame.derivative`.
+        """
         return self._row.derive(self)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         return self._row.sentence(self, index) + self._way_there(index)
 
     def _way_there(self, index: tuple[int, ...]) -> str:
-        """End of a success sentence: under velocity constraints, that driving there needs a manoeuvre; else ''."""
+        """End of a success sentence: under velocity constraints, that driving there needs a
+        manoeuvre; else ''.
+        """
         if not np.asarray(self.success)[index] or not rolls(self.system):
             return ""
         return late("way_there")(self.system)

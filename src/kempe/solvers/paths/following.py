@@ -1,4 +1,6 @@
-"""Paths of configurations that follow a sequence of targets without a jump, and where and why that cannot be."""
+"""Paths of configurations that follow a sequence of targets without a jump, and where and why that
+cannot be.
+"""
 
 from __future__ import annotations
 
@@ -59,9 +61,9 @@ TRIED = 16
 class IkPath(Configurations):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
 
-    `jumps` are the targets that are reached, but not continuously from the one before; `status` says where and why the
-    path jumps or stops. It is true where all targets are reached without a jump. Ctrl-C or the time limit
-    leaves what was done (`interrupted`, `late`).
+    `jumps` are the targets that are reached, but not continuously from the one before; `status`
+    says where and why the path jumps or stops. It is true where all targets are reached without a
+    jump. Ctrl-C or the time limit leaves what was done (`interrupted`, `late`).
     """
 
     is_motion = True
@@ -109,39 +111,62 @@ class IkPath(Configurations):
 @explained
 @interruptible
 def ik_path(
-    system: System, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
-    restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
+    system: System,
+    targets: Any,
+    frame: FrameLike | None = None,
+    start: Any = None,
+    *,
+    max_step: float = 0.5,
+    restart: bool = False,
+    branches: bool = False,
+    tolerance: float | tuple[float, float] | None = None,
     budget: Budget | None = None,
-) -> IkPath:  # fmt: skip
-    """Configurations in which a frame follows targets, each reached continuously from the one before.
+) -> IkPath:
+    """Configurations in which a frame follows targets, each reached continuously from the one
+    before.
 
-    `targets` are poses (n, 4, 4) or positions (n, 3), in the plane also (n, 3, 3) or (n, 2); without a frame they are
-    tasks of `kempe.tasks` whose goals have a leading axis (n). Limits, couplings and loops hold, too. The first target
-    is reached from `start` as `ik` does; from there on each step starts at its first order, the damped pseudoinverse
-    times what is missing (Whitney, 1969). A step is taken where it is not much longer than that, nor than `max_step`
-    in radians and characteristic lengths, or much like the one before; else the targets' way (linear, rotations by the
-    exponential map) is halved. Near a singularity it goes on as before where it can, and a turn of the joints that
-    leaves the targets' way alone is no jump. A `tolerance` above the usual 1e-10 m and rad is for rounded targets: what
-    a singularity cannot give is then left out within it.
-    Where the smallest part of it cannot be gone, the path from the start is tried once more, if the targets leave
-    freedoms, with small self-motions away from limits. Where that ends, too, it stops, or, with `restart`, goes on from
-    the nearest configuration found at the next target that can be reached; joints that the targets do not ask for stay.
-    That it stops is no proof that no continuous path exists.
-    Where there are velocity constraints, a path that slips (by more than the bend between targets explains) is refused
-    with the place; where targets leave freedoms, one that rolls is led from the first target on instead.
-    With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
-    the answer is the one that gets farthest, then the one with fewest jumps, then the shortest.
-    Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of the whole call, after
-    which what was done by then is the answer, and progress, which receives how many targets are done.
-    Errors: `InputError`, `UnknownNameError`.
+    `targets` are poses (n, 4, 4) or positions (n, 3), in the plane also (n, 3, 3) or (n, 2);
+    without a frame they are tasks of `kempe.tasks` whose goals have a leading axis (n). Limits,
+    couplings and loops hold, too. The first target is reached from `start` as `ik` does; from there
+    on each step starts at its first order, the damped pseudoinverse times what is missing (Whitney,
+    1969). A step is taken where it is not much longer than that, nor than `max_step` in radians and
+    characteristic lengths, or much like the one before; else the targets' way (linear, rotations by
+    the exponential map) is halved. Near a singularity it goes on as before where it can, and a turn
+    of the joints that leaves the targets' way alone is no jump. A `tolerance` above the usual 1e-10
+    m and rad is for rounded targets: what a singularity cannot give is then left out within it.
+    Where the smallest part of it cannot be gone, the path from the start is tried once more, if the
+    targets leave freedoms, with small self-motions away from limits. Where that ends, too, it
+    stops, or, with `restart`, goes on from the nearest configuration found at the next target that
+    can be reached; joints that the targets do not ask for stay. That it stops is no proof that no
+    continuous path exists.
+    Where there are velocity constraints, a path that slips (by more than the bend between targets
+    explains) is refused with the place; where targets leave freedoms, one that rolls is led from
+    the first target on instead. With `branches`, paths from several start configurations are tried,
+    those of `ik_all` among them where it applies: the answer is the one that gets farthest, then
+    the one with fewest jumps, then the shortest.
+    Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of
+    the whole call, after which what was done by then is the answer, and progress, which receives
+    how many targets are done. Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     options = {"max_step": max_step, "restart": restart, "branches": branches}
     wanted = targets if frame is None else _held(system, targets, frame)
     name = None if frame is None else system.structure.frame_name(frame)
-    problem = Problem(system, "path", NOTHING, start, None, True, tolerance, budget, options, name, targets=targets,
-                      wanted=wanted)  # fmt: skip
+    problem = Problem(
+        system,
+        "path",
+        NOTHING,
+        start,
+        None,
+        True,
+        tolerance,
+        budget,
+        options,
+        name,
+        targets=targets,
+        wanted=wanted,
+    )
     solver, choice = choose(SOLVERS, system)
     return chosen_by(solver.run(problem), choice)
 
@@ -160,8 +185,10 @@ def by_steps(problem: Problem) -> IkPath:
     demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     refuse_far(system, first, "start")
     if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
-        raise InputError(f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are (n,) "
-                         f"targets and one start ({system.nq},)")  # fmt: skip
+        raise InputError(
+            f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are "
+            f"(n,) targets and one start ({system.nq},)"
+        )
     for task, goals in zip(demands.tasks, demands.goals, strict=True):
         refuse(goals, task.label)
     way = _FollowedPath(demands, options["max_step"], time, spend.progress)
@@ -177,7 +204,10 @@ def by_steps(problem: Problem) -> IkPath:
                 return replace(none, reason=f"the path does not begin: target {begin} is {why}")
             begins.append(q0[0])
             if options["branches"]:
-                begins += [*way.elsewhere(begin, q0[0]), *_all(problem, way.rows[begin], begin, q0[0])]
+                begins += [
+                    *way.elsewhere(begin, q0[0]),
+                    *_all(problem, way.rows[begin], begin, q0[0]),
+                ]
     except BROKEN_OFF as error:
         interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
         if not begins or interrupted:
@@ -207,12 +237,16 @@ def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
 
 
 class _FollowedPath(PathSteps):
-    """The way of targets, and the path along it, with self-motions away from limits where `avoids` is not 0."""
+    """The way of targets, and the path along it, with self-motions away from limits where `avoids`
+    is not 0.
+    """
 
     avoids = 0.0
 
     def begun(self, first: Array, restart: bool) -> tuple[Array, np.ndarray, int]:
-        """What is found for the first target, or with `restart` for the first that is reached, and its number."""
+        """What is found for the first target, or with `restart` for the first that is reached, and
+        its number.
+        """
         begin = 0
         q, info = self.rows[begin].run(first)
         while restart and info[0, 0] != SOLVED and begin + 1 < len(self.rows):
@@ -221,7 +255,9 @@ class _FollowedPath(PathSteps):
         return q, info, begin
 
     def reason(self, i: int, q: Array, part: float) -> str:
-        """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity, or neither."""
+        """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity,
+        or neither.
+        """
         ahead = self.at(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
         free = self.step(replace(ahead, limits=False), q)
         if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):
@@ -234,7 +270,9 @@ class _FollowedPath(PathSteps):
         return "a point from which it cannot be followed"
 
     def forbidding(self, problem: Demands, q: Array) -> str:
-        """The name of what holds always and repeats a row of the targets, at q and elsewhere; '' where nothing does."""
+        """The name of what holds always and repeats a row of the targets, at q and elsewhere; ''
+        where nothing does.
+        """
         packed = problem.packed
         name = ""
         if not packed.closed:
@@ -255,7 +293,9 @@ class _FollowedPath(PathSteps):
         return name
 
     def hint(self, i: int, q: Array, before: Array) -> str:
-        """The tolerance with which a path would go on through a singularity as before, where there is a small one."""
+        """The tolerance with which a path would go on through a singularity as before, where there
+        is a small one.
+        """
         if not before.any() or self.first_order(self.rows[i], q).ratio > WEAK:
             return ""
         x = self.truncated(self.rows[i], q, before)
@@ -274,11 +314,16 @@ class _FollowedPath(PathSteps):
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
         good = found[info[:, 0] == SOLVED]
         return sorted(
-            good, key=lambda x: float(np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale))
+            good,
+            key=lambda x: float(
+                np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale)
+            ),
         )
 
     def best(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
-        """The path from q by the shortest steps; where that ends, and freedoms are left, one that keeps from limits."""
+        """The path from q by the shortest steps; where that ends, and freedoms are left, one that
+        keeps from limits.
+        """
         path = self.path(q, restart, begin)
         if path or path.interrupted or path.late or rolls(self.system) or not self.free(begin, q):
             return path
@@ -311,7 +356,9 @@ class _FollowedPath(PathSteps):
         interrupted = False
         late = False
         if begin:
-            said.append(f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}")
+            said.append(
+                f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}"
+            )
         try:
             with self.budget:
                 self._go(out, jumps, said, restart, begin)
@@ -322,12 +369,18 @@ class _FollowedPath(PathSteps):
         out[:, untouched] = q[untouched]  # to the last bit
         success = self._checked(out)
         status = f"{success.sum()} of {counted(n, 'target')} followed"
-        jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
+        jumped = (
+            f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
+        )
         status = "; ".join([status + jumped, *said])
-        return IkPath(self.system, out, success, tuple(jumps), status, self.problem, interrupted, late)
+        return IkPath(
+            self.system, out, success, tuple(jumps), status, self.problem, interrupted, late
+        )
 
     def rolled(self, path: IkPath, begin: int) -> IkPath:
-        """The path, or where there are velocity constraints what of it, or in its place, does not slip."""
+        """The path, or where there are velocity constraints what of it, or in its place, does not
+        slip.
+        """
         if not rolls(self.system) or path.interrupted or path.late:
             return path
         from kempe.solvers.paths.rolling_path import without_slip
@@ -338,8 +391,13 @@ class _FollowedPath(PathSteps):
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said = f"{path.reason}; it slips, {partial(interrupted, late).strip(' ()')}"
-            return replace(path, success=np.zeros(len(path.q), dtype=bool), reason=said, interrupted=interrupted,
-                           late=late)  # fmt: skip
+            return replace(
+                path,
+                success=np.zeros(len(path.q), dtype=bool),
+                reason=said,
+                interrupted=interrupted,
+                late=late,
+            )
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
         """Write the path from its configuration at target `begin` on, and what there is to say."""
@@ -352,11 +410,18 @@ class _FollowedPath(PathSteps):
             if part < 1.0:
                 why = ""
                 if not broken:
-                    why = f"{part:.1%} of the way from target {i - 1} to {i}, at {self.reason(i, found, part)}"
+                    why = (
+                        f"{part:.1%} of the way from target {i - 1} to {i}, at "
+                        f"{self.reason(i, found, part)}"
+                    )
                     why += self.hint(i, q, before)
                 others = self.elsewhere(i, found)
                 broken = not others
-                said += [_sentence(self.system, i, why, found, others, restart)] if why or others else []
+                said += (
+                    [_sentence(self.system, i, why, found, others, restart)]
+                    if why or others
+                    else []
+                )
                 jumps += [i] if others else []
                 if not restart:
                     break
@@ -382,8 +447,12 @@ class _FollowedPath(PathSteps):
         return good
 
 
-def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], restart: bool) -> str:
-    where = f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
+def _sentence(
+    system: System, i: int, why: str, q: Array, others: list[Array], restart: bool
+) -> str:
+    where = (
+        f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
+    )
     if not others:
         return f"{where}; target {i} was not reached from {TRIED} other starts either"
     change = np.abs(system.structure.layout.difference(q, others[0]))
@@ -394,8 +463,14 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
 
 
 def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
-    """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
-    if problem.frame is None or of_loops(problem.system, problem.frame) or shared_by(problem.system, problem.frame):
+    """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for
+    is as in q (nq,).
+    """
+    if (
+        problem.frame is None
+        or of_loops(problem.system, problem.frame)
+        or shared_by(problem.system, problem.frame)
+    ):
         return []
     from kempe.solvers.analytic.ik_all import ik_all
 
@@ -426,11 +501,17 @@ def _farthest(path: IkPath) -> int:
 
 def _length(path: IkPath) -> float:
     q = path.q[path.success]
-    return float(np.linalg.norm(path.system.structure.layout.difference(q[:-1], q[1:]), axis=-1).sum())
+    return float(
+        np.linalg.norm(path.system.structure.layout.difference(q[:-1], q[1:]), axis=-1).sum()
+    )
 
 
 SOLVERS = (
-    Solver("steps", "each step from its first order on, halved where it is not much longer than that",
-           takes_all, by_steps),
-)  # fmt: skip
+    Solver(
+        "steps",
+        "each step from its first order on, halved where it is not much longer than that",
+        takes_all,
+        by_steps,
+    ),
+)
 """Who answers for a path."""

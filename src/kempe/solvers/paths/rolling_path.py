@@ -1,4 +1,6 @@
-"""Paths of what rolls: checked for slip, and where the targets leave freedoms, led without slip from the start on."""
+"""Paths of what rolls: checked for slip, and where the targets leave freedoms, led without slip
+from the start on.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ MOST = 4096
 
 
 def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
-    """The path where it does not slip; else one that rolls and holds the targets, if they leave that; else what is
-    before the first slip, with the place."""
+    """The path where it does not slip; else one that rolls and holds the targets, if they leave
+    that; else what is before the first slip, with the place.
+    """
     good = np.flatnonzero(path.success)
     whole = len(good) and good[-1] - good[0] + 1 == len(good)
     slip = slip_of(way.system, path.q[good]) if whole else None
@@ -51,12 +54,17 @@ def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     success[k:] = False
     many = int(success.sum())
     followed = f"{many} of {counted(len(q), 'target')} followed"
-    status = f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a manoeuvre"
+    status = (
+        f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a "
+        "manoeuvre"
+    )
     return replace(path, q=q, success=success, jumps=(), reason=status)
 
 
 def _led(way: PathSteps, out: Array, begin: int) -> int:
-    """Write configurations (n, nq) that roll from target to target; returns the last one that was reached."""
+    """Write configurations (n, nq) that roll from target to target; returns the last one that was
+    reached.
+    """
     q = out[begin]
     for i in range(begin + 1, len(out)):
         way.budget.check()
@@ -72,7 +80,8 @@ def _led(way: PathSteps, out: Array, begin: int) -> int:
 
 
 def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
-    """The configuration (nq,) that holds the target between, without slip in the middle of the way to it; or None.
+    """The configuration (nq,) that holds the target between, without slip in the middle of the way
+    to it; or None.
 
     The smallest such step, by Newton's method.
     """
@@ -81,12 +90,20 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
 
     def both(d: Array) -> tuple[Array, Array]:
         e, J = way.missing(problem, system.structure.layout.integrate(q, d * way.scale))
-        A, b = hard_rows(system, system.structure.layout.integrate(q, 0.5 * d * way.scale), way.scale)
-        return np.concatenate([e, np.full(len(A), np.inf) if b.any() else A @ d]), np.concatenate([J, A])
+        A, b = hard_rows(
+            system, system.structure.layout.integrate(q, 0.5 * d * way.scale), way.scale
+        )
+        return np.concatenate([e, np.full(len(A), np.inf) if b.any() else A @ d]), np.concatenate(
+            [J, A]
+        )
 
     def newton(d: Array, r: Array, M: Array) -> Array:
         new = least_squares(M, M @ d - r, 1e-8)
-        return new - d if np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d) else np.full(len(d), np.inf)
+        return (
+            new - d
+            if np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d)
+            else np.full(len(d), np.inf)
+        )
 
     found = gauss_newton(both, np.zeros(system.nv), ITERATIONS - 1, step=newton, met=HELD, last=0.0)
     layout = system.structure.layout

@@ -43,7 +43,8 @@ HOLDS = (1e-9, 1e-9)
 """Largest error of a task, in metres and radians, with which it is said to hold along the way."""
 HOMING = 8
 MET = 1e-6
-"""Steps by which a way is led to the configuration that it may have come back to, and the distance at which it has."""
+"""Steps by which a way is led to the configuration that it may have come back to, and the distance
+at which it has."""
 ALIKE = 0.98
 """Cosine above which two directions are those of one curve."""
 AT_LIMIT = 1e-6
@@ -57,12 +58,14 @@ LEAST_PART = 0.05
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class SelfMotion(Configurations):
-    """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are passed.
+    """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are
+    passed.
 
-    `freedoms` are those that the tasks leave at the start, over a distance: where there are only such to first order,
-    `freedoms` is 0 and `q` has the start alone. `start` is the row of the configuration it began with. `closed` says
-    that the way comes back to it; else `ends` says for both ends why the way ends there. Where an interrupt from the
-    keyboard (`interrupted`) or the time limit (`late`) ended the work, these are the configurations found by then.
+    `freedoms` are those that the tasks leave at the start, over a distance: where there are only
+    such to first order, `freedoms` is 0 and `q` has the start alone. `start` is the row of the
+    configuration it began with. `closed` says that the way comes back to it; else `ends` says for
+    both ends why the way ends there. Where an interrupt from the keyboard (`interrupted`) or the
+    time limit (`late`) ended the work, these are the configurations found by then.
     """
 
     is_motion = True
@@ -93,37 +96,53 @@ class SelfMotion(Configurations):
         return self.status
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"
+        how = (
+            "it comes back to its start"
+            if self.closed
+            else f"from {self.ends[0]} to {self.ends[1]}"
+        )
         if not self.freedoms:
             return f"1 configuration, no motion: {self.ends[0]}"
-        many = f"{counted(len(self.q), 'configuration')} of a self-motion with {counted(self.freedoms, 'freedom')}"
+        many = (
+            f"{counted(len(self.q), 'configuration')} of a self-motion with "
+            f"{counted(self.freedoms, 'freedom')}"
+        )
         return f"{many}: {how}{self._partial()}"
 
 
 @explained
 @interruptible
 def self_motion(
-    system: System, q: Any, tasks: FrameLike | Constraint | Sequence[Constraint], *,
-    task: str | tuple[str, ArrayLike] | None = None, direction: Any = None, budget: Budget | None = None,
-) -> SelfMotion:  # fmt: skip
+    system: System,
+    q: Any,
+    tasks: FrameLike | Constraint | Sequence[Constraint],
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    direction: Any = None,
+    budget: Budget | None = None,
+) -> SelfMotion:
     """The motion of a system from q (nq,), in both directions, that keeps tasks fulfilled.
 
-    `tasks` is a frame, or hard tasks that are fulfilled at q. A frame keeps its pose, or only the part that `task`
-    names, as for `System.ik`: "position", "orientation", "direction", "position_axis". Only joints that move a frame of
-    the tasks count, and move. If the tasks leave one freedom, the whole curve is traced until it closes, meets a limit
-    or has the largest number of points in each direction. If they leave more, `direction` chooses a curve: the name of
-    a coordinate, or a velocity (nv,), which is projected onto the velocities that the tasks allow. `budget.step` is the
-    length of a step, in radians and characteristic lengths. The tasks are fulfilled to 1e-9 at all points, by
-    corrections of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is q alone, and says
-    so. Errors: `InputError` where the tasks are not fulfilled at q,
-    leave no freedom to first order, or more than one without a direction; `UnsupportedError` where velocity constraints
-    do not allow the motion.
+    `tasks` is a frame, or hard tasks that are fulfilled at q. A frame keeps its pose, or only the
+    part that `task` names, as for `System.ik`: "position", "orientation", "direction",
+    "position_axis". Only joints that move a frame of the tasks count, and move. If the tasks leave
+    one freedom, the whole curve is traced until it closes, meets a limit or has the largest number
+    of points in each direction. If they leave more, `direction` chooses a curve: the name of a
+    coordinate, or a velocity (nv,), which is projected onto the velocities that the tasks allow.
+    `budget.step` is the length of a step, in radians and characteristic lengths. The tasks are
+    fulfilled to 1e-9 at all points, by corrections of minimum norm. Where the Jacobian loses rank
+    and no motion is found, the answer is q alone, and says so. Errors: `InputError` where the tasks
+    are not fulfilled at q,
+    leave no freedom to first order, or more than one without a direction; `UnsupportedError` where
+    velocity constraints do not allow the motion.
     """
     q = as_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
     wanted = _wanted(system, q, tasks, *task_and_axis(task))
-    problem = Problem(system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted)
+    problem = Problem(
+        system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted
+    )
     solver, choice = choose(SOLVERS, system)
     return chosen_by(solver.run(problem), choice)
 
@@ -138,7 +157,10 @@ def by_tangents(problem: Problem) -> SelfMotion:
     size = step = spend.step
     number = isinstance(step, (int, float, np.floating))
     if not is_whole(steps) or steps < 1 or not number or not 0.0 < step <= 0.5:
-        raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
+        raise InputError(
+            f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step "
+            "<= 0.5"
+        )
     time.put_in_order()  # there is nothing to do afterwards
     with begun_within(USUAL, time):
         demands, q0 = _begin(system, problem.start, problem.wanted)
@@ -156,14 +178,20 @@ def by_tangents(problem: Problem) -> SelfMotion:
     way = _Direction(local, wish, local.finite > 1, float(size), time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
-        return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands)
+        return SelfMotion(
+            system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands
+        )
     back = _HalfCurve([], False, "the start", -forth.t)
     if way.broken is None:
-        back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
+        back = way.follow(
+            q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None
+        )
     q = _rolling(system, [*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
     interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
-    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, demands, interrupted, late)
+    return SelfMotion(
+        system, q, local.finite, len(back.q), back.closed, ends, demands, interrupted, late
+    )
 
 
 def _rolling(system: System, q: list[Array]) -> Array:
@@ -171,8 +199,10 @@ def _rolling(system: System, q: list[Array]) -> Array:
     found = np.array(q)
     slip = slip_of(system, found)
     if slip is not None:
-        raise UnsupportedError(f"the self-motion of {system.name} {slip.text}: only what does not move what rolls is "
-                               "followed; steps without slip are those of ik_step")  # fmt: skip
+        raise UnsupportedError(
+            f"the self-motion of {system.name} {slip.text}: only what does not move what rolls is "
+            "followed; steps without slip are those of ik_step"
+        )
     return found
 
 
@@ -181,7 +211,9 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
     wanted: Any = tasks
     if isinstance(tasks, (Constraint, list, tuple)):
         if task is not None:
-            raise InputError(f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask")
+            raise InputError(
+                f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask"
+            )
         return wanted
     name = system.structure.frame_name(tasks)
     kind = task_of(task, False, bool(system.structure.table.at[name][2]))
@@ -191,19 +223,25 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
 
 
 def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:
-    """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where they do not hold."""
+    """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where
+    they do not hold.
+    """
     problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
     rows = one_sided_rows(system)
     if problem.lead:
-        raise InputError(f"the goals have the leading shape {problem.lead}; needed are those of one problem")
+        raise InputError(
+            f"the goals have the leading shape {problem.lead}; needed are those of one problem"
+        )
     problem = replace(problem, tasks=tuple(t.exactly() for t in problem.tasks))
     at = judge(replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64))
     if not at:
         over = [name for name, far in zip(rows.names, rows.beyond(q), strict=True) if far]
         if over:
             raise InputError(f"q is outside the limits of {joined([repr(name) for name in over])}")
-        raise InputError(f"the tasks do not hold at q: they are missed by {at.position_error} m, "
-                         f"{at.orientation_error} rad")  # fmt: skip
+        raise InputError(
+            f"the tasks do not hold at q: they are missed by {at.position_error} m, "
+            f"{at.orientation_error} rad"
+        )
     return problem, problem.run(start)[0][0]
 
 
@@ -211,7 +249,10 @@ def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Arr
     """The scaled velocity (nv,) to follow."""
     if direction is None:
         if local.finite > 1:
-            raise InputError(f"the tasks leave {counted(local.finite, 'freedom')}: say by `direction` which way to go")
+            raise InputError(
+                f"the tasks leave {counted(local.finite, 'freedom')}: say by `direction` which way "
+                "to go"
+            )
         found = local.motions
         if (np.abs(found @ found[0]) < ALIKE).any():
             raise InputError("self-motions branch here: say by `direction` which way to go")
@@ -219,21 +260,28 @@ def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Arr
     scale = problem.packed.scale
     if isinstance(direction, str):
         if direction not in system.structure.velocity_names:
-            raise UnknownNameError("coordinate", direction, system.structure.velocity_names, system.name)
+            raise UnknownNameError(
+                "coordinate", direction, system.structure.velocity_names, system.name
+            )
         at = system.structure.velocity_names.index(direction)
         if at not in local.movers:
             own = joined([repr(system.structure.velocity_names[int(v)]) for v in local.movers])
-            raise InputError(f"direction is {direction!r}, which does not move what the tasks hold; {own} do")
+            raise InputError(
+                f"direction is {direction!r}, which does not move what the tasks hold; {own} do"
+            )
         return np.eye(system.nv)[at]
     wish = numbers_of(direction, "direction")
     if wish.shape != (system.nv,) or not np.isfinite(wish).all() or not wish.any():
-        raise InputError(f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero")
+        raise InputError(
+            f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero"
+        )
     return wish / scale / np.linalg.norm(wish / scale)
 
 
 class _HalfCurve(NamedTuple):
-    """One way from the start: configurations, whether they come to where they should, why they end, the last direction,
-    and whether it is only for the number of steps that they end."""
+    """One way from the start: configurations, whether they come to where they should, why they end,
+    the last direction, and whether it is only for the number of steps that they end.
+    """
 
     q: list[Array]
     closed: bool
@@ -246,9 +294,14 @@ class _Direction:
     """Follows self-motions by steps along the tangent that are led back."""
 
     def __init__(
-        self, local: Local, wish: Array, wished: bool, step: float, time: TimeLimit,
+        self,
+        local: Local,
+        wish: Array,
+        wished: bool,
+        step: float,
+        time: TimeLimit,
         progress: Callable[[int], Any] | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.time = time
         self.progress = progress
         self.done = 0
@@ -259,9 +312,12 @@ class _Direction:
         self.wished = wished
         self.step = step
 
-    def follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None) -> _HalfCurve:
-        """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,) in which it is
-        passed; without one back to q."""
+    def follow(
+        self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None
+    ) -> _HalfCurve:
+        """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,)
+        in which it is passed; without one back to q.
+        """
         out: list[Array] = []
         try:
             with self.time:
@@ -303,15 +359,21 @@ class _Direction:
             if b.sigma < LEAST_PART:
                 return nothing._replace(t=b.t)
             a = b
-        return _HalfCurve(out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t)
+        return _HalfCurve(
+            out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t
+        )
 
     def _led(self, x: Array) -> Array | None:
-        """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks finds it; or None."""
+        """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks
+        finds it; or None.
+        """
         found, info = self.problem.run(x[None])
         return found[0] if info[0, 0] == SOLVED else None
 
     def _node(self, x: Array, toward: Array) -> Node:
-        """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large that part is."""
+        """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large
+        that part is.
+        """
         N = self.local.tangents(x)
         t = N @ (N.T @ toward)
         size = float(np.linalg.norm(t))
@@ -351,7 +413,9 @@ class _Direction:
 
 
 def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
-    """What stands in the way of going on from q along t: a limit, or the bound of a task, not farther than `ahead`."""
+    """What stands in the way of going on from q along t: a limit, or the bound of a task, not
+    farther than `ahead`.
+    """
     system = problem.system
     scale = problem.packed.scale
     if names := _at_limits(system, q, t, ahead * scale):
@@ -372,7 +436,9 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
 
 
 def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
-    """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within `ahead` (nv,)."""
+    """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within
+    `ahead` (nv,).
+    """
     v = system.structure.layout.vector_v
     x = q[system.structure.layout.vector_q]
     near = AT_LIMIT + np.abs(ahead * t)[v]
@@ -382,7 +448,11 @@ def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -
 
 
 SOLVERS = (
-    Solver("tangents", "steps along the directions in which the tasks hold to first order, led back, both ways",
-           takes_all, by_tangents),
-)  # fmt: skip
+    Solver(
+        "tangents",
+        "steps along the directions in which the tasks hold to first order, led back, both ways",
+        takes_all,
+        by_tangents,
+    ),
+)
 """Who answers for a self-motion."""

@@ -1,7 +1,8 @@
-"""Which tasks contradict each other, proven: no configuration holds both, whatever the joints and their limits.
+"""Which tasks contradict each other, proven: no configuration holds both, whatever the joints and
+their limits.
 
-Two tasks on one rigid body fix the distance of their points, the angle of their axes, or the whole of both. Points of
-two bodies are at most as far apart as the links between them are long.
+Two tasks on one rigid body fix the distance of their points, the angle of their axes, or the whole
+of both. Points of two bodies are at most as far apart as the links between them are long.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ SLACK = 1e-9
 
 
 class Exclusion(NamedTuple):
-    """How (see `wording.CONTRADICTIONS`) and by how much (...) what two tasks ask for is apart, 0 where it is not.
+    """How (see `wording.CONTRADICTIONS`) and by how much (...) what two tasks ask for is apart, 0
+    where it is not.
 
     `longest` is the greatest distance [m] that links allow.
     """
@@ -47,7 +49,9 @@ class Region(NamedTuple):
 
 
 class BodyDemand(NamedTuple):
-    """What a task says of a body: pose (...) of its frame in the ground and on the body's row, of which parts count."""
+    """What a task says of a body: pose (...) of its frame in the ground and on the body's row, of
+    which parts count.
+    """
 
     row: int
     goal: Array
@@ -83,7 +87,12 @@ def _held(problem: Demands, i: int) -> BodyDemand | None:
     task = problem.tasks[i]
     system = own_tree(problem.system)
     goal = problem.goals[i][0][0]
-    if not isinstance(task, PlacedTask) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
+    if (
+        not isinstance(task, PlacedTask)
+        or isinstance(task, Centred)
+        or goal is None
+        or len(problem.goals[i]) > 1
+    ):
         return None
     if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
         return None
@@ -123,7 +132,9 @@ def _angles(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     if not (a.turn or a.axis) or not (b.turn or b.axis):
         return []
     if a.axis and b.axis:
-        off = np.abs(_angle(a.goal[..., :3, 2], b.goal[..., :3, 2]) - _angle(a.local[:3, 2], b.local[:3, 2]))
+        off = np.abs(
+            _angle(a.goal[..., :3, 2], b.goal[..., :3, 2]) - _angle(a.local[:3, 2], b.local[:3, 2])
+        )
     else:
         whole, axis = (a, b) if a.turn else (b, a)
         off = _angle(_body(whole) @ axis.local[:3, 2], axis.goal[..., :3, 2])
@@ -131,7 +142,9 @@ def _angles(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
 
 
 def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
-    """By how much the places that two tasks ask of points of one body exclude each other, in metres."""
+    """By how much the places that two tasks ask of points of one body exclude each other, in
+    metres.
+    """
     arm = b.local[:3, 3] - a.local[:3, 3]
     length = float(np.linalg.norm(arm))
     out: list[Exclusion] = []
@@ -155,7 +168,9 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
             if point.turn:
                 p = p + _body(point) @ way
                 more = slack + 2.0 * point.angular * length
-            x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[..., axes]
+            x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[
+                ..., axes
+            ]
             off = np.linalg.norm(x - np.clip(x, low, high), axis=-1)
             out.append(Exclusion("region", _more(off, more, p, there.goal[..., :3, 3])))
     return out
@@ -178,7 +193,9 @@ def _more(off: Array, slack: float, *sizes: Array) -> Array:
 
 
 def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
-    """The largest distance that lengths of links, and limits of slides, allow between two points; may be infinite."""
+    """The largest distance that lengths of links, and limits of slides, allow between two points;
+    may be infinite.
+    """
     above = [_up(system, h.row) for h in (a, b)]
     common = next((row for row in above[0] if row in above[1]), -1)
     total = 0.0
@@ -188,7 +205,9 @@ def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
         for row in rows[: rows.index(common)] if common in rows else rows[:-1]:
             if system.structure.table.kind[row] == P:
                 limit = system.structure.limits[system.structure.table.iv[row]]
-                total += float(np.max(np.abs(system.structure.table.multiplier[row] * np.asarray(limit))))
+                total += float(
+                    np.max(np.abs(system.structure.table.multiplier[row] * np.asarray(limit)))
+                )
             total += float(np.linalg.norm(end))
             end = system.structure.table.placement[row][:3, 3]
         ends.append(end)

@@ -20,13 +20,16 @@ if TYPE_CHECKING:
     from kempe.solvers.tasks.demands import Demands
 
 FAR = 10.0
-"""Characteristic lengths from a frame to its target from which on a base is moved before the first start."""
+"""Characteristic lengths from a frame to its target from which on a base is moved before the first
+start."""
 
 
 def near_target(problem: Demands, home: Array) -> Array:
-    """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task holds a frame.
+    """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task
+    holds a frame.
 
-    So a drive over the plane begins beside its target; what is near stays. A base that flies is moved by the kernels.
+    So a drive over the plane begins beside its target; what is near stays. A base that flies is
+    moved by the kernels.
     """
     system = own_tree(problem.system)
     base = _slides(system)
@@ -46,11 +49,19 @@ def near_target(problem: Demands, home: Array) -> Array:
         dx = away @ np.linalg.pinv(J, rcond=1e-9).T
         moved = np.tile(home, (*dx.shape[:-1], 1))
         places = dict(
-            zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True)
+            zip(
+                system.structure.layout.vector_v.tolist(),
+                system.structure.layout.vector_q.tolist(),
+                strict=True,
+            )
         )
         moved[..., [places[v] for v in base]] += dx
         moved = np.where(far & np.isfinite(dx).all(axis=-1, keepdims=True), moved, home)
-        return np.broadcast_to(moved, (*(problem.lead if dx.ndim > 1 else ()), system.nq)).reshape(-1, system.nq).copy()
+        return (
+            np.broadcast_to(moved, (*(problem.lead if dx.ndim > 1 else ()), system.nq))
+            .reshape(-1, system.nq)
+            .copy()
+        )
     return home[None]
 
 
@@ -63,6 +74,10 @@ def _slides(system: System) -> list[int]:
     for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
         if kind == P and int(parent) in straight:
             straight.add(row)
-            if np.isinf(system.lower[v]) and np.isinf(system.upper[v]) and np.sum(table.iv == v) == 1:
+            if (
+                np.isinf(system.lower[v])
+                and np.isinf(system.upper[v])
+                and np.sum(table.iv == v) == 1
+            ):
                 out.append(int(v))
     return out

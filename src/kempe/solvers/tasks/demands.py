@@ -39,7 +39,8 @@ CHUNK = 16
 SERIAL_BELOW = 32
 """Problems below which a batch stays on one thread."""
 KEPT = 64
-"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
+"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept
+with each."""
 
 Level = tuple[int, bool]
 
@@ -101,19 +102,27 @@ class Demands:
     def hard_tasks(self) -> list[tuple[Task, Goals, tuple[float, float]]]:
         """The hard tasks that count, with their goals and tolerances."""
         every = zip(self.tasks, self.goals, self.use, strict=True)
-        return [(task, goals, self.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
+        return [
+            (task, goals, self.tolerance_of(task))
+            for task, goals, used in every
+            if used and task.weight is None
+        ]
 
     def of(self, index: int) -> Demands:
         """The problem of row `index` of a batch."""
         pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
-        aim = self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
+        aim = (
+            self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
+        )
         goals = tuple(_row(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
     def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
-        """The problem with only these tasks, without preference or time limit, and from at most `STARTS` starts.
+        """The problem with only these tasks, without preference or time limit, and from at most
+        `STARTS` starts.
 
-        `limits` says whether joint limits count, `one_sided` whether one-sided constraints of the system do.
+        `limits` says whether joint limits count, `one_sided` whether one-sided constraints of the
+        system do.
         """
         use = tuple(i in tasks for i in range(len(self.tasks)))
         few = min(self.starts, STARTS)
@@ -129,9 +138,15 @@ class Demands:
         )
 
     def run(
-        self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
+        self,
+        starts: Array,
+        threads: int | None = 1,
+        *,
+        tries: int | None = None,
+        rows: np.ndarray | None = None,
     ) -> tuple[Array, np.ndarray]:
-        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of some `rows` or all.
+        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of
+        some `rows` or all.
 
         `tries` are the starts at most, by default those of the problem.
         """
@@ -174,7 +189,9 @@ class Demands:
                     info[i:j],
                 )
             error = clock().taken()
-            if error is not None and not isinstance(error, EndReached):  # the time of a verb that asked
+            if error is not None and not isinstance(
+                error, EndReached
+            ):  # the time of a verb that asked
                 raise error
             return left
 
@@ -189,7 +206,9 @@ class Demands:
         return self._kept(self.packed.inside(q) if self.limits else q, starts), info
 
     def _kept(self, q: Array, starts: Array) -> Array:
-        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in place."""
+        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in
+        place.
+        """
         if self.mode != S.NOTHING:
             return q
         untouched = apart(self.packed, self.pins)
@@ -201,9 +220,15 @@ class Demands:
 
     @property
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
-        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
-        tasks that are hard, and their tolerances (hard, 2)."""
-        key = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
+        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and
+        tolerances (ties, 3); the tasks that are hard, and their tolerances (hard, 2).
+        """
+        key = (
+            self.use,
+            self.one_sided,
+            self.tolerance,
+            *((t.priority, t.weight, t.tolerance) for t in self.tasks),
+        )
         found = self.packed.stages.get(key)
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
@@ -214,7 +239,10 @@ class Demands:
     def _staged(self) -> tuple[np.ndarray, Array]:
         keys = [level_of(t) for t in self.tasks]
         order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
-        top = {k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k) for k in keys}
+        top = {
+            k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k)
+            for k in keys
+        }
         ties = self.packed.loops.ties
         length = self.packed.loops.length
         stages = np.zeros((2, len(ties)), dtype=np.int64)

@@ -1,7 +1,9 @@
-"""How many starts the search for several tasks is given: few where nothing speaks for an answer, many where much does.
+"""How many starts the search for several tasks is given: few where nothing speaks for an answer,
+many where much does.
 
-Without the limits, nearly every start finds an answer where there is one. So where some starts without them fail too,
-more are hardly worth their time; where they do not, an answer within the limits may take thousands of starts.
+Without the limits, nearly every start finds an answer where there is one. So where some starts
+without them fail too, more are hardly worth their time; where they do not, an answer within the
+limits may take thousands of starts.
 """
 
 from __future__ import annotations
@@ -29,21 +31,25 @@ if TYPE_CHECKING:
 EACH = 30
 MOST = 15_000
 HOPELESS = 10
-"""Starts by the square of the number of limited coordinates that the tasks move, their largest number, and the part of
-them that is tried where no answer without limits is found either. With 30, 1470 are for an arm with seven joints."""
+"""Starts by the square of the number of limited coordinates that the tasks move, their largest
+number, and the part of them that is tried where no answer without limits is found either. With 30,
+1470 are for an arm with seven joints."""
 
 
 GLIMPSE = 10_000
 SHARE = 2_500
-"""Calls of Python functions after which it is checked whether a search may ever end well, and calls of each of the
-searches by which this is checked. They are counted, not timed, so that no answer depends on how busy the machine is."""
+"""Calls of Python functions after which it is checked whether a search may ever end well, and calls
+of each of the searches by which this is checked. They are counted, not timed, so that no answer
+depends on how busy the machine is."""
 
 Found = tuple[Array, np.ndarray]
 """Configurations (N, nq) and (status, steps, starts) (N, 3)."""
 
 
 class Effort:
-    """A check for `watched_by` that lets a search call functions, and begin starts, `most` times in all."""
+    """A check for `watched_by` that lets a search call functions, and begin starts, `most` times in
+    all.
+    """
 
     def __init__(self, most: int):
         self.most = most
@@ -66,10 +72,14 @@ def of_functions(problem: Demands) -> bool:
     return any(t.function is not None for t in problem.packed.loops.ties)
 
 
-def patiently(problem: Demands, solve: Callable[[Demands], Found], base: Array) -> tuple[Demands, Found]:
-    """The problem, how far it was searched, and what `solve` finds: at first with GLIMPSE calls, of one problem.
+def patiently(
+    problem: Demands, solve: Callable[[Demands], Found], base: Array
+) -> tuple[Demands, Found]:
+    """The problem, how far it was searched, and what `solve` finds: at first with GLIMPSE calls, of
+    one problem.
 
-    It goes on only where a search without limits finds an answer, and each function alone holds inside the limits.
+    It goes on only where a search without limits finds an answer, and each function alone holds
+    inside the limits.
     """
     effort = Effort(GLIMPSE)
     q, info = solve(replace(problem, effort=effort))
@@ -82,9 +92,15 @@ def patiently(problem: Demands, solve: Callable[[Demands], Found], base: Array) 
 
 
 def _hopeful(problem: Demands, base: Array) -> bool:
-    """Whether there is an answer without limits, and one for each hard task that is a function, inside them."""
+    """Whether there is an answer without limits, and one for each hard task that is a function,
+    inside them.
+    """
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
-    called = {int(i) for i, t in zip(problem.packed.owner, problem.packed.loops.ties, strict=True) if t.function}
+    called = {
+        int(i)
+        for i, t in zip(problem.packed.owner, problem.packed.loops.ties, strict=True)
+        if t.function
+    }
     trials = [problem.only(hard, False), *(problem.only([i]) for i in hard if i in called)]
     for trial in trials:
         _, info = replace(trial, end=problem.end, effort=Effort(SHARE)).run(base[:1], tries=FIRST)
@@ -94,7 +110,9 @@ def _hopeful(problem: Demands, base: Array) -> bool:
 
 
 def most_starts(system: System, packed: Packed) -> int:
-    """Starts before tasks are given up: they grow with the number of limits that an answer may touch. Kept."""
+    """Starts before tasks are given up: they grow with the number of limits that an answer may
+    touch. Kept.
+    """
     found = packed.stages.get(most_starts)
     if found is None:
         plan = packed.loops.plan
@@ -110,7 +128,9 @@ def most_starts(system: System, packed: Packed) -> int:
 
 
 def proofs_of(problem: Demands) -> np.ndarray:
-    """Codes (N,) of the problems that are proven to have no answer, 0 of others. Kept with the problem."""
+    """Codes (N,) of the problems that are proven to have no answer, 0 of others. Kept with the
+    problem.
+    """
     found: np.ndarray | None = problem.kept.get(proofs_of)
     if found is None:
         against = np.where(contradictory(problem), Status.CONTRADICTORY, 0)
@@ -120,7 +140,8 @@ def proofs_of(problem: Demands) -> np.ndarray:
 
 
 def search(problem: Demands, base: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
-    """As `Demands.run`, with as many starts as each problem deserves: `FIRST` first, then up to those of the problem.
+    """As `Demands.run`, with as many starts as each problem deserves: `FIRST` first, then up to
+    those of the problem.
 
     No more than these where a proof says that there is no answer.
     """

@@ -1,7 +1,8 @@
 """Why tasks do not hold: which fail and by how much, and what is proven or speaks for it.
 
-Proofs are the lengths of links and tasks that contradict each other. Else one asks again: all without the limits, each
-hard task alone, two at a time. What is then found is true, what is not found is evidence and said with the starts.
+Proofs are the lengths of links and tasks that contradict each other. Else one asks again: all
+without the limits, each hard task alone, two at a time. What is then found is true, what is not
+found is evidence and said with the starts.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
     from kempe.solvers.tasks.demands import Demands
 
 MOST_COORDINATES = 400
-"""Velocity coordinates up to which a sentence counts freedoms: it takes about forty dense decompositions."""
+"""Velocity coordinates up to which a sentence counts freedoms: it takes about forty dense
+decompositions."""
 MOST_PAIRS = 45
 """Pairs of tasks that are tried before they are no longer requested."""
 
@@ -47,12 +49,16 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     number, steps, starts = (int(np.asarray(x)[index]) for x in figures)
     code = Status(number)
     if code is Status.BAD_INPUT:
-        return "goals or start have numbers that are not finite or too large, or a goal is not a pose"
+        return (
+            "goals or start have numbers that are not finite or too large, or a goal is not a pose"
+        )
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     problem = answer.problem.of(row)
     q = answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
-    soft = ", ".join(f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None)
+    soft = ", ".join(
+        f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None
+    )
     hard = [t for t in problem.tasks if t.weight is None]
     if code is Status.SOLVED:
         work = wording.work(steps, starts)
@@ -62,13 +68,17 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
             return wording.failed("", f"{said} ({work})", cut, soft)
         worst = np.max([misses[t.label] for t in hard], axis=0)
         left = _left(problem, q)
-        return wording.failed("", wording.hard_tasks_hold(*_counting(hard, worst), work, left), cut, soft)
+        return wording.failed(
+            "", wording.hard_tasks_hold(*_counting(hard, worst), work, left), cut, soft
+        )
     failing = [t for t in hard if not _within(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_off(t, misses)}" for t in failing)
     what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
     near = "q is the nearest found"
     if code is Status.OUT_OF_TIME:
-        return wording.failed(wording.late(problem.time_limit, starts, problem.starts), what, near, soft)
+        return wording.failed(
+            wording.late(problem.time_limit, starts, problem.starts), what, near, soft
+        )
     if problem.given_up:
         calls = wording.calls_in_vain(problem.given_up)
         return wording.failed(wording.given_up("reached", starts), what, calls, near, soft)
@@ -91,8 +101,10 @@ def _left(problem: Demands, q: Array) -> str:
 
 def _counting(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
     """Errors in metres and radians, None for those that tasks do not have."""
-    return (float(error[0]) if any(t.lengths for t in tasks) else None,
-            float(error[1]) if any(t.angles for t in tasks) else None)  # fmt: skip
+    return (
+        float(error[0]) if any(t.lengths for t in tasks) else None,
+        float(error[1]) if any(t.angles for t in tasks) else None,
+    )
 
 
 def _off(task: Task, misses: dict[str, Array]) -> str:
@@ -113,7 +125,7 @@ def _violated(problem: Demands, q: Array) -> str:
 
 def _solved(
     problem: Demands, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
-) -> Array | None:  # fmt: skip
+) -> Array | None:
     """A configuration (nq,) that holds only these hard tasks, or None."""
     part = problem.only(tasks, limits, one_sided)
     found, info = part.run(q[None])
@@ -123,18 +135,24 @@ def _solved(
 def _reasons(problem: Demands, q: Array) -> list[Any]:
     """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
-    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradicting(problem)
+    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradicting(
+        problem
+    )
     above = _solved(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
     if above is not None and not proofs and (over := problem.packed.one_sided.violations(above)):
         return [evidence("one-sided", violated=[v.text for v in over])]
     free = _solved(problem, q, hard, False)
     names = outside_limits(problem.system, free) if free is not None else []
-    if free is not None and not names and _solved(problem, free, hard) is None:  # where a task tells turns apart
+    if (
+        free is not None and not names and _solved(problem, free, hard) is None
+    ):  # where a task tells turns apart
         names = outside_limits(problem.system, free, turns=False)
     if names:
         return [
             *proofs,
-            f"without {wording.limits_of(names)} it is reached" if proofs else evidence("limits", names=names),
+            f"without {wording.limits_of(names)} it is reached"
+            if proofs
+            else evidence("limits", names=names),
         ]
     if proofs or free is not None:
         return proofs or [evidence("more starts")]
@@ -142,10 +160,20 @@ def _reasons(problem: Demands, q: Array) -> list[Any]:
     if alone:
         return [_alone(problem, q, i, len(hard) > 1) for i in alone]
     few = len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS
-    against = [(i, j) for i, j in combinations(hard, 2) if few and _solved(problem, q, [i, j]) is None]
+    against = [
+        (i, j) for i, j in combinations(hard, 2) if few and _solved(problem, q, [i, j]) is None
+    ]
     pairs = [(problem.tasks[i].label, problem.tasks[j].label) for i, j in against]
-    return [evidence("not together", pairs=pairs, starts=min(problem.starts, STARTS), tasks=len(hard),
-                     rank=_rank(problem, q, hard), two=few and len(hard) > 2)]  # fmt: skip
+    return [
+        evidence(
+            "not together",
+            pairs=pairs,
+            starts=min(problem.starts, STARTS),
+            tasks=len(hard),
+            rank=_rank(problem, q, hard),
+            two=few and len(hard) > 2,
+        )
+    ]
 
 
 def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
@@ -155,7 +183,11 @@ def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     problem = answer.problem.of(row)
     if code == Status.CONTRADICTORY:
         return tuple(_contradicting(problem))
-    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None] if code == Status.OUT_OF_REACH else []
+    hard = (
+        [i for i, t in enumerate(problem.tasks) if t.weight is None]
+        if code == Status.OUT_OF_REACH
+        else []
+    )
     return tuple(proof for i in hard if (proof := _out_of_reach(problem, i)))
 
 
@@ -168,7 +200,12 @@ def _contradicting(problem: Demands) -> list[Evidence]:
             first = problem.tasks[i].label
             second = problem.tasks[j].label
             out[i, j] = evidence(
-                "contradiction", how=found.how, off=off, first=first, second=second, longest=found.longest
+                "contradiction",
+                how=found.how,
+                off=off,
+                first=first,
+                second=second,
+                longest=found.longest,
             )
     return list(out.values())
 
@@ -180,7 +217,12 @@ def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
     slides: dict[str, None] = {}
     if isinstance(task, PlacedTask) and not isinstance(task, Centred):
         tie = task.hold(problem.system)
-        slides = {name: None for end in (tie.a, tie.b) if end is not None for name in slides_of(problem.system, end)}
+        slides = {
+            name: None
+            for end in (tie.a, tie.b)
+            if end is not None
+            for name in slides_of(problem.system, end)
+        }
     return lengths(problem.system, place, turned, task=task.label, slides=list(slides))
 
 
@@ -198,7 +240,9 @@ def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
     if problem.system.nv > MOST_COORDINATES:
         return None
     equations, freedoms = analyse(problem.only(tasks), q)[:2]
-    return evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
+    return (
+        evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
+    )
 
 
 def choice(answer: Reached) -> Choice:
@@ -208,7 +252,9 @@ def choice(answer: Reached) -> Choice:
 
 
 def _derive(answer: Reached) -> dict[str, Array]:
-    from kempe.solvers.velocity.derivative_tasks import derivative  # only here: it is long, and seldom asked for
+    from kempe.solvers.velocity.derivative_tasks import (
+        derivative,
+    )  # only here: it is long, and seldom asked for
 
     return derivative(answer)
 

@@ -1,4 +1,6 @@
-"""The inverse geometric model for several tasks on any frames of any system: trees, loops, relations, free bases."""
+"""The inverse geometric model for several tasks on any frames of any system: trees, loops,
+relations, free bases.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ if TYPE_CHECKING:
 TOLERANCE = (1e-6, 1e-6)
 """Largest error in metres and radians of a hard task that has no tolerance of its own."""
 SLACK = 1.0 + 1e-6
-"""By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
+"""By which part of a tolerance the check by the forward model may differ from the solver's own:
+rounding."""
 PREFERRED = ("nearest", "mid", "manipulability")
 """What can be preferred by name, besides a function of q."""
 SINGLE = 30.0
@@ -51,55 +54,79 @@ BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threa
 def reach(problem: Problem) -> Reached:
     """A configuration that holds several tasks at once (the inverse geometric model of any system).
 
-    `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
-    Joint limits, couplings, relations and closed loops hold, too. `start` (nq,) or (..., nq), or a dict by name, is the
-    first start (default: the posture 'closed' of the file, else the middle of the limits). `prefer` says what is made
-    least in the freedoms that all tasks leave: "nearest" (distance to the start), "mid" (distance to the middle of the
-    limits), "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the largest
-    error of a hard task in metres and radians, by default 1e-6 each; what is reached is then closed to rounding where
-    it converges. Soft tasks alone are lowered from up to five starts, the least counts.
+    `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading
+    axes make a batch. Joint limits, couplings, relations and closed loops hold, too. `start` (nq,)
+    or (..., nq), or a dict by name, is the first start (default: the posture 'closed' of the file,
+    else the middle of the limits). `prefer` says what is made least in the freedoms that all tasks
+    leave: "nearest" (distance to the start), "mid" (distance to the middle of the limits),
+    "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the
+    largest error of a hard task in metres and radians, by default 1e-6 each; what is reached is
+    then closed to rounding where it converges. Soft tasks alone are lowered from up to five starts,
+    the least counts.
 
-    Of the `budget` are read: starts, iterations (60), time_limit, rng (0), threads. Starts are drawn from rng: the same
-    arguments give the same answer, whatever the threads. By default they are 60, then as many as the problem deserves:
-    no more where it is proven that there is no answer; where one is found without the limits, 30 times the square of
-    the number of limited coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
-    Iterations are the steps of one start, at most, and four times as many those of a lower level from one start. The
-    time limit is looked at before each start: an answer that it ended says so, and is the only one that depends on the
-    machine. By default it is 30 s for one problem; a batch has none. Where tasks or constraints are Python functions,
-    one problem is given up after 10 000 calls of these if a search without limits, or for these alone, finds nothing.
+    Of the `budget` are read: starts, iterations (60), time_limit, rng (0), threads. Starts are
+    drawn from rng: the same arguments give the same answer, whatever the threads. By default they
+    are 60, then as many as the problem deserves: no more where it is proven that there is no
+    answer; where one is found without the limits, 30 times the square of the number of limited
+    coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
+    Iterations are the steps of one start, at most, and four times as many those of a lower level
+    from one start. The time limit is looked at before each start: an answer that it ended says so,
+    and is the only one that depends on the machine. By default it is 30 s for one problem; a batch
+    has none. Where tasks or constraints are Python functions, one problem is given up after 10 000
+    calls of these if a search without limits, or for these alone, finds nothing.
 
-    A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
-    and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest found, by the sum of squares of what tasks
-    miss, in characteristic lengths and radians. Method: damped least squares with an active set of limits and
-    restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
-    and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
+    A success is checked by the forward model: hard tasks, limits and loops. Else the answer says
+    what fails and why, and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest
+    found, by the sum of squares of what tasks miss, in characteristic lengths and radians. Method:
+    damped least squares with an active set of limits and restarts (Levenberg, 1944; Sugihara,
+    2011), then the lower levels in the null space of the higher ones (Siciliano and Slotine, 1991).
+    Errors: `InputError`, `UnknownNameError`.
     """
     system = problem.system
     prefer = problem.prefer
     spend = BATCH.of(problem.budget)
-    if not (prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)):
-        raise InputError(f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a function of q")
+    if not (
+        prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)
+    ):
+        raise InputError(
+            f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a "
+            "function of q"
+        )
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     starts = spend.starts
     threads = spend.threads
     turns = prefer is None or prefer == "nearest"
     time = TimeLimit(USUAL.of(problem.budget).time_limit)
     decided_within(USUAL, time, system)
-    demands, base = pose_problem(system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns)
+    demands, base = pose_problem(
+        system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
+    )
     search = Demands.run if starts is not None else effort.search
     limit = spend.time_limit if demands.lead else time.limit
     if spend.iterations != STEPS or limit is not None:
         end = math.inf if limit is None else time.end
-        demands = replace(demands, iterations=step_count(spend.iterations), time_limit=limit, end=end)
-    if prefer == "manipulability" and demands.lead:  # it depends on the goal, of which each row has its own
+        demands = replace(
+            demands, iterations=step_count(spend.iterations), time_limit=limit, end=end
+        )
+    if (
+        prefer == "manipulability" and demands.lead
+    ):  # it depends on the goal, of which each row has its own
         rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
-        each = [solve(row, base[i : i + 1] if len(base) > 1 else base, search) for i, row in enumerate(rows)]
-        q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
+        each = [
+            solve(row, base[i : i + 1] if len(base) > 1 else base, search)
+            for i, row in enumerate(rows)
+        ]
+        q, info = (
+            np.concatenate([x[k] for x in each] or [np.empty((0, n))])
+            for k, n in ((0, system.nq), (1, 3))
+        )
     else:
         demands = demands if prefer is None else _preferring(demands, prefer, base)
         unasked = problem.budget is None or problem.budget.time_limit is None
         if unasked and starts is None and not demands.lead and effort.of_functions(demands):
-            demands, (q, info) = effort.patiently(demands, lambda part: solve(part, base, search, threads), base)
+            demands, (q, info) = effort.patiently(
+                demands, lambda part: solve(part, base, search, threads), base
+            )
         else:
             q, info = solve(demands, base, search, threads)
     answer = judge(demands, q, info)
@@ -112,9 +139,14 @@ def reach(problem: Problem) -> Reached:
 
 
 def pose_problem(
-    system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, tolerance: Any = TOLERANCE,
-    starts: int | None = STARTS, rng: Any = 0, turns: bool = False,
-) -> tuple[Demands, Array]:  # fmt: skip
+    system: System,
+    wanted: Constraint | Sequence[Constraint],
+    start: Any = None,
+    tolerance: Any = TOLERANCE,
+    starts: int | None = STARTS,
+    rng: Any = 0,
+    turns: bool = False,
+) -> tuple[Demands, Array]:
     """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
 
     `starts` None are as many as it deserves.
@@ -127,17 +159,32 @@ def pose_problem(
         try:
             lead = np.broadcast_shapes(lead, base.shape[:-1])
         except ValueError:
-            raise InputError(f"start has shape {base.shape}, the goals have the leading shape {lead}") from None
+            raise InputError(
+                f"start has shape {base.shape}, the goals have the leading shape {lead}"
+            ) from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
     packed = packed_for(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
     most = most_starts(system, packed) if starts is None else start_count(starts)
     problem = Demands(
-        system, tasks, packed, goals, pins, lead, TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance), most,
-        seed_number(rng), use, loose=start is None,
-    )  # fmt: skip
-    starts_at = near_target(problem, base) if start is None else base.reshape(math.prod(base.shape[:-1]), system.nq)
+        system,
+        tasks,
+        packed,
+        goals,
+        pins,
+        lead,
+        TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance),
+        most,
+        seed_number(rng),
+        use,
+        loose=start is None,
+    )
+    starts_at = (
+        near_target(problem, base)
+        if start is None
+        else base.reshape(math.prod(base.shape[:-1]), system.nq)
+    )
     return problem, np.ascontiguousarray(starts_at)
 
 
@@ -153,20 +200,33 @@ def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
     given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
     if not given or not all([isinstance(t, Constraint) for t in given]):
         what = "an empty list" if is_sequence(wanted) and not wanted else shown(wanted)
-        raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
+        raise InputError(
+            "without a frame the target must be a task of kempe.tasks or a list of them; it is "
+            f"{what}"
+        )
     out: dict[str, Task] = {}
     for task in given:
         if not is_whole(task.priority):
-            raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
+            raise InputError(
+                f"priority of {task.label} is {task.priority!r}; it must be a whole number"
+            )
         weight: Any = task.weight
-        number: bool = isinstance(weight, (int, float, np.integer, np.floating)) and not isinstance(weight, bool)
+        number: bool = isinstance(weight, (int, float, np.integer, np.floating)) and not isinstance(
+            weight, bool
+        )
         if weight is not None and not (number and 0.0 < weight < math.inf):
-            raise InputError(f"weight of {task.label} is {weight!r}; it must be a positive number, or None")
+            raise InputError(
+                f"weight of {task.label} is {weight!r}; it must be a positive number, or None"
+            )
         if not isinstance(task.name, str):
             raise InputError(f"name of a task is {task.name!r}; it must be text")
         if task.tolerance is not None:
             allowed = tolerances(task.tolerance)
-            task = task if task.tolerance.__class__ in (int, float) else replace(task, tolerance=allowed)
+            task = (
+                task
+                if task.tolerance.__class__ in (int, float)
+                else replace(task, tolerance=allowed)
+            )
         label = task.label
         count = 1
         while label in out:
@@ -179,7 +239,9 @@ def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
 def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
     """The problem, with what `prefer` minimises as its last level."""
     if prefer == "nearest":
-        return replace(problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
+        return replace(
+            problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base
+        )
     if prefer == "mid":
         return replace(problem, mode=S.AHEAD, aim=mid(problem.system)[None])
     from kempe.solvers.tasks.preferences import least
@@ -212,13 +274,18 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     if packed.closed:
         from kempe.kinematics.closure_rows import evaluate
 
-        good &= np.linalg.norm(evaluate(packed.closing, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
+        good &= (
+            np.linalg.norm(evaluate(packed.closing, sound, False, True)[0], axis=-1)
+            <= 10.0 * CLOSED
+        )
     if packed.one_sided.declared and problem.one_sided:
         good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
     code = np.zeros(len(status), dtype=np.int64)  # S.SOLVED: np.full takes ten times as long
     if some_bad or not good.all():
-        code = np.where(good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND))
+        code = np.where(
+            good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND)
+        )
         code[bad] = Status.BAD_INPUT
         if problem.limits and np.any(code == Status.NOT_FOUND):
             proofs = proofs_of(problem)

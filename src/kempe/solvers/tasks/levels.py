@@ -1,8 +1,9 @@
 """Levels of tasks: their order, their packed ties, and what is found without the later ones.
 
-Lowering never gives up what earlier levels have reached, and soft levels are added one by one, each to what is found
-without it. Hard tasks behind a soft level are met first, and an angle that a later level names does not turn on beyond
-its limits: there the search without the later ones is looked at, too.
+Lowering never gives up what earlier levels have reached, and soft levels are added one by one, each
+to what is found without it. Hard tasks behind a soft level are met first, and an angle that a later
+level names does not turn on beyond its limits: there the search without the later ones is looked
+at, too.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ Search = Callable[[Demands, Array, "int | None"], tuple[Array, np.ndarray]]
 
 GAIN = 1e-6
 LITTLE = 1e-12
-"""Part of the square that a level misses by which another must be less to count as lower, and the least difference."""
+"""Part of the square that a level misses by which another must be less to count as lower, and the
+least difference."""
 MET = 1e-16
 """Square of what a soft level misses up to which it is met."""
 
@@ -53,18 +55,29 @@ def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
 
 
 def solve(
-    problem: Demands, base: Array, search: Search, threads: int | None = 1, rows: np.ndarray | None = None
+    problem: Demands,
+    base: Array,
+    search: Search,
+    threads: int | None = 1,
+    rows: np.ndarray | None = None,
 ) -> tuple[Array, np.ndarray]:
-    """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some `rows` few starts.
+    """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some
+    `rows` few starts.
 
     A soft last level behind another soft one is lowered from what is found without it.
     """
     end = _cut(problem, _is_added)
     if end is None:
         few = rows is not None
-        q, info = problem.run(base, threads, tries=FIRST, rows=rows) if few else search(problem, base, threads)
+        q, info = (
+            problem.run(base, threads, tries=FIRST, rows=rows)
+            if few
+            else search(problem, base, threads)
+        )
         if len(problem.tasks) > 1:
-            _compare(problem, base, q, info, search, threads, np.arange(len(q)) if rows is None else rows)
+            _compare(
+                problem, base, q, info, search, threads, np.arange(len(q)) if rows is None else rows
+            )
         return q, info
     q, info = solve(_part(problem, end), base, search, threads, rows)
     rows = np.arange(len(q)) if rows is None else rows
@@ -77,13 +90,20 @@ def solve(
 
 
 def _compare(
-    problem: Demands, base: Array, q: Array, info: np.ndarray, search: Search, threads: int | None, rows: np.ndarray
+    problem: Demands,
+    base: Array,
+    q: Array,
+    info: np.ndarray,
+    search: Search,
+    threads: int | None,
+    rows: np.ndarray,
 ) -> None:
-    """Make q and info of some rows better in place where earlier levels come lower without the last ones.
+    """Make q and info of some rows better in place where earlier levels come lower without the last
+    ones.
 
-    This is looked at where the last levels can change what the others reach, and that is missed. Where it comes lower,
-    the last ones are lowered from there, as far as the others stay there. A success is given up only for what is one
-    without them.
+    This is looked at where the last levels can change what the others reach, and that is missed.
+    Where it comes lower, the last ones are lowered from there, as far as the others stay there. A
+    success is given up only for what is one without them.
     """
     end = _cut(problem, _may_differ)
     if end is None:
@@ -119,7 +139,9 @@ def _compare(
     info[at, 1] += more[:, 1]
 
 
-def _lead_on(problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int) -> tuple[Array, np.ndarray]:
+def _lead_on(
+    problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int
+) -> tuple[Array, np.ndarray]:
     """As `Demands.run` of some rows, from configurations of these."""
     starts = np.zeros((math.prod(problem.lead), q.shape[1]))
     starts[rows] = q
@@ -133,12 +155,19 @@ def _cut(problem: Demands, where: Callable[[Demands, Level], bool]) -> Level | N
     ends = problem.packed.stages.get(requested)
     if ends is None:
         order = sorted(set(levels))
-        ends = keep(problem.packed.stages, requested, [end for end in order[:-1] if where(problem, end)][-1:], KEPT)
+        ends = keep(
+            problem.packed.stages,
+            requested,
+            [end for end in order[:-1] if where(problem, end)][-1:],
+            KEPT,
+        )
     return ends[0] if ends else None
 
 
 def _is_added(problem: Demands, end: Level) -> bool:
-    """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones before it."""
+    """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones
+    before it.
+    """
     levels = sorted({level_of(t) for t in problem.tasks})
     return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
 
@@ -146,7 +175,8 @@ def _is_added(problem: Demands, end: Level) -> bool:
 def _may_differ(problem: Demands, end: Level) -> bool:
     """Whether tasks behind this level can change what those up to it reach.
 
-    Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond their limits.
+    Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond
+    their limits.
     """
     later = [t for t in problem.tasks if level_of(t) > end]
     soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
@@ -163,14 +193,24 @@ def _part(problem: Demands, end: Level) -> Demands:
     chosen, packed = problem.packed.stages.get(requested) or ((), None)
     if packed is None:
         chosen = tuple(i for i, level in enumerate(levels) if level <= end)
-        packed = packed_for(problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns)
+        packed = packed_for(
+            problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns
+        )
         keep(problem.packed.stages, requested, (chosen, packed), KEPT)
     tasks = tuple([problem.tasks[i] for i in chosen])
     goals = tuple([problem.goals[i] for i in chosen])
     pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
     use = (True,) * len(tasks)
     return replace(
-        problem, tasks=tasks, packed=packed, goals=goals, pins=pins, use=use, mode=S.NOTHING, aim=None, callback=None
+        problem,
+        tasks=tasks,
+        packed=packed,
+        goals=goals,
+        pins=pins,
+        use=use,
+        mode=S.NOTHING,
+        aim=None,
+        callback=None,
     )
 
 
@@ -182,9 +222,11 @@ def is_lower(values: Array, than: Array) -> np.ndarray:
 
 
 def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
-    """What each level misses (N, levels), as the solver counts it, at configurations (N, nq) of some rows.
+    """What each level misses (N, levels), as the solver counts it, at configurations (N, nq) of
+    some rows.
 
-    A soft level counts its weighted square, a hard one the largest square by its tolerance where that is above 1.
+    A soft level counts its weighted square, a hard one the largest square by its tolerance where
+    that is above 1.
     """
     from kempe.kernels.compiled import closure_batch
 
@@ -196,7 +238,15 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     none = np.empty((0, m, 0))
     ties = len(loops.ties)
     closure_batch.equations(
-        loops.ints, loops.floats, loops.plan, loops.weights, pins, np.ascontiguousarray(q), False, g, none
+        loops.ints,
+        loops.floats,
+        loops.plan,
+        loops.weights,
+        pins,
+        np.ascontiguousarray(q),
+        False,
+        g,
+        none,
     )
     out = np.zeros((len(q), int(stages[:ties].max()) + 1))
     at = 0
@@ -209,7 +259,9 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
         if stage < 1:
             continue
         if stages[ties + k]:
-            linear, angular = (np.sum(x * x, axis=1) for x in (error[:, :lengths], error[:, lengths:]))
+            linear, angular = (
+                np.sum(x * x, axis=1) for x in (error[:, :lengths], error[:, lengths:])
+            )
             worst = np.maximum(linear / strengths[k, 1] ** 2, angular / strengths[k, 2] ** 2)
             out[:, stage] = np.maximum(out[:, stage], np.where(worst > 1.0 + GAIN, worst, 0.0))
         else:

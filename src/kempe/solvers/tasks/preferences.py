@@ -1,4 +1,6 @@
-"""What `ik` of tasks can make least in the freedoms that all tasks leave: functions of q, with their gradient."""
+"""What `ik` of tasks can make least in the freedoms that all tasks leave: functions of q, with
+their gradient.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,13 @@ SMALL = 1e-24
 
 
 def least(problem: Demands, prefer: Any) -> Callback:
-    """The function that is to be made least, as kernels call it: "manipulability", or of q. Errors: `InputError`."""
+    """The function that is to be made least, as kernels call it: "manipulability", or of q. Errors:
+    `InputError`.
+    """
     if prefer == "manipulability":
-        callback = Callback(problem.system, 1, _with_differences(problem, lambda q: -log_manipulability(problem, q)))
+        callback = Callback(
+            problem.system, 1, _with_differences(problem, lambda q: -log_manipulability(problem, q))
+        )
     else:
         callback = Callback(problem.system, 1, _of_user(problem, prefer))
     callback.scale = problem.packed.scale
@@ -32,9 +38,11 @@ def least(problem: Demands, prefer: Any) -> Callback:
 
 
 def log_manipulability(problem: Demands, q: Array) -> Array:
-    """Logarithm (...) of the hard tasks' manipulability at q (..., nq): of sqrt(det(J J^T)) (Yoshikawa, 1985).
+    """Logarithm (...) of the hard tasks' manipulability at q (..., nq): of sqrt(det(J J^T))
+    (Yoshikawa, 1985).
 
-    J is taken in the velocities that the loops leave. For tasks that are singular everywhere, of the part that is not.
+    J is taken in the velocities that the loops leave. For tasks that are singular everywhere, of
+    the part that is not.
     """
     packed = problem.packed
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
@@ -46,10 +54,14 @@ def log_manipulability(problem: Demands, q: Array) -> Array:
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
 
-def _with_differences(problem: Demands, function: Callable[[Array], Array]) -> Callable[[Array], tuple[Any, Array]]:
+def _with_differences(
+    problem: Demands, function: Callable[[Array], Array]
+) -> Callable[[Array], tuple[Any, Array]]:
     """The function with its gradient by central differences, all of them in one batch."""
     system = problem.system
-    steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))])
+    steps = REAL_STEP * np.concatenate(
+        [np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))]
+    )
 
     def work(q: Array) -> tuple[Any, Array]:
         f = function(system.structure.layout.integrate(q, steps))
@@ -58,10 +70,17 @@ def _with_differences(problem: Demands, function: Callable[[Array], Array]) -> C
     return work
 
 
-def _of_user(problem: Demands, function: Callable[[Array], Any]) -> Callable[[Array], tuple[Any, Array]]:
+def _of_user(
+    problem: Demands, function: Callable[[Array], Any]
+) -> Callable[[Array], tuple[Any, Array]]:
     layout = problem.system.structure.layout
     q0 = random(problem.system, 0)
     if checked_value("prefer", function, q0).size != 1:
-        raise InputError("what is preferred must be one number: a function of q (nq,) to be made least")
+        raise InputError(
+            "what is preferred must be one number: a function of q (nq,) to be made least"
+        )
     how = way_of(function, layout, q0)
-    return lambda q: (np.ravel(function(q)), jacobian_of(function, None, how, layout, q).reshape(1, -1))
+    return lambda q: (
+        np.ravel(function(q)),
+        jacobian_of(function, None, how, layout, q).reshape(1, -1),
+    )

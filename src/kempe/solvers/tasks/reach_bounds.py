@@ -1,6 +1,8 @@
-"""Which tasks lengths alone put out of reach: how far a frame can be from where its chain begins, loops or not.
+"""Which tasks lengths alone put out of reach: how far a frame can be from where its chain begins,
+loops or not.
 
-A loop, a relation or another task only takes away from what the chain from the ground to the frame can reach.
+A loop, a relation or another task only takes away from what the chain from the ground to the frame
+can reach.
 """
 
 from __future__ import annotations
@@ -34,14 +36,21 @@ def unreachable(problem: Demands) -> np.ndarray:
 
 
 def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
-    """How far (..., 2) in metres a task is out of reach, as to its place, and together with its orientation.
+    """How far (..., 2) in metres a task is out of reach, as to its place, and together with its
+    orientation.
 
-    It is a lower bound of the error in its place; zero where lengths say nothing, or within the tolerances.
+    It is a lower bound of the error in its place; zero where lengths say nothing, or within the
+    tolerances.
     """
     system = own_tree(problem.system)
     (goal, _) = goals[0]
     none = np.zeros((1, 2))
-    if not isinstance(task, PlacedTask) or isinstance(task, Centred) or task.bounded or goal is None:
+    if (
+        not isinstance(task, PlacedTask)
+        or isinstance(task, Centred)
+        or task.bounded
+        or goal is None
+    ):
         return none
     if not task.shape.mask or task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE):
         return none
@@ -53,7 +62,9 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
         goal = X @ goal
     axes = [i for i in range(3) if hold.mask >> i & 1]
     bounds, freedoms = _bounds(system, hold)
-    turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (3 if system.dim == 2 else 6)  # else that is the reason
+    turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (
+        3 if system.dim == 2 else 6
+    )  # else that is the reason
     return by_lengths(bounds, goal, problem.tolerance_of(task), turned, axes, system.dim)
 
 
@@ -64,4 +75,6 @@ def _bounds(system: System, hold: TaskTie) -> tuple[list[ReachBound], int]:
     table = replace(table, at={hold.b: (row, X @ np.reshape(hold.X_B, (4, 4)), particle)})
     packed = table.pack([hold.b])
     limits = system.structure.limits[v_index].T
-    return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(v_index)
+    return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(
+        v_index
+    )

@@ -1,4 +1,6 @@
-"""The answer for several tasks: the configuration, what each task misses, and what freedoms are left."""
+"""The answer for several tasks: the configuration, what each task misses, and what freedoms are
+left.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,10 @@ if TYPE_CHECKING:
 class Reached(Solution):
     """Answer of `System.ik` for tasks.
 
-    As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks. `errors` gives for
-    each task, by its label, how far it is missed (..., 2) in metres and radians. `late` (...) says where the time limit
-    ended the search, or the lowering of soft tasks and preferences.
+    As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks.
+    `errors` gives for each task, by its label, how far it is missed (..., 2) in metres and radians.
+    `late` (...) says where the time limit ended the search, or the lowering of soft tasks and
+    preferences.
     """
 
     __repr__ = brief
@@ -51,6 +54,8 @@ class Reached(Solution):
 
 
 def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
-    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,), scaled."""
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,),
+    scaled.
+    """
     local = Local(problem, q)
     return local.m, local.n, local.n - local.left.shape[1], local.left

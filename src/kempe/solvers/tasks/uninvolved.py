@@ -11,11 +11,13 @@ from kempe.spatial import Array
 NONE = np.zeros(0, dtype=np.int64)
 SAMPLES = 3
 NOTHING = 1e-12
-"""Configurations at which it is looked what moves what, and derivatives there that are none, but rounding."""
+"""Configurations at which it is looked what moves what, and derivatives there that are none, but
+rounding."""
 
 
 def apart(packed: Packed, pins: Array) -> np.ndarray:
-    """Places in q that no task depends on, not even by loops or relations that it moves; `pins` (N, k) are goals.
+    """Places in q that no task depends on, not even by loops or relations that it moves; `pins` (N,
+    k) are goals.
 
     Looked for once, by derivatives at random configurations.
     """
@@ -43,4 +45,6 @@ def _left_alone(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
         requested = requested | bound[(bound & requested).any(axis=1)].any(axis=0)
     balls = ~(requested[layout.quaternion_v[:, None] + np.arange(3)].any(axis=1))
     angles = layout.vector_q[~requested[layout.vector_v]]
-    return np.concatenate([angles, (layout.quaternion_q[balls][:, None] + np.arange(4)).ravel()]).astype(np.int64)
+    return np.concatenate(
+        [angles, (layout.quaternion_q[balls][:, None] + np.arange(4)).ravel()]
+    ).astype(np.int64)

@@ -22,13 +22,16 @@ if TYPE_CHECKING:
     from kempe.solvers.tasks.demands import Demands
 
 AT_BOUND = 2e-6
-"""How near to its bound an inequality holds the answer there, in radians and characteristic lengths."""
+"""How near to its bound an inequality holds the answer there, in radians and characteristic
+lengths."""
 RANK = 1e-8
 """Singular values below this fraction of the largest count as zero."""
 
 
 class _DerivativeRows(NamedTuple):
-    """Equations (..., m) and Jacobians (..., m, nv) that hold, and those, weighted, whose squares are least."""
+    """Equations (..., m) and Jacobians (..., m, nv) that hold, and those, weighted, whose squares
+    are least.
+    """
 
     held: Array
     H: Array
@@ -39,35 +42,45 @@ class _DerivativeRows(NamedTuple):
 def derivative(answer: Reached) -> dict[str, Array]:
     """For each task, by its label, dq (..., nv, k) for motions of its goal; NaN where not reached.
 
-    The first six columns, of a task whose goal is placed, are for the twist [linear; angular] of the goal, at its
-    origin, in ground axes or those of the frame that it hangs on; one column for each number of the goal follows
-    (radius, distances, values of coordinates; three for a quaternion, about its own axes). By the implicit function
-    theorem for the conditions of Karush, Kuhn and Tucker: hard tasks, loops and relations stay met, inequalities at
-    their bound and coordinates at a limit stay there (these where the others can do without them); soft tasks, or what
-    was preferred, stay least, and what is then free moves least, in radians and characteristic lengths. Derivatives by
-    goals, and second ones, are central differences. Errors: `InputError` where a single problem was not solved,
-    `UnsupportedError` for soft tasks of several priorities and functions that are preferred.
+    The first six columns, of a task whose goal is placed, are for the twist [linear; angular] of
+    the goal, at its origin, in ground axes or those of the frame that it hangs on; one column for
+    each number of the goal follows (radius, distances, values of coordinates; three for a
+    quaternion, about its own axes). By the implicit function theorem for the conditions of Karush,
+    Kuhn and Tucker: hard tasks, loops and relations stay met, inequalities at their bound and
+    coordinates at a limit stay there (these where the others can do without them); soft tasks, or
+    what was preferred, stay least, and what is then free moves least, in radians and characteristic
+    lengths. Derivatives by goals, and second ones, are central differences. Errors: `InputError`
+    where a single problem was not solved, `UnsupportedError` for soft tasks of several priorities
+    and functions that are preferred.
     """
     problem = answer.problem
     good = np.asarray(answer.success)
     if not good.ndim and not good:
-        raise InputError(f"the tasks do not hold, so q does not follow their goals: {answer.status}")
+        raise InputError(
+            f"the tasks do not hold, so q does not follow their goals: {answer.status}"
+        )
     soft = {t.priority for t in problem.tasks if t.weight is not None}
     chosen = problem.mode not in (NOTHING, AHEAD)
     if len(soft) + (problem.mode != NOTHING) > 1 or chosen:
-        raise UnsupportedError("derivative is for hard tasks with soft ones of one priority at most, or with prefer "
-                               "'nearest' or 'mid' in place of these")  # fmt: skip
+        raise UnsupportedError(
+            "derivative is for hard tasks with soft ones of one priority at most, or with prefer "
+            "'nearest' or 'mid' in place of these"
+        )
     if not good.ndim:
         return _one(problem, answer.q)
     rows = [
         _one(problem.of(i), q) if fine else None
-        for i, (fine, q) in enumerate(zip(good.ravel(), answer.q.reshape(-1, answer.q.shape[-1]), strict=True))
+        for i, (fine, q) in enumerate(
+            zip(good.ravel(), answer.q.reshape(-1, answer.q.shape[-1]), strict=True)
+        )
     ]
     none: dict[str, Array] = {}
     known = next((r for r in rows if r is not None), none)
     nothing = {label: np.full(x.shape, math.nan) for label, x in known.items()}
     each = [nothing if r is None else r for r in rows]
-    return {k: np.stack([r[k] for r in each]).reshape(*good.shape, *x.shape) for k, x in known.items()}
+    return {
+        k: np.stack([r[k] for r in each]).reshape(*good.shape, *x.shape) for k, x in known.items()
+    }
 
 
 def _one(problem: Demands, q: Array) -> dict[str, Array]:
@@ -81,7 +94,9 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
 
     def slope(rows: _DerivativeRows) -> Array:
         """Gradients (n, nv) of the Lagrangian."""
-        return np.einsum("nij,ni->nj", rows.S, rows.soft) + np.einsum("nij,i->nj", rows.H, multipliers)
+        return np.einsum("nij,ni->nj", rows.S, rows.soft) + np.einsum(
+            "nij,i->nj", rows.H, multipliers
+        )
 
     steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv)]) * scale
     near = slope(_rows(problem, system.structure.layout.integrate(q, steps), problem.pins, counts))
@@ -97,8 +112,10 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     inverse = np.linalg.pinv(K, rcond=RANK)[:n]
     out: dict[str, Array] = {}
     for k, task in enumerate(problem.tasks):
-        moved = [problem.packed.pins([*problem.goals[:k], goals, *problem.goals[k + 1 :]])
-                 for goals in _moved(problem.goals[k])]  # fmt: skip
+        moved = [
+            problem.packed.pins([*problem.goals[:k], goals, *problem.goals[k + 1 :]])
+            for goals in _moved(problem.goals[k])
+        ]
         dq = np.zeros((system.nv, len(moved) // 2))
         if moved:
             pins = np.concatenate(moved)
@@ -120,11 +137,16 @@ def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     own = packed.rows >= 0
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
     at_bound = (low == high) | (np.minimum(error - low, high - error) < AT_BOUND)
-    return (level > 0) & (hard > 0) & at_bound, (level > 0) & (hard == 0), np.repeat(np.sqrt(strengths[:, 0]), counts)[
-        own]  # fmt: skip
+    return (
+        (level > 0) & (hard > 0) & at_bound,
+        (level > 0) & (hard == 0),
+        np.repeat(np.sqrt(strengths[:, 0]), counts)[own],
+    )
 
 
-def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]) -> _DerivativeRows:
+def _rows(
+    problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]
+) -> _DerivativeRows:
     """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
     packed = problem.packed
     (held, soft, weight) = counts
@@ -134,14 +156,25 @@ def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.
     miss = (error - np.clip(error, low, high))[..., soft] * weight[soft]
     S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
     if problem.mode == AHEAD and problem.aim is not None:
-        miss = problem.system.structure.layout.difference(np.broadcast_to(problem.aim[0], q.shape), q) / packed.scale
-        S = np.broadcast_to(np.eye(len(packed.scale)), (*q.shape[:-1], len(packed.scale), len(packed.scale)))
-    return _DerivativeRows(np.concatenate([error[..., held], closed], axis=-1),
-                           np.concatenate([J[..., held, :], C], axis=-2), miss, S)  # fmt: skip
+        miss = (
+            problem.system.structure.layout.difference(np.broadcast_to(problem.aim[0], q.shape), q)
+            / packed.scale
+        )
+        S = np.broadcast_to(
+            np.eye(len(packed.scale)), (*q.shape[:-1], len(packed.scale), len(packed.scale))
+        )
+    return _DerivativeRows(
+        np.concatenate([error[..., held], closed], axis=-1),
+        np.concatenate([J[..., held, :], C], axis=-2),
+        miss,
+        S,
+    )
 
 
 def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
-    """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do without them."""
+    """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do
+    without them.
+    """
     system = problem.system
     v = problem.system.structure.layout.vector_v
     x = q[system.structure.layout.vector_q]
@@ -160,13 +193,20 @@ def _moved(goals: Goals) -> list[Goals]:
     out: list[Goals] = []
     origins = [X[..., :3, 3] for X, _ in goals if X is not None]
     for twist in REAL_STEP * np.eye(6) if origins else ():
-        out += [[(None if X is None else _turned(X, origins[0], sign * twist), number) for X, number in goals]
-                for sign in (1.0, -1.0)]  # fmt: skip
+        out += [
+            [
+                (None if X is None else _turned(X, origins[0], sign * twist), number)
+                for X, number in goals
+            ]
+            for sign in (1.0, -1.0)
+        ]
     for k, (X, number) in enumerate(goals):
         if number is None:
             continue
         for step in REAL_STEP * _freedoms(number):
-            out += [[*goals[:k], (X, number + sign * step), *goals[k + 1 :]] for sign in (1.0, -1.0)]
+            out += [
+                [*goals[:k], (X, number + sign * step), *goals[k + 1 :]] for sign in (1.0, -1.0)
+            ]
     return out
 
 
@@ -177,7 +217,9 @@ def _turned(X: Array, origin: Array, twist: Array) -> Array:
 
 
 def _freedoms(number: Array) -> Array:
-    """How the numbers (k,) of a tie can change: each alone, a quaternion by turns about its own axes."""
+    """How the numbers (k,) of a tie can change: each alone, a quaternion by turns about its own
+    axes.
+    """
     if len(number) != 4:
         return np.eye(len(number))
     w, x, y, z = number

@@ -1,4 +1,6 @@
-"""Least squares under bounds, as one step of velocities needs it: damped at singularities, or with a direction kept."""
+"""Least squares under bounds, as one step of velocities needs it: damped at singularities, or with
+a direction kept.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ NEAR = 0.05
 FLAT = 1e-13
 """Singular values below this fraction of the largest are zero: freedoms that are not seen."""
 SHIFT = 2.0
-"""Weight, as a multiple of `NEAR`, by which joints beside those at a bound keep the velocities without bounds."""
+"""Weight, as a multiple of `NEAR`, by which joints beside those at a bound keep the velocities
+without bounds."""
 LEAST = 1e-5
 """Weight of small corrections against what is corrected, so that the best ones are unique."""
 BENT = 0.01
@@ -29,7 +32,8 @@ WALL = 0.25
 DEAD = 1e-7
 """Singular values below this fraction of the largest are zero: first order leads nowhere."""
 AWAY = 1e-6
-"""Least curvature, in radians and characteristic lengths, by which a singular configuration is left."""
+"""Least curvature, in radians and characteristic lengths, by which a singular configuration is
+left."""
 NULL_SPEED = 0.1
 """Cost of self-motion, against that of a slower twist."""
 NO_PART = 1e-6
@@ -43,17 +47,26 @@ SLACK = 1e-13
 
 
 def damped(
-    A: Array, b: Array, low: Array, high: Array, damping: float, G: Array | None = None, near: float | None = NEAR,
-    bend: Bend | None = None, shift: float = LEAST, wished: Wish | None = None,
-) -> Array:  # fmt: skip
+    A: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    damping: float,
+    G: Array | None = None,
+    near: float | None = NEAR,
+    bend: Bend | None = None,
+    shift: float = LEAST,
+    wished: Wish | None = None,
+) -> Array:
     """The x (n,) with low <= G x <= high that makes |A x - b| least, damped and small.
 
-    Directions whose singular values are below `near` are damped, by at most `damping` (Maciejewski and Klein, 1988).
-    Where this x is outside the bounds, the nearest one within them is taken, in the metric of the damped equations and
-    of x itself with the weight `shift`: with `SHIFT`, x changes slowly where others take over. Without G the bounds are
-    those of x; with it zero must be within them. Without `near` both are relative to the largest singular value.
-    A singular configuration that leads nowhere to first order is left where `bend` gives a way. `wished` is the
-    solution without bounds, where it is known.
+    Directions whose singular values are below `near` are damped, by at most `damping` (Maciejewski
+    and Klein, 1988). Where this x is outside the bounds, the nearest one within them is taken, in
+    the metric of the damped equations and of x itself with the weight `shift`: with `SHIFT`, x
+    changes slowly where others take over. Without G the bounds are those of x; with it zero must be
+    within them. Without `near` both are relative to the largest singular value. A singular
+    configuration that leads nowhere to first order is left where `bend` gives a way. `wished` is
+    the solution without bounds, where it is known.
     """
     x, hard, s, Vt = wished or wish(A, b, damping, near)
     n = A.shape[1]
@@ -78,9 +91,11 @@ def damped(
 
 
 def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float, Array] | None:
-    """Where first order leads nowhere to a part of b: its size, and the unit direction (n,) that bends towards it.
+    """Where first order leads nowhere to a part of b: its size, and the unit direction (n,) that
+    bends towards it.
 
-    The direction is that of the largest curvature towards b among those that move nothing to first order.
+    The direction is that of the largest curvature towards b among those that move nothing to first
+    order.
     """
     k = len(s)
     size = math.sqrt(b @ b)
@@ -97,8 +112,9 @@ def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float
 
 
 class Wish(NamedTuple):
-    """The damped x (n,) that makes |A x - b| least; the damping (k,) of each of the singular values `s` (k,) of A, and
-    its right singular vectors (n, n)."""
+    """The damped x (n,) that makes |A x - b| least; the damping (k,) of each of the singular values
+    `s` (k,) of A, and its right singular vectors (n, n).
+    """
 
     x: Array
     hard: Array
@@ -120,7 +136,9 @@ def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: fl
     if near is None:
         near = NEAR * (most or 1.0)
         damping = damping * (most or 1.0)
-    hard = np.where(seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0)
+    hard = np.where(
+        seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0
+    )
     hard = np.sqrt(np.square(hard) + more * more) if more else hard
     k = len(s)
     part = np.where(seen, s / np.where(seen, s * s + hard * hard, 1.0), 0.0)
@@ -128,15 +146,23 @@ def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: fl
 
 
 def scaled(
-    A: Array, b: Array, low: Array, high: Array, dt: float, bend: Bend, G: Array | None = None,
+    A: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    dt: float,
+    bend: Bend,
+    G: Array | None = None,
     near: float | None = NEAR,
-) -> Array:  # fmt: skip
-    """The x (n,) with low <= G x <= high that gives a large part of b, its direction kept, and is small.
+) -> Array:
+    """The x (n,) with low <= G x <= high that gives a large part of b, its direction kept, and is
+    small.
 
-    The part is the largest one, but for a little that self-motions cost. Towards a singular configuration it is so
-    small that no singular value, of those that the direction needs, falls by more than `WALL` in one cycle: the motion
-    comes to rest there. From a singular configuration the motion leaves along a curvature towards b. There a direction
-    is kept to `BENT`. `bend` gives the derivatives (k, m, n) of A along directions (k, n).
+    The part is the largest one, but for a little that self-motions cost. Towards a singular
+    configuration it is so small that no singular value, of those that the direction needs, falls by
+    more than `WALL` in one cycle: the motion comes to rest there. From a singular configuration the
+    motion leaves along a curvature towards b. There a direction is kept to `BENT`. `bend` gives the
+    derivatives (k, m, n) of A along directions (k, n).
     """
     n = A.shape[1]
     size = math.sqrt(b @ b)
@@ -150,7 +176,9 @@ def scaled(
     G = np.eye(n) if G is None else G
     along = U[:, :k].T @ b
     weak = s < near
-    left = np.abs(along) - np.where(weak, BENT * size * (1.0 - np.square(np.minimum(s / near, 1.0))), 0.0)
+    left = np.abs(along) - np.where(
+        weak, BENT * size * (1.0 - np.square(np.minimum(s / near, 1.0))), 0.0
+    )
     along = np.sign(along) * np.maximum(left, 0.0)
     blind = U[:, k:].T @ b
     if math.sqrt(blind @ blind) > BENT * size:
@@ -170,7 +198,11 @@ def scaled(
     weak = np.flatnonzero(weak & (along != 0.0))
     if len(weak) and x.any():
         falls = np.einsum("ai,aj,ij->i", U[:, weak], bend(x[None])[0], Vt[weak]) * dt
-        x = x * float(np.min(np.where(falls < -WALL * s[weak], WALL * s[weak] / -np.minimum(falls, -1e-300), 1.0)))
+        x = x * float(
+            np.min(
+                np.where(falls < -WALL * s[weak], WALL * s[weak] / -np.minimum(falls, -1e-300), 1.0)
+            )
+        )
     return x if float(b @ (A @ x)) > NO_PART * size * size else inside
 
 
@@ -182,18 +214,24 @@ def part_within(x: Array, low: Array, high: Array) -> float:
 
 
 def _relieved(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Array:
-    """A large part of y (n,) within bounds, with a self-motion, of the rows of `spare` (k, n), that lets it be so."""
+    """A large part of y (n,) within bounds, with a self-motion, of the rows of `spare` (k, n), that
+    lets it be so.
+    """
     value = np.abs(G @ y)
     width = np.where(np.isfinite(high - low), high - low, 0.0)
     speed = min(float(value.max()), 0.5 * float(width.max(initial=0.0))) or 1.0
     B = np.diag(np.append(1.0, np.full(len(spare), NULL_SPEED / speed)))
     rows = np.column_stack([G @ y, G @ spare.T])
-    x = bounded(B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), np.zeros(len(B)), rows)
+    x = bounded(
+        B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), np.zeros(len(B)), rows
+    )
     return x[0] * y + spare.T @ x[1:]
 
 
 def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, np.ndarray]:
-    """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries are at no bound."""
+    """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries
+    are at no bound.
+    """
     z: Array = np.asarray(np.linalg.solve(H, push), dtype=float)
     free = (low < z) & (z < high)
     if free.all():
@@ -222,11 +260,15 @@ def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array,
     return z, free
 
 
-def bounded(A: Array, b: Array, low: Array, high: Array, first: Array, G: Array | None = None) -> Array:
-    """The x (n,) with low <= G x <= high that makes |A x - b| least: active set (Stark and Parker, 1995).
+def bounded(
+    A: Array, b: Array, low: Array, high: Array, first: Array, G: Array | None = None
+) -> Array:
+    """The x (n,) with low <= G x <= high that makes |A x - b| least: active set (Stark and Parker,
+    1995).
 
-    Without G the bounds are those of x: `first` (n,) says which are tried first, those that it violates. With G, whose
-    rows then need not be independent, `first` must be within them. A must have full column rank.
+    Without G the bounds are those of x: `first` (n,) says which are tried first, those that it
+    violates. With G, whose rows then need not be independent, `first` must be within them. A must
+    have full column rank.
     """
     plain = G is None
     eye = np.eye(A.shape[1])
@@ -240,11 +282,18 @@ def bounded(A: Array, b: Array, low: Array, high: Array, first: Array, G: Array 
             value = rows @ x
             way = rows @ step
             slack = 0.0 if plain else SLACK * max(1.0, float(np.abs(way).max(initial=0.0)))
-            over = ~held & (((way < 0.0) & (value + way < low - slack)) | ((way > 0.0) & (value + way > high + slack)))
+            over = ~held & (
+                ((way < 0.0) & (value + way < low - slack))
+                | ((way > 0.0) & (value + way > high + slack))
+            )
             if over.any():
                 ratio = np.where(way < 0.0, low - value, high - value)[over] / way[over]
                 part = min(max(float(ratio.min()), 0.0), 1.0)
-                block = np.flatnonzero(over)[ratio <= part] if plain else np.flatnonzero(over)[[np.argmin(ratio)]]
+                block = (
+                    np.flatnonzero(over)[ratio <= part]
+                    if plain
+                    else np.flatnonzero(over)[[np.argmin(ratio)]]
+                )
                 x = x + part * step
                 if plain:  # to the last bit
                     x = np.minimum(np.maximum(x, low), high)

@@ -1,4 +1,6 @@
-"""One step of the differential inverse model: velocities that give a frame a twist, within all limits."""
+"""One step of the differential inverse model: velocities that give a frame a twist, within all
+limits.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
     from kempe.solvers.velocity.servo_closed import ConstrainedSteps, Stage
 
 WHOLE = 1.0 - 1e-3
-"""Fraction of what is wanted that counts as all of it: damping takes less than the rest far from singularities."""
+"""Fraction of what is wanted that counts as all of it: damping takes less than the rest far from
+singularities."""
 NONE = np.zeros(0)
 EYE = np.eye(3)
 TURNING = math.pi
@@ -42,7 +45,8 @@ SLIDING = 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
 SLOW = 0.0499
 SHORTER = 5
-"""Part of its speed above which no joint turns back from one cycle to the next; halvings of a step for that."""
+"""Part of its speed above which no joint turns back from one cycle to the next; halvings of a step
+for that."""
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
 BESIDE = 1e-12
@@ -52,13 +56,15 @@ BESIDE = 1e-12
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class IkStep(Answer):
-    """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they give the frame.
+    """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they
+    give the frame.
 
-    For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and characteristic lengths.
-    `fraction` is the part of the wanted twist in that, 1 where it is had in full; `saturated` names the coordinates
-    that are at a limit of position or velocity, `default_speed` those of them whose limit of velocity is the default
-    one, since neither the system nor the call has one. `blocked_by` names the velocity constraints, such as wheels that
-    do not slip sideways, that prevent the rest of the wanted motion.
+    For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and
+    characteristic lengths. `fraction` is the part of the wanted twist in that, 1 where it is had in
+    full; `saturated` names the coordinates that are at a limit of position or velocity,
+    `default_speed` those of them whose limit of velocity is the default one, since neither the
+    system nor the call has one. `blocked_by` names the velocity constraints, such as wheels that do
+    not slip sideways, that prevent the rest of the wanted motion.
     """
 
     __repr__ = brief
@@ -78,7 +84,9 @@ class IkStep(Answer):
 
     @property
     def code(self) -> Status:
-        """The outcome: `PARTLY` where limits or a singularity leave only a fraction of what was wanted."""
+        """The outcome: `PARTLY` where limits or a singularity leave only a fraction of what was
+        wanted.
+        """
         return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
 
     def _sentence(self, index: tuple[int, ...]) -> str:
@@ -94,7 +102,10 @@ class IkStep(Answer):
         if limited := [name for name in self.saturated if name not in self.default_speed]:
             why.append(f"at a limit: {', '.join(map(repr, limited))}")
         if default:
-            why.append(f"at the default speed (pi rad/s, {SLIDING:.3g} m/s): {', '.join(map(repr, default))}")
+            why.append(
+                f"at the default speed (pi rad/s, {SLIDING:.3g} m/s): "
+                f"{', '.join(map(repr, default))}"
+            )
         return f"{text}: {'; '.join(why)}" if why else text
 
     def _claimed(self) -> np.ndarray:
@@ -102,7 +113,8 @@ class IkStep(Answer):
 
 
 class Move(NamedTuple):
-    """Velocities (n,) of a chain at a configuration, their box, the Jacobian (6, n), and the twist that is wanted.
+    """Velocities (n,) of a chain at a configuration, their box, the Jacobian (6, n), and the twist
+    that is wanted.
 
     `calm` says that no joint turns back after the step, by a bound on second derivatives.
     """
@@ -126,7 +138,8 @@ class Servo:
         self.v = chain.v_index
         reach = min((b.largest for b in chain.bounds), default=math.inf)
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
-        """Singular values to be damped: metres, so less where the whole chain is shorter than one."""
+        """Singular values to be damped: metres, so less where the whole chain is shorter than
+        one."""
         layout = system.structure.layout
         place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
         limited = [(k, place[v]) for k, v in enumerate(self.v.tolist()) if v in place]
@@ -150,20 +163,33 @@ class Servo:
         self.unit = np.where(slides, length, 1.0)
 
     def move(
-        self, q: Array, x: Array, dt: float, fastest: Array, damping: float, direction: bool, weights: Array | None
-    ) -> Move:  # fmt: skip
+        self,
+        q: Array,
+        x: Array,
+        dt: float,
+        fastest: Array,
+        damping: float,
+        direction: bool,
+        weights: Array | None,
+    ) -> Move:
         """The velocities for a twist (6,) or towards a pose (4, 4), at a configuration (nq,)."""
         pose, J = self.query.pose_and_jacobian(q)
         J = J[:, self.v]
         w = weights
         low, high = self.box(q, dt, fastest)
         if x.ndim == 2:
-            approach = Approach(self, q, x, pose, J, dt, w, SLOW * float(fastest.min(initial=math.inf)))
+            approach = Approach(
+                self, q, x, pose, J, dt, w, SLOW * float(fastest.min(initial=math.inf))
+            )
             own = approach.go(low, high, damping, w, direction)
             return Move(own, low, high, J, approach.e / dt, approach.calm)
         A, b = (J, x) if w is None else (w[:, None] * J, w * x)
         wished = wish(A, b, damping, self.near)
-        if len(wished.s) and wished.s[-1] >= self.near and (not direction or len(A) <= len(wished.s)):
+        if (
+            len(wished.s)
+            and wished.s[-1] >= self.near
+            and (not direction or len(A) <= len(wished.s))
+        ):
             own = wished.x  # regular
             if (own >= low).all() and (own <= high).all():
                 bound = dt * math.sqrt(len(own)) * float(wished.s[0] * (own @ own) / wished.s[-1])
@@ -173,7 +199,9 @@ class Servo:
         if direction:
             own = scaled(A, b, low, high, dt, bend, near=self.near)
         else:
-            own = damped(A, b, low, high, damping, near=self.near, bend=bend, shift=SHIFT, wished=wished)
+            own = damped(
+                A, b, low, high, damping, near=self.near, bend=bend, shift=SHIFT, wished=wished
+            )
         return Move(own, low, high, J, x, False)
 
     def roomy(self, q: Array, velocity: Array, dt: float) -> bool:
@@ -189,12 +217,18 @@ class Servo:
         x = q[self.at_q]
         low = -speed
         high = speed.copy()
-        low[self.at_v] = np.minimum(np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v])
-        high[self.at_v] = np.maximum(np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v])
+        low[self.at_v] = np.minimum(
+            np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v]
+        )
+        high[self.at_v] = np.maximum(
+            np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v]
+        )
         return low, high
 
     def bend(self, q: Array, weights: Array | None) -> Bend:
-        """Derivatives (k, 6, n) of the Jacobian, its rows weighted, along directions (k, n), as central differences."""
+        """Derivatives (k, 6, n) of the Jacobian, its rows weighted, along directions (k, n), as
+        central differences.
+        """
 
         def along(ways: Array) -> Array:
             size = np.abs(ways / self.unit).max(axis=1)
@@ -214,7 +248,9 @@ class Servo:
         return out
 
     def beside(self, q: Array, step: Array) -> Array:
-        """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by minus that."""
+        """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by
+        minus that.
+        """
         n = len(self.v)
         if self.plain:
             out = np.broadcast_to(q, (2 * n, len(q))).copy()
@@ -234,60 +270,85 @@ class Servo:
             out = q.copy()
             out[self.at_q] += velocity[self.v] * dt
         x = q[self.at_q]
-        out[self.at_q] = np.minimum(np.maximum(out[self.at_q], np.minimum(self.lower, x)), np.maximum(self.upper, x))
+        out[self.at_q] = np.minimum(
+            np.maximum(out[self.at_q], np.minimum(self.lower, x)), np.maximum(self.upper, x)
+        )
         return out
 
 
 @explained
 def ik_step(
-    system: System, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *,
-    velocity_limits: Any = None, damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
-) -> IkStep:  # fmt: skip
+    system: System,
+    q: Any,
+    wanted: Any,
+    frame: FrameLike | None = None,
+    dt: float = 0.0,
+    *,
+    velocity_limits: Any = None,
+    damping: float = 0.05,
+    keep_direction: bool = False,
+    weights: Any = None,
+) -> IkStep:
     """The step that gives a frame the wanted twist for the time dt [s], as nearly as limits allow.
 
-    `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4, 4) to be reached in
-    dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or soft and in strict priorities. The
-    velocities make the squared error of the twist least (`weights` (6,) of its rows, zero where a row does not
-    count) and, among those that do, their own size; near singularities the directions that are hard to move in are
-    damped, by at most `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
-    default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate turns or slides;
-    `math.inf` lifts them), and no coordinate leaves its limits within dt. Where a twist asks for more, other joints
-    take over, and the velocities change gradually where they do: so a little of the twist that a bounded least-squares
-    problem would give is left. A singular configuration from which a twist leads to second order only is left.
+    `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4,
+    4) to be reached in dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or
+    soft and in strict priorities. The velocities make the squared error of the twist least
+    (`weights` (6,) of its rows, zero where a row does not count) and, among those that do, their
+    own size; near singularities the directions that are hard to move in are damped, by at most
+    `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
+    default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate
+    turns or slides; `math.inf` lifts them), and no coordinate leaves its limits within dt. Where a
+    twist asks for more, other joints take over, and the velocities change gradually where they do:
+    so a little of the twist that a bounded least-squares problem would give is left. A singular
+    configuration from which a twist leads to second order only is left.
 
-    With `keep_direction` the twist is scaled instead of bent: what is had is the largest part of it that the limits
-    allow, from 0 to 1, but for a few percent that self-motions cost. Towards a singular configuration the part
-    falls to zero, and the motion comes to rest there: it never goes back. Close to one, the direction is kept to 1 %.
-    Towards a pose the frame goes straight, in position and orientation together, as long as that leads on; where a
-    limit or the border of the workspace ends the straight way, the motion turns gradually towards the nearest pose.
+    With `keep_direction` the twist is scaled instead of bent: what is had is the largest part of it
+    that the limits allow, from 0 to 1, but for a few percent that self-motions cost. Towards a
+    singular configuration the part falls to zero, and the motion comes to rest there: it never goes
+    back. Close to one, the direction is kept to 1 %. Towards a pose the frame goes straight, in
+    position and orientation together, as long as that leads on; where a limit or the border of the
+    workspace ends the straight way, the motion turns gradually towards the nearest pose.
 
-    A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits, are approached:
-    limits of speed shorten the step, so all joints arrive together. Where a step of first order does not lower the
-    error, its second order counts (Newton); saddle points of the error are left. So cycles that ask for the same
-    come to rest, at a local minimum of the error, in radians and characteristic lengths as in `ik`, with
-    `keep_direction`, too. Of a twist only the caller knows where it leads.
+    A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits,
+    are approached: limits of speed shorten the step, so all joints arrive together. Where a step of
+    first order does not lower the error, its second order counts (Newton); saddle points of the
+    error are left. So cycles that ask for the same come to rest, at a local minimum of the error,
+    in radians and characteristic lengths as in `ik`, with `keep_direction`, too. Of a twist only
+    the caller knows where it leads.
 
-    In cycles that ask for the same, no joint turns back from one cycle to the next at more than a twentieth of its
-    limit of speed: the velocities of the next cycle are computed, too, and the step is shortened where one changes its
-    sign. What is asked for decides alone: no velocity of an earlier call counts.
+    In cycles that ask for the same, no joint turns back from one cycle to the next at more than a
+    twentieth of its limit of speed: the velocities of the next cycle are computed, too, and the
+    step is shortened where one changes its sign. What is asked for decides alone: no velocity of an
+    earlier call counts.
 
-    Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
-    they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
-    drift). Velocity constraints hold: what rolls does not slip, and the way to `q` obeys them to second order. Declared
-    one-sided constraints hold as limits do. There
-    sizes are measured in radians and characteristic lengths, and damping relative to the largest singular value.
-    Errors: `InputError`, also where the loops are open.
+    Loops and relations of several coordinates stay closed, those of the whole system for tasks and
+    for a frame that they move: to first order by the velocities, and then in `q`, which is closed
+    again (q may be open a little, as by drift). Velocity constraints hold: what rolls does not
+    slip, and the way to `q` obeys them to second order. Declared one-sided constraints hold as
+    limits do. There
+    sizes are measured in radians and characteristic lengths, and damping relative to the largest
+    singular value. Errors: `InputError`, also where the loops are open.
     """
     q = as_q(system, q)
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
-        raise InputError(f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one configuration "
-                         f"({system.nq},), a positive time and a number not negative")  # fmt: skip
-    speed = speeds(system) if velocity_limits is None else _numbers(velocity_limits, system.nv, "velocity_limits")
+        raise InputError(
+            f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one "
+            f"configuration ({system.nq},), a positive time and a number not negative"
+        )
+    speed = (
+        speeds(system)
+        if velocity_limits is None
+        else _numbers(velocity_limits, system.nv, "velocity_limits")
+    )
     default = ~np.isfinite(system.structure.velocity_limits) if velocity_limits is None else None
     w = _numbers(weights, 6, "weights", True) if weights is not None else None
     if frame is None:
         if keep_direction or w is not None:
-            raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
+            raise InputError(
+                "keep_direction and weights are for the twist of a frame; tasks have weights of "
+                "their own"
+            )
         return _held_step(system, q, wanted, None, dt, speed, default, damping, False, None)
     name = system.structure.frame_name(frame)
     if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
@@ -295,7 +356,14 @@ def ik_step(
     servo = _servo(system, name)
     x = _motion(wanted)
     fastest = speed[servo.v]
-    case = x.tobytes(), dt, fastest.tobytes(), damping, keep_direction, None if w is None else w.tobytes()
+    case = (
+        x.tobytes(),
+        dt,
+        fastest.tobytes(),
+        damping,
+        keep_direction,
+        None if w is None else w.tobytes(),
+    )
 
     def law(q: Array) -> Move:
         if servo.upcoming[0] == (case, q.tobytes()):
@@ -316,26 +384,42 @@ def ik_step(
     part = _part(had, twist) if w is None else _part(w * had, w * twist)
     at = ((own <= low) | (own >= high)).nonzero()[0]
     names = tuple(servo.names[int(i)] for i in at)
-    return IkStep(servo.after(q, velocity, dt), velocity, had, part, names, system,
-                  _at_default(system, names, velocity, speed, default))  # fmt: skip
+    return IkStep(
+        servo.after(q, velocity, dt),
+        velocity,
+        had,
+        part,
+        names,
+        system,
+        _at_default(system, names, velocity, speed, default),
+    )
 
 
 def _at_default(
-    system: System, saturated: tuple[str, ...], velocity: Array, speed: Array, default: np.ndarray | None
-) -> tuple[str, ...]:  # fmt: skip
+    system: System,
+    saturated: tuple[str, ...],
+    velocity: Array,
+    speed: Array,
+    default: np.ndarray | None,
+) -> tuple[str, ...]:
     """Those of the saturated coordinates that move at a default speed (nv,)."""
     if not saturated or default is None:
         return ()
     fast: list[bool] = np.logical_and(default, np.abs(velocity) >= speed * (1.0 - BESIDE)).tolist()
-    return tuple(name for name, is_so in zip(system.structure.velocity_names, fast, strict=True)
-                 if is_so and name in saturated)  # fmt: skip
+    return tuple(
+        name
+        for name, is_so in zip(system.structure.velocity_names, fast, strict=True)
+        if is_so and name in saturated
+    )
 
 
 def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
-    """The part of the step by which no joint turns back at once, at more than `SLOW` of its speed (n,).
+    """The part of the step by which no joint turns back at once, at more than `SLOW` of its speed
+    (n,).
 
-    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a shorter step leads
-    nearer to where its speed passes zero, and one at `SLOW` of the speeds across.
+    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
+    shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
+    across.
     """
     least = SLOW * fastest
     part = 1.0
@@ -360,19 +444,36 @@ def _servo(system: System, frame: str) -> Servo:
 
 
 def _held_step(
-    system: System, q: Array, wanted: Any, frame: str | None, dt: float, speed: Array, default: np.ndarray | None,
-    damping: float, direction: bool, weights: Array | None,
-) -> IkStep:  # fmt: skip
+    system: System,
+    q: Array,
+    wanted: Any,
+    frame: str | None,
+    dt: float,
+    speed: Array,
+    default: np.ndarray | None,
+    damping: float,
+    direction: bool,
+    weights: Array | None,
+) -> IkStep:
     """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
     if not np.isfinite(q).all():
         refuse_bad(system, q)
     closed = _closed(system)
-    at, J, asked = _wanted(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
+    at, J, asked = _wanted(
+        system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights
+    )
     low, high = closed.box(q, dt, speed)
     slow = SLOW * float((speed / closed.scale).min(initial=math.inf))
     law = closed.twisted if frame is not None and np.ndim(wanted) == 1 else closed.towards
 
-    case = asked, dt, speed.tobytes(), damping, direction, None if weights is None else weights.tobytes()
+    case = (
+        asked,
+        dt,
+        speed.tobytes(),
+        damping,
+        direction,
+        None if weights is None else weights.tobytes(),
+    )
 
     def step(x: Array) -> tuple[Array, Array, bool]:
         if closed.upcoming[0] == (case, x.tobytes()):
@@ -398,21 +499,41 @@ def _held_step(
     names = tuple(system.structure.velocity_names[int(i)] for i in at)
     part = _part(had, requested)
     blocked = closed.blocking(q, stages, u, low, high) if part < WHOLE and closed.rolls else ()
-    return IkStep(after, velocity, twist, part, names, system,
-                  _at_default(system, names, velocity, speed, default), blocked)  # fmt: skip
+    return IkStep(
+        after,
+        velocity,
+        twist,
+        part,
+        names,
+        system,
+        _at_default(system, names, velocity, speed, default),
+        blocked,
+    )
 
 
 def _wanted(
-    system: System, closed: ConstrainedSteps, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
-) -> tuple[Callable[[Array], list[Stage]], Array, tuple[Any, ...]]:  # fmt: skip
-    """What is required at configurations (..., nq), as a function of them; the Jacobian (6, nv) of the frame, if any;
-    and all that the function depends on, for comparisons."""
+    system: System,
+    closed: ConstrainedSteps,
+    q: Array,
+    wanted: Any,
+    frame: str | None,
+    dt: float,
+    weights: Array,
+) -> tuple[Callable[[Array], list[Stage]], Array, tuple[Any, ...]]:
+    """What is required at configurations (..., nq), as a function of them; the Jacobian (6, nv) of
+    the frame, if any; and all that the function depends on, for comparisons.
+    """
     from kempe.solvers.velocity.servo_closed import posed, stages_of
 
     if frame is None:
         problem = posed(system, wanted, q)
         levels, strengths, *_ = problem.levels
-        asked = problem.packed, problem.pins.tobytes(), np.asarray(levels).tobytes(), np.asarray(strengths).tobytes()
+        asked = (
+            problem.packed,
+            problem.pins.tobytes(),
+            np.asarray(levels).tobytes(),
+            np.asarray(strengths).tobytes(),
+        )
         return lambda x: stages_of(problem, x, dt), NONE, asked
     goal = _motion(wanted)
     pose_of = query(system, frame)
@@ -421,7 +542,9 @@ def _wanted(
         pose, J = pose_of.pose_and_jacobian(x)
         if goal.ndim == 1:
             return [closed.twist(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
-        missing = np.array([error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(*x.shape[:-1], 6)
+        missing = np.array([error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(
+            *x.shape[:-1], 6
+        )
         return [closed.twist(J, missing / dt, weights)]
 
     return at, pose_of.jacobian(q), (frame, goal.tobytes())
@@ -442,14 +565,18 @@ def _part(had: Array, requested: Array) -> float:
 
 def _motion(wanted: Any) -> Array:
     """The twist (6,) or pose (4, 4) that is wanted, checked."""
-    x = reals(arrays(wanted, "the wanted motion"), "the wanted motion", "a twist (6,) or a pose (4, 4)")
+    x = reals(
+        arrays(wanted, "the wanted motion"), "the wanted motion", "a twist (6,) or a pose (4, 4)"
+    )
     good = x.shape == (6,) and math.isfinite(x.dot(x))
     if x.shape == (4, 4) and not (good := _is_pose(x)):
         x = sound(x, "the wanted motion")
         good = _is_pose(x)
     if not good:
-        raise InputError(f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), finite, "
-                         f"the rotation of a pose orthonormal with determinant +1")  # fmt: skip
+        raise InputError(
+            f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), "
+            "finite, the rotation of a pose orthonormal with determinant +1"
+        )
     return x
 
 
@@ -461,15 +588,19 @@ def _is_pose(x: Array) -> bool:
 
 @kept
 def speeds(system: System) -> Array:
-    """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else `TURNING` and `SLIDING`.
+    """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else
+    `TURNING` and `SLIDING`.
 
-    The defaults hold for coupled joints too: a coordinate is so slow that none of its followers exceeds them.
+    The defaults hold for coupled joints too: a coordinate is so slow that none of its followers
+    exceeds them.
     """
     table = own_tree(system).structure.table
     given = system.structure.velocity_limits
     usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
     usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
-    for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):
+    for kind, v, m in zip(
+        table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True
+    ):
         if kind != BALL:
             usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
     return np.where(np.isfinite(given), given, usual)
@@ -484,6 +615,7 @@ def _numbers(x: Any, n: int, what: str, finite: bool = False) -> Array:
         out = np.full(1, np.nan)
     if not (out >= 0.0).all() or (finite and not np.isfinite(out).all()):
         raise InputError(
-            f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative{' or infinite' if finite else ''}"
+            f"{what} is {x!r}; it must be a number or ({n},) numbers, none "
+            f"negative{' or infinite' if finite else ''}"
         )
     return out

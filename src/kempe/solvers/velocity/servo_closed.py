@@ -1,10 +1,12 @@
-"""One step of the differential inverse model under constraints: loops and relations stay closed, tasks come in order.
+"""One step of the differential inverse model under constraints: loops and relations stay closed,
+tasks come in order.
 
-Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z, with an orthonormal
-basis N of their null space, in radians and characteristic lengths. What each stage reaches, the next ones keep: they
-act in the null space of its equations, its inequalities become bounds (Siciliano and Slotine, 1991; Escande, Mansard
-and Wieber, 2014). The step is of first order, so it opens the loops by the square of its size: they are closed again,
-within the same limits.
+Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z,
+with an orthonormal basis N of their null space, in radians and characteristic lengths. What each
+stage reaches, the next ones keep: they act in the null space of its equations, its inequalities
+become bounds (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014). The step is of first
+order, so it opens the loops by the square of its size: they are closed again, within the same
+limits.
 """
 
 from __future__ import annotations
@@ -33,7 +35,17 @@ from kempe.solvers.velocity.least_squares import (
     part_within,
     scaled,
 )
-from kempe.solvers.velocity.servo_pose import ASIDE, BLIND, FLAT, LARGEST, SADDLE, STILL, TAKEN, TRIALS, led_on
+from kempe.solvers.velocity.servo_pose import (
+    ASIDE,
+    BLIND,
+    FLAT,
+    LARGEST,
+    SADDLE,
+    STILL,
+    TAKEN,
+    TRIALS,
+    led_on,
+)
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -42,7 +54,8 @@ if TYPE_CHECKING:
     from kempe.solvers.tasks.demands import Demands
 
 OPEN = 1e-3
-"""By how much, in radians and characteristic lengths, loops may be open at first: more is no drift."""
+"""By how much, in radians and characteristic lengths, loops may be open at first: more is no
+drift."""
 CLOSED = 1e-12
 """By how much they may be open after the step."""
 CORRECTIONS = 8
@@ -51,8 +64,8 @@ HALVINGS = 12
 HALF = 0.5
 ENOUGH = 1e-13
 BUSY = 2.0
-"""Part of what is required that a step of first order may leave; what may be left in any case; and what earlier stages
-miss, as a multiple of the square of the step, to count as not arrived."""
+"""Part of what is required that a step of first order may leave; what may be left in any case; and
+what earlier stages miss, as a multiple of the square of the step, to count as not arrived."""
 DIFFERENCE = 1e-5
 """Step of the differences of Jacobians, in radians and characteristic lengths."""
 ROUNDING = 1e-14
@@ -66,7 +79,9 @@ BEYOND = 1e-12
 
 
 class Stage(NamedTuple):
-    """What is required at one level: A u = b as nearly as can be, and low <= I u <= high; u are scaled velocities."""
+    """What is required at one level: A u = b as nearly as can be, and low <= I u <= high; u are
+    scaled velocities.
+    """
 
     A: Array
     b: Array
@@ -94,8 +109,10 @@ class Stage(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what equations do, velocities
-    (nv,) that these ask for at `rest`, and between what declared one-sided `rows` (m, nv) of them stay for dt."""
+    """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what
+    equations do, velocities (nv,) that these ask for at `rest`, and between what declared one-sided
+    `rows` (m, nv) of them stay for dt.
+    """
 
     basis: Array
     rest: Array
@@ -128,7 +145,8 @@ class ConstrainedSteps:
         """A step that was computed ahead, after what asks for it."""
 
     def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
-        """Least and largest scaled velocities (nv,) for which limits of position and speed hold after dt.
+        """Least and largest scaled velocities (nv,) for which limits of position and speed hold
+        after dt.
 
         What is outside its limits comes back as fast as it may.
         """
@@ -150,15 +168,21 @@ class ConstrainedSteps:
         w = weights.copy()
         w[:3] /= self.length
         nothing = np.zeros(0)
-        return Stage(w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing)
+        return Stage(
+            w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing
+        )
 
     def free(self, q: Array, dt: float) -> Left:
-        """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for open loops."""
+        """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for
+        open loops.
+        """
         error, C = evaluate(self.closing, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
-            raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
-                             f"characteristic lengths); robot.assemble(start=q) closes them")  # fmt: skip
+            raise InputError(
+                f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} "
+                "(radians, characteristic lengths); robot.assemble(start=q) closes them"
+            )
         between = self._between(q, dt)
         if not self.rolls:
             return Left(null(C), np.zeros(self.system.nv), *between)
@@ -166,7 +190,9 @@ class ConstrainedSteps:
         return Left(null(np.concatenate([C, A])), at_rest(C, A, b), *between)
 
     def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
-        """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay within dt."""
+        """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
+        within dt.
+        """
         rows = self.bounds
         k = self.bounds.declared
         if not k:
@@ -176,7 +202,9 @@ class ConstrainedSteps:
         return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
 
     def _missed(self, x: Array, before: Array) -> tuple[Array, Array]:
-        """What equations miss at x, and declared one-sided rows by more than `before`, with the rates of both."""
+        """What equations miss at x, and declared one-sided rows by more than `before`, with the
+        rates of both.
+        """
         error, C = evaluate(self.closing, x, True, True)
         if not self.bounds.declared:
             return error, C
@@ -184,14 +212,23 @@ class ConstrainedSteps:
         return np.concatenate([error, more]), np.concatenate([C, G])
 
     def velocity(
-        self, free: Left, stages: list[Stage], low: Array, high: Array, damping: float, *,
-        speeds: tuple[Array, Array] | None = None, twist: Twist | None = None, model: Array | None = None,
-    ) -> Array:  # fmt: skip
-        """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as from there.
+        self,
+        free: Left,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        damping: float,
+        *,
+        speeds: tuple[Array, Array] | None = None,
+        twist: Twist | None = None,
+        model: Array | None = None,
+    ) -> Array:
+        """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as
+        from there.
 
-        `speeds`, least and largest velocities within the box, shorten what a stage asks for, before others take over.
-        `twist` says that the stage is a twist, or has a direction that is kept. `model` (k, k), where given, is the
-        Hessian that counts for the last stage.
+        `speeds`, least and largest velocities within the box, shorten what a stage asks for, before
+        others take over. `twist` says that the stage is a twist, or has a direction that is kept.
+        `model` (k, k), where given, is the Hessian that counts for the last stage.
         """
         N, rest, rows, least, most = free
         some = _Descent(N, speeds)
@@ -204,8 +241,12 @@ class ConstrainedSteps:
         least, most = speeds or (low, high)
         return np.minimum(np.maximum(rest + N @ some.z, least), most)
 
-    def blocking(self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array) -> tuple[str, ...]:
-        """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their multipliers."""
+    def blocking(
+        self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array
+    ) -> tuple[str, ...]:
+        """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their
+        multipliers.
+        """
         pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
         C = evaluate(self.closing, q, True, True)[1]
         A = hard_rows(self.system, q, self.scale)[0]
@@ -213,29 +254,53 @@ class ConstrainedSteps:
         forces = np.linalg.lstsq(np.concatenate([A, C, bounds]).T, pull, rcond=1e-9)[0][: len(A)]
         some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
         return tuple(
-            dict.fromkeys(name for (name, _), is_so in zip(row_names(self.system), some, strict=True) if is_so)
+            dict.fromkeys(
+                name for (name, _), is_so in zip(row_names(self.system), some, strict=True) if is_so
+            )
         )
 
     def twisted(
-        self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
-        at: Callable[[Array], list[Stage]], slow: float,
-    ) -> tuple[Array, Array, bool]:  # fmt: skip
-        """The configuration (nq,) after dt, the scaled velocities (nv,) of a twist, and whether the motion is calm."""
+        self,
+        q: Array,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        damping: float,
+        direction: bool,
+        dt: float,
+        at: Callable[[Array], list[Stage]],
+        slow: float,
+    ) -> tuple[Array, Array, bool]:
+        """The configuration (nq,) after dt, the scaled velocities (nv,) of a twist, and whether the
+        motion is calm.
+        """
         free = self.free(q, dt)
         twist = Twist(dt, self.bend(q, free.basis, stages[0], at), direction)
-        return *self.after(q, self.velocity(free, stages, low, high, damping, twist=twist), dt, low, high), False
+        return *self.after(
+            q, self.velocity(free, stages, low, high, damping, twist=twist), dt, low, high
+        ), False
 
     def towards(
-        self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
-        at: Callable[[Array], list[Stage]], slow: float,
-    ) -> tuple[Array, Array, bool]:  # fmt: skip
-        """The configuration (nq,) after dt, the scaled velocities (nv,) towards goals, and whether the motion is calm.
+        self,
+        q: Array,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        damping: float,
+        direction: bool,
+        dt: float,
+        at: Callable[[Array], list[Stage]],
+        slow: float,
+    ) -> tuple[Array, Array, bool]:
+        """The configuration (nq,) after dt, the scaled velocities (nv,) towards goals, and whether
+        the motion is calm.
 
-        Where a `direction` is kept the step is straight as long as that leads on. Otherwise the first stage that a step
-        of first order does not lower as promised takes one of second order, which must do so, else a shorter one;
-        stages after it do not count. Limits of speed shorten these steps. `at` gives the stages at a configuration. The
-        motion is calm where the step arrives, and the next one makes good only what second derivatives have left: then
-        no joint turns back.
+        Where a `direction` is kept the step is straight as long as that leads on. Otherwise the
+        first stage that a step of first order does not lower as promised takes one of second order,
+        which must do so, else a shorter one; stages after it do not count. Limits of speed shorten
+        these steps. `at` gives the stages at a configuration. The motion is calm where the step
+        arrives, and the next one makes good only what second derivatives have left: then no joint
+        turns back.
         """
         free = self.free(q, dt)
         if direction:
@@ -258,18 +323,27 @@ class ConstrainedSteps:
         left = [s.missed(u) for s in stages]
         if not (whole or still):  # far away
             left = [s.missed() for s in at(self.after(q, u, dt, *wide)[0])]
-        k = next((k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None)
+        k = next(
+            (k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None
+        )
         if (
             k is None
             or (k and max(requested[:k]) > BUSY * size)
             or (k and requested[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
-        ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
+            # earlier ones move it, by more than it disturbs them; or curvature is little beside what is
+            # gained
+        ):
             if still:
                 u = np.minimum(np.maximum(0.0, low), high)
             elif not whole:
                 u = self.velocity(free, stages, *wide, damping, speeds=speeds)
             next_speed = size * math.sqrt(len(u)) / max(NEAR, damping)
-            calm = whole and max(left, default=0.0) <= ENOUGH / dt and damping >= NEAR and next_speed <= slow
+            calm = (
+                whole
+                and max(left, default=0.0) <= ENOUGH / dt
+                and damping >= NEAR
+                and next_speed <= slow
+            )
             return *self.after(q, u, dt, low, high), calm
         own = stages[: k + 1]
         before = requested[k]
@@ -279,7 +353,10 @@ class ConstrainedSteps:
             convex = model + more * np.eye(len(model))
             u = self.velocity(free, own, *wide, damping, model=convex)
             promise = before**2 - own[k].missed(u) ** 2
-            if promise <= BLIND * before**2 and (way := self.aside(free, own, u, *wide, dt, model)) is not None:
+            if (
+                promise <= BLIND * before**2
+                and (way := self.aside(free, own, u, *wide, dt, model)) is not None
+            ):
                 u, promise = way
                 speeds = (low, high) if speeds is None else speeds
                 convex = None
@@ -287,7 +364,8 @@ class ConstrainedSteps:
                 break
             if promise > 0.0 and (
                 promise <= BLIND * before**2
-                or at(self.after(q, u, dt, *wide)[0])[k].missed() ** 2 <= before**2 - TAKEN * promise
+                or at(self.after(q, u, dt, *wide)[0])[k].missed() ** 2
+                <= before**2 - TAKEN * promise
             ):
                 if convex is None:
                     u = part_within(u, low, high) * u
@@ -299,12 +377,20 @@ class ConstrainedSteps:
         return *self.after(q, u, dt, low, high), False
 
     def straight(
-        self, q: Array, free: Left, stages: list[Stage], low: Array, high: Array, dt: float,
+        self,
+        q: Array,
+        free: Left,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        dt: float,
         at: Callable[[Array], list[Stage]],
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards a pose, its direction kept.
+    ) -> tuple[Array, Array]:
+        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards a pose, its
+        direction kept.
 
-        The step is halved until it lowers what is missed by half of what it promises; if it never does, there is none.
+        The step is halved until it lowers what is missed by half of what it promises; if it never
+        does, there is none.
         """
         twist = Twist(dt, self.bend(q, free.basis, stages[0], at), True)
         before = stages[0].missed()
@@ -320,12 +406,20 @@ class ConstrainedSteps:
         return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
 
     def aside(
-        self, free: Left, stages: list[Stage], u: Array, low: Array, high: Array, dt: float, model: Array
+        self,
+        free: Left,
+        stages: list[Stage],
+        u: Array,
+        low: Array,
+        high: Array,
+        dt: float,
+        model: Array,
     ) -> tuple[Array, float] | None:
-        """Velocities (nv,) that leave a saddle point of what the last stage misses, and the decrease that they promise.
+        """Velocities (nv,) that leave a saddle point of what the last stage misses, and the
+        decrease that they promise.
 
-        Their direction is that of the least curvature, where it is negative, among those that earlier stages and
-        bounds leave; None where there is no such direction.
+        Their direction is that of the least curvature, where it is negative, among those that
+        earlier stages and bounds leave; None where there is no such direction.
         """
         N = free.basis
         held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
@@ -349,7 +443,8 @@ class ConstrainedSteps:
         return step, -float(values[0]) * float(step @ step)
 
     def bend(self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]) -> Bend:
-        """Derivatives (k, m, n) of a stage's equations over the free velocities N along directions (k, n) of these.
+        """Derivatives (k, m, n) of a stage's equations over the free velocities N along directions
+        (k, n) of these.
 
         Loops stay closed to second order.
         """
@@ -357,7 +452,9 @@ class ConstrainedSteps:
         def along(ways: Array) -> Array:
             size = np.abs(ways).max(axis=1)
             moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
-            ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]) * self.scale)
+            ends = self.system.structure.layout.integrate(
+                q, np.concatenate([moves, -moves]) * self.scale
+            )
             per = (size / (2.0 * DIFFERENCE))[:, None, None]
             k = len(ways)
             A = at(ends)[0].A
@@ -365,31 +462,51 @@ class ConstrainedSteps:
             A = (A[:k] - A[k:]) * per
             C = (C[:k] - C[k:]) * per
             if C.shape[-2]:
-                A = A - stage.A @ np.linalg.pinv(evaluate(self.closing, q, True, True)[1], rcond=1e-8) @ C
+                A = (
+                    A
+                    - stage.A
+                    @ np.linalg.pinv(evaluate(self.closing, q, True, True)[1], rcond=1e-8)
+                    @ C
+                )
             return A @ N
 
         return along
 
     def curvature(
-        self, q: Array, N: Array, stages: list[Stage], u: Array, low: Array, high: Array, dt: float,
+        self,
+        q: Array,
+        N: Array,
+        stages: list[Stage],
+        u: Array,
+        low: Array,
+        high: Array,
+        dt: float,
         at: Callable[[Array], list[Stage]],
-    ) -> Array:  # fmt: skip
-        """The Hessian (k, k), in the free velocities, of half the square of what the last stage misses, where loops and
-        earlier stages stay as they are: that of the Lagrangian, by differences."""
+    ) -> Array:
+        """The Hessian (k, k), in the free velocities, of half the square of what the last stage
+        misses, where loops and earlier stages stay as they are: that of the Lagrangian, by
+        differences.
+        """
 
         def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
-            """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at configurations."""
+            """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at
+            configurations.
+            """
             C = evaluate(self.closing, x, True, True)[1]
             s = requested[-1]
             out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
-            pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum("...i,...ij->...j", out, s.inequalities)
+            pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum(
+                "...i,...ij->...j", out, s.inequalities
+            )
             return dt * pull, np.concatenate([C, *(t.A for t in requested[:-1])], axis=-2)
 
         pull, rows = push(q, stages)
         at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
         rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
         held = np.concatenate([rows, rolling, at_bound])
-        forces = np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
+        forces = (
+            np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
+        )
         moves = DIFFERENCE * N.T * self.scale
         ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]))
         pulled, kept = push(ends, at(ends)[: len(stages)])
@@ -398,7 +515,9 @@ class ConstrainedSteps:
         return 0.5 * (H + H.T)
 
     def after(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> tuple[Array, Array]:
-        """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where that has to be."""
+        """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where
+        that has to be.
+        """
         for k in range(HALVINGS):
             part = 0.5**k
             found = self.closed(q, part * u, dt, low, high)
@@ -407,12 +526,15 @@ class ConstrainedSteps:
         return q.copy(), 0.0 * u
 
     def closed(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> Array | None:
-        """The closed configuration (nq,) next to q + u dt, None where limits or a singularity are in the way.
+        """The closed configuration (nq,) next to q + u dt, None where limits or a singularity are
+        in the way.
 
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
         system = self.system
-        x = self.system.structure.layout.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt)
+        x = self.system.structure.layout.integrate(
+            q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt
+        )
         before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
         for _ in range(CORRECTIONS):
             error, C = self._missed(x, before)
@@ -429,19 +551,29 @@ class ConstrainedSteps:
         return None
 
     def bent(self, q: Array, u: Array, dt: float) -> Array:
-        """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to second order."""
-        A, b = hard_rows(self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale)
+        """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to
+        second order.
+        """
+        A, b = hard_rows(
+            self.system,
+            self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale),
+            self.scale,
+        )
         return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
 
     def _inside(self, q: Array, x: Array) -> Array:
         """x, its limits kept to the last bit where q kept them."""
         now = q[self.at_q]
-        x[self.at_q] = np.clip(x[self.at_q], np.minimum(self.lower, now), np.maximum(self.upper, now))
+        x[self.at_q] = np.clip(
+            x[self.at_q], np.minimum(self.lower, now), np.maximum(self.upper, now)
+        )
         return x
 
 
 class Twist(NamedTuple):
-    """What a twist needs beside its equations: the time of the step, their derivatives, and whether it is kept."""
+    """What a twist needs beside its equations: the time of the step, their derivatives, and whether
+    it is kept.
+    """
 
     dt: float
     bend: Bend
@@ -460,8 +592,12 @@ class _Descent:
         self.high = np.zeros(0)
         self.speeds = speeds
 
-    def take(self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None) -> None:
-        """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts for it."""
+    def take(
+        self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None
+    ) -> None:
+        """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts
+        for it.
+        """
         A = stage.A @ self.N
         b = stage.b
         G = stage.inequalities @ self.N
@@ -472,7 +608,9 @@ class _Descent:
             self._bound(G[~out], stage.low[~out], stage.high[~out])
         free = self.free
         equations = np.concatenate([A, G[out]]) @ free
-        wish = np.concatenate([b - A @ self.z, (np.clip(value, stage.low, stage.high) - value)[out]])
+        wish = np.concatenate(
+            [b - A @ self.z, (np.clip(value, stage.low, stage.high) - value)[out]]
+        )
         low = self.low - self.G @ self.z
         high = self.high - self.G @ self.z
         # rounding
@@ -482,21 +620,33 @@ class _Descent:
             if twist is not None and twist.kept:
                 y = scaled(equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None)
             elif twist is not None:
-                y = damped(equations, wish, low, high, damping, self.G @ free, None, twist.bend, SHIFT)
+                y = damped(
+                    equations, wish, low, high, damping, self.G @ free, None, twist.bend, SHIFT
+                )
             else:
                 if model is not None:
-                    pull = free.T @ (A.T @ b + G[out].T @ np.clip(value, stage.low, stage.high)[out] - model @ self.z)
+                    pull = free.T @ (
+                        A.T @ b
+                        + G[out].T @ np.clip(value, stage.low, stage.high)[out]
+                        - model @ self.z
+                    )
                     equations, wish = convex(free.T @ model @ free, pull, equations, damping)
                     damping = 0.0
                 y = damped(equations, wish, low, high, damping, self.G @ free, None)
-            self.z = self.z + free @ (y if self.speeds is None else self._slowed(y, equations, low, high))
+            self.z = self.z + free @ (
+                y if self.speeds is None else self._slowed(y, equations, low, high)
+            )
         if stage.hard and out.any():
             value = G[out] @ self.z
-            self._bound(G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value))
+            self._bound(
+                G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
+            )
         self.free = free @ null(A @ free)
 
     def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
-        """y (k,) of the free velocities, shortened until limits of speed alone hold, then the nearest that is left."""
+        """y (k,) of the free velocities, shortened until limits of speed alone hold, then the
+        nearest that is left.
+        """
         assert self.speeds is not None
         rows = self.N @ self.free
         (least, most) = self.speeds
@@ -521,7 +671,8 @@ class _Descent:
 
 
 def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
-    """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a pull stand for.
+    """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a
+    pull stand for.
 
     What damping the equations J would have is added.
     """
@@ -535,7 +686,9 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
 
 
 def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
-    """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone after dt."""
+    """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone
+    after dt.
+    """
     packed = problem.packed
     loops = problem.packed.loops
     error, J = packed.evaluate(q, problem.pins)
@@ -554,24 +707,38 @@ def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
         same = (level == s) & equal
         between = (level == s) & ~equal
         ends = low[..., between], high[..., between]
-        out.append(Stage(J[..., same, :], low[..., same], J[..., between, :], *ends, bool(hard[level == s][0])))
+        out.append(
+            Stage(
+                J[..., same, :],
+                low[..., same],
+                J[..., between, :],
+                *ends,
+                bool(hard[level == s][0]),
+            )
+        )
     return out
 
 
 def ends_of_rows(packed: Packed) -> tuple[Array, Array]:
-    """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero for equations."""
+    """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero for
+    equations.
+    """
     low, high = packed.loops.bounds[:, packed.rows >= 0]
     return low, high
 
 
 def posed(system: System, wanted: Any, q: Array) -> Demands:
-    """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals that are none."""
+    """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals
+    that are none.
+    """
     from kempe.kinematics.tasks.packed import refuse
     from kempe.solvers.tasks.ik_tasks import pose_problem
 
     problem, _ = pose_problem(system, wanted, q)
     if problem.lead:
-        raise InputError(f"the goals have the leading shape {problem.lead}; one step has one goal for each task")
+        raise InputError(
+            f"the goals have the leading shape {problem.lead}; one step has one goal for each task"
+        )
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse(goals, task.label)
     return problem

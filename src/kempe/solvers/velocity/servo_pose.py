@@ -1,10 +1,12 @@
-"""Steps of one frame towards a pose: to second order wherever the first order does not halve the error.
+"""Steps of one frame towards a pose: to second order wherever the first order does not halve the
+error.
 
-A step of least squares takes what is missing for something that the joints can make good. Where they cannot, at the
-border of the workspace, at limits or by far, the error stays, and with it the second derivative of the chain that such
-a step lacks: it overshoots, and the next one shoots back. So there the error's own Hessian counts (Newton), in the box
-of what the limits allow, and a step is taken where it lowers the error as promised. What cannot be had is then left by
-speeds that go to zero, at a local minimum of the error. It is measured as `ik` does, in radians and characteristic
+A step of least squares takes what is missing for something that the joints can make good. Where
+they cannot, at the border of the workspace, at limits or by far, the error stays, and with it the
+second derivative of the chain that such a step lacks: it overshoots, and the next one shoots back.
+So there the error's own Hessian counts (Newton), in the box of what the limits allow, and a step is
+taken where it lowers the error as promised. What cannot be had is then left by speeds that go to
+zero, at a local minimum of the error. It is measured as `ik` does, in radians and characteristic
 lengths.
 """
 
@@ -16,7 +18,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.solvers.velocity.least_squares import NOISE, SHIFT, damped, least_in_box, part_within, scaled, wish
+from kempe.solvers.velocity.least_squares import (
+    NOISE,
+    SHIFT,
+    damped,
+    least_in_box,
+    part_within,
+    scaled,
+    wish,
+)
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -28,34 +38,41 @@ RESIDUAL = 0.5
 """Damping as a part of the error (Levenberg and Marquardt; Sugihara, 2011)."""
 ENOUGH_GAIN = 0.75
 LITTLE_GAIN = 0.25
-"""Decreases of the error, as parts of what a straight way would give, from which a step of first order counts alone,
-and up to which one of second order does; between them they are mixed."""
+"""Decreases of the error, as parts of what a straight way would give, from which a step of first
+order counts alone, and up to which one of second order does; between them they are mixed."""
 DIFFERENCE = 1e-5
 """Step of the differences of the Jacobian, in radians and characteristic lengths."""
 LARGEST = 0.5
 ASIDE = 0.05
-"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is left."""
+"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is
+left."""
 FLAT = 1e-10
 SADDLE = 1e-6
-"""Parts of the largest curvature: up to the first it counts as none, below minus the second as negative."""
+"""Parts of the largest curvature: up to the first it counts as none, below minus the second as
+negative."""
 TAKEN = 0.1
 STRICT = 0.5
-"""Part of the promised decrease that must be had; more than half of it where a direction is kept."""
+"""Part of the promised decrease that must be had; more than half of it where a direction is
+kept."""
 STILL = 1e-20
 BLIND = 1e-13
-"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides the true one."""
+"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides
+the true one."""
 ROUNDING = 1e-28
 """Promised decrease below which one rests, however small the error is."""
 LITTLE = 0.01
 LEADS = 0.05
-"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept, from the second on it
-alone counts; between them the straight step and the one towards the nearest pose are mixed."""
+"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept,
+from the second on it alone counts; between them the straight step and the one towards the nearest
+pose are mixed."""
 SLOW = 0.1
 FAST = 0.5
-"""The same for the part of the speed, or of the rest of the way, that a straight step makes use of."""
+"""The same for the part of the speed, or of the rest of the way, that a straight step makes use
+of."""
 TRIALS = 16
 HALVINGS = 6
-"""Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction that is kept."""
+"""Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction
+that is kept."""
 
 
 def error(goal: Array, pose: Array) -> Array:
@@ -80,11 +97,21 @@ def error(goal: Array, pose: Array) -> Array:
 
 
 class Approach:
-    """One step towards a pose, from a configuration q (nq,): `velocity` (n,) of the chain, and `q` after it."""
+    """One step towards a pose, from a configuration q (nq,): `velocity` (n,) of the chain, and `q`
+    after it.
+    """
 
     def __init__(
-        self, servo: Servo, q: Array, goal: Array, pose: Array, J: Array, dt: float, weights: Array | None, slow: float
-    ):  # fmt: skip
+        self,
+        servo: Servo,
+        q: Array,
+        goal: Array,
+        pose: Array,
+        J: Array,
+        dt: float,
+        weights: Array | None,
+        slow: float,
+    ):
         self.servo = servo
         self.before = q
         self.goal = goal
@@ -101,9 +128,12 @@ class Approach:
         self.A = self.metric[:, None] * (J if self.even else turned(self.e[3:], J)) * servo.unit
         self.square = float(self.missing @ self.missing)
 
-    def go(self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool) -> Array:
-        """Velocities (n,) in the box from `low` to `high`: straight ahead as long as that leads on, where a `direction`
-        is kept, and then towards the nearest pose."""  # fmt: skip
+    def go(
+        self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool
+    ) -> Array:
+        """Velocities (n,) in the box from `low` to `high`: straight ahead as long as that leads on,
+        where a `direction` is kept, and then towards the nearest pose.
+        """
         rest = np.minimum(np.maximum(0.0, low), high)
         if self.square <= ENOUGH or not len(low):
             return rest
@@ -117,14 +147,24 @@ class Approach:
         share = led_on(self.A, self.missing / self.dt, straight / unit, low / unit, high / unit)
         if share == 1.0:
             return straight
-        return share * straight + (1.0 - share) * self.nearer(A, b, low, high, rest, damping, weights)
+        return share * straight + (1.0 - share) * self.nearer(
+            A, b, low, high, rest, damping, weights
+        )
 
     def nearer(
-        self, A: Array, b: Array, low: Array, high: Array, rest: Array, damping: float, weights: Array | None
-    ) -> Array:  # fmt: skip
+        self,
+        A: Array,
+        b: Array,
+        low: Array,
+        high: Array,
+        rest: Array,
+        damping: float,
+        weights: Array | None,
+    ) -> Array:
         """Velocities (n,) in the box towards the nearest pose, by any way that the error goes down.
 
-        Limits of speed shorten the step that limits of position leave: so all joints arrive together.
+        Limits of speed shorten the step that limits of position leave: so all joints arrive
+        together.
         """
         near = self.servo.near
         wished = wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
@@ -149,11 +189,16 @@ class Approach:
         return share * part * x + (1.0 - share) * y
 
     def arrived(self, left: float, smallest: float, weights: Array | None) -> bool:
-        """Whether the square of the error that is left is so small that the next velocities are, too."""
+        """Whether the square of the error that is left is so small that the next velocities are,
+        too.
+        """
         servo = self.servo
         if weights is not None or smallest < servo.near:
             return False
-        return 2.0 * math.sqrt(left) * max(1.0, 1.0 / servo.metric[0]) <= smallest * self.dt * self.slow
+        return (
+            2.0 * math.sqrt(left) * max(1.0, 1.0 / servo.metric[0])
+            <= smallest * self.dt * self.slow
+        )
 
     def left(self, velocity: Array) -> float:
         """Square of the error after velocities (n,)."""
@@ -163,9 +208,11 @@ class Approach:
         return float(missing @ missing)
 
     def shortened(self, velocity: Array) -> Array:
-        """The velocities (n,), halved until they lower the error by at least half of what they promise.
+        """The velocities (n,), halved until they lower the error by at least half of what they
+        promise.
 
-        Zero where that is next to nothing for what the joints move: there the direction leads no farther.
+        Zero where that is next to nothing for what the joints move: there the direction leads no
+        farther.
         """
         velocity = np.where(np.abs(velocity) > NOISE * np.abs(velocity).max(), velocity, 0.0)
         z = velocity * self.dt / self.servo.unit
@@ -180,7 +227,9 @@ class Approach:
         return 0.0 * velocity
 
     def second_order(self, low: Array, high: Array, damping: Array) -> Array:
-        """The velocities (n,) in the box that make the error's second order least, if they lower the error itself."""
+        """The velocities (n,) in the box that make the error's second order least, if they lower
+        the error itself.
+        """
         unit = self.servo.unit
         dt = self.dt
         least = np.maximum(low * dt / unit, -LARGEST)
@@ -197,7 +246,9 @@ class Approach:
             z, curvature, way = newton(model, push, least, most)
             z[idle] = rest[idle]
             promise = 2.0 * float(push @ z) - float(z @ H @ z)
-            if promise <= BLIND * self.square and len(weak):  # damping hides where the error itself curves down
+            if promise <= BLIND * self.square and len(
+                weak
+            ):  # damping hides where the error itself curves down
                 curvature, way = newton(H, push, least, most)[1:]
             if promise <= BLIND * self.square and curvature < 0.0:
                 z = aside(z, way if push @ way >= 0.0 else -way, least, most)
@@ -206,17 +257,21 @@ class Approach:
                 return unit * z / dt
             if 0.0 <= promise <= STILL * self.square + ROUNDING:
                 break
-            if 0.0 < promise <= BLIND * self.square or self.left(unit * z / dt) <= self.square - TAKEN * promise:
+            if (
+                0.0 < promise <= BLIND * self.square
+                or self.left(unit * z / dt) <= self.square - TAKEN * promise
+            ):
                 return unit * z / dt
             more = max(4.0 * more, 1e-3 * float(np.abs(model).max()))
             model = model + more * np.eye(len(z))
         return rest
 
     def hessian(self) -> Array:
-        """The Hessian (n, n) of half the square of the error, in radians and characteristic lengths.
+        """The Hessian (n, n) of half the square of the error, in radians and characteristic
+        lengths.
 
-        Of the chain's second derivatives by differences of its Jacobian, of the logarithm by its own derivative
-        (Bullo and Murray, 1995).
+        Of the chain's second derivatives by differences of its Jacobian, of the logarithm by its
+        own derivative (Bullo and Murray, 1995).
         """
         servo = self.servo
         w = self.metric
@@ -231,7 +286,9 @@ class Approach:
         return 0.5 * (H + H.T)
 
     def by_differences(self) -> Array:
-        """The Hessian (n, n) where turns about the axes of the ground count unequally: differences of the gradient."""
+        """The Hessian (n, n) where turns about the axes of the ground count unequally: differences
+        of the gradient.
+        """
         servo = self.servo
         w = self.metric
         pushes: list[Array] = []
@@ -247,8 +304,8 @@ class Approach:
 def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
     """How far straight velocities x (n,) in a box lead on, from 0 to 1.
 
-    By the decrease of what is missed for what the joints move, and by how much of the room that the box and the rest of
-    the way leave is used: close to a singular configuration it is little.
+    By the decrease of what is missed for what the joints move, and by how much of the room that the
+    box and the rest of the way leave is used: close to a singular configuration it is little.
     """
     wish = math.sqrt(float(b @ b))
     size = math.sqrt(float(x @ x))
@@ -258,11 +315,15 @@ def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
     gain = had / (wish * size)
     room = np.where(x > 0.0, high, -low)
     used = max(had / wish**2, float(np.max(np.abs(x) / np.maximum(room, 1e-300))))
-    return min(1.0, max(0.0, (gain - LITTLE) / (LEADS - LITTLE)), max(0.0, (used - SLOW) / (FAST - SLOW)))
+    return min(
+        1.0, max(0.0, (gain - LITTLE) / (LEADS - LITTLE)), max(0.0, (used - SLOW) / (FAST - SLOW))
+    )
 
 
 def turned(r: Array, J: Array) -> Array:
-    """A Jacobian (6, n) whose angular rows are the rates of what is missing, the rotation vector r, not of turns."""
+    """A Jacobian (6, n) whose angular rows are the rates of what is missing, the rotation vector r,
+    not of turns.
+    """
     angle = math.sqrt(float(r @ r))
     gamma = 0.5 * angle / math.tan(0.5 * angle) if angle > 1e-3 else 1.0 - angle * angle / 12.0
     rest = (1.0 - gamma) / (angle * angle) if angle > 1e-3 else 1.0 / 12.0
@@ -275,8 +336,9 @@ def turned(r: Array, J: Array) -> Array:
 
 
 def newton(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, float, Array]:
-    """The z (n,) in a box that makes z H z / 2 - push z least, H's curvatures made positive; also the least curvature
-    of what is free, where it is negative, and its direction (n,)."""
+    """The z (n,) in a box that makes z H z / 2 - push z least, H's curvatures made positive; also
+    the least curvature of what is free, where it is negative, and its direction (n,).
+    """
     values, V = np.linalg.eigh(H)
     most = max(float(-values[0]), float(values[-1]), 1e-300)
     if values[0] > FLAT * most:

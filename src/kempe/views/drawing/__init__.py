@@ -1,4 +1,5 @@
-"""Drawing of systems with matplotlib, in parts: what is seen, symbols of the plane and of space, labels.
+"""Drawing of systems with matplotlib, in parts: what is seen, symbols of the plane and of space,
+labels.
 
 Importing it needs the extra [view]. Errors: `MissingExtraError` without matplotlib.
 """

@@ -1,4 +1,6 @@
-"""What is written and measured in drawings of the plane: bodies, angles, dimensions, arrows of motion."""
+"""What is written and measured in drawings of the plane: bodies, angles, dimensions, arrows of
+motion.
+"""
 
 from __future__ import annotations
 
@@ -76,37 +78,69 @@ def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     turned = np.sign(joint.F[2, 2]) * value
     start = float(np.arctan2(joint.F[1, 0], joint.F[0, 0]))
     used = sum(bool(np.linalg.norm(c - flat(joint.M)) < 0.3 * sheet.r) for c in sheet.arcs)
-    arc(sheet, flat(joint.M), start, start + float(np.fmod(turned, 2 * np.pi)), text, gid, ARC + 1.8 * used)
+    arc(
+        sheet,
+        flat(joint.M),
+        start,
+        start + float(np.fmod(turned, 2 * np.pi)),
+        text,
+        gid,
+        ARC + 1.8 * used,
+    )
 
 
 def arc(
-    sheet: Sheet, c: Array, start: float, stop: float, text: str, gid: str, radius: float = ARC, colour: str = INK
-) -> None:  # fmt: skip
-    """Draw an angle at c (2,) between two directions [rad], with a line along each, and collect its name."""
+    sheet: Sheet,
+    c: Array,
+    start: float,
+    stop: float,
+    text: str,
+    gid: str,
+    radius: float = ARC,
+    colour: str = INK,
+) -> None:
+    """Draw an angle at c (2,) between two directions [rad], with a line along each, and collect its
+    name.
+    """
     r = sheet.r
     size = radius * sheet.r
     for k, angle in enumerate((start, stop)):
-        line = np.array([c, c + (1.7 if k == 0 else 1.25) * size * np.array([np.cos(angle), np.sin(angle)])])
-        sheet.line(line, f"{gid}:side{k}", style.RAILS, **{**THIN, "ls": (0, (4, 3)), "color": GROUND})
+        line = np.array(
+            [c, c + (1.7 if k == 0 else 1.25) * size * np.array([np.cos(angle), np.sin(angle)])]
+        )
+        sheet.line(
+            line, f"{gid}:side{k}", style.RAILS, **{**THIN, "ls": (0, (4, 3)), "color": GROUND}
+        )
     middle = 0.5 * (start + stop)
     if abs(stop - start) > NOTHING:
-        points, head = shapes.arc(c, size, start, stop, min(1.3 * r, 0.6 * size * abs(stop - start)))
+        points, head = shapes.arc(
+            c, size, start, stop, min(1.3 * r, 0.6 * size * abs(stop - start))
+        )
         sheet.line(points, gid, style.ARROWS, lw=1.1, color=colour)
         sheet.arcs.append(c)
         sheet.patch(head, f"{gid}:head", style.ARROWS, fc=colour, ec="none")
         sheet.obstacles.line(points, 0.5 * r, 0.8)
     at = c + 1.05 * size * np.array([np.cos(middle), np.sin(middle)])
-    sheet.labels.append((text, at, 0.9 * r, {"gid": f"label:{gid}", "color": colour, "style": "italic"}))
+    sheet.labels.append(
+        (text, at, 0.9 * r, {"gid": f"label:{gid}", "color": colour, "style": "italic"})
+    )
 
 
 def _way_to(sheet: Sheet, subject: Subject, frame: str) -> None:
-    """Draw the line from the first joint to a frame, its angle alpha from the ground, beta from the first link."""
+    """Draw the line from the first joint to a frame, its angle alpha from the ground, beta from the
+    first link.
+    """
     first = next((j for j in sheet.scene.joints if j.parent == 0 and j.kind == "revolute"), None)
     if first is None:
         return
     c = flat(first.M)
     tip = flat(fk(subject.system, sheet.scene.q, frame))
-    sheet.line(np.array([c, tip]), f"way:{frame}", style.BLOCKS, **{**THIN, "ls": (0, (6, 2)), "color": style.DRIVER})
+    sheet.line(
+        np.array([c, tip]),
+        f"way:{frame}",
+        style.BLOCKS,
+        **{**THIN, "ls": (0, (6, 2)), "color": style.DRIVER},
+    )
     zero = float(np.arctan2(first.F[1, 0], first.F[0, 0]))
     link = float(np.arctan2(first.M[1, 0], first.M[0, 0]))
     line = float(np.arctan2(*(tip - c)[::-1]))
@@ -122,18 +156,30 @@ def _dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
     """Draw the lengths between the joints and frames of a link, along its sides."""
     p = flat(sheet.scene.points(link))
     if link.ground:
-        p = np.array([flat(j.on(0)) for j in sheet.scene.joints if 0 in (j.parent, j.child) and j.kind == "revolute"])
+        p = np.array(
+            [
+                flat(j.on(0))
+                for j in sheet.scene.joints
+                if 0 in (j.parent, j.child) and j.kind == "revolute"
+            ]
+        )
     corners = shapes.hull(p) if len(p) else p
-    pairs = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))[: 1 if len(corners) == 2 else None]
+    pairs = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))[
+        : 1 if len(corners) == 2 else None
+    ]
     known = lengths_by_name(subject.system, link.bodies)
     for k, (a, b) in enumerate(pairs):
         length = float(np.linalg.norm(b - a))
         if length > 4.0 * sheet.r:
-            _dimension(sheet, a, b, length_name(known, length), f"dimension:{link.name}:{k}", GROUND)
+            _dimension(
+                sheet, a, b, length_name(known, length), f"dimension:{link.name}:{k}", GROUND
+            )
 
 
 def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: str) -> None:
-    """Draw a length beside a line, with an arrow head at both ends, on the side where there is more room."""
+    """Draw a length beside a line, with an arrow head at both ends, on the side where there is more
+    room.
+    """
     length = float(np.linalg.norm(b - a))
     if length < 1e-9 * sheet.scene.size:
         return
@@ -149,8 +195,12 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
     sign = min((-1.0, 1.0), key=cost)
     p, q = (x + 3.6 * sign * r * side for x in (a, b))
     for x in (a, b):
-        sheet.line(np.array([x + 1.4 * sign * r * side, x + 4.4 * sign * r * side]), f"{gid}:end", style.RAILS,
-                   **{**THIN, "color": colour, "lw": 0.6})  # fmt: skip
+        sheet.line(
+            np.array([x + 1.4 * sign * r * side, x + 4.4 * sign * r * side]),
+            f"{gid}:end",
+            style.RAILS,
+            **{**THIN, "color": colour, "lw": 0.6},
+        )
     sheet.line(np.array([p, q]), gid, style.RAILS, **{**THIN, "color": colour})
     for tip, way in ((p, -along), (q, along)):
         head = shapes.arrow_head(tip, way, min(1.2 * r, 0.4 * length))
@@ -164,7 +214,9 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
 
 
 def freedoms(sheet: Sheet, joint: SeenJoint) -> None:
-    """Draw an arrow with two heads for each freedom of a joint: round it, or along what it slides on."""
+    """Draw an arrow with two heads for each freedom of a joint: round it, or along what it slides
+    on.
+    """
     r = sheet.r
     c = flat(sheet.scene.seat(joint, sheet.r))
     gid = f"motion:{joint.name}"
@@ -173,11 +225,15 @@ def freedoms(sheet: Sheet, joint: SeenJoint) -> None:
             along = joint.F[:2, "xyz".index(p.axis)]
             side = np.array([-along[1], along[0]]) * (1.0 if along[0] >= 0 else -1.0)
             middle = c + (2.6 if joint.kind == "prismatic" else 0.0) * r * side
-            _both_ways(sheet, np.array([middle - 4.0 * r * along, middle + 4.0 * r * along]), f"{gid}:{k}")
+            _both_ways(
+                sheet, np.array([middle - 4.0 * r * along, middle + 4.0 * r * along]), f"{gid}:{k}"
+            )
             continue
         start = _free_direction(sheet, c, 3.2 * r)
         angles = np.linspace(start, start + float(np.deg2rad(120.0)), 30)
-        _both_ways(sheet, c + 3.2 * r * np.stack([np.cos(angles), np.sin(angles)], axis=1), f"{gid}:{k}")
+        _both_ways(
+            sheet, c + 3.2 * r * np.stack([np.cos(angles), np.sin(angles)], axis=1), f"{gid}:{k}"
+        )
 
 
 def _free_direction(sheet: Sheet, c: Array, radius: float) -> float:
@@ -187,7 +243,9 @@ def _free_direction(sheet: Sheet, c: Array, radius: float) -> float:
     for start in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
         angles = np.linspace(start, start + float(np.deg2rad(120.0)), 12)
         line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        costs.append((float(sheet.obstacles.covered(line).mean()) - 0.15 * np.sin(angles[6]), float(start)))
+        costs.append(
+            (float(sheet.obstacles.covered(line).mean()) - 0.15 * np.sin(angles[6]), float(start))
+        )
     return min(costs)[1]
 
 
@@ -196,6 +254,11 @@ def _both_ways(sheet: Sheet, line: Array, gid: str) -> None:
     sheet.line(line, gid, style.ARROWS, color=MOTION, lw=1.7, solid_capstyle="butt")
     for tip, before in ((line[0], line[1]), (line[-1], line[-2])):
         way = (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-300)
-        sheet.patch(shapes.arrow_head(tip + 0.9 * sheet.r * way, way, 1.5 * sheet.r), f"{gid}:head", style.ARROWS,
-                    fc=MOTION, ec="none")  # fmt: skip
+        sheet.patch(
+            shapes.arrow_head(tip + 0.9 * sheet.r * way, way, 1.5 * sheet.r),
+            f"{gid}:head",
+            style.ARROWS,
+            fc=MOTION,
+            ec="none",
+        )
     sheet.obstacles.line(line, 0.8 * sheet.r)

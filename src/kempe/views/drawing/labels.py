@@ -1,4 +1,6 @@
-"""Where to write labels so that they cover nothing: candidate places around a point, the least covered one wins."""
+"""Where to write labels so that they cover nothing: candidate places around a point, the least
+covered one wins.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from matplotlib.textpath import TextPath
 
 from kempe.spatial import Array
 
-ANGLES = np.deg2rad([45, 135, -45, -135, 90, 0, 180, -90, 22.5, 67.5, 112.5, 157.5, -22.5, -67.5, -112.5, -157.5])
+ANGLES = np.deg2rad(
+    [45, 135, -45, -135, 90, 0, 180, -90, 22.5, 67.5, 112.5, 157.5, -22.5, -67.5, -112.5, -157.5]
+)
 RINGS = (1.0, 1.6, 2.4, 3.5)
 """Distances from the point that are tried, in clearances."""
 
@@ -21,12 +25,17 @@ WIDEST = 44
 
 
 def shortened(text: str) -> str:
-    """A text as a picture has room for it: names that are too long keep both ends, several have lines."""
+    """A text as a picture has room for it: names that are too long keep both ends, several have
+    lines.
+    """
     if "$" in text or len(text) <= MOST:
         return text
     lines: list[str] = []
     for given in text.split("\n"):
-        names = [x if len(x) <= MOST else f"{x[: MOST // 2 - 1]}…{x[-MOST // 2 :]}" for x in given.split(", ")]
+        names = [
+            x if len(x) <= MOST else f"{x[: MOST // 2 - 1]}…{x[-MOST // 2 :]}"
+            for x in given.split(", ")
+        ]
         lines.append(names[0])
         for name in names[1:]:
             if len(lines[-1]) + len(name) + 2 <= WIDEST or not name:
@@ -44,7 +53,9 @@ def fitting(sentence: str) -> str:
 
 @lru_cache(maxsize=4096)
 def extent(text: str, points: float, bold: bool = False) -> tuple[float, float]:
-    """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of one line."""
+    """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of
+    one line.
+    """
     lines = text.split("\n")
     wide = max(float(TextPath((0.0, 0.0), line, size=points).get_extents().width) for line in lines)
     high = (0.95 + 1.2 * (len(lines) - 1)) * points
@@ -58,7 +69,9 @@ class Obstacles:
     segments: list[tuple[float, float, float, float, float, float]] = field(
         default_factory=list[tuple[float, float, float, float, float, float]]
     )
-    boxes: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
+    boxes: list[tuple[float, float, float, float]] = field(
+        default_factory=list[tuple[float, float, float, float]]
+    )
     bounds: tuple[Array, Array] | None = None
     """Lower left and upper right corner (2,) of the sheet, which labels should not leave."""
     _packed: Array = field(default_factory=lambda: np.zeros((0, 6)), repr=False)
@@ -102,7 +115,8 @@ class Obstacles:
         return s[((low <= points.max(axis=0)) & (high >= points.min(axis=0))).all(axis=1)]
 
     def place(self, p: Array, size: tuple[float, float], clearance: float, outward: Array) -> Array:
-        """Centre (2,) for a box of a size (width, height) near p (2,), which is then an obstacle itself.
+        """Centre (2,) for a box of a size (width, height) near p (2,), which is then an obstacle
+        itself.
 
         `outward` (2,) is the direction that is taken where all are equally free.
         """
@@ -110,20 +124,34 @@ class Obstacles:
         direction = np.tile(np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1), (len(RINGS), 1))
         half = 0.5 * np.array(size)
         reach = clearance * rings + np.minimum(
-            half[0] / np.maximum(np.abs(direction[:, 0]), 1e-9), half[1] / np.maximum(np.abs(direction[:, 1]), 1e-9)
+            half[0] / np.maximum(np.abs(direction[:, 0]), 1e-9),
+            half[1] / np.maximum(np.abs(direction[:, 1]), 1e-9),
         )
         centres = p + direction * reach[:, None]
-        grid = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 4)), axis=-1).reshape(-1, 2) * half
+        grid = (
+            np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 4)), axis=-1).reshape(
+                -1, 2
+            )
+            * half
+        )
         cost = self.covered(centres[:, None, :] + grid).sum(axis=1)
         for x0, y0, x1, y1 in self.boxes:
-            across = np.minimum(centres[:, 0] + half[0], x1) - np.maximum(centres[:, 0] - half[0], x0)
-            along = np.minimum(centres[:, 1] + half[1], y1) - np.maximum(centres[:, 1] - half[1], y0)
+            across = np.minimum(centres[:, 0] + half[0], x1) - np.maximum(
+                centres[:, 0] - half[0], x0
+            )
+            along = np.minimum(centres[:, 1] + half[1], y1) - np.maximum(
+                centres[:, 1] - half[1], y0
+            )
             part = np.clip(across, 0, None) * np.clip(along, 0, None) / (4 * half[0] * half[1])
             cost = cost + 60.0 * part + 15.0 * (part > 0.0)
         if self.bounds is not None:
-            out = np.maximum(self.bounds[0] - (centres - half), 0.0) + np.maximum(centres + half - self.bounds[1], 0.0)
+            out = np.maximum(self.bounds[0] - (centres - half), 0.0) + np.maximum(
+                centres + half - self.bounds[1], 0.0
+            )
             cost = cost + 60.0 * (out / (2 * half)).sum(axis=1)
         cost = cost + 1.2 * (rings - 1.0) - 0.35 * direction @ outward - 0.05 * direction[:, 1]
         best = centres[int(np.argmin(cost))]
-        self.boxes.append((best[0] - half[0], best[1] - half[1], best[0] + half[0], best[1] + half[1]))
+        self.boxes.append(
+            (best[0] - half[0], best[1] - half[1], best[0] + half[0], best[1] + half[1])
+        )
         return best

@@ -1,4 +1,6 @@
-"""What is written and measured in drawings of systems in space: bodies, angles, lengths, names of axes."""
+"""What is written and measured in drawings of systems in space: bodies, angles, lengths, names of
+axes.
+"""
 
 from __future__ import annotations
 
@@ -39,20 +41,32 @@ def texts(subject: Subject, mark: float) -> list[Text]:
         if "bodies" in options.words:
             text = subject.body_text(link)
             out.append((at, text, {"color": colour, "weight": "bold", "gid": f"label:body:{text}"}))
-        if options.dimensions and not link.ground and len(scene.points(link)) > 1:  # a handle has no length
+        if (
+            options.dimensions and not link.ground and len(scene.points(link)) > 1
+        ):  # a handle has no length
             known = lengths_by_name(subject.system, link.bodies)
             for k, line in enumerate(side for one in lines for side in _sides(one)):
                 text = length_name(known, float(np.linalg.norm(line[-1] - line[0])))
-                look = {"color": GROUND, "style": "italic", "gid": f"label:dimension:{link.name}:{k}"}
+                look = {
+                    "color": GROUND,
+                    "style": "italic",
+                    "gid": f"label:dimension:{link.name}:{k}",
+                }
                 out.append((_middle(line), text, look))
     scenes = (scene, *subject.others) if subject.others else ()
-    out += subject.names_at([np.concatenate([s.points(link) for link in s.links[1:]]) for s in scenes])
+    out += subject.names_at(
+        [np.concatenate([s.points(link) for link in s.links[1:]]) for s in scenes]
+    )
     return out
 
 
 def _sides(line: Array) -> list[Array]:
     """The sides (2, 3) of a closed polyline (n, 3), or an open one as it is."""
-    return [line[k : k + 2] for k in range(len(line) - 1)] if np.array_equal(line[0], line[-1]) else [line]
+    return (
+        [line[k : k + 2] for k in range(len(line) - 1)]
+        if np.array_equal(line[0], line[-1])
+        else [line]
+    )
 
 
 def _length(line: Array) -> float:
@@ -68,7 +82,9 @@ def _middle(line: Array) -> Array:
 
 
 def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
-    """Draw the arc of each angle from x of F to x of M, and the way of each slide; their names with their points."""
+    """Draw the arc of each angle from x of F to x of M, and the way of each slide; their names with
+    their points.
+    """
     out: list[Text] = []
     for joint in subject.scene.joints:
         names = subject.coordinates(joint)
@@ -86,8 +102,14 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
             t = np.linspace(0.0, float(np.fmod(value, 2 * np.pi)), 40)[:, None]
             line = c + ARC * r * (np.cos(t) * F[:, 0] + np.sin(t) * F[:, 1])
             for end in (line[0], line[-1]):
-                ax.plot(*np.stack([c, c + 1.3 * (end - c)]).T, color=GROUND, lw=0.8, ls=(0, (4, 3)),
-                        zorder=style.ARROWS, gid=f"{gid}:side")  # fmt: skip
+                ax.plot(
+                    *np.stack([c, c + 1.3 * (end - c)]).T,
+                    color=GROUND,
+                    lw=0.8,
+                    ls=(0, (4, 3)),
+                    zorder=style.ARROWS,
+                    gid=f"{gid}:side",
+                )
         else:
             continue
         ax.plot(*line.T, color=INK, lw=1.2, zorder=style.ARROWS, gid=gid)
@@ -97,7 +119,9 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
 
 
 def freedoms(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
-    """Arrows with two heads, added for each freedom of a joint: round the axis that it turns about, or along it."""
+    """Arrows with two heads, added for each freedom of a joint: round the axis that it turns about,
+    or along it.
+    """
     lines: list[Any] = []
     for kind, name in ((k, a) for p in j.motions for k, a in _single(p)):
         axis = j.F[:3, "xyz".index(name)]

@@ -26,9 +26,11 @@ HEIGHT = (2.4, 6.6)
 
 
 def new_figure(width: float = 6.4, height: float = 4.8) -> Figure:
-    """An empty figure; sizes in inches. Where matplotlib's pyplot is in use, in a notebook, too, it is one of its own.
+    """An empty figure; sizes in inches. Where matplotlib's pyplot is in use, in a notebook, too, it
+    is one of its own.
 
-    Then `show` shows it, and a notebook that a cell drew it; else no window and no global state knows of it.
+    Then `show` shows it, and a notebook that a cell drew it; else no window and no global state
+    knows of it.
     """
     if "matplotlib.pyplot" not in sys.modules and not _in_notebook():
         return bare_figure(width, height)
@@ -50,7 +52,11 @@ def axes_given(ax: Any, count: int = 1) -> tuple[Axes, ...]:
     given = tuple(np.ravel(np.array(ax, dtype=object)))
     if len(given) != count or not all(isinstance(one, Axes) for one in given):
         need = "matplotlib axes" if count == 1 else f"{count} matplotlib axes"
-        got = f"{len(given)} of them" if all(isinstance(one, Axes) for one in given) else type(ax).__name__
+        got = (
+            f"{len(given)} of them"
+            if all(isinstance(one, Axes) for one in given)
+            else type(ax).__name__
+        )
         raise InputError(f"ax must be {need}, not {got}")
     return given
 
@@ -65,16 +71,35 @@ def bare_figure(width: float = 6.4, height: float = 4.8) -> Figure:
 def curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: int) -> None:
     """Draw the coupler curve (n, 2) of a frame, and a marker where the frame is now."""
     colour = style.curve_colour(number)
-    sheet.line(points, f"curve:{name}", style.CURVE, color=colour, lw=1.9, solid_joinstyle="round",
-               solid_capstyle="round", label=name)  # fmt: skip
+    sheet.line(
+        points,
+        f"curve:{name}",
+        style.CURVE,
+        color=colour,
+        lw=1.9,
+        solid_joinstyle="round",
+        solid_capstyle="round",
+        label=name,
+    )
     sheet.obstacles.line(points, 0.5 * sheet.r, 0.8)
     if here is not None:
-        sheet.ax.plot([here[0]], [here[1]], gid=f"here:{name}", zorder=style.POINTS + 0.5, marker="o", ms=6.5,
-                      color=colour, mec=PAPER, mew=1.2)  # fmt: skip
+        sheet.ax.plot(
+            [here[0]],
+            [here[1]],
+            gid=f"here:{name}",
+            zorder=style.POINTS + 0.5,
+            marker="o",
+            ms=6.5,
+            color=colour,
+            mec=PAPER,
+            mew=1.2,
+        )
 
 
 def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
-    """Lower left and upper right corner of all that is drawn, with room of some pin radii for the labels."""
+    """Lower left and upper right corner of all that is drawn, with room of some pin radii for the
+    labels.
+    """
     p = np.concatenate([x for x in sheet.extent if len(x)]) if sheet.extent else np.zeros((1, 2))
     lower = p.min(axis=0) - room * sheet.r
     upper = p.max(axis=0) + room * sheet.r
@@ -83,8 +108,10 @@ def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
 
 def figure_for(
     span: Array, with_axes: bool, above: float = 0.0, make: Callable[..., Figure] = new_figure
-) -> Axes:  # fmt: skip
-    """Axes in a new figure whose shape suits a drawing of a span (2,) in metres, with some inches left above it."""
+) -> Axes:
+    """Axes in a new figure whose shape suits a drawing of a span (2,) in metres, with some inches
+    left above it.
+    """
     width = WIDTH[1] - 0.7 * with_axes
     height = width * span[1] / span[0]
     if height > HEIGHT[1]:
@@ -144,17 +171,27 @@ def light_axes(ax: Axes) -> None:
 
 
 def key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
-    """Write what configurations are called, each with its number and its line: of an own figure, widened, beside it."""
+    """Write what configurations are called, each with its number and its line: of an own figure,
+    widened, beside it.
+    """
     lines = [
-        Line2D([], [], color=style.over_colour(k), lw=2.2 if k else 4.0, ls=style.DASHES[k % len(style.DASHES)],
-               label=f"{k + 1}  {title}")
+        Line2D(
+            [],
+            [],
+            color=style.over_colour(k),
+            lw=2.2 if k else 4.0,
+            ls=style.DASHES[k % len(style.DASHES)],
+            label=f"{k + 1}  {title}",
+        )
         for k, title in enumerate(titles)
-    ]  # fmt: skip
+    ]
     legend(ax, own, lines, handlelength=4.5)
 
 
 def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> None:
-    """Draw the legend of axes, of these handles or of all that have a label: of an own figure, widened, beside them."""
+    """Draw the legend of axes, of these handles or of all that have a label: of an own figure,
+    widened, beside them.
+    """
     entries: list[Any] = ax.get_legend_handles_labels()[0] if handles is None else handles
     how |= {"handles": entries, "fontsize": FONT - 1, "frameon": False}
     if not own:
@@ -167,7 +204,9 @@ def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> 
     figure.set_size_inches(wide + more, high)
     part = wide / (wide + more)
     ax.set_position((part * box.x0, box.y0, part * box.width, box.height))
-    ax.legend(**how, loc="center right", bbox_to_anchor=(1.0, 0.5), bbox_transform=figure.transFigure)
+    ax.legend(
+        **how, loc="center right", bbox_to_anchor=(1.0, 0.5), bbox_transform=figure.transFigure
+    )
 
 
 def nice(length: float) -> float:
@@ -184,7 +223,9 @@ def length_text(length: float) -> str:
 
 
 def _scale_bar(sheet: Sheet) -> None:
-    """Draw a bar of a round length below the drawing, at its left end; in axes coordinates vertically."""
+    """Draw a bar of a round length below the drawing, at its left end; in axes coordinates
+    vertically.
+    """
     ax: Any = sheet.ax
     x0, x1 = ax.get_xlim()
     length = nice(0.22 * (x1 - x0))
@@ -193,13 +234,33 @@ def _scale_bar(sheet: Sheet) -> None:
     tick = 0.05 / max(ax.get_position().height * ax.figure.get_figheight(), 1e-9)
     y = -1.6 * tick
     look = {"color": INK, "lw": 1.2, "transform": transform, "clip_on": False, "gid": "scale"}
-    ax.plot([start, start, start, start + length, start + length, start + length],
-            [y - tick, y + tick, y, y, y + tick, y - tick], **look)  # fmt: skip
-    ax.text(start + length, y, f"  {length_text(length)}", transform=transform, ha="left", va="center",
-            size=FONT - 1, color=INK, clip_on=False, gid="scale:text")  # fmt: skip
+    ax.plot(
+        [start, start, start, start + length, start + length, start + length],
+        [y - tick, y + tick, y, y, y + tick, y - tick],
+        **look,
+    )
+    ax.text(
+        start + length,
+        y,
+        f"  {length_text(length)}",
+        transform=transform,
+        ha="left",
+        va="center",
+        size=FONT - 1,
+        color=INK,
+        clip_on=False,
+        gid="scale:text",
+    )
 
 
 def mark_all(sheet: Sheet, points: Array, gid: str) -> None:
     """Mark singular points (k, 2) of a curve by small rings."""
     for k, p in enumerate(points):
-        sheet.patch(shapes.circle(p, 0.8 * sheet.r), f"{gid}:{k}", style.ARROWS, fc="none", ec=style.OPEN, lw=1.2)
+        sheet.patch(
+            shapes.circle(p, 0.8 * sheet.r),
+            f"{gid}:{k}",
+            style.ARROWS,
+            fc="none",
+            ec=style.OPEN,
+            lw=1.2,
+        )

@@ -1,6 +1,7 @@
 """Planar systems as a textbook's kinematic diagram, on matplotlib axes.
 
-Every artist has a `gid` that says what it is ("joint:A", "ground:A", "link:crank", ...), which is its id in SVG.
+Every artist has a `gid` that says what it is ("joint:A", "ground:A", "link:crank", ...), which is
+its id in SVG.
 """
 
 from __future__ import annotations
@@ -26,12 +27,15 @@ if TYPE_CHECKING:
 PIN_OF_SIZE = 0.020
 PIN_OF_LINK = 0.15
 PIN_LEAST = 0.008
-"""Radius of a pin: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
+"""Radius of a pin: as part of the whole drawing, at most as part of a short link, at least of the
+drawing."""
 
 
 @dataclass
 class Sheet:
-    """A drawing in progress: the axes, the scene, the radius `r` of a pin in metres, what is covered already."""
+    """A drawing in progress: the axes, the scene, the radius `r` of a pin in metres, what is
+    covered already.
+    """
 
     ax: Axes
     scene: Scene
@@ -51,7 +55,9 @@ class Sheet:
     def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Draw an outline."""
         self.extent.append(np.asarray(path.vertices))
-        self.ax.add_patch(PathPatch(path, gid=gid, zorder=layer, **{"lw": 0.9, "joinstyle": "round", **how}))
+        self.ax.add_patch(
+            PathPatch(path, gid=gid, zorder=layer, **{"lw": 0.9, "joinstyle": "round", **how})
+        )
 
     def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
         """Draw a polyline (n, 2)."""
@@ -109,7 +115,9 @@ def _slides(sheet: Sheet, joint: SeenJoint) -> None:
 
 def _turns(joint: SeenJoint) -> bool:
     """Whether a joint is drawn as a pin: a hinge, or one without a symbol of its own that turns."""
-    return joint.kind == "revolute" or (joint.kind not in SYMBOLS and any(p.kind == R for p in joint.motions))
+    return joint.kind == "revolute" or (
+        joint.kind not in SYMBOLS and any(p.kind == R for p in joint.motions)
+    )
 
 
 def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
@@ -120,7 +128,12 @@ def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
             colour = style.link_colour(link.number)
             fill = 0.13 if len(shapes.hull(p)) == 2 else 0.05
             look = {"fc": (colour, fill), "ec": (colour, 0.25), "lw": 0.5}
-            sheet.patch(shapes.rounded(p, 0.5 * BAR * sheet.r), f"ghost{number}:{link.name}", style.GHOSTS, **look)
+            sheet.patch(
+                shapes.rounded(p, 0.5 * BAR * sheet.r),
+                f"ghost{number}:{link.name}",
+                style.GHOSTS,
+                **look,
+            )
 
 
 # ---- links
@@ -136,7 +149,9 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
         X = next(iter(link.bodies.values()))
         sheet.patch(shapes.circle(flat(X), 1.1 * r), gid, style.POINTS, fc=colour, ec=INK)
         return
-    if len(p) == 1 and len(link.joints) == 1:  # nothing but its joint: its own origin is the other end
+    if (
+        len(p) == 1 and len(link.joints) == 1
+    ):  # nothing but its joint: its own origin is the other end
         p = distinct(np.concatenate([p, [flat(next(iter(link.bodies.values())))]]))
     if len(p) < 2:
         if any(scene.joints[j].kind == "prismatic" for j in link.joints) or any(
@@ -148,14 +163,18 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
     corners = shapes.hull(p)
     dark = style.mix(colour, INK, 0.45)
     if len(corners) > 2:
-        sheet.patch(shapes.rounded(p, BAR * r), gid, style.POLYGONS, fc=(colour, 0.28), ec=dark, lw=1.1)
+        sheet.patch(
+            shapes.rounded(p, BAR * r), gid, style.POLYGONS, fc=(colour, 0.28), ec=dark, lw=1.1
+        )
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             sheet.obstacles.segment(a, b, 1.1 * r, 0.8)
         middle = p.mean(axis=0)
         for a in corners:
             sheet.obstacles.segment(a, middle, 1.5 * r, 0.08)
     else:
-        sheet.patch(shapes.rounded(p, BAR * r), gid, style.BARS, fc=style.mix(colour, PAPER, 0.25), ec=dark)
+        sheet.patch(
+            shapes.rounded(p, BAR * r), gid, style.BARS, fc=style.mix(colour, PAPER, 0.25), ec=dark
+        )
         sheet.obstacles.segment(corners[0], corners[1], 1.0 * r)
 
 
@@ -165,9 +184,16 @@ def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
     arms = X[:2, :2].T * 3.2 * sheet.r
     for name, arm, part in (("x", arms[0], 0.0), ("y", arms[1], 0.45)):
         line = np.array([c, c + arm])
-        sheet.line(line, f"{gid}:{name}", style.POINTS, color=style.mix(colour, PAPER, part), lw=1.6)
-        sheet.patch(shapes.arrow_head(c + 1.35 * arm, arm, 1.3 * sheet.r), f"{gid}:{name}", style.POINTS,
-                    fc=style.mix(colour, PAPER, part), ec="none")  # fmt: skip
+        sheet.line(
+            line, f"{gid}:{name}", style.POINTS, color=style.mix(colour, PAPER, part), lw=1.6
+        )
+        sheet.patch(
+            shapes.arrow_head(c + 1.35 * arm, arm, 1.3 * sheet.r),
+            f"{gid}:{name}",
+            style.POINTS,
+            fc=style.mix(colour, PAPER, part),
+            ec="none",
+        )
         sheet.obstacles.segment(c, c + 1.35 * arm, 0.8 * sheet.r)
     sheet.patch(shapes.circle(c, 0.5 * sheet.r), gid, style.POINTS, fc=colour, ec="none")
 
@@ -175,18 +201,26 @@ def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
 def _rods(sheet: Sheet) -> None:
     """Draw rods between two points, and the pins that run in slots."""
     r = sheet.r
-    pivots = [flat(j.on(0)) for j in sheet.scene.joints if j.kind == "revolute" and 0 in (j.parent, j.child)]
+    pivots = [
+        flat(j.on(0))
+        for j in sheet.scene.joints
+        if j.kind == "revolute" and 0 in (j.parent, j.child)
+    ]
     for name, links, ends, wrong in sheet.scene.rods:
         p = flat(ends)
         colour = OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
-        sheet.patch(shapes.rounded(p, 0.4 * BAR * r), f"rod:{name}", style.BARS, fc=style.FAINT, ec=colour)
+        sheet.patch(
+            shapes.rounded(p, 0.4 * BAR * r), f"rod:{name}", style.BARS, fc=style.FAINT, ec=colour
+        )
         sheet.obstacles.segment(p[0], p[1], r)
         sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
         for link, end in zip(links, p, strict=True):
             if link == 0 and not any(np.linalg.norm(c - end) < 0.3 * r for c in pivots):
                 _ground(sheet, end, _down(sheet, end), name)
                 pivots.append(end)
-            sheet.patch(shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2)
+            sheet.patch(
+                shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2
+            )
     for mark in sheet.scene.marks:
         touches.draw(sheet, mark)
     for name, links, A, point in sheet.scene.lines:
@@ -195,11 +229,18 @@ def _rods(sheet: Sheet) -> None:
         at = float(along @ (c - flat(A)))
         ends = flat(A) + np.outer([min(0.0, at - 5 * r), max(0.0, at + 5 * r)], along)
         colour = style.link_colour(links[0])
-        sheet.patch(shapes.rounded(ends, 1.25 * r), f"line:{name}", style.POLYGONS, fc=style.mix(colour, PAPER, 0.45),
-                    ec=style.mix(colour, INK, 0.45))  # fmt: skip
+        sheet.patch(
+            shapes.rounded(ends, 1.25 * r),
+            f"line:{name}",
+            style.POLYGONS,
+            fc=style.mix(colour, PAPER, 0.45),
+            ec=style.mix(colour, INK, 0.45),
+        )
         slot = flat(A) + np.outer([at - 4 * r, at + 4 * r], along)
         sheet.patch(shapes.rounded(slot, 0.6 * r), f"slot:{name}", style.RAILS, fc=PAPER, ec=colour)
-        sheet.patch(shapes.circle(c, 0.6 * r), f"line:{name}:point", style.PINS, fc=PAPER, ec=INK, lw=1.2)
+        sheet.patch(
+            shapes.circle(c, 0.6 * r), f"line:{name}:point", style.PINS, fc=PAPER, ec=INK, lw=1.2
+        )
         sheet.obstacles.segment(ends[0], ends[1], 1.3 * r)
         sheet.labels.append((name, c, 1.2 * r, {"gid": f"label:{name}", "color": INK}))
 
@@ -227,17 +268,31 @@ def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
     for c, joints in groups:
         turning = [j for j in joints if _turns(j)]
         for joint in turning:
-            sheet.patch(shapes.circle(flat(joint.M), r), f"joint:{joint.name}", style.PINS, fc=PAPER, ec=INK, lw=1.5)
+            sheet.patch(
+                shapes.circle(flat(joint.M), r),
+                f"joint:{joint.name}",
+                style.PINS,
+                fc=PAPER,
+                ec=INK,
+                lw=1.5,
+            )
         if turning:
             sheet.obstacles.segment(c, c, 1.3 * r, 2.0)
     return groups
 
 
 def _down(sheet: Sheet, p: Array) -> Array:
-    """Direction (2,) of the ground symbol at p: down, unless a link lies there and another side is free."""
+    """Direction (2,) of the ground symbol at p: down, unless a link lies there and another side is
+    free.
+    """
     best = np.array([0.0, -1.0])
     least = np.inf
-    for down, dislike in (((0.0, -1.0), 0.0), ((0.0, 1.0), 0.35), ((-1.0, 0.0), 0.45), ((1.0, 0.0), 0.45)):
+    for down, dislike in (
+        ((0.0, -1.0), 0.0),
+        ((0.0, 1.0), 0.35),
+        ((-1.0, 0.0), 0.45),
+        ((1.0, 0.0), 0.45),
+    ):
         d = np.array(down)
         along = np.array([-d[1], d[0]])
         where = p + np.outer(np.linspace(1.5, style.GROUND_HEIGHT + style.HATCH, 6), d) * sheet.r
@@ -251,7 +306,14 @@ def _down(sheet: Sheet, p: Array) -> Array:
 
 def _ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
     triangle, base = shapes.ground(p, down, sheet.r)
-    sheet.patch(triangle, f"ground:{name}", style.RAILS, fc=style.mix(GROUND, PAPER, 0.75), ec=GROUND, lw=1.1)
+    sheet.patch(
+        triangle,
+        f"ground:{name}",
+        style.RAILS,
+        fc=style.mix(GROUND, PAPER, 0.75),
+        ec=GROUND,
+        lw=1.1,
+    )
     sheet.patch(base, f"hatch:{name}", style.RAILS, fc="none", ec=GROUND, lw=1.0)
     sheet.obstacles.segment(p, p + style.GROUND_HEIGHT * sheet.r * down, 1.3 * sheet.r)
     along = style.GROUND_HALF * sheet.r * np.array([-down[1], down[0]])
@@ -287,17 +349,30 @@ def _prismatic(sheet: Sheet, joint: SeenJoint) -> None:
         if not scene.links[rail].particle and float(along @ (own - c)) < 0:
             ends = np.array([own, b])
         colour = style.link_colour(rail)
-        sheet.patch(shapes.rounded(ends, 0.5 * BAR * r), f"rail:{joint.name}", style.BARS,
-                    fc=style.mix(colour, PAPER, 0.25), ec=style.mix(colour, INK, 0.45))  # fmt: skip
+        sheet.patch(
+            shapes.rounded(ends, 0.5 * BAR * r),
+            f"rail:{joint.name}",
+            style.BARS,
+            fc=style.mix(colour, PAPER, 0.25),
+            ec=style.mix(colour, INK, 0.45),
+        )
         sheet.obstacles.segment(ends[0], ends[1], r)
     colour = style.link_colour(block)
-    sheet.patch(shapes.box(c, along, BLOCK[0] * r, BLOCK[1] * r), f"block:{joint.name}", style.BLOCKS,
-                fc=style.mix(colour, PAPER, 0.55), ec=style.mix(colour, INK, 0.45), lw=1.2)  # fmt: skip
+    sheet.patch(
+        shapes.box(c, along, BLOCK[0] * r, BLOCK[1] * r),
+        f"block:{joint.name}",
+        style.BLOCKS,
+        fc=style.mix(colour, PAPER, 0.55),
+        ec=style.mix(colour, INK, 0.45),
+        lw=1.2,
+    )
     sheet.obstacles.segment(c - BLOCK[0] * r * along, c + BLOCK[0] * r * along, 1.8 * r, 1.5)
 
 
 def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
-    """Draw the rail from a to b, moved to the side of the block that is down, or away from the mechanism."""
+    """Draw the rail from a to b, moved to the side of the block that is down, or away from the
+    mechanism.
+    """
     along = (b - a) / np.linalg.norm(b - a)
     side = np.array([-along[1], along[0]])
     if abs(side[1]) > 0.3:
@@ -306,8 +381,14 @@ def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
         points = np.concatenate([flat(sheet.scene.points(link)) for link in sheet.scene.links])
         down = side if side @ (points.mean(axis=0) - a) < 0 else -side
     shift = BLOCK[1] * sheet.r * down
-    sheet.patch(shapes.hatched(a + shift, b + shift, down, sheet.r), f"rail:{joint.name}", style.RAILS,
-                fc="none", ec=GROUND, lw=1.1)  # fmt: skip
+    sheet.patch(
+        shapes.hatched(a + shift, b + shift, down, sheet.r),
+        f"rail:{joint.name}",
+        style.RAILS,
+        fc="none",
+        ec=GROUND,
+        lw=1.1,
+    )
     sheet.obstacles.segment(a + 1.3 * shift, b + 1.3 * shift, sheet.r)
 
 
@@ -318,16 +399,24 @@ def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
     m = flat(joint.M)
     along = m - p
     for (a, b, half), link, part in (
-        ((0.12, 0.58, 1.35), joint.parent, "cylinder"), ((0.5, 1.0, 0.45), joint.child, "rod"),
+        ((0.12, 0.58, 1.35), joint.parent, "cylinder"),
+        ((0.5, 1.0, 0.45), joint.child, "rod"),
         ((0.0, 0.12, 0.7), joint.parent, "neck"),
-    ):  # fmt: skip
+    ):
         colour = style.link_colour(link)
         ends = np.array([p + a * along, p + b * along])
         unit = along / np.linalg.norm(along)
-        outline = shapes.box(ends.mean(axis=0), unit, float(np.linalg.norm(ends[1] - ends[0])) / 2, half * r)
+        outline = shapes.box(
+            ends.mean(axis=0), unit, float(np.linalg.norm(ends[1] - ends[0])) / 2, half * r
+        )
         layer = style.BLOCKS if part == "cylinder" else style.BARS
-        sheet.patch(outline, f"{part}:{joint.name}", layer, fc=style.mix(colour, PAPER, 0.35),
-                    ec=style.mix(colour, INK, 0.45))  # fmt: skip
+        sheet.patch(
+            outline,
+            f"{part}:{joint.name}",
+            layer,
+            fc=style.mix(colour, PAPER, 0.35),
+            ec=style.mix(colour, INK, 0.45),
+        )
         sheet.obstacles.segment(ends[0], ends[1], half * r)
 
 
@@ -342,8 +431,17 @@ def _open(sheet: Sheet, joint: SeenJoint) -> None:
     elif joint.kind != "revolute":
         return
     if np.linalg.norm(b - a) > WRONG * sheet.scene.size:
-        sheet.line(np.array([a, b]), f"open:{joint.name}", style.ARROWS, color=OPEN, lw=1.3, ls=(0, (3, 2)))
-        sheet.patch(shapes.circle(a, 0.6 * sheet.r), f"open:{joint.name}:end", style.PINS, fc=PAPER, ec=OPEN, lw=1.2)
+        sheet.line(
+            np.array([a, b]), f"open:{joint.name}", style.ARROWS, color=OPEN, lw=1.3, ls=(0, (3, 2))
+        )
+        sheet.patch(
+            shapes.circle(a, 0.6 * sheet.r),
+            f"open:{joint.name}:end",
+            style.PINS,
+            fc=PAPER,
+            ec=OPEN,
+            lw=1.2,
+        )
 
 
 def _driver(sheet: Sheet, joint: SeenJoint) -> None:
@@ -358,8 +456,15 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
         side = np.array([-along[1], along[0]])
         side = side if side[1] > 0 else -side
         start = c + 2.6 * r * side - 2.2 * r * along
-        sheet.line(np.array([start, start + 3.4 * r * along]), gid, style.ARROWS, color=DRIVER, lw=1.7)
-        sheet.patch(shapes.arrow_head(start + 4.6 * r * along, along, 1.5 * r), f"{gid}:head", style.ARROWS, **look)
+        sheet.line(
+            np.array([start, start + 3.4 * r * along]), gid, style.ARROWS, color=DRIVER, lw=1.7
+        )
+        sheet.patch(
+            shapes.arrow_head(start + 4.6 * r * along, along, 1.5 * r),
+            f"{gid}:head",
+            style.ARROWS,
+            **look,
+        )
         sheet.obstacles.segment(start, start + 4.6 * r * along, 0.8 * r)
         return
     radius = 3.0 * r
@@ -388,11 +493,15 @@ def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
         gid = f"frame:{name}"
         if link.ground:
             d = 0.8 * sheet.r * np.array([[1.0, 1.0], [1.0, -1.0]])
-            sheet.patch(shapes.strokes([(c - e, c + e) for e in d]), gid, style.POINTS, ec=GROUND, lw=1.2)
+            sheet.patch(
+                shapes.strokes([(c - e, c + e) for e in d]), gid, style.POINTS, ec=GROUND, lw=1.2
+            )
         elif any(np.linalg.norm(c - p) < 0.3 * sheet.r for p in centres):
             sheet.patch(shapes.circle(c, 0.35 * sheet.r), gid, style.POINTS, fc=INK, ec="none")
         else:
-            sheet.patch(shapes.circle(c, 0.55 * sheet.r), gid, style.POINTS, fc=INK, ec=PAPER, lw=0.8)
+            sheet.patch(
+                shapes.circle(c, 0.55 * sheet.r), gid, style.POINTS, fc=INK, ec=PAPER, lw=0.8
+            )
         sheet.obstacles.segment(c, c, 0.8 * sheet.r, 2.0)
         if labels:
             look = {"gid": f"label:{name}", "style": "italic", "color": style.mix(INK, PAPER, 0.3)}
@@ -400,14 +509,23 @@ def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
 
 
 def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
-    """Draw the axes x and y of a frame (4, 4), and its name where that is not written for its link already."""
+    """Draw the axes x and y of a frame (4, 4), and its name where that is not written for its link
+    already.
+    """
     c = flat(X)
     gid = f"mark:{name}"
     for k, axis in enumerate("xy"):
         along = X[:2, k]
         colour = style.AXES[k]
         tip = c + style.MARK * sheet.r * along
-        sheet.line(np.array([c, tip]), f"{gid}:{axis}", style.ARROWS, color=colour, lw=1.8, solid_capstyle="round")
+        sheet.line(
+            np.array([c, tip]),
+            f"{gid}:{axis}",
+            style.ARROWS,
+            color=colour,
+            lw=1.8,
+            solid_capstyle="round",
+        )
         head = shapes.arrow_head(tip + 1.4 * sheet.r * along, along, 1.4 * sheet.r)
         sheet.patch(head, f"{gid}:{axis}:head", style.ARROWS, fc=colour, ec="none")
         sheet.obstacles.segment(c, tip + 1.4 * sheet.r * along, 0.8 * sheet.r)
@@ -417,7 +535,9 @@ def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
         sheet.labels.append((name, c, 1.2 * sheet.r, {**look, "size": style.FONT - 1}))
 
 
-def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]) -> None:
+def _joint_labels(
+    sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]
+) -> None:
     for c, joints in groups:
         if not (names := ", ".join(texts[j.name] for j in joints if texts.get(j.name))):
             continue

@@ -1,4 +1,6 @@
-"""The picture of a planar system: the diagram, curves, marks, other configurations, what is measured, labels."""
+"""The picture of a planar system: the diagram, curves, marks, other configurations, what is
+measured, labels.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,13 @@ if TYPE_CHECKING:
 
 
 def picture(
-    subject: Subject, ax: Any, bounds: tuple[Array, Array] | None = None, make: Callable[..., Any] = page.new_figure
-) -> Axes:  # fmt: skip
-    """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they are not its own.
+    subject: Subject,
+    ax: Any,
+    bounds: tuple[Array, Array] | None = None,
+    make: Callable[..., Any] = page.new_figure,
+) -> Axes:
+    """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they
+    are not its own.
 
     Without `ax` the figure is made by `make`.
     """
@@ -38,7 +44,9 @@ def picture(
     lower, upper = page.limits(sheet) if bounds is None else bounds
     page.finish(sheet, lower, upper, bool(subject.curves))
     if subject.parameter_text():
-        ax.set_title(subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0)
+        ax.set_title(
+            subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0
+        )
     if subject.keyed:
         page.key(ax, subject.titles, own)
     return ax
@@ -60,7 +68,12 @@ def empty(subject: Subject, bounds: tuple[Array, Array], make: Callable[..., Any
 
 def extent(subject: Subject) -> tuple[Array, Array]:
     """Lower left and upper right corner (2,) of a drawing."""
-    trial = Sheet(page.bare_figure().add_subplot(), subject.scene, planar.pin_radius(subject.scene), subject.way)
+    trial = Sheet(
+        page.bare_figure().add_subplot(),
+        subject.scene,
+        planar.pin_radius(subject.scene),
+        subject.way,
+    )
     drawn(trial, subject)
     return page.limits(trial)
 
@@ -89,12 +102,21 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         ends = flat(subject.missed)
         sheet.line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))
         sheet.patch(
-            shapes.circle(ends[1], 0.6 * sheet.r), "missed:target", style.ARROWS, fc="none", ec=style.OPEN, lw=1.5
+            shapes.circle(ends[1], 0.6 * sheet.r),
+            "missed:target",
+            style.ARROWS,
+            fc="none",
+            ec=style.OPEN,
+            lw=1.5,
         )
         look = {"gid": "label:missed", "color": style.OPEN, "weight": "bold"}
         sheet.labels.append((subject.missed_text, ends.mean(axis=0), 0.9 * sheet.r, look))
     scenes = (subject.scene, *subject.others)
-    points = [np.concatenate([flat(s.points(link)) for link in s.links[1:]]) for s in scenes if subject.others]
+    points = [
+        np.concatenate([flat(s.points(link)) for link in s.links[1:]])
+        for s in scenes
+        if subject.others
+    ]
     for p, text, look in subject.names_at(points):
         sheet.labels.append((text, p, 1.6 * sheet.r, look))
 
@@ -115,23 +137,38 @@ def _over(sheet: Sheet, scene: Scene, number: int) -> None:
     for link in scene.links[1:]:
         p = flat(scene.points(link))
         if len(p) > 1:
-            sheet.patch(shapes.rounded(p, style.BAR * sheet.r), f"{gid}:{link.name}", style.POLYGONS,
-                        fc=(colour, 0.10), ec=colour, lw=1.3, ls=line)  # fmt: skip
+            sheet.patch(
+                shapes.rounded(p, style.BAR * sheet.r),
+                f"{gid}:{link.name}",
+                style.POLYGONS,
+                fc=(colour, 0.10),
+                ec=colour,
+                lw=1.3,
+                ls=line,
+            )
             for a, b in zip(p[:-1], p[1:], strict=True):
                 sheet.obstacles.segment(a, b, sheet.r, 0.5)
     for mark in scene.marks:
         touches.wheels(sheet, mark, f"{gid}:{mark.name}", colour)
     for joint in scene.joints:
         if joint.kind == "revolute":
-            sheet.patch(shapes.circle(flat(joint.M), 0.7 * sheet.r), f"{gid}:{joint.name}", style.POLYGONS,
-                        fc=style.PAPER, ec=colour, lw=1.2)  # fmt: skip
+            sheet.patch(
+                shapes.circle(flat(joint.M), 0.7 * sheet.r),
+                f"{gid}:{joint.name}",
+                style.POLYGONS,
+                fc=style.PAPER,
+                ec=colour,
+                lw=1.2,
+            )
 
 
 def _workspace(sheet: Sheet, workspace: Any) -> None:
     """Draw what a frame reaches, darker where there are more ways, and its boundary."""
     for k, region in enumerate(workspace.regions):
         shade = style.mix(style.FAINT, style.PAPER, 0.55 if region.solutions in (None, 1) else 0.25)
-        sheet.patch(shapes.region_outline(region), f"workspace:{k}", style.GHOSTS - 0.5, fc=shade, ec="none")
+        sheet.patch(
+            shapes.region_outline(region), f"workspace:{k}", style.GHOSTS - 0.5, fc=shade, ec="none"
+        )
     for k, piece in enumerate(workspace.boundary):
         z = shapes.piece_points(piece)
         p = np.column_stack([np.real(z), np.imag(z)])

@@ -1,4 +1,6 @@
-"""What is seen of a system at one configuration: links, joints, frames and rods in the ground frame; no matplotlib."""
+"""What is seen of a system at one configuration: links, joints, frames and rods in the ground
+frame; no matplotlib.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ class SeenJoint:
 
 @dataclass(frozen=True)
 class SeenLink:
-    """Bodies that fixed joints make one: poses (4, 4) by body name, frames likewise, and numbers of its joints."""
+    """Bodies that fixed joints make one: poses (4, 4) by body name, frames likewise, and numbers of
+    its joints.
+    """
 
     number: int
     name: str
@@ -73,10 +77,12 @@ class SeenLink:
 
 @dataclass(frozen=True)
 class SeenMark:
-    """Where a constraint that is no joint, rod or line takes hold: frame B (4, 4) on a link, and how it is drawn.
+    """Where a constraint that is no joint, rod or line takes hold: frame B (4, 4) on a link, and
+    how it is drawn.
 
-    `symbol` is that of its kind. `plane` is the foot (3,) of B on the plane that it touches, with the normal, and
-    `radius` that of what touches it, `disc` whether that is flat, with y of B as its axle.
+    `symbol` is that of its kind. `plane` is the foot (3,) of B on the plane that it touches, with
+    the normal, and `radius` that of what touches it, `disc` whether that is flat, with y of B as
+    its axle.
     """
 
     name: str
@@ -97,9 +103,9 @@ class SeenMark:
 class Scene:
     """All that there is to draw; link 0 is the ground.
 
-    `rods` are distance constraints: name, links, ends (2, 3), what the ends are too far apart [m]. `lines` are points
-    on lines: name, links, pose (4, 4) of the line's frame, position of the point. `marks` are where other constraints
-    take hold.
+    `rods` are distance constraints: name, links, ends (2, 3), what the ends are too far apart [m].
+    `lines` are points on lines: name, links, pose (4, 4) of the line's frame, position of the
+    point. `marks` are where other constraints take hold.
     """
 
     system: System
@@ -113,7 +119,9 @@ class Scene:
     def points(self, link: SeenLink) -> Array:
         """Distinct joint centres, ends of rods and frames (k, 3) of a link, in that order."""
         found = [self.joints[j].on(link.number)[:3, 3] for j in link.joints]
-        found += [ends[k] for _, links, ends, _ in self.rods for k in (0, 1) if links[k] == link.number]
+        found += [
+            ends[k] for _, links, ends, _ in self.rods for k in (0, 1) if links[k] == link.number
+        ]
         found += [p for _, links, _, p in self.lines if links[1] == link.number]
         found += [m.point for m in self.marks if m.link == link.number]
         found += [X[:3, 3] for X in link.frames.values()]
@@ -121,7 +129,9 @@ class Scene:
 
     @property
     def size(self) -> float:
-        """Diagonal of the box around all joint centres and frames [m]; 1 where there is but one point."""
+        """Diagonal of the box around all joint centres and frames [m]; 1 where there is but one
+        point.
+        """
         p = np.concatenate([self.points(link) for link in self.links])
         span = float(np.linalg.norm(np.ptp(p, axis=0))) if len(p) else 0.0
         return span if np.isfinite(span) and span > 1e-9 else 1.0
@@ -142,18 +152,28 @@ class Scene:
         return float(np.max(np.linalg.norm(p - joint.on(link)[:3, 3], axis=1), initial=0.0))
 
     def telescopic(self, joint: SeenJoint, r: float) -> bool:
-        """Whether a prismatic joint between moving links is drawn as cylinder and rod, not as a block on a rail.
+        """Whether a prismatic joint between moving links is drawn as cylinder and rod, not as a
+        block on a rail.
 
-        `r` is the radius of a pin [m]. Kinematically they are one: a motor, or links that go on at both ends, decide.
+        `r` is the radius of a pin [m]. Kinematically they are one: a motor, or links that go on at
+        both ends, decide.
         """
         if joint.kind != "prismatic" or 0 in (joint.parent, joint.child):
             return False
         both = min(self.reach(joint, joint.parent), self.reach(joint, joint.child)) > 6 * r
-        return (joint.driven or both) and float(np.linalg.norm(joint.centre - joint.F[:3, 3])) > 6 * r
+        return (joint.driven or both) and float(
+            np.linalg.norm(joint.centre - joint.F[:3, 3])
+        ) > 6 * r
 
     def seat(self, joint: SeenJoint, r: float) -> Array:
-        """Point (3,) where the symbol of a joint sits: the origin of M, or the middle of its cylinder."""
-        return 0.64 * joint.F[:3, 3] + 0.36 * joint.centre if self.telescopic(joint, r) else joint.centre
+        """Point (3,) where the symbol of a joint sits: the origin of M, or the middle of its
+        cylinder.
+        """
+        return (
+            0.64 * joint.F[:3, 3] + 0.36 * joint.centre
+            if self.telescopic(joint, r)
+            else joint.centre
+        )
 
 
 def distinct(points: Array, near: float = 1e-7) -> Array:
@@ -167,7 +187,8 @@ def distinct(points: Array, near: float = 1e-7) -> Array:
 
 
 def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
-    """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the actuated ones.
+    """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the
+    actuated ones.
 
     Errors: `UnsupportedError` where a body is too far away to be drawn.
     """
@@ -176,7 +197,9 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     for name, X in poses.items():
         if np.abs(X[:3, 3]).max() > FARTHEST:
             far = np.abs(X[:3, 3]).max()
-            raise UnsupportedError(f"body {name!r} is {far:g} from the origin; up to {FARTHEST:g} can be drawn")
+            raise UnsupportedError(
+                f"body {name!r} is {far:g} from the origin; up to {FARTHEST:g} can be drawn"
+            )
     number = links_of(system)
     gaps = dict(zip(system.structure.closures, closure_error(system, q)[:, :3], strict=True))
     joints: list[SeenJoint] = []
@@ -195,33 +218,49 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
         gap = M[:3, :3] @ gaps[joint.name] if joint.name in gaps else None
         joints.append(
             SeenJoint(
-                joint.name, joint.type.type_name, *ends, poses[joint.parent] @ X_PF, M, driven, limits,
-                tuple(motions), gap,
+                joint.name,
+                joint.type.type_name,
+                *ends,
+                poses[joint.parent] @ X_PF,
+                M,
+                driven,
+                limits,
+                tuple(motions),
+                gap,
             )
-        )  # fmt: skip
+        )
     links: list[SeenLink] = []
     for k in range(max(number.values()) + 1):
         bodies = {b: poses[b] for b in system.body_names if number[b] == k}
-        frames = {f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
-                  for f in mechanism.frames.values() if f.body in bodies}  # fmt: skip
+        frames = {
+            f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
+            for f in mechanism.frames.values()
+            if f.body in bodies
+        }
         if len(mine.get(k, ())) == bool(k or joints) and not frames:
             frames = _end(mechanism, bodies)
         particle = all(mechanism.bodies[b].particle for b in bodies)
-        links.append(SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle))
+        links.append(
+            SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle)
+        )
     return Scene(system, q, tuple(links), tuple(joints), *_constraints(system, poses, number))
 
 
 def _end(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
-    """The body at the end of a link of several bodies, as a frame: such as the tool of a file without frames.
+    """The body at the end of a link of several bodies, as a frame: such as the tool of a file
+    without frames.
 
-    Of several, such as cameras of a head, the one farthest from the body that the others are fixed to.
+    Of several, such as cameras of a head, the one farthest from the body that the others are fixed
+    to.
     """
     fixed = [j for j in mechanism.joints.values() if j.parent in bodies and j.child in bodies]
     inner = {j.parent for j in fixed}
     outer = {j.child for j in fixed}
     ends = [name for name in bodies if name in outer and name not in inner]
     head = next(iter(bodies.values()))[:3, 3]
-    far = max(ends, key=lambda name: float(np.linalg.norm(bodies[name][:3, 3] - head)), default=None)
+    far = max(
+        ends, key=lambda name: float(np.linalg.norm(bodies[name][:3, 3] - head)), default=None
+    )
     return {} if far is None else {far: bodies[far]}
 
 
@@ -244,7 +283,9 @@ def links_of(system: System) -> dict[str, int]:
     return {b: heads.index(find(b)) for b in system.body_names}
 
 
-def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, ...]:
+def _constraints(
+    system: System, poses: dict[str, Array], number: dict[str, int]
+) -> tuple[Any, ...]:
     """Rods, lines and marks of the constraints that are no joints, where the mechanism has any."""
     mechanism = system.mechanism
     rods: list[tuple[str, tuple[int, int], Array, float]] = []
@@ -257,7 +298,14 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
         ends = number[c.parent], number[c.child]
         if c.rod:
             p = np.stack([A[:3, 3], B[:3, 3]])
-            rods.append((c.name, ends, p, float(np.linalg.norm(p[1] - p[0])) - c.length(mechanism.parameters)))
+            rods.append(
+                (
+                    c.name,
+                    ends,
+                    p,
+                    float(np.linalg.norm(p[1] - p[0])) - c.length(mechanism.parameters),
+                )
+            )
         elif [r.op for r in position_rows(c.of, system.dim)] == [Op.POINT] * (system.dim - 1):
             lines.append((c.name, ends, A, B[:3, 3]))
         else:
@@ -266,7 +314,9 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
 
 
 def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
-    """A constraint that is no rod or line, with the plane that it touches or lies on, if there is one."""
+    """A constraint that is no rod or line, with the plane that it touches or lies on, if there is
+    one.
+    """
     made = with_numbers(c.of, system.structure.parameters)
     plane = None
     rows = [r for r in made.rows(system.dim) if not r.velocity]
@@ -276,11 +326,15 @@ def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMar
         normal = A[:3, rows[0].args[0] if point else 1 if flat else 2]
         plane = B[:3, 3] - normal * float(normal @ (B - A)[:3, 3]), normal
     radius = float(getattr(made, "radius", None) or 0.0)
-    return SeenMark(c.name, link, B, made.symbol, plane, radius, getattr(made, "shape", "") == "disc")
+    return SeenMark(
+        c.name, link, B, made.symbol, plane, radius, getattr(made, "shape", "") == "disc"
+    )
 
 
 def travel(scene: Scene, joint: SeenJoint, configurations: Array | None) -> tuple[float, float]:
-    """Smallest and largest slide [m] of a prismatic joint: now, over configurations (n, nq), and within its limits."""
+    """Smallest and largest slide [m] of a prismatic joint: now, over configurations (n, nq), and
+    within its limits.
+    """
     system = scene.system
     values = [float(coordinate_value(system, scene.q, joint.name))]
     if configurations is not None:

@@ -1,4 +1,6 @@
-"""Outlines of the planar symbols as matplotlib paths, in metres: links, ground, rails, blocks, arrows."""
+"""Outlines of the planar symbols as matplotlib paths, in metres: links, ground, rails, blocks,
+arrows.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ FINE = 0.02
 
 
 def hull(points: Array) -> Array:
-    """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone chain, 1979)."""
+    """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone
+    chain, 1979).
+    """
     if len(points) < 3:
         return points
     flat = 1e-12 * max(float(np.ptp(points, axis=0).max()), 1e-300) ** 2
@@ -42,7 +46,9 @@ def cross(a: Array, b: Array) -> float:
 
 
 def rounded(points: Array, radius: float) -> Path:
-    """Outline of all that is within `radius` of the convex hull of points (n, 2): a disc, a bar, a rounded polygon."""
+    """Outline of all that is within `radius` of the convex hull of points (n, 2): a disc, a bar, a
+    rounded polygon.
+    """
     corners = hull(points)
     if len(corners) == 1:
         return circle(corners[0], radius)
@@ -74,7 +80,10 @@ MOST_STROKES = 1000
 
 def polygon(points: Array) -> Path:
     """Outline of a polygon with the corners (n, 2)."""
-    return Path(np.concatenate([points, points[:1]]), [Path.MOVETO, *[Path.LINETO] * (len(points) - 1), Path.CLOSEPOLY])
+    return Path(
+        np.concatenate([points, points[:1]]),
+        [Path.MOVETO, *[Path.LINETO] * (len(points) - 1), Path.CLOSEPOLY],
+    )
 
 
 def strokes(lines: list[tuple[Array, Array]]) -> Path:
@@ -99,7 +108,9 @@ def ground(p: Array, down: Array, r: float) -> tuple[Path, Path]:
     base = p + GROUND_HEIGHT * r * down
     corners = np.array([p, base - 1.55 * r * along, base + 1.55 * r * along])
     side = along if along[0] >= 0.0 else -along
-    return polygon(corners), hatched(base - GROUND_HALF * r * side, base + GROUND_HALF * r * side, down, r)
+    return polygon(corners), hatched(
+        base - GROUND_HALF * r * side, base + GROUND_HALF * r * side, down, r
+    )
 
 
 def box(centre: Array, along: Array, half_length: float, half_height: float) -> Path:

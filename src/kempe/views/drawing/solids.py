@@ -1,4 +1,6 @@
-"""Small solids of flat faces, shaded by their normals, for drawings in space: tubes, balls, boxes, plates, cones."""
+"""Small solids of flat faces, shaded by their normals, for drawings in space: tubes, balls, boxes,
+plates, cones.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,27 @@ class Solids:
     """Faces (k, 3) with colours and, by name, the numbers of those that belong to it."""
 
     faces: list[Array] = field(default_factory=list[Array])
-    colours: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
-    edges: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
+    colours: list[tuple[float, float, float, float]] = field(
+        default_factory=list[tuple[float, float, float, float]]
+    )
+    edges: list[tuple[float, float, float, float]] = field(
+        default_factory=list[tuple[float, float, float, float]]
+    )
     named: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
     by_depth: bool = True
     """Whether what is drawn sorts faces by depth, where parts inside others would be seen."""
 
-    def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
-        """Add a flat convex face with its outward normal; `edge` is the colour of its outline, none if empty.
+    def face(
+        self,
+        name: str,
+        corners: Array,
+        normal: Array,
+        colour: str,
+        alpha: float = 1.0,
+        edge: str = "",
+    ) -> None:
+        """Add a flat convex face with its outward normal; `edge` is the colour of its outline, none
+        if empty.
 
         Faces are kept as quadrangles: matplotlib pads others with memory that it never wrote.
         """
@@ -46,10 +61,21 @@ class Solids:
             self.face(name, corners[[0, -2, -1]], normal, colour, alpha)
 
     def tube(
-        self, name: str, a: Array, b: Array, radius: float, colour: str, pieces: int = 0, caps: bool = True,
-        edge: str = "", sides: int = SIDES, end_radius: float | None = None,
-    ) -> None:  # fmt: skip
-        """Add a tube from a to b (3,), cut into `pieces` (default by its slimness); a cone with `end_radius`."""
+        self,
+        name: str,
+        a: Array,
+        b: Array,
+        radius: float,
+        colour: str,
+        pieces: int = 0,
+        caps: bool = True,
+        edge: str = "",
+        sides: int = SIDES,
+        end_radius: float | None = None,
+    ) -> None:
+        """Add a tube from a to b (3,), cut into `pieces` (default by its slimness); a cone with
+        `end_radius`.
+        """
         length = float(np.linalg.norm(b - a))
         if length < 1e-12:
             return
@@ -58,7 +84,10 @@ class Solids:
         round_ = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ X[:, :2].T
         pieces = pieces or int(np.clip(length / (6 * radius), 1, 16))
         radii = np.linspace(radius, radius if end_radius is None else end_radius, pieces + 1)
-        rings = [a + (b - a) * t + r * round_ for t, r in zip(np.linspace(0, 1, pieces + 1), radii, strict=True)]
+        rings = [
+            a + (b - a) * t + r * round_
+            for t, r in zip(np.linspace(0, 1, pieces + 1), radii, strict=True)
+        ]
         middle = np.roll(round_, -1, axis=0) + round_
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
         for low, high in zip(rings[:-1], rings[1:], strict=True):
@@ -77,8 +106,14 @@ class Solids:
         """Add a sphere of 8 by 12 faces."""
         lat = np.linspace(-np.pi / 2, np.pi / 2, 9)
         lon = np.arange(13) * (2 * np.pi / 12)
-        p = np.stack([np.outer(np.cos(lat), np.cos(lon)), np.outer(np.cos(lat), np.sin(lon)),
-                      np.outer(np.sin(lat), np.ones(13))], axis=-1)  # fmt: skip
+        p = np.stack(
+            [
+                np.outer(np.cos(lat), np.cos(lon)),
+                np.outer(np.cos(lat), np.sin(lon)),
+                np.outer(np.sin(lat), np.ones(13)),
+            ],
+            axis=-1,
+        )
         for i in range(8):
             for j in range(12):
                 corners = np.array([p[i, j], p[i, j + 1], p[i + 1, j + 1], p[i + 1, j]])
@@ -86,12 +121,23 @@ class Solids:
                 self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
 
     def bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
-        """Add half of a hollow sphere, the half that lies in the direction `way` (3,), of 4 by 12 faces."""
+        """Add half of a hollow sphere, the half that lies in the direction `way` (3,), of 4 by 12
+        faces.
+        """
         R = spatial.align_z(way)
         lat = np.deg2rad(np.linspace(90.0, 5.0, 5))
         lon = np.arange(13) * (2 * np.pi / 12)
-        p = np.stack([np.outer(np.cos(lat), np.cos(lon)), np.outer(np.cos(lat), np.sin(lon)),
-                      np.outer(np.sin(lat), np.ones(13))], axis=-1) @ R.T  # fmt: skip
+        p = (
+            np.stack(
+                [
+                    np.outer(np.cos(lat), np.cos(lon)),
+                    np.outer(np.cos(lat), np.sin(lon)),
+                    np.outer(np.sin(lat), np.ones(13)),
+                ],
+                axis=-1,
+            )
+            @ R.T
+        )
         for i in range(4):
             for j in range(12):
                 corners = np.array([p[i, j], p[i, j + 1], p[i + 1, j + 1], p[i + 1, j]])
@@ -108,12 +154,20 @@ class Solids:
                 corners[:, axis] = sign
                 corners[:, u] = (-1, 1, 1, -1)
                 corners[:, v] = (-1, -1, 1, 1)
-                self.face(name, X[:3, 3] + (corners * half) @ X[:3, :3].T, sign * X[:3, axis], colour, edge=edge)
+                self.face(
+                    name,
+                    X[:3, 3] + (corners * half) @ X[:3, :3].T,
+                    sign * X[:3, axis],
+                    colour,
+                    edge=edge,
+                )
 
     def plate(self, name: str, corners: Array, colour: str, alpha: float, edge: str = "") -> None:
         """Add a flat polygon without thickness, corners (n, 3) in order."""
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        self.face(name, corners, normal / max(float(np.linalg.norm(normal)), 1e-300), colour, alpha, edge)
+        self.face(
+            name, corners, normal / max(float(np.linalg.norm(normal)), 1e-300), colour, alpha, edge
+        )
 
     def arrow(self, name: str, line: Array, radius: float, colour: str) -> None:
         """Add a bent arrow along points (n, 3), its head at the last."""
@@ -121,8 +175,16 @@ class Solids:
             self.tube(name, a, b, radius, colour, pieces=1, caps=False, sides=6)
         tip = line[-1] - line[-2]
         tip = tip / max(float(np.linalg.norm(tip)), 1e-300)
-        self.tube(name, line[-2], line[-2] + 6.0 * radius * tip, 2.6 * radius, colour, pieces=1, sides=8,
-                  end_radius=0.0)  # fmt: skip
+        self.tube(
+            name,
+            line[-2],
+            line[-2] + 6.0 * radius * tip,
+            2.6 * radius,
+            colour,
+            pieces=1,
+            sides=8,
+            end_radius=0.0,
+        )
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
@@ -132,7 +194,9 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 
 def flat_hull(points: Array, tolerance: float) -> list[int] | None:
-    """Numbers (k,) of the points (n, 3) on their convex hull, in order round it; None if they lie in no plane."""
+    """Numbers (k,) of the points (n, 3) on their convex hull, in order round it; None if they lie
+    in no plane.
+    """
     middle = points.mean(axis=0)
     _, size, axes = np.linalg.svd(points - middle, full_matrices=False)
     if len(points) < 3 or size[1] < tolerance or (len(size) > 2 and size[2] > tolerance):

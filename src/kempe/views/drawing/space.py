@@ -1,4 +1,5 @@
-"""Systems in space, on matplotlib's axes in three dimensions: links as tubes and plates, joints as oriented symbols.
+"""Systems in space, on matplotlib's axes in three dimensions: links as tubes and plates, joints as
+oriented symbols.
 
 All solids are one collection of faces, so that matplotlib sorts them by depth together.
 """
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 VIEWS = [(float(elev), float(azim)) for elev in (22, 32) for azim in range(-75, -14, 12)]
-"""Elevations and azimuths [degrees] among which the one is taken that keeps the points furthest apart."""
+"""Elevations and azimuths [degrees] among which the one is taken that keeps the points furthest
+apart."""
 
 
 def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
@@ -44,7 +46,9 @@ def _solid_points(scene: Scene) -> list[Array]:
 usual_radius = symbols.radius
 
 
-def empty(subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Callable[..., Any]) -> Axes:
+def empty(
+    subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Callable[..., Any]
+) -> Axes:
     """Axes without a drawing, in a figure whose shape suits these bounds."""
     ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
     _frame(ax, bounds[0], *bounds[1])
@@ -53,13 +57,15 @@ def empty(subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Cal
 
 
 def picture(
-    subject: Subject, ax: Any, bounds: tuple[Array, tuple[float, float]] | None = None,
+    subject: Subject,
+    ax: Any,
+    bounds: tuple[Array, tuple[float, float]] | None = None,
     make: Callable[..., Any] = page.new_figure,
-) -> Axes:  # fmt: skip
+) -> Axes:
     """Axes in space with the scene, the curves (n, 3) by frame, and other positions as lines.
 
-    Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by `make`.
-    `bounds` are points (n, 3) and the view for which the axes are made already, by `empty`.
+    Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by
+    `make`. `bounds` are points (n, 3) and the view for which the axes are made already, by `empty`.
     """
     own = ax is None
     if own:
@@ -76,23 +82,50 @@ def picture(
     if subject.options.motion:
         for joint in scene.joints:
             skeleton += measured.freedoms(solids, joint, radius)
-    faces = Poly3DCollection(solids.faces, facecolors=solids.colours, edgecolors=solids.edges, linewidths=0.35,
-                             zorder=style.BARS, gid="solids")  # fmt: skip
+    faces = Poly3DCollection(
+        solids.faces,
+        facecolors=solids.colours,
+        edgecolors=solids.edges,
+        linewidths=0.35,
+        zorder=style.BARS,
+        gid="solids",
+    )
     ax.add_collection3d(faces, autolim=False)
     all_points = [*solids.faces, *_positions(ax, subject)]
     for k, (name, points) in enumerate(subject.curves.items()):
         colour = style.curve_colour(k)
-        ax.plot(*points.T, color=colour, lw=1.9, zorder=style.ARROWS, gid=f"curve:{name}", label=name)
+        ax.plot(
+            *points.T, color=colour, lw=1.9, zorder=style.ARROWS, gid=f"curve:{name}", label=name
+        )
         p = subject.here[name][:3, 3]
-        ax.plot([p[0]], [p[1]], [p[2]], "o", color=colour, ms=6, mec="white", mew=1.0, zorder=style.ARROWS,
-                gid=f"here:{name}")  # fmt: skip
+        ax.plot(
+            [p[0]],
+            [p[1]],
+            [p[2]],
+            "o",
+            color=colour,
+            ms=6,
+            mec="white",
+            mew=1.0,
+            zorder=style.ARROWS,
+            gid=f"here:{name}",
+        )
     ends = [_mark(ax, name, X, style.MARK * radius) for name, X in subject.marks.items()]
     all_points += [*ends, *(c[np.isfinite(c).all(axis=1)] for c in subject.curves.values())]
     all_points += [scene.points(link) for link in scene.links]
     angles = measured.angles(ax, subject, radius) if subject.options.angles else []
     all_points += [p[None] for p, _, _ in angles]
     if subject.missed is not None:
-        ax.plot(*subject.missed.T, "o--", color=style.OPEN, lw=1.8, ms=5, mfc="none", zorder=style.ARROWS, gid="missed")
+        ax.plot(
+            *subject.missed.T,
+            "o--",
+            color=style.OPEN,
+            lw=1.8,
+            ms=5,
+            mfc="none",
+            zorder=style.ARROWS,
+            gid="missed",
+        )
         look = {"color": style.OPEN, "weight": "bold", "gid": "label:missed"}
         angles.append((subject.missed.mean(axis=0), subject.missed_text, look))
         all_points.append(subject.missed)
@@ -114,29 +147,60 @@ def picture(
 
 
 def _positions(ax: Any, subject: Subject) -> list[Array]:
-    """Draw earlier positions faintly, further configurations in colours and dashes of their own; their points."""
+    """Draw earlier positions faintly, further configurations in colours and dashes of their own;
+    their points.
+    """
     drawn: list[Array] = []
     thick = 3.0 if subject.options.motion else 1.6
     for k, old in enumerate(subject.ghosts):
         for link, line in symbols.lines(old):
             drawn.append(line)
-            ax.plot(*line.T, color=style.link_colour(link.number), alpha=0.3, lw=thick, zorder=style.GHOSTS,
-                    gid=f"ghost{k}:{link.name}")  # fmt: skip
+            ax.plot(
+                *line.T,
+                color=style.link_colour(link.number),
+                alpha=0.3,
+                lw=thick,
+                zorder=style.GHOSTS,
+                gid=f"ghost{k}:{link.name}",
+            )
     for k, other in enumerate(subject.others, 1):
         for link, line in symbols.lines(other):
             drawn.append(line)
-            ax.plot(*line.T, color=style.over_colour(k), lw=2.2, ls=style.DASHES[k % len(style.DASHES)],
-                    zorder=style.BLOCKS, gid=f"configuration{k}:{link.name}")  # fmt: skip
+            ax.plot(
+                *line.T,
+                color=style.over_colour(k),
+                lw=2.2,
+                ls=style.DASHES[k % len(style.DASHES)],
+                zorder=style.BLOCKS,
+                gid=f"configuration{k}:{link.name}",
+            )
     return drawn
 
 
 def _mark(ax: Any, name: str, X: Array, length: float) -> Array:
-    """Draw the axes of a frame (4, 4) over everything else; its origin and the ends of its axes (4, 3)."""
+    """Draw the axes of a frame (4, 4) over everything else; its origin and the ends of its axes (4,
+    3).
+    """
     ends = np.concatenate([X[:3, 3][None], X[:3, 3] + length * X[:3, :3].T])
     for k, axis in enumerate("xyz"):
-        ax.plot(*ends[[0, k + 1]].T, color=style.AXES[k], lw=2.4, zorder=style.ARROWS, solid_capstyle="round",
-                gid=f"mark:{name}:{axis}")  # fmt: skip
-    ax.plot(*ends[:1].T, "o", color=style.PAPER, ms=4.5, mec=INK, mew=1.2, zorder=style.ARROWS, gid=f"mark:{name}")
+        ax.plot(
+            *ends[[0, k + 1]].T,
+            color=style.AXES[k],
+            lw=2.4,
+            zorder=style.ARROWS,
+            solid_capstyle="round",
+            gid=f"mark:{name}:{axis}",
+        )
+    ax.plot(
+        *ends[:1].T,
+        "o",
+        color=style.PAPER,
+        ms=4.5,
+        mec=INK,
+        mew=1.2,
+        zorder=style.ARROWS,
+        gid=f"mark:{name}",
+    )
     return ends
 
 
@@ -144,15 +208,19 @@ def camera(elev: float, azim: float) -> Array:
     """Rows right, up and towards the eye (3, 3) of a view; angles in degrees."""
     e = np.deg2rad(elev)
     a = np.deg2rad(azim)
-    return np.array([
-        [-np.sin(a), np.cos(a), 0.0],
-        [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)],
-        [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [-np.sin(a), np.cos(a), 0.0],
+            [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)],
+            [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)],
+        ]
+    )
 
 
 def _view(scene: Scene) -> tuple[float, float]:
-    """The view in which joint centres and frames lie furthest apart (least sum of inverse distances)."""
+    """The view in which joint centres and frames lie furthest apart (least sum of inverse
+    distances).
+    """
     p = np.concatenate([scene.points(link) for link in scene.links])
     i, j = np.triu_indices(len(p), 1)
     apart = np.linalg.norm(p[i] - p[j], axis=1) > 1e-6 * scene.size
@@ -215,7 +283,9 @@ def fit(ax: Any) -> None:
 
 def aspect(ax: Any, zoom: float = 1.0) -> None:
     """Give all axes one scale."""
-    ax.set_box_aspect([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom)
+    ax.set_box_aspect(
+        [np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom
+    )
 
 
 def _corners(ax: Any) -> Array:
@@ -239,10 +309,17 @@ def _locator(count: int) -> Any:
 
 
 def _labels(
-    ax: Any, subject: Subject, texts: list[tuple[Array, str, dict[str, Any]]], skeleton: list[Array], radius: float,
-    eye: Array, own: bool,
-) -> None:  # fmt: skip
-    """Write names of joints and frames, and other texts at their points, placed in the plane of the picture."""
+    ax: Any,
+    subject: Subject,
+    texts: list[tuple[Array, str, dict[str, Any]]],
+    skeleton: list[Array],
+    radius: float,
+    eye: Array,
+    own: bool,
+) -> None:
+    """Write names of joints and frames, and other texts at their points, placed in the plane of the
+    picture.
+    """
     from matplotlib.patheffects import withStroke
 
     scene = subject.scene
@@ -268,7 +345,9 @@ def _labels(
         text = subject.joint_text(joint)
         if not text:
             continue
-        near = next((g for g in groups if np.linalg.norm(eye[:2] @ (g[0] - seat)) < 1.2 * radius), None)
+        near = next(
+            (g for g in groups if np.linalg.norm(eye[:2] @ (g[0] - seat)) < 1.2 * radius), None
+        )
         if near is None:
             groups.append((seat, [text], {"color": INK, "size": FONT}))
         else:
@@ -276,7 +355,11 @@ def _labels(
     if "frames" in words:
         grey = {"color": style.mix(INK, style.PAPER, 0.3), "style": "italic", "size": FONT - 1}
         named = {name: X for link in scene.links for name, X in link.frames.items()} | subject.marks
-        named = {n: X for n, X in named.items() if n not in subject.axes or not subscript(subject.system, n)}
+        named = {
+            n: X
+            for n, X in named.items()
+            if n not in subject.axes or not subscript(subject.system, n)
+        }
         groups += [(X[:3, 3], [name], grey) for name, X in named.items()]
     groups += [(p, [text], {"size": FONT, **look}) for p, text, look in texts]
     middle = np.mean([g[0] for g in groups], axis=0) if groups else np.zeros(3)
@@ -289,13 +372,25 @@ def _labels(
         outward = eye[:2] @ (p - middle) / scene.size
         place = obstacles.place(c, (width, height), 2.1 * radius, outward)
         where = p + eye[:2].T @ (place - c)
-        ax.text(*where, said, ha="center", va="center", zorder=style.TEXT, path_effects=halo,
-                **{"gid": f"label:{text}", **look})  # fmt: skip
+        ax.text(
+            *where,
+            said,
+            ha="center",
+            va="center",
+            zorder=style.TEXT,
+            path_effects=halo,
+            **{"gid": f"label:{text}", **look},
+        )
 
 
 def _metres_a_point(ax: Any, eye: Array) -> float:
     """Metres in one point (1/72 inch) of the paper, in the plane of the picture."""
-    centre = np.array([float(np.asarray(x, dtype=float).mean()) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())])
+    centre = np.array(
+        [
+            float(np.asarray(x, dtype=float).mean())
+            for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())
+        ]
+    )
     step = float(np.ptp(ax.get_xlim()))
     a, b = ax.transAxes.transform(_on_axes(ax, np.array([centre, centre + step * eye[0]])))
     return step / max(float(np.linalg.norm(b - a)) * 72.0 / ax.figure.dpi, 1e-300)

@@ -1,4 +1,6 @@
-"""Colours, sizes and layers of the drawings, in one place. Lengths are in pin radii unless they say otherwise."""
+"""Colours, sizes and layers of the drawings, in one place. Lengths are in pin radii unless they say
+otherwise.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,19 @@ WRONG = 1e-6
 """Part of the size of the drawing beyond which joints and rods count as not closed."""
 
 LINKS = (
-    "#4c78a8", "#dd8452", "#5aa469", "#b5648f", "#8172b3", "#c4a13a", "#4aa3b0", "#a3715c", "#7d8ca3", "#cc6677",
-    "#6b9a2f", "#9a7fd1",
-)  # fmt: skip
+    "#4c78a8",
+    "#dd8452",
+    "#5aa469",
+    "#b5648f",
+    "#8172b3",
+    "#c4a13a",
+    "#4aa3b0",
+    "#a3715c",
+    "#7d8ca3",
+    "#cc6677",
+    "#6b9a2f",
+    "#9a7fd1",
+)
 AXES = ("#c0392b", "#2e8b57", "#2b5fb3")
 """Colours of the axes x, y, z of frames."""
 CURVES = ("#c1272d", "#1b6fb5", "#2c8c45", "#8e44ad", "#d9820a", "#0f8b8d", "#8b5e3c", "#5b6770")
@@ -60,7 +72,9 @@ def curve_colour(number: int) -> str:
 
 
 def over_colour(number: int) -> str:
-    """Colour of the configuration of this number of several in one picture; the first, in full, is number 0."""
+    """Colour of the configuration of this number of several in one picture; the first, in full, is
+    number 0.
+    """
     return INK if number == 0 else curve_colour(number)
 
 

@@ -1,4 +1,6 @@
-"""What one picture is of: configurations with their names, a motion, curves, frames, and the options."""
+"""What one picture is of: configurations with their names, a motion, curves, frames, and the
+options.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ if TYPE_CHECKING:
 
 IN_PLACE = 4
 SHORT = (2, 12)
-"""Configurations whose names stand beside them, and letters of these in space and in the plane; others have a key."""
+"""Configurations whose names stand beside them, and letters of these in space and in the plane;
+others have a key."""
 NOTHING = 1e-12
 """Values up to this are rounding [m, rad]."""
 ACROSS = 3
@@ -27,7 +30,9 @@ ACROSS = 3
 
 @dataclass(frozen=True)
 class Subject:
-    """All that there is to draw of a system: the scene in full, others over it, earlier positions, curves, frames."""
+    """All that there is to draw of a system: the scene in full, others over it, earlier positions,
+    curves, frames.
+    """
 
     system: System
     scene: Scene
@@ -60,7 +65,9 @@ class Subject:
 
     @property
     def keyed(self) -> bool:
-        """Whether several configurations have numbers, and their names stand in a key beside the picture."""
+        """Whether several configurations have numbers, and their names stand in a key beside the
+        picture.
+        """
         longest = max(map(len, self.titles), default=0)
         many = len(self.titles) > IN_PLACE and longest > SHORT[0]
         return bool(self.others) and (many or longest > SHORT[self.system.dim == 2])
@@ -74,14 +81,20 @@ class Subject:
         return length_text(float(f"{gap:.3g}"))
 
     def names_at(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
-        """Name or number of each configuration, where its points (n, d) are furthest from the others, and its look."""
+        """Name or number of each configuration, where its points (n, d) are furthest from the
+        others, and its look.
+        """
         if not self.others or not any(self.titles):
             return []
         out: list[tuple[Array, str, dict[str, Any]]] = []
         for k, (title, own) in enumerate(zip(self.titles, points, strict=False)):
             rest = np.concatenate([p for i, p in enumerate(points) if i != k])
             gap = np.linalg.norm(own[:, None] - rest, axis=-1).min(axis=1)
-            look = {"gid": f"label:configuration{k}", "color": style.over_colour(k), "weight": "bold"}
+            look = {
+                "gid": f"label:configuration{k}",
+                "color": style.over_colour(k),
+                "weight": "bold",
+            }
             out.append((own[int(np.argmax(gap))], str(k + 1) if self.keyed else title, look))
         return out
 
@@ -101,13 +114,18 @@ class Subject:
         return ",\n".join(", ".join(parts[k : k + ACROSS]) for k in range(0, len(parts), ACROSS))
 
     def measured_text(self, name: str) -> str:
-        """What is written beside the arc or the length of a coordinate: its name, with its value if that is wanted."""
+        """What is written beside the arc or the length of a coordinate: its name, with its value if
+        that is wanted.
+        """
         return coordinate_text(self, name) if "coordinates" in self.options.words else name
 
     def body_text(self, link: Any) -> str:
         """Names of the bodies of a link, with their numbers where the names do not say them."""
         number = {name: k for k, name in enumerate(self.system.body_names)}
-        names = [b if b.endswith(str(number[b])) or number[b] == 0 else f"{number[b]} {b}" for b in link.bodies]
+        names = [
+            b if b.endswith(str(number[b])) or number[b] == 0 else f"{number[b]} {b}"
+            for b in link.bodies
+        ]
         return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
     def parameter_text(self) -> str:
@@ -126,24 +144,34 @@ def coordinate_text(subject: Subject, name: str) -> str:
     value = float(coordinate_value(subject.system, subject.scene.q, name))
     value = value if abs(value) > NOTHING else 0.0
     unit = subject.units.get(name, "")
-    said = length_text(round(value, 4)) if unit == "m" and abs(value) >= 1e-4 else f"{value:.3g} {unit}".rstrip()
+    said = (
+        length_text(round(value, 4))
+        if unit == "m" and abs(value) >= 1e-4
+        else f"{value:.3g} {unit}".rstrip()
+    )
     return f"{name} = {said}"
 
 
 def subscript(system: System, frame: str) -> str:
-    """What an axis of a frame is called after x and y: the number of a body, a short name of a frame."""
+    """What an axis of a frame is called after x and y: the number of a body, a short name of a
+    frame.
+    """
     if frame in system.body_names:
         return f"_{{{system.body_names.index(frame)}}}"
     return f"_{{{frame}}}" if len(frame) <= 3 and frame.isalnum() else ""
 
 
 def lengths_by_name(system: System, bodies: Any) -> list[tuple[str, float]]:
-    """Expressions in parameters by which frames of joints and others are placed on some bodies, with their values."""
+    """Expressions in parameters by which frames of joints and others are placed on some bodies,
+    with their values.
+    """
     m = system.mechanism
     placed = [j.X_PF for j in m.joints.values() if j.parent in bodies]
     placed += [j.X_CM for j in m.joints.values() if j.child in bodies]
     placed += [f.X_BF for f in m.frames.values() if f.body in bodies]
-    values = [x for p in placed for _, numbers in p.steps for x in numbers if isinstance(x, Expression)]
+    values = [
+        x for p in placed for _, numbers in p.steps for x in numbers if isinstance(x, Expression)
+    ]
     return [(x.text.lstrip("-"), abs(float(x.evaluate(m.parameters)))) for x in values]
 
 

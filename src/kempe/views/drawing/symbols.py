@@ -1,4 +1,6 @@
-"""Solids for the parts of a system in space: links, ground marks, and one oriented symbol for each joint type."""
+"""Solids for the parts of a system in space: links, ground marks, and one oriented symbol for each
+joint type.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,11 @@ from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
 OF_SIZE = 0.02
 OF_LINK = 0.13
 LEAST = 0.0125
-"""Radius of a hinge: as part of the drawing, at most as part of a short link, at least of the drawing."""
+"""Radius of a hinge: as part of the drawing, at most as part of a short link, at least of the
+drawing."""
 DETOUR = 1.76
-"""How much longer the way along two axes and their common normal may be than the straight one: sqrt(3) and a bit."""
+"""How much longer the way along two axes and their common normal may be than the straight one:
+sqrt(3) and a bit."""
 LINK = 0.5
 """Radius of a link's tube in radii of a hinge."""
 HANDLE = 7.0
@@ -74,7 +78,9 @@ def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
         X = np.eye(4)
         X[:3, :3] = spatial.align_z(mark.plane[1])
         X[:3, 3] = mark.plane[0]
-        solids.plate(f"{name}:plane", _square(X, max(2.0 * mark.radius, 6.0 * r)), GROUND, 0.25, GROUND)
+        solids.plate(
+            f"{name}:plane", _square(X, max(2.0 * mark.radius, 6.0 * r)), GROUND, 0.25, GROUND
+        )
     if mark.radius > 0.0 and mark.disc:
         half = 0.08 * mark.radius * axle
         solids.tube(name, c - half, c + half, mark.radius, colour, 1, sides=24)
@@ -98,10 +104,14 @@ def lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
 def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
     """The polylines (n, 3) that a link is drawn along."""
     joints = [scene.joints[j] for j in link.joints]
-    centres = distinct(np.array([j.on(link.number)[:3, 3] for j in joints]
-                                + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
-                                + [p for _, n, _, p in scene.lines if n[1] == link.number]
-                                + [m.point for m in scene.marks if m.link == link.number]).reshape(-1, 3))  # fmt: skip
+    centres = distinct(
+        np.array(
+            [j.on(link.number)[:3, 3] for j in joints]
+            + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
+            + [p for _, n, _, p in scene.lines if n[1] == link.number]
+            + [m.point for m in scene.marks if m.link == link.number]
+        ).reshape(-1, 3)
+    )
     ends = [X[:3, 3] for X in link.frames.values()]
     out: list[Array] = []
     rim = None
@@ -132,16 +142,20 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
         out.append(np.array([near, p]))
     least = 1e-9 * scene.size
     out = [line for line in out if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > least]
-    if not out and len(joints) == 1 and not link.particle:  # nothing but its joint: a handle along x shows it
+    if (
+        not out and len(joints) == 1 and not link.particle
+    ):  # nothing but its joint: a handle along x shows it
         X = next(iter(link.bodies.values()))
         out.append(np.stack([X[:3, 3], X[:3, 3] + HANDLE * radius(scene) * X[:3, 0]]))
     return out
 
 
 def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
-    """Polyline from one joint to the next along their axes and the common normal (Denavit, Hartenberg, 1955).
+    """Polyline from one joint to the next along their axes and the common normal (Denavit,
+    Hartenberg, 1955).
 
-    Straight where a joint has no axis, where axes are parallel, and where the way would be a detour.
+    Straight where a joint has no axis, where axes are parallel, and where the way would be a
+    detour.
     """
     a = A[:3, 3]
     b = B[:3, 3]
@@ -195,7 +209,16 @@ def _triad(solids: Solids, name: str, X: Array, r: float) -> None:
     for axis, colour in enumerate(style.AXES):
         tip = X[:3, 3] + 3.6 * r * X[:3, axis]
         solids.tube(name, X[:3, 3], tip, 0.17 * r, colour, pieces=2, sides=6)
-        solids.tube(name, tip, tip + 1.1 * r * X[:3, axis], 0.42 * r, colour, pieces=1, sides=8, end_radius=0.0)
+        solids.tube(
+            name,
+            tip,
+            tip + 1.1 * r * X[:3, axis],
+            0.42 * r,
+            colour,
+            pieces=1,
+            sides=8,
+            end_radius=0.0,
+        )
 
 
 # ---- ground
@@ -203,14 +226,24 @@ def _triad(solids: Solids, name: str, X: Array, r: float) -> None:
 
 def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> None:
     link = scene.links[0]
-    joints = [scene.joints[j] for j in link.joints if scene.joints[j].kind not in ("free", "planar", "translation")]
+    joints = [
+        scene.joints[j]
+        for j in link.joints
+        if scene.joints[j].kind not in ("free", "planar", "translation")
+    ]
     origin = next(iter(link.bodies.values()))[:3, 3]
     rods = [ends[k] for _, links, ends, _ in scene.rods for k in (0, 1) if links[k] == 0]
     centres = distinct(np.array([*(j.on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3))
     if len(centres) == 1:
         gap = float(np.linalg.norm(centres[0] - origin))
         if 4 * r < gap < 2 * scene.size:
-            _pipe(solids, "ground", np.array([origin, centres[0]]), 0.9 * r, style.mix(GROUND, style.PAPER, 0.35))
+            _pipe(
+                solids,
+                "ground",
+                np.array([origin, centres[0]]),
+                0.9 * r,
+                style.mix(GROUND, style.PAPER, 0.35),
+            )
             skeleton.append(np.array([origin, centres[0]]))
             centres = np.array([origin])
     elif len(centres) == 2:
@@ -220,7 +253,13 @@ def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> No
         rim = flat_hull(centres, 0.02 * scene.size)
         if rim is not None:
             solids.plate("ground", centres[rim], GROUND, 0.12)
-            _pipe(solids, "ground", centres[[*rim, rim[0]]], 0.2 * r, style.mix(GROUND, style.PAPER, 0.4))
+            _pipe(
+                solids,
+                "ground",
+                centres[[*rim, rim[0]]],
+                0.2 * r,
+                style.mix(GROUND, style.PAPER, 0.4),
+            )
             skeleton.append(centres[[*rim, rim[0]]])
     for frame, X in link.frames.items():
         _triad(solids, f"frame:{frame}", X, r)
@@ -252,23 +291,39 @@ def _own(j: SeenJoint, colour: str) -> str:
 
 
 def _side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
-    """The direction (3,) along z of the joint on which a link lies; on the `usual` side of z where that is open."""
+    """The direction (3,) along z of the joint on which a link lies; on the `usual` side of z where
+    that is open.
+    """
     axis = j.on(link)[:3, 2]
     away = float((scene.points(scene.links[link]) - j.centre).sum(axis=0) @ axis) if link else 0.0
     return axis * (np.sign(away) if abs(away) > 1e-6 * scene.size else usual)
 
 
-def _revolute(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _revolute(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     """Draw a barrel of the child between two knuckles of the parent."""
     name = f"joint:{j.name}"
     c = j.centre
     solids.tube(name, c - r * j.axis, c + r * j.axis, r, _own(j, colour), 1, edge=INK)
     for sign in (-1.0, 1.0):
-        solids.tube(name, c + sign * r * j.axis, c + 1.7 * sign * r * j.axis, r, _tone(j.parent), 1, edge=INK)
+        solids.tube(
+            name,
+            c + sign * r * j.axis,
+            c + 1.7 * sign * r * j.axis,
+            r,
+            _tone(j.parent),
+            1,
+            edge=INK,
+        )
 
 
-def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) -> tuple[Array, Array]:
-    """Ends of the rail of a joint that slides along z of F: from F to M, or along its travel on the ground."""
+def _rail(
+    scene: Scene, j: SeenJoint, r: float, configurations: Array | None
+) -> tuple[Array, Array]:
+    """Ends of the rail of a joint that slides along z of F: from F to M, or along its travel on the
+    ground.
+    """
     origin = j.F[:3, 3]
     axis = j.axis
     now = float(axis @ (j.centre - origin))
@@ -283,8 +338,12 @@ def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) ->
     return c + (lo - BEYOND * r) * axis, c + (hi + BEYOND * r) * axis
 
 
-def _split_rail(solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str) -> None:
-    """Draw the rail from a to b without what is inside the symbol, which sorting by depth would show through it."""
+def _split_rail(
+    solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str
+) -> None:
+    """Draw the rail from a to b without what is inside the symbol, which sorting by depth would
+    show through it.
+    """
     if not solids.by_depth:
         solids.tube(f"rail:{j.name}", a, b, thick, colour)
         return
@@ -292,7 +351,9 @@ def _split_rail(solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, t
         solids.tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
 
 
-def _prismatic(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _prismatic(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     X = j.M.copy()
     if scene.telescopic(j, r):
         along = j.centre - j.F[:3, 3]
@@ -320,30 +381,52 @@ def _cylindrical(
     rail = GROUND if 0 in (j.parent, j.child) else style.link_colour(j.parent)
     _split_rail(solids, j, a, b, 1.5 * r, 0.55 * r, style.mix(rail, style.PAPER, 0.2))
     half = 1.5 * r * j.axis
-    solids.tube(f"joint:{j.name}", j.centre - half, j.centre + half, 1.1 * r, _own(j, colour), 1, edge=INK)
+    solids.tube(
+        f"joint:{j.name}", j.centre - half, j.centre + half, 1.1 * r, _own(j, colour), 1, edge=INK
+    )
     for end in (a, b):  # collars, at which the sleeve turns and stops
         out = 0.3 * r * (end - j.centre) / float(np.linalg.norm(end - j.centre))
-        solids.tube(f"rail:{j.name}", end - out, end, 0.95 * r, style.mix(rail, style.PAPER, 0.2), 1, edge=INK)
+        solids.tube(
+            f"rail:{j.name}",
+            end - out,
+            end,
+            0.95 * r,
+            style.mix(rail, style.PAPER, 0.2),
+            1,
+            edge=INK,
+        )
 
 
-def _helical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _helical(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     _cylindrical(solids, scene, j, r, colour, configurations)
     turns = np.linspace(0.0, 6 * np.pi, 37)
     along = np.linspace(-1.4, 1.4, 37) * r
     x = j.F[:3, 0]
     y = j.F[:3, 1]
-    helix = j.centre + 1.15 * r * (np.cos(turns)[:, None] * x + np.sin(turns)[:, None] * y) + along[:, None] * j.axis
+    helix = (
+        j.centre
+        + 1.15 * r * (np.cos(turns)[:, None] * x + np.sin(turns)[:, None] * y)
+        + along[:, None] * j.axis
+    )
     for p, q in zip(helix[:-1], helix[1:], strict=True):
         solids.tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
 
 
-def _spherical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _spherical(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     """Draw a ball of the child in a socket of the parent."""
     solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, _own(j, colour))
-    solids.bowl(f"socket:{j.name}", j.centre, 1.6 * r, _side(scene, j, j.parent, -1.0), _tone(j.parent))
+    solids.bowl(
+        f"socket:{j.name}", j.centre, 1.6 * r, _side(scene, j, j.parent, -1.0), _tone(j.parent)
+    )
 
 
-def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _universal(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     """Draw a cross, one arm along x of F, the other along y of M, each in the fork of its link."""
     for arm, link, usual in ((j.F[:3, 0], j.parent, -1.0), (j.M[:3, 1], j.child, 1.0)):
         a = j.centre - 1.8 * r * arm
@@ -352,14 +435,18 @@ def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str
         tint = _tone(link) if link == j.parent else _own(j, JOINT)
         back = 2.4 * r * _side(scene, j, link, usual)
         for end, sign in ((a, -1.0), (b, 1.0)):
-            solids.tube(f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK)
+            solids.tube(
+                f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK
+            )
             solids.tube(f"fork:{j.name}", end, end + back, 0.33 * r, tint, 2, edge=INK)
         more = 0.3 * r * arm
         solids.tube(f"fork:{j.name}", a + back - more, b + back + more, 0.33 * r, tint, 2, edge=INK)
     solids.ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
 
 
-def _planar(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _planar(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     X = j.F.copy()
     solids.plate(f"joint:{j.name}:table", _square(X, 8.0 * r), GROUND, 0.15, GROUND)
     solids.box(f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, _own(j, colour), INK)
@@ -379,29 +466,56 @@ def _translation(
         solids.tube(f"joint:{j.name}", j.centre - arm, j.centre + arm, 0.25 * r, GROUND, 2)
 
 
-def _nothing(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
+def _nothing(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
     """Draw nothing: a free joint holds nothing."""
 
 
-def _other(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    """Draw a barrel about each axis of F that the joint turns about, a bar along each that it slides along."""
+def _other(
+    solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
+) -> None:
+    """Draw a barrel about each axis of F that the joint turns about, a bar along each that it
+    slides along.
+    """
     for p in j.motions:
         axis = j.F[:3, "xyz".index(p.axis)]
         if p.kind == Q:
             solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, colour)
         elif p.kind == P:
-            solids.tube(f"joint:{j.name}", j.centre - 2.6 * r * axis, j.centre + 2.6 * r * axis, 0.25 * r, GROUND, 2)
+            solids.tube(
+                f"joint:{j.name}",
+                j.centre - 2.6 * r * axis,
+                j.centre + 2.6 * r * axis,
+                0.25 * r,
+                GROUND,
+                2,
+            )
         else:
-            solids.tube(f"joint:{j.name}", j.centre - 1.3 * r * axis, j.centre + 1.3 * r * axis, 0.8 * r, colour, 1,
-                        edge=INK)  # fmt: skip
+            solids.tube(
+                f"joint:{j.name}",
+                j.centre - 1.3 * r * axis,
+                j.centre + 1.3 * r * axis,
+                0.8 * r,
+                colour,
+                1,
+                edge=INK,
+            )
 
 
 SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None], None]] = {
-    "revolute": _revolute, "prismatic": _prismatic, "cylindrical": _cylindrical, "helical": _helical,
-    "spherical": _spherical, "universal": _universal, "planar": _planar, "translation": _translation,
+    "revolute": _revolute,
+    "prismatic": _prismatic,
+    "cylindrical": _cylindrical,
+    "helical": _helical,
+    "spherical": _spherical,
+    "universal": _universal,
+    "planar": _planar,
+    "translation": _translation,
     "free": _nothing,
-}  # fmt: skip
-"""Symbols of joint types that have one of their own; `_other` draws all others by their primitives."""
+}
+"""Symbols of joint types that have one of their own; `_other` draws all others by their
+primitives."""
 
 
 def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:

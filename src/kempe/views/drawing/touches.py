@@ -19,7 +19,9 @@ AXLE = 0.22
 
 
 def draw(sheet: Sheet, mark: SeenMark) -> None:
-    """Draw where a constraint holds: an axle with wheels, a wheel or ball on the line that it touches, or a point."""
+    """Draw where a constraint holds: an axle with wheels, a wheel or ball on the line that it
+    touches, or a point.
+    """
     r = sheet.r
     c = mark.point[:2]
     gid = f"mark:{mark.name}"
@@ -29,11 +31,24 @@ def draw(sheet: Sheet, mark: SeenMark) -> None:
         foot = mark.plane[0][:2]
         down = -mark.plane[1][:2]
         half = max(mark.radius, 4.0 * r) * 1.6 * np.array([-down[1], down[0]])
-        sheet.patch(shapes.hatched(foot - half, foot + half, down, r), f"{gid}:plane", style.RAILS, fc="none",
-                    ec=GROUND, lw=1.1)  # fmt: skip
+        sheet.patch(
+            shapes.hatched(foot - half, foot + half, down, r),
+            f"{gid}:plane",
+            style.RAILS,
+            fc="none",
+            ec=GROUND,
+            lw=1.1,
+        )
         sheet.obstacles.segment(foot - half, foot + half, r)
     if mark.radius > 0.0:
-        sheet.patch(shapes.circle(c, mark.radius), f"{gid}:round", style.POLYGONS, fc=(colour, 0.2), ec=INK, lw=1.2)
+        sheet.patch(
+            shapes.circle(c, mark.radius),
+            f"{gid}:round",
+            style.POLYGONS,
+            fc=(colour, 0.2),
+            ec=INK,
+            lw=1.2,
+        )
         sheet.obstacles.segment(c, c, mark.radius)
     elif mark.symbol == "wheel":
         label = wheels(sheet, mark, gid)
@@ -42,7 +57,9 @@ def draw(sheet: Sheet, mark: SeenMark) -> None:
 
 
 def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
-    """Draw an axle with its wheels, if the constraint is one; where there is room for its name (2,)."""
+    """Draw an axle with its wheels, if the constraint is one; where there is room for its name
+    (2,).
+    """
     r = sheet.r
     c = mark.point[:2]
     if mark.symbol != "wheel" or mark.radius > 0.0:
@@ -52,6 +69,12 @@ def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
     half = max(4.0 * r, AXLE * sheet.scene.size) * across
     sheet.line(np.array([c - half, c + half]), f"{gid}:axle", style.BARS, color=colour, lw=1.8)
     for k, end in enumerate((c - half, c + half)):
-        sheet.patch(shapes.box(end, along, 2.4 * r, 0.8 * r), f"{gid}:wheel{k}", style.BLOCKS, fc=colour, ec=colour)
+        sheet.patch(
+            shapes.box(end, along, 2.4 * r, 0.8 * r),
+            f"{gid}:wheel{k}",
+            style.BLOCKS,
+            fc=colour,
+            ec=colour,
+        )
         sheet.obstacles.segment(end - 2.4 * r * along, end + 2.4 * r * along, r)
     return c + half + 1.2 * r * across

@@ -1,4 +1,6 @@
-"""Known values, starts, configurations and branches of systems with loops, as the command line is given them."""
+"""Known values, starts, configurations and branches of systems with loops, as the command line is
+given them.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,11 @@ SPECIAL = ("neutral", "mid")
 """Names that every system has besides its postures."""
 
 
-def known(system: System, words: Iterable[str], degrees: bool = False, frames: bool = True) -> dict[str, Any]:
-    """Known coordinates and places of frames, from 'name=value' and 'frame=x,y,z', or a .csv with names.
+def known(
+    system: System, words: Iterable[str], degrees: bool = False, frames: bool = True
+) -> dict[str, Any]:
+    """Known coordinates and places of frames, from 'name=value' and 'frame=x,y,z', or a .csv with
+    names.
 
     Coordinates that follow others are turned into these.
     Errors: `InputError`, `UnknownNameError`.
@@ -36,13 +41,20 @@ def known(system: System, words: Iterable[str], degrees: bool = False, frames: b
         if not sign and rows.is_file(word):
             found = _columns(system, expanded(word), degrees)
         elif not sign or not name:
-            raise InputError(f"{word!r} is no known value: write name=value" + (", or frame=x,y,z" if frames else ""))
+            raise InputError(
+                f"{word!r} is no known value: write name=value"
+                + (", or frame=x,y,z" if frames else "")
+            )
         else:
             found = {name: _value(system, name, rows.numbers(text, name), degrees, frames)}
         for given, value in found.items():
             source, x = _by_source(system, given, value)
             if source in out:
-                said = "is given twice" if given == source else f"follows {source!r}, which is given, too"
+                said = (
+                    "is given twice"
+                    if given == source
+                    else f"follows {source!r}, which is given, too"
+                )
                 raise InputError(f"{given!r} {said}")
             out[source] = x
     return out
@@ -53,7 +65,9 @@ def _value(system: System, name: str, numbers: list[float], degrees: bool, frame
     if not is_frame:
         _check_coordinate(system, name, frames)
     if not np.isfinite(numbers).all():
-        raise InputError(f"{name}: {next(x for x in numbers if not np.isfinite(x))} is not a finite number")
+        raise InputError(
+            f"{name}: {next(x for x in numbers if not np.isfinite(x))} is not a finite number"
+        )
     if is_frame:
         if len(numbers) not in (system.dim, 3):
             needed = "x,y" if system.dim == 2 else "x,y,z"
@@ -97,7 +111,10 @@ def _columns(system: System, path: Path, degrees: bool) -> dict[str, Any]:
     if not np.isfinite(table).all():
         row = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
         raise InputError(f"{path}: row {row} holds a number that is not finite")
-    return {name: column * _factor(system, name, degrees) for name, column in zip(names, table.T, strict=True)}
+    return {
+        name: column * _factor(system, name, degrees)
+        for name, column in zip(names, table.T, strict=True)
+    }
 
 
 def start(system: System, text: str | None, degrees: bool = False) -> spatial.Array | None:
@@ -109,7 +126,9 @@ def start(system: System, text: str | None, degrees: bool = False) -> spatial.Ar
         return None
     q = _start(system, text, degrees)
     if q.ndim != 1:
-        raise InputError(f"{text}: it holds {counted(len(q), 'configuration')}; one is needed to start from")
+        raise InputError(
+            f"{text}: it holds {counted(len(q), 'configuration')}; one is needed to start from"
+        )
     if not np.isfinite(q).all():
         raise InputError(f"{text}: a number to start from is not finite")
     return q
@@ -119,14 +138,18 @@ def _start(system: System, text: str, degrees: bool) -> spatial.Array:
     if text in (*system.structure.posture_names, *SPECIAL):
         return rows.configuration(system, None, text, degrees)
     if not any(c in text for c in ",=.") and not text.strip().lstrip("+-").isdigit():
-        raise UnknownNameError("posture", text, (*system.structure.posture_names, *SPECIAL), system.name)
+        raise UnknownNameError(
+            "posture", text, (*system.structure.posture_names, *SPECIAL), system.name
+        )
     return rows.configuration(system, text, None, degrees, start=True)
 
 
 def first(
     system: System, text: str | None, held: Mapping[str, Any], degrees: bool = False
 ) -> tuple[spatial.Array | None, Assembly | None]:
-    """Where a motion starts, as `start`; with 'name=value,...' or held coordinates closed, then with the assembly."""
+    """Where a motion starts, as `start`; with 'name=value,...' or held coordinates closed, then
+    with the assembly.
+    """
     words = text.split(",") if text is not None and "=" in text and not rows.is_file(text) else []
     named = known(system, words, degrees, frames=False)
     for name in named:
@@ -144,8 +167,9 @@ def configuration(
 ) -> tuple[spatial.Array | None, Assembly | None]:
     """A configuration (nq,) from the command line; None where nothing is given.
 
-    As `rows.configuration`, but where 'name=value,...' is given of a system with loops, these are closed, started at
-    the posture: then the assembly is the second answer. Errors: as there, and `InputError` for several rows.
+    As `rows.configuration`, but where 'name=value,...' is given of a system with loops, these are
+    closed, started at the posture: then the assembly is the second answer. Errors: as there, and
+    `InputError` for several rows.
     """
     if text is None and posture is None:
         return None, None
@@ -165,14 +189,21 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
         return text
     if not text or set(text) - set("+-"):
         postures = ", ".join(map(repr, system.structure.posture_names)) or "none"
-        raise InputError(f"branch {text!r} is neither signs such as '+-' nor a posture; postures are: {postures}")
+        raise InputError(
+            f"branch {text!r} is neither signs such as '+-' nor a posture; postures are: {postures}"
+        )
     places = [name for name in given if name not in system.coordinate_names]
     if places:
-        raise InputError(f"signs name a branch where coordinates are known; {places[0]!r} is a frame: use --start")
+        raise InputError(
+            f"signs name a branch where coordinates are known; {places[0]!r} is a frame: use "
+            "--start"
+        )
     from kempe.solvers.dyads.dyads import Incomplete, closed_form
 
     plan = closed_form(system, tuple(given))
     if not isinstance(plan, Incomplete) and plan.signs != len(text):
         needs = f"{report.count(plan.signs, 'sign')} with these inputs: --modes lists its branches"
-        raise InputError(f"branch {text!r} has {report.count(len(text), 'sign')}; {system.name} has {needs}")
+        raise InputError(
+            f"branch {text!r} has {report.count(len(text), 'sign')}; {system.name} has {needs}"
+        )
     return text

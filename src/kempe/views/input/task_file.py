@@ -1,4 +1,6 @@
-"""Tasks from a TOML file: a table [[task]] for each, by type with the parameters of its class in `kempe.tasks`."""
+"""Tasks from a TOML file: a table [[task]] for each, by type with the parameters of its class in
+`kempe.tasks`.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,14 @@ if TYPE_CHECKING:
 
 
 def types() -> dict[str, type[Constraint]]:
-    """The kinds that can be requested, by name: 'pose', 'look_at', ... Functions of the user are for Python."""
-    return {name: k for name, k in KINDS.items() if not any("Callable" in str(f.type) for f in fields(k))}
+    """The kinds that can be requested, by name: 'pose', 'look_at', ... Functions of the user are
+    for Python.
+    """
+    return {
+        name: k
+        for name, k in KINDS.items()
+        if not any("Callable" in str(f.type) for f in fields(k))
+    }
 
 
 TEXT = ("frame", "other", "name", "axes", "shape", "surface")
@@ -52,14 +60,18 @@ class FileTasks:
 
     def tasks(self, start: int = 0, stop: int | None = None) -> list[Constraint]:
         """The tasks, of a file of rows those from `start` to `stop`."""
-        return [r.kind(**{k: v[start:stop] if k in r.many else v for k, v in r.given.items()}) for r in self.rows]
+        return [
+            r.kind(**{k: v[start:stop] if k in r.many else v for k, v in r.given.items()})
+            for r in self.rows
+        ]
 
 
 def read(system: System, path: Path, degrees: bool = False) -> FileTasks:
     """The tasks of a TOML file, each checked with the system.
 
-    A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each of its rows: these
-    make a batch. Errors: `DescriptionError` with all problems, each with its line.
+    A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each
+    of its rows: these make a batch. Errors: `DescriptionError` with all problems, each with its
+    line.
     """
     path = expanded(path)
     if what := no_file(path):
@@ -89,7 +101,9 @@ class _TaskReader:
         where = self.document.where
         for key in self.document.data:
             if key != "task":
-                findings.add(f"unknown key {shorten(key)}", "", where(key), "write [[task]] above each task")
+                findings.add(
+                    f"unknown key {shorten(key)}", "", where(key), "write [[task]] above each task"
+                )
         found = [self.task(table, i) for i, table in enumerate(self.document.array("task"))]
         if not found and not findings.problems:
             findings.add("there are no tasks", "", where(), "write [[task]] above each task")
@@ -97,7 +111,12 @@ class _TaskReader:
         counts = {len(r.given[k]) for r in made for k in r.many}
         if len(counts) > 1:
             said = ", ".join(map(str, sorted(counts)))
-            findings.add(f"the files that values name have {said} rows", "", where("task"), "they need as many each")
+            findings.add(
+                f"the files that values name have {said} rows",
+                "",
+                where("task"),
+                "they need as many each",
+            )
         return FileTasks(made, counts.pop() if len(counts) == 1 else None)
 
     def task(self, table: dict[str, Any], index: int) -> _TaskRow | None:
@@ -107,9 +126,22 @@ class _TaskReader:
         kind = table.get("type")
         subject = f"task {shorten(table.get('name') or kind or index + 1)}"
         if not isinstance(kind, str) or kind not in types():
-            message = "the key 'type' is missing" if kind is None else f"unknown type of task {shorten(kind)}"
-            said = "it must be one of " + ", ".join(types()) if kind is None else hint(str(kind), types()).lstrip("; ")
-            findings.add(message, subject, self.document.where(*at, *(["type"] if kind is not None else [])), said)
+            message = (
+                "the key 'type' is missing"
+                if kind is None
+                else f"unknown type of task {shorten(kind)}"
+            )
+            said = (
+                "it must be one of " + ", ".join(types())
+                if kind is None
+                else hint(str(kind), types()).lstrip("; ")
+            )
+            findings.add(
+                message,
+                subject,
+                self.document.where(*at, *(["type"] if kind is not None else [])),
+                said,
+            )
             return None
         names, needed = _parameters(types()[kind])
         before = len(findings.problems)
@@ -119,7 +151,11 @@ class _TaskReader:
             if key == "type":
                 continue
             if key not in names:
-                findings.add(f"unknown key {shorten(key)}{hint(key, names)}", subject, self.document.where(*at, key))
+                findings.add(
+                    f"unknown key {shorten(key)}{hint(key, names)}",
+                    subject,
+                    self.document.where(*at, key),
+                )
                 continue
             with findings.guard(subject, self.document.where(*at, key)):
                 given[key] = self.value(types()[kind], key, value)
@@ -128,7 +164,9 @@ class _TaskReader:
         for key in needed:
             if key not in table:
                 allowed = f"it needs {', '.join(needed)}"
-                findings.add(f"the key {key!r} is missing", subject, self.document.where(*at), allowed)
+                findings.add(
+                    f"the key {key!r} is missing", subject, self.document.where(*at), allowed
+                )
         if len(findings.problems) > before:
             return None
         row = _TaskRow(types()[kind], given, frozenset(many))
@@ -145,7 +183,9 @@ class _TaskReader:
             text = str(error)
             about = [k for k in row.given if re.search(rf"\b{k}\b", text)]
             if isinstance(error, UnknownNameError):
-                about = [k for k, v in row.given.items() if v == error.name or _holds(v, error.name)]
+                about = [
+                    k for k, v in row.given.items() if v == error.name or _holds(v, error.name)
+                ]
             self.document.findings.add(text, subject, self.document.where(*at, *about[:1]))
 
     def value(self, kind: type[Constraint], key: str, value: Any) -> Any:
@@ -161,12 +201,17 @@ class _TaskReader:
         if key == "priority" and type(value) is not int:
             raise InputError(f"priority is {shorten(value)}; it must be a whole number")
         if key == "tolerance" and not (_is_number(value) or _are_numbers(value, 2)):
-            raise InputError(f"tolerance is {shorten(value)}; it must be one or two numbers, in metres and radians")
+            raise InputError(
+                f"tolerance is {shorten(value)}; it must be one or two numbers, in metres and "
+                "radians"
+            )
         if key == "frames":
             given: Any = value
             good = isinstance(value, list) and all(isinstance(x, str) for x in given)
             if not good and not (isinstance(value, dict) and all(map(_is_number, given.values()))):
-                raise InputError(f"frames is {shorten(given)}; it must be a list of names, or a table of weights")
+                raise InputError(
+                    f"frames is {shorten(given)}; it must be a list of names, or a table of weights"
+                )
             return given
         if key == "q":
             return self.posture(value)
@@ -174,18 +219,24 @@ class _TaskReader:
             return turned(np.asarray(_numbers(key, value), dtype=float))
         return _numbers(key, value)
 
-    def turned(self, kind: type[Constraint], key: str) -> Callable[[spatial.Array], spatial.Array] | None:
+    def turned(
+        self, kind: type[Constraint], key: str
+    ) -> Callable[[spatial.Array], spatial.Array] | None:
         """How numbers become a pose or a rotation, where the parameter is one."""
         sort = next(str(f.type) for f in fields(kind) if f.name == key)
         return {"Matrix": self.poses, "Rotation": self.rotations}.get(sort)
 
     def poses(self, x: spatial.Array) -> spatial.Array:
-        """Poses (..., 4, 4) from x, y, z, roll, pitch, yaw, of planar systems x, y, angle; or as they are."""
+        """Poses (..., 4, 4) from x, y, z, roll, pitch, yaw, of planar systems x, y, angle; or as
+        they are.
+        """
         if x.shape[-2:] == (4, 4):
             return x
         planar = self.system.dim == 2
         if x.shape[-1:] not in ((6,), (3,) if planar else (6,)):
-            allowed = "x, y, angle" if planar else "x, y, z, roll, pitch, yaw, or a matrix of four rows"
+            allowed = (
+                "x, y, angle" if planar else "x, y, z, roll, pitch, yaw, or a matrix of four rows"
+            )
             raise InputError(f"a pose has the shape {x.shape}; it must be {allowed}")
         full = np.zeros((*x.shape[:-1], 6))
         full[..., [0, 1, 5] if x.shape[-1] == 3 else slice(None)] = x
@@ -201,8 +252,12 @@ class _TaskReader:
             angle[..., 2] = x.reshape(x.shape[:-1])
             x = angle
         if x.shape[-1:] != (3,):
-            raise InputError(f"an orientation has the shape {x.shape}; it must be roll, pitch, yaw, or a matrix")
-        return spatial.pose_from_xyz_rpy(np.concatenate([np.zeros(x.shape), x * self.angle], axis=-1))[..., :3, :3]
+            raise InputError(
+                f"an orientation has the shape {x.shape}; it must be roll, pitch, yaw, or a matrix"
+            )
+        return spatial.pose_from_xyz_rpy(
+            np.concatenate([np.zeros(x.shape), x * self.angle], axis=-1)
+        )[..., :3, :3]
 
     def posture(self, value: Any) -> Any:
         """Values by name, or a configuration, or the name of a posture, with angles in radians."""
@@ -211,10 +266,14 @@ class _TaskReader:
         if isinstance(value, Mapping):
             flat = self.document.flat(value, (), "q")
             if not all(map(_is_number, flat.values())):
-                raise InputError("q must be a table of numbers by coordinate name, such as {A = 0.3}")
+                raise InputError(
+                    "q must be a table of numbers by coordinate name, such as {A = 0.3}"
+                )
             unit = units(self.system)
             return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
-        return rows.configuration(self.system, ",".join(map(str, _numbers("q", value))), None, self.degrees)
+        return rows.configuration(
+            self.system, ",".join(map(str, _numbers("q", value))), None, self.degrees
+        )
 
     def from_file(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
         """Values (n, ...) of the rows of a file."""
@@ -255,7 +314,10 @@ def _numbers(key: str, value: Any) -> Any:
     except ValueError:
         good = False
     if not good or isinstance(value, bool):
-        raise InputError(f"{key} is {shorten(value)}; it must be a number, a list of numbers, or a .csv or .npy file")
+        raise InputError(
+            f"{key} is {shorten(value)}; it must be a number, a list of numbers, or a .csv or .npy "
+            "file"
+        )
     return value
 
 

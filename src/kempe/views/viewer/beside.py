@@ -1,4 +1,6 @@
-"""What is computed beside a page, which goes on meanwhile: searches, and what is laid over a system."""
+"""What is computed beside a page, which goes on meanwhile: searches, and what is laid over a
+system.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,26 @@ from typing import Any
 
 from kempe.errors import KempeError
 
-DEFECTS = (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError,
-           ValueError)  # fmt: skip
+DEFECTS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 """What a mistake in the code raises, or a machine that has no more room."""
 Action = Callable[[], Any]
 """What the page does with what was found."""
 
 
 class Job:
-    """A computation in rounds, each of which gives an action for the page; `dropped` once nobody waits for it."""
+    """A computation in rounds, each of which gives an action for the page; `dropped` once nobody
+    waits for it.
+    """
 
     def __init__(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]):
         self.key = key
@@ -25,16 +38,20 @@ class Job:
         self.rounds = work(self.check)
 
     def check(self, *done: object) -> None:
-        """Raise `KeyboardInterrupt` if nobody waits: verbs whose progress this is then end with what they have."""
+        """Raise `KeyboardInterrupt` if nobody waits: verbs whose progress this is then end with
+        what they have.
+        """
         if self.dropped:
             raise KeyboardInterrupt
 
 
 class Beside:
-    """A thread that does jobs round by round, in turn, those begun last first; actions are given to `post`.
+    """A thread that does jobs round by round, in turn, those begun last first; actions are given to
+    `post`.
 
-    `post(key, action)` is called for each round, with a key of its own, and `failed(sentence)` is the action where a
-    round raised a `KempeError`, or anything else, whose traceback is then printed.
+    `post(key, action)` is called for each round, with a key of its own, and `failed(sentence)` is
+    the action where a round raised a `KempeError`, or anything else, whose traceback is then
+    printed.
     """
 
     def __init__(self, post: Callable[[str, Action], None], failed: Callable[[str], Any]):
@@ -84,7 +101,9 @@ class Beside:
                 action = None
             except DEFECTS as error:  # the page goes on, and the terminal has where it was
                 traceback.print_exc()
-                action = self._refused(job, f"not done, by a defect of Kempe: {type(error).__name__}: {error}")
+                action = self._refused(
+                    job, f"not done, by a defect of Kempe: {type(error).__name__}: {error}"
+                )
             count += 1
             if action is not None:
                 self.post(f"{job.key} {count}", self._if_wanted(job, action))

@@ -31,26 +31,37 @@ PORT = 8080
 PANEL = 324
 """Pixels that the panel takes beside the picture when a page is opened."""
 SHEET = 576
-"""Pixels up to which a page is so narrow that viser lays the panel over the picture, from below, as on phones."""
+"""Pixels up to which a page is so narrow that viser lays the panel over the picture, from below, as
+on phones."""
 COVERED = 0.6
 """Part of the height that it covers there at most."""
 SAME_VIEW = 1e-4
-"""Parts of its distance by which a camera may be off the one that pages begin with, to count as that."""
+"""Parts of its distance by which a camera may be off the one that pages begin with, to count as
+that."""
 
 
 def show(
-    system: System, q: Any = None, *, frame: FrameLike | None = None, path: Any = None, share: bool = False,
-    port: int | None = None, browser: bool = True, deg: bool = False,
-) -> Viewer:  # fmt: skip
-    """A `Viewer`: the page at its `url`, on this machine only, where the system is seen and moved with the mouse.
+    system: System,
+    q: Any = None,
+    *,
+    frame: FrameLike | None = None,
+    path: Any = None,
+    share: bool = False,
+    port: int | None = None,
+    browser: bool = True,
+    deg: bool = False,
+) -> Viewer:
+    """A `Viewer`: the page at its `url`, on this machine only, where the system is seen and moved
+    with the mouse.
 
-    `q` (nq,) or dict: the configuration, by default as for `plot`; loops that are open there are closed from it.
-    `frame`: the one that the gizmo drags (default: the last one declared). `path`: configurations (n, nq), or an answer
-    that has them as `.q`, to play. Each page that is opened has a configuration of its own, with `share` all have one.
-    `port`: that of the page, by default 8080 or the next that is free. `browser`: open one. `deg`: pages begin with
-    angles in degrees; a switch on the page changes that. The page is there until `close`, the end of a ``with``, or the
-    end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for shapes and a port that
-    is in use; `UnknownNameError` for a frame.
+    `q` (nq,) or dict: the configuration, by default as for `plot`; loops that are open there are
+    closed from it. `frame`: the one that the gizmo drags (default: the last one declared). `path`:
+    configurations (n, nq), or an answer that has them as `.q`, to play. Each page that is opened
+    has a configuration of its own, with `share` all have one. `port`: that of the page, by default
+    8080 or the next that is free. `browser`: open one. `deg`: pages begin with angles in degrees; a
+    switch on the page changes that. The page is there until `close`, the end of a ``with``, or the
+    end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for
+    shapes and a port that is in use; `UnknownNameError` for a frame.
     """
     opened = flag(browser, "browser")
     viewer = serve(system, q, frame, path, share, port, deg)
@@ -62,9 +73,14 @@ def show(
 
 
 def serve(
-    system: System, q: Any = None, frame: FrameLike | None = None, path: Any = None, share: bool = False,
-    port: int | None = None, deg: bool = False,
-) -> Viewer:  # fmt: skip
+    system: System,
+    q: Any = None,
+    frame: FrameLike | None = None,
+    path: Any = None,
+    share: bool = False,
+    port: int | None = None,
+    deg: bool = False,
+) -> Viewer:
     """A `Viewer` as `show` makes it, without a browser and without a warning about meshes."""
     shared = flag(share, "share")
     degrees = flag(deg, "deg")
@@ -72,14 +88,18 @@ def serve(
 
 
 class Viewer:
-    """A page that is served: `url` is its address, `q` (nq,) the configuration of the page that was moved last."""
+    """A page that is served: `url` is its address, `q` (nq,) the configuration of the page that was
+    moved last.
+    """
 
     def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
         self.session = session
         self.share = share
         self.system = session.system
         self.deg = deg
-        self.drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
+        self.drawn = Drawn(
+            session.system, session.q, None if session.motion is None else session.motion.q
+        )
         self.pages: dict[int, Page] = {}
         self._last = session
         self._closed = threading.Event()
@@ -103,7 +123,9 @@ class Viewer:
     @q.setter
     def q(self, q: Any) -> None:
         """Put all pages at a configuration (nq,) or dict. Errors: `InputError`."""
-        for session in {id(s): s for s in (self.session, *(p.session for p in self.pages.values()))}.values():
+        for session in {
+            id(s): s for s in (self.session, *(p.session for p in self.pages.values()))
+        }.values():
             with session.lock:
                 session.put(q)
                 for page in (p for p in tuple(self.pages.values()) if p.session is session):
@@ -166,7 +188,9 @@ class Viewer:
         self.close()
 
     def __repr__(self) -> str:
-        return f"Viewer of {self.system.name!r} at {self.url}" + (", closed" if self._closed.is_set() else "")
+        return f"Viewer of {self.system.name!r} at {self.url}" + (
+            ", closed" if self._closed.is_set() else ""
+        )
 
 
 def _checked(port: Any) -> int:

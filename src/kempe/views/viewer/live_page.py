@@ -1,4 +1,6 @@
-"""One page in a browser: the panel, the gizmo and the ghosts of a session, by viser. It only passes on."""
+"""One page in a browser: the panel, the gizmo and the ghosts of a session, by viser. It only passes
+on.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +39,17 @@ SEES = 1.85
 DEGREE = np.pi / 180.0
 ROUNDING = 1e-12
 """How far [rad] a limit in degrees may be from the limit by rounding."""
-PARAGRAPH = '<p style="margin:0;padding:0 .75rem .6rem;font-size:14px;overflow-wrap:anywhere">{}</p>'
+PARAGRAPH = (
+    '<p style="margin:0;padding:0 .75rem .6rem;font-size:14px;overflow-wrap:anywhere">{}</p>'
+)
 """How a sentence looks in the panel."""
 QUICK = 0.1
 """Seconds that a search may take which is repeated while a target is dragged."""
 
 
 class Page:
-    """A page, its client in viser, and the session that it shows. Events are answered one after the other by a thread.
+    """A page, its client in viser, and the session that it shows. Events are answered one after the
+    other by a thread.
 
     Of events of the same control that wait, only the last is answered.
     """
@@ -146,9 +151,15 @@ class Page:
         self.slid = time.perf_counter()
         for slider in map(self._in_units, self.session.sliders):
             handle = self.sliders.get(slider.name)
-            if handle is None or slider.name == self.dragging or abs(handle.value - slider.value) <= 1e-9:
+            if (
+                handle is None
+                or slider.name == self.dragging
+                or abs(handle.value - slider.value) <= 1e-9
+            ):
                 continue
-            if not handle.min <= slider.value <= handle.max:  # an angle without limits: the slider goes along
+            if (
+                not handle.min <= slider.value <= handle.max
+            ):  # an angle without limits: the slider goes along
                 handle.min = slider.low
                 handle.max = slider.high
             handle.value = slider.value
@@ -176,7 +187,9 @@ class Page:
         self.buttons("go to", {"random": session.random} | gos)
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
-            self.task = gui.add_dropdown("what counts", ("pose", "position"), initial_value=session.task)
+            self.task = gui.add_dropdown(
+                "what counts", ("pose", "position"), initial_value=session.task
+            )
             self._pair("other solutions", "solution")
             if has_loops(session.system):
                 self._pair("assembly modes", "mode")
@@ -189,7 +202,9 @@ class Page:
         if drawn.lost:
             gui.add_html(as_html(fitting(drawn.lost_sentence)))
         self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
-        self.task.on_update(self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
+        self.task.on_update(
+            self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value))
+        )
         for name, box in self.boxes.items():
             box.on_update(self.by_hand(name, lambda n=name: self._lay(n)))
         self.names.on_update(self.by_hand("names", lambda: self.nodes.name(self.names.value)))
@@ -230,16 +245,25 @@ class Page:
         self.sliders = {}
         with self.folder:
             for s in wanted:
-                handle = gui.add_slider(f"{shortened(s.name)} [{s.unit}]", s.low, s.high, _step(s), s.value)
+                handle = gui.add_slider(
+                    f"{shortened(s.name)} [{s.unit}]", s.low, s.high, _step(s), s.value
+                )
                 self.sliders[s.name] = handle
-                handle.on_update(self.by_hand(s.name, lambda n=s.name, u=s.unit, h=handle: self._set(n, u, h.value)))
+                handle.on_update(
+                    self.by_hand(
+                        s.name, lambda n=s.name, u=s.unit, h=handle: self._set(n, u, h.value)
+                    )
+                )
 
     def _set(self, name: str, unit: str, value: float) -> None:
-        """Set a coordinate to the value of its slider; an end of a slider in degrees is the limit, without rounding."""
+        """Set a coordinate to the value of its slider; an end of a slider in degrees is the limit,
+        without rounding.
+        """
         if unit == "deg":
             ends = (s for s in self.session.sliders if s.name == name)
             value = next(
-                (x for s in ends for x in (s.low, s.high) if abs(value * DEGREE - x) < ROUNDING), value * DEGREE
+                (x for s in ends for x in (s.low, s.high) if abs(value * DEGREE - x) < ROUNDING),
+                value * DEGREE,
             )
         self.session.set(name, float(value))
 
@@ -254,12 +278,18 @@ class Page:
         flat = self.session.system.dim == 2
         quat, place = poses_as(session.pose)
         self.gizmo = self.client.scene.add_transform_controls(
-            "/target", scale=0.22 * max(self.nodes.drawn.rigid.size, 1e-9), active_axes=(True, True, not flat),
-            disable_rotations=flat or session.task == "position", depth_test=False, wxyz=quat, position=place,
-        )  # fmt: skip
+            "/target",
+            scale=0.22 * max(self.nodes.drawn.rigid.size, 1e-9),
+            active_axes=(True, True, not flat),
+            disable_rotations=flat or session.task == "position",
+            depth_test=False,
+            wxyz=quat,
+            position=place,
+        )
         colour = np.round(255 * np.array(rgb(style.OPEN))).astype(np.uint8)
         self.miss = self.client.scene.add_line_segments(
-            "/missed", np.zeros((1, 2, 3)), colour, thickness=3.0, thickness_units="screen")  # fmt: skip
+            "/missed", np.zeros((1, 2, 3)), colour, thickness=3.0, thickness_units="screen"
+        )
 
         @self.gizmo.on_update
         async def _(event: Any) -> None:
@@ -290,7 +320,9 @@ class Page:
             self._lay(name)
         if self.task.value != self.session.task:
             self.task.value = self.session.task
-        self.gizmo.disable_rotations = self.session.system.dim == 2 or self.session.task == "position"
+        self.gizmo.disable_rotations = (
+            self.session.system.dim == 2 or self.session.task == "position"
+        )
         self.player.make_finds()
 
     async def _clicked(self, event: Any) -> None:
@@ -367,7 +399,9 @@ class Page:
         self._beside(self.searches, "search", work)
 
     def _lay(self, name: str) -> None:
-        """Begin to compute what is laid over the system, and take away what was; only that where it is not wanted."""
+        """Begin to compute what is laid over the system, and take away what was; only that where it
+        is not wanted.
+        """
         self.nodes.lay(name, None)
         self.overlays.drop(name)
         if not self.boxes[name].value:

@@ -1,7 +1,9 @@
-"""Meshes that a model names for its bodies, read where they exist inside the model's folders; others are left out.
+"""Meshes that a model names for its bodies, read where they exist inside the model's folders;
+others are left out.
 
-Files of meshes are not trusted: archives and XML unpack to a thousand times their size, and readers raise and run out
-of memory in their own ways. They are read in a process with limits, which hands back triangles as GLB.
+Files of meshes are not trusted: archives and XML unpack to a thousand times their size, and readers
+raise and run out of memory in their own ways. They are read in a process with limits, which hands
+back triangles as GLB.
 """
 
 from __future__ import annotations
@@ -41,8 +43,11 @@ FARTHEST = 1e9
 """Bound of the sizes, places and scales of shapes [m]: pages hold them with 32 bits."""
 TEXTURE = 2048
 """Pixels of a texture along an edge; larger ones are made smaller."""
-READERS = {".dae": {"collada": "pycollada"}, ".zae": {"collada": "pycollada"},
-           ".3mf": {"lxml": "lxml", "networkx": "networkx"}}  # fmt: skip
+READERS = {
+    ".dae": {"collada": "pycollada"},
+    ".zae": {"collada": "pycollada"},
+    ".3mf": {"lxml": "lxml", "networkx": "networkx"},
+}
 """Modules that trimesh needs for some kinds of files, with the packages that have them."""
 _WORKER = """
 import io, os, zipfile
@@ -104,7 +109,9 @@ class _File(NamedTuple):
 
 
 def meshes_of(system: System) -> tuple[dict[str, list[Any]], list[str]]:
-    """Meshes (trimesh) by body, in the body's frame, and a sentence for each that could not be shown."""
+    """Meshes (trimesh) by body, in the body's frame, and a sentence for each that could not be
+    shown.
+    """
     mechanism = system.mechanism
     wanted: list[tuple[str, Any]] = []
     lost: list[str] = []
@@ -136,7 +143,9 @@ def meshes_of(system: System) -> tuple[dict[str, list[Any]], list[str]]:
 
 
 def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
-    """The meshes of one <visual> element, and the files of others. Errors: `KempeError`, `ValueError`."""
+    """The meshes of one <visual> element, and the files of others. Errors: `KempeError`,
+    `ValueError`.
+    """
     import trimesh
 
     visual = parse_xml(text, "visual")
@@ -144,7 +153,12 @@ def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
     for geometry in visual.of("geometry"):
         for mesh in geometry.of("mesh"):
             path = resolve_mesh(mesh.attributes.get("filename", ""), roots)
-            yield _File(path.name, path, _numbers(mesh.attributes.get("scale"), 3, 1.0, "the scale of a mesh"), X)
+            yield _File(
+                path.name,
+                path,
+                _numbers(mesh.attributes.get("scale"), 3, 1.0, "the scale of a mesh"),
+                X,
+            )
         for box in geometry.of("box"):
             yield _placed(trimesh.creation.box(_sizes(box, "size", 3)), X)
         for ball in geometry.of("sphere"):
@@ -173,11 +187,23 @@ def read_meshes(paths: Iterable[Path]) -> dict[Path, Any]:
         while first < len(left):
             seconds = end - time.monotonic()
             if seconds <= 0.0:
-                found.update((path, f"the meshes of this model take more than {ALL:g} s") for path in left[first:])
+                found.update(
+                    (path, f"the meshes of this model take more than {ALL:g} s")
+                    for path in left[first:]
+                )
                 break
-            settings = {"paths": list(map(str, left)), "first": first, "folder": folder, "largest": LARGEST,
-                        "each": EACH, "memory": MEMORY, "texture": TEXTURE}  # fmt: skip
-            ended = run_limited(_WORKER, settings, seconds=seconds, cpu=ALL, memory=MEMORY, output=LARGEST)
+            settings = {
+                "paths": list(map(str, left)),
+                "first": first,
+                "folder": folder,
+                "largest": LARGEST,
+                "each": EACH,
+                "memory": MEMORY,
+                "texture": TEXTURE,
+            }
+            ended = run_limited(
+                _WORKER, settings, seconds=seconds, cpu=ALL, memory=MEMORY, output=LARGEST
+            )
             while first < len(left) and (said := _handed_back(Path(folder), first)) is not None:
                 found[left[first]] = said
                 first += 1
@@ -195,10 +221,16 @@ def _refused(path: Path) -> str:
     """Why a file is not even opened; '' where it is."""
     if path.stat().st_size > LARGEST:
         return f"the file has more than {LARGEST} bytes"
-    missing = [package for module, package in READERS.get(path.suffix.lower(), {}).items()
-               if importlib.util.find_spec(module) is None]  # fmt: skip
+    missing = [
+        package
+        for module, package in READERS.get(path.suffix.lower(), {}).items()
+        if importlib.util.find_spec(module) is None
+    ]
     if missing:
-        return f"{path.suffix} files need: pip install {' '.join(repr(requirement(p)) for p in missing)}"
+        return (
+            f"{path.suffix} files need: pip install "
+            f"{' '.join(repr(requirement(p)) for p in missing)}"
+        )
     return ""
 
 
@@ -240,7 +272,9 @@ def _sizes(element: XmlElement, key: str, n: int = 1) -> Array:
     return values
 
 
-def _numbers(text: str | None, n: int, default: float | None = None, what: str = "a place") -> Array:
+def _numbers(
+    text: str | None, n: int, default: float | None = None, what: str = "a place"
+) -> Array:
     """The numbers (n,) in a text. Errors: ValueError."""
     if text is None and default is not None:
         return np.full(n, default)
@@ -249,5 +283,7 @@ def _numbers(text: str | None, n: int, default: float | None = None, what: str =
     except ValueError:
         values = np.empty(0)
     if len(values) != n or not (np.abs(values) < FARTHEST).all():
-        raise ValueError(f"{what} is {shown(text)}; it must be {counted(n, 'number')} below {FARTHEST:g} in size")
+        raise ValueError(
+            f"{what} is {shown(text)}; it must be {counted(n, 'number')} below {FARTHEST:g} in size"
+        )
     return values

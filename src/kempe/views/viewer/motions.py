@@ -1,4 +1,6 @@
-"""Motions that a page plays: one that is given, and those that can be found from where the system is."""
+"""Motions that a page plays: one that is given, and those that can be found from where the system
+is.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ PATIENCE = 5.0
 
 
 class Played(NamedTuple):
-    """Configurations `q` (n, nq), all of them finite, at times `t` (n,) [s] from 0 on; `timed`: its own times."""
+    """Configurations `q` (n, nq), all of them finite, at times `t` (n,) [s] from 0 on; `timed`: its
+    own times.
+    """
 
     q: Array
     t: Array
@@ -43,7 +47,9 @@ class Played(NamedTuple):
 
 
 def motion_from(system: System, path: Any) -> Played | None:
-    """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for other shapes."""
+    """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for
+    other shapes.
+    """
     from kempe.views.plots import motion_of
 
     q, _ = motion_of(system, path)
@@ -86,9 +92,13 @@ def _fall(session: Session) -> Any:
 
 
 MOTIONS: dict[str, Callable[[Session], Any]] = {
-    "whole motion": _whole, "frame at rest": _self_motion, "manoeuvre": _manoeuvre, "fall": _fall,
-}  # fmt: skip
-"""Motions that are found on request: with one freedom, with the frame where it is, of what rolls, of what falls."""
+    "whole motion": _whole,
+    "frame at rest": _self_motion,
+    "manoeuvre": _manoeuvre,
+    "fall": _fall,
+}
+"""Motions that are found on request: with one freedom, with the frame where it is, of what rolls,
+of what falls."""
 
 
 def possible(session: Session) -> tuple[str, ...]:
@@ -97,14 +107,21 @@ def possible(session: Session) -> tuple[str, ...]:
     freedoms = len(session.sliders)
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
     rolls = any(r.velocity for r in rows)
-    falls = len(system.parent) == 1 and any(c.bounds(system.dim) for c in system.mechanism.constraints.values())
-    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": session.spare() and not rolls,
-            "manoeuvre": rolls and not has_loops(system), "fall": falls and not rolls}  # fmt: skip
+    falls = len(system.parent) == 1 and any(
+        c.bounds(system.dim) for c in system.mechanism.constraints.values()
+    )
+    have = {
+        "whole motion": freedoms == 1 and not rolls,
+        "frame at rest": session.spare() and not rolls,
+        "manoeuvre": rolls and not has_loops(system),
+        "fall": falls and not rolls,
+    }
     return tuple(name for name, has in have.items() if has)
 
 
 def found(session: Session, name: str) -> tuple[Played | None, str]:
-    """The motion of this name from where the session is, if there is one, and the sentence about it.
+    """The motion of this name from where the session is, if there is one, and the sentence about
+    it.
 
     Errors: those of the verb that looks for it.
     """

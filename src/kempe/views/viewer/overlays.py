@@ -1,6 +1,8 @@
-"""What a page lays over a system: curves, workspaces, capability maps, singular configurations, in ever finer rounds.
+"""What a page lays over a system: curves, workspaces, capability maps, singular configurations, in
+ever finer rounds.
 
-Each is a generator of `Overlay`s of a session as it was, which is run beside the page and may be left at any round.
+Each is a generator of `Overlay`s of a session as it was, which is run beside the page and may be
+left at any round.
 """
 
 from __future__ import annotations
@@ -43,13 +45,20 @@ ROUNDS = 8
 REACHED = "#6f9fd0"
 OFTEN = "#2f5f95"
 """Colours of what is reached, in one way and in several."""
-KINDS = {"red": "#b3261e", "blue": "#0b5fa5", "green": "#2b7a3b", "purple": "#7a4fbf", "brown": "#8a5a00"}
+KINDS = {
+    "red": "#b3261e",
+    "blue": "#0b5fa5",
+    "green": "#2b7a3b",
+    "purple": "#7a4fbf",
+    "brown": "#8a5a00",
+}
 """Colours of sets of singular configurations, by their words."""
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Points (n, 3) in colours (n, 3) from 0 to 1, of sizes (n,) [m]; lines (m, 2, 3); surfaces; and a sentence.
+    """Points (n, 3) in colours (n, 3) from 0 to 1, of sizes (n,) [m]; lines (m, 2, 3); surfaces;
+    and a sentence.
 
     `surfaces` are corners (k, 3) and triangles (j, 3) with a colour.
     """
@@ -64,7 +73,9 @@ class Overlay:
     @property
     def extent(self) -> Array:
         """Ends (2, 3) of the box around all of it [m]; without rows where it is empty."""
-        every = np.concatenate([self.points, self.lines.reshape(-1, 3), *(corners for corners, *_ in self.surfaces)])
+        every = np.concatenate(
+            [self.points, self.lines.reshape(-1, 3), *(corners for corners, *_ in self.surfaces)]
+        )
         return np.stack([every.min(axis=0), every.max(axis=0)]) if len(every) else every
 
 
@@ -78,7 +89,9 @@ def _pairs(points: Array) -> Array:
 
 
 def _curve(session: Session) -> Iterator[Overlay]:
-    """What the frame's origin passes in the motion that is played, else in the whole motion with one freedom."""
+    """What the frame's origin passes in the motion that is played, else in the whole motion with
+    one freedom.
+    """
     from kempe.analysis.motion.motion import trace
 
     system = session.system
@@ -130,23 +143,36 @@ def _regions(found: PlanarWorkspace) -> Overlay:
 
 
 def _filled(loops: Any) -> tuple[Array, np.ndarray]:
-    """Corners (k, 3) and triangles (j, 3) of all within closed curves, an even number of which leaves a hole.
+    """Corners (k, 3) and triangles (j, 3) of all within closed curves, an even number of which
+    leaves a hole.
 
     Between two neighbouring heights of corners the sides are straight: what is inside are trapezia.
     """
-    sides = np.concatenate([np.stack([loop[:-1], loop[1:]], axis=1) for loop in map(np.asarray, loops)])
+    sides = np.concatenate(
+        [np.stack([loop[:-1], loop[1:]], axis=1) for loop in map(np.asarray, loops)]
+    )
     levels = np.unique(sides[..., 1])
     levels = levels[np.concatenate([[True], np.diff(levels) > 1e-9 * np.ptp(levels)])]
     out: list[Array] = []
     for low, high in zip(levels[:-1], levels[1:], strict=True):
         middle = 0.5 * (low + high)
-        a, b = sides[(sides[..., 1].min(axis=1) < middle) & (sides[..., 1].max(axis=1) > middle)].transpose(1, 0, 2)
+        a, b = sides[
+            (sides[..., 1].min(axis=1) < middle) & (sides[..., 1].max(axis=1) > middle)
+        ].transpose(1, 0, 2)
         slope = (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1])
         order = np.argsort(a[:, 0] + (middle - a[:, 1]) * slope)
         at = [(a[:, 0] + (y - a[:, 1]) * slope)[order] for y in (low, high)]
         for k in range(0, len(order) - 1, 2):
-            out.append(np.array([[at[0][k], low, 0], [at[0][k + 1], low, 0], [at[1][k + 1], high, 0],
-                                 [at[1][k], high, 0]]))  # fmt: skip
+            out.append(
+                np.array(
+                    [
+                        [at[0][k], low, 0],
+                        [at[0][k + 1], low, 0],
+                        [at[1][k + 1], high, 0],
+                        [at[1][k], high, 0],
+                    ]
+                )
+            )
     corners = np.array(out).reshape(-1, 3)
     return corners, _quads(len(out))
 
@@ -157,7 +183,9 @@ def _quads(n: int) -> np.ndarray:
 
 
 def _cells(found: Workspace, cut: float) -> Overlay:
-    """The cells that samples fell into: in the plane all of them, in space the surface of those from y = `cut` on."""
+    """The cells that samples fell into: in the plane all of them, in space the surface of those
+    from y = `cut` on.
+    """
     grid = found.map.grid
     some = found.map.occupied.copy()
     said = found.status
@@ -176,7 +204,9 @@ def _cells(found: Workspace, cut: float) -> Overlay:
         quad[..., axis] += side
         quad[..., [k for k in range(3) if k != axis]] += square
         quads.append(quad)
-    places = (np.concatenate(quads).reshape(-1, d) - 1.0) * grid.size + np.array(grid.low)[grid.kept]
+    places = (np.concatenate(quads).reshape(-1, d) - 1.0) * grid.size + np.array(grid.low)[
+        grid.kept
+    ]
     return Overlay(said, surfaces=((grid.whole(places), _quads(len(places) // 4), REACHED),))
 
 
@@ -241,25 +271,36 @@ def _singular(session: Session) -> Iterator[Overlay]:
             said.append(f"{name} ({word})")
         every = np.concatenate(points)
         what = f"{', '.join(said) or 'none'} found from {counted(total, 'start')}"
-        yield Overlay(f"{frame} at singular configurations: {what}",
-                      every, np.concatenate(colours), np.full(len(every), 0.012 * session.size))  # fmt: skip
+        yield Overlay(
+            f"{frame} at singular configurations: {what}",
+            every,
+            np.concatenate(colours),
+            np.full(len(every), 0.012 * session.size),
+        )
 
 
 OVERLAYS: dict[str, Callable[[Session], Iterator[Overlay]]] = {
-    "curve": _curve, "workspace": _workspace, "capability map": _capability, "singular configurations": _singular,
-}  # fmt: skip
+    "curve": _curve,
+    "workspace": _workspace,
+    "capability map": _capability,
+    "singular configurations": _singular,
+}
 """What can be laid over a system, by name."""
 
 
 def offered(session: Session) -> tuple[str, ...]:
     """Names of `OVERLAYS` that a session can show."""
-    has = {"curve": session.motion is not None or len(session.sliders) == 1,
-           "capability map": not has_loops(session.system)}  # fmt: skip
+    has = {
+        "curve": session.motion is not None or len(session.sliders) == 1,
+        "capability map": not has_loops(session.system),
+    }
     return tuple(n for n in OVERLAYS if has.get(n, True))
 
 
 def rounds(session: Session, name: str) -> Iterator[Overlay]:
-    """The overlays of a name, ever finer, until the time for it is up. Errors: those of the verbs that find them."""
+    """The overlays of a name, ever finer, until the time for it is up. Errors: those of the verbs
+    that find them.
+    """
     end = time.monotonic() + LONG
     for overlay in OVERLAYS[name](session):
         yield overlay

@@ -1,4 +1,6 @@
-"""`save_html`: a page with a system in space, in motion, in one file that needs neither server nor network."""
+"""`save_html`: a page with a system in space, in motion, in one file that needs neither server nor
+network.
+"""
 
 from __future__ import annotations
 
@@ -30,20 +32,27 @@ NOTE = (
 """What is written on the page, above the player of a motion."""
 
 
-def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0) -> None:
-    """Write a page of one file that opens from disk, without network: the system in space, to be turned by mouse.
+def save_html(
+    system: System, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0
+) -> None:
+    """Write a page of one file that opens from disk, without network: the system in space, to be
+    turned by mouse.
 
-    `q` (nq,) or dict: the configuration, by default as for `plot`. `path`: configurations (n, nq), or an answer that
-    has them as `.q`, played over and over in `seconds`. Sliders and targets need the live page: `System.show`. A
-    `UserWarning` names the meshes that are not drawn. Errors: `InputError` for shapes, an ending that is not .html, and
-    a folder that does not exist.
+    `q` (nq,) or dict: the configuration, by default as for `plot`. `path`: configurations (n, nq),
+    or an answer that has them as `.q`, played over and over in `seconds`. Sliders and targets need
+    the live page: `System.show`. A `UserWarning` names the meshes that are not drawn. Errors:
+    `InputError` for shapes, an ending that is not .html, and a folder that does not exist.
     """
     if said := write_page(system, file, q, path, seconds).lost_sentence:
         warn(said, UserWarning)
 
 
-def write_page(system: System, file: Any, q: Any = None, path: Any = None, seconds: float = 6.0) -> Drawn:
-    """Write a page as `save_html` does, and return what was drawn, which knows which meshes are not."""
+def write_page(
+    system: System, file: Any, q: Any = None, path: Any = None, seconds: float = 6.0
+) -> Drawn:
+    """Write a page as `save_html` does, and return what was drawn, which knows which meshes are
+    not.
+    """
     out = page_file(file)
     seconds = float(reals(seconds, "seconds"))
     if not 0.0 < seconds <= 600.0:
@@ -82,6 +91,8 @@ def _page(session: Session, drawn: Drawn, seconds: float) -> str:
         text = record.as_html()
     finally:
         quiet(server.stop)
-    note = NOTE.format(bottom=".7em" if motion is None else "4em", name=html.escape(session.system.name))
+    note = NOTE.format(
+        bottom=".7em" if motion is None else "4em", name=html.escape(session.system.name)
+    )
     head, end, rest = text.rpartition("</body>")
     return (head + note + end + rest).replace("<head>", f"<head>{META}", 1)

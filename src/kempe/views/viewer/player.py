@@ -38,7 +38,11 @@ class Player:
         page = self.page
         names = possible(page.session)
         with self.folder:
-            self.finds = page.buttons("find", {n: lambda n=n: page.find(n) for n in names}) if names else None
+            self.finds = (
+                page.buttons("find", {n: lambda n=n: page.find(n) for n in names})
+                if names
+                else None
+            )
         self.folder.visible = bool(names) or page.session.motion is not None
 
     def make_time(self) -> None:
@@ -51,9 +55,13 @@ class Player:
             self.time.remove()
         label, last = ("time [s]", motion.duration) if motion.timed else ("part", 1.0)
         with self.folder:
-            self.time = page.client.gui.add_slider(label, 0.0, last, last / 1000.0, 0.0, order=self.play.order - 0.5)
+            self.time = page.client.gui.add_slider(
+                label, 0.0, last, last / 1000.0, 0.0, order=self.play.order - 0.5
+            )
         scale = motion.duration / last
-        self.time.on_update(page.by_hand("time", lambda h=self.time: page.session.at(scale * h.value)))
+        self.time.on_update(
+            page.by_hand("time", lambda h=self.time: page.session.at(scale * h.value))
+        )
         self.folder.visible = self.play.visible = True
 
     async def _pressed(self, event: Any) -> None:

@@ -1,8 +1,10 @@
-"""What is drawn of a system, cut into parts that move as one: triangles with colours, each on the link that carries it.
+"""What is drawn of a system, cut into parts that move as one: triangles with colours, each on the
+link that carries it.
 
-The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link between the two is
-carried by that link, and rods by their two ends. What reaches from one half of a sliding joint to the other is carried
-by both, and is as long as the joint. So a new configuration is a few poses and lengths, and no drawing.
+The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link
+between the two is carried by that link, and rods by their two ends. What reaches from one half of a
+sliding joint to the other is carried by both, and is as long as the joint. So a new configuration
+is a few poses and lengths, and no drawing.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ OWN = ("cylinder", "neck", "rail", "rod", "line", "slot", "ground", "hatch")
 
 
 class DrawnPiece(NamedTuple):
-    """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha from 0 to 1."""
+    """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha
+    from 0 to 1.
+    """
 
     name: str
     corners: Array
@@ -61,11 +65,23 @@ class SolidRecord(Solids):
     pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
     by_depth: bool = False
 
-    def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
-        """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
+    def face(
+        self,
+        name: str,
+        corners: Array,
+        normal: Array,
+        colour: str,
+        alpha: float = 1.0,
+        edge: str = "",
+    ) -> None:
+        """Add a flat convex face with its outward normal, seen from both sides where it can be
+        looked through.
+        """
         (a, b, c) = (corners[1] - corners[0]).tolist()
         (d, e, f) = (corners[-1] - corners[0]).tolist()
-        turned = normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0  # of np.cross, which is slow
+        turned = (
+            normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0
+        )  # of np.cross, which is slow
         fan = _fan(len(corners))[:, :: -1 if turned else 1]
         both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
         self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))
@@ -93,13 +109,17 @@ class SheetRecord(planar.Sheet):
     def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
         """Add a polyline (n, 2)."""
         colour = _rgba(how.get("color", style.INK))
-        self._stroke(gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5))
+        self._stroke(
+            gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5)
+        )
 
     def _stroke(self, gid: str, points: Array, layer: float, colour: Any, width: float) -> None:
         a = points[:-1]
         b = points[1:]
         length = np.linalg.norm(b - a, axis=1, keepdims=True)
-        a, b, along = (x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300)))
+        a, b, along = (
+            x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300))
+        )
         if not len(a):
             return
         half = 0.5 * POINT * width * self.r
@@ -110,7 +130,9 @@ class SheetRecord(planar.Sheet):
         quads = (4 * np.arange(len(a))[:, None, None] + _fan(4)).reshape(-1, 3)
         self._add(gid, corners, quads, layer, colour)
 
-    def _add(self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any) -> None:
+    def _add(
+        self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any
+    ) -> None:
         above = np.full((len(corners), 1), THICK * self.r * layer)
         both = np.concatenate([triangles, triangles[:, ::-1]])
         self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
@@ -142,11 +164,12 @@ class RigidPart:
 
 
 class Slide(NamedTuple):
-    """A carrier between the frame A on a link and the origin of the frame B on another, which slides along z of A.
+    """A carrier between the frame A on a link and the origin of the frame B on another, which
+    slides along z of A.
 
-    `a` and `b` are numbers of bodies with poses (4, 4) on them, `links` the two links. With `part` None it reaches from
-    A to B and `beyond` [m] both, and its parts are 1 long; else it sits at this part of the way from A to B. It turns
-    with A.
+    `a` and `b` are numbers of bodies with poses (4, 4) on them, `links` the two links. With `part`
+    None it reaches from A to B and `beyond` [m] both, and its parts are 1 long; else it sits at
+    this part of the way from A to B. It turns with A.
     """
 
     name: str
@@ -157,7 +180,9 @@ class Slide(NamedTuple):
     beyond: float = 0.0
 
     def pose(self, every: Array) -> tuple[Array, Array]:
-        """Pose (..., 4, 4) and length (...) of the carrier, from the poses (..., n, 4, 4) of all bodies."""
+        """Pose (..., 4, 4) and length (...) of the carrier, from the poses (..., n, 4, 4) of all
+        bodies.
+        """
         A: Array = every[..., self.a[0], :, :] @ self.a[1]
         to: Array = (every[..., self.b[0], :, :] @ self.b[1])[..., :3, 3] - A[..., :3, 3]
         along: Array = np.sum(A[..., :3, 2] * to, axis=-1)
@@ -172,9 +197,10 @@ class Slide(NamedTuple):
 class RigidParts:
     """The parts of a system, and the poses that bring them to where a configuration puts them.
 
-    `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers are the links, the
-    ground first, then the rods, then the `slides`. They were drawn at `q` (nq,). `r` is the radius of a hinge [m]; what
-    is solid lies in a box of diagonal `size` [m] about `middle` (3,).
+    `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers
+    are the links, the ground first, then the rods, then the `slides`. They were drawn at `q` (nq,).
+    `r` is the radius of a hinge [m]; what is solid lies in a box of diagonal `size` [m] about
+    `middle` (3,).
     """
 
     def __init__(self, system: System, q: Array):
@@ -193,25 +219,37 @@ class RigidParts:
         self.size = size or scene.size
 
     def box(self, q: Array, points: Array) -> tuple[Array, float]:
-        """Middle (3,) and diagonal [m] of the box around what is solid at all of q (n, nq); without that of points."""
+        """Middle (3,) and diagonal [m] of the box around what is solid at all of q (n, nq); without
+        that of points.
+        """
         X = self._stretched(q)
-        solid = [p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
-                 for p in self.parts if p.colours[:, 3].min() == 1.0]  # fmt: skip
+        solid = [
+            p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
+            for p in self.parts
+            if p.colours[:, 3].min() == 1.0
+        ]
         points = np.concatenate([s.reshape(-1, 3) for s in solid]) if solid else points
         low = points.min(axis=0)
         high = points.max(axis=0)
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
     def places(self, q: Array) -> tuple[Array, Array]:
-        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq), and their lengths (..., carriers).
+        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq), and their
+        lengths (..., carriers).
 
-        The parts of a carrier are stretched along its z by its length, which is 1 of all but slides.
+        The parts of a carrier are stretched along its z by its length, which is 1 of all but
+        slides.
         """
         every = fk(self.system, q)
         poses = [every[..., self.heads, :, :]]
         if self.rods:
-            ends = np.stack([np.stack([(every[..., b, :, :] @ X)[..., :3, 3] for b, X in rod], axis=-2)
-                             for rod in self.rods], axis=-3)  # fmt: skip
+            ends = np.stack(
+                [
+                    np.stack([(every[..., b, :, :] @ X)[..., :3, 3] for b, X in rod], axis=-2)
+                    for rod in self.rods
+                ],
+                axis=-3,
+            )
             poses.append(_of_ends(ends))
         lengths = [np.ones(x.shape[:-2]) for x in poses]
         for slide in self.slides:
@@ -237,7 +275,9 @@ class RigidParts:
         return self.slides[k].links if k >= 0 else ()
 
     def _stretched(self, q: Array) -> Array:
-        """The affine maps (..., carriers, 4, 4) by which the parts of the carriers are brought to q (..., nq)."""
+        """The affine maps (..., carriers, 4, 4) by which the parts of the carriers are brought to q
+        (..., nq).
+        """
         X, lengths = self.places(q)
         X = X.copy()
         X[..., :3, 2] *= lengths[..., None]
@@ -247,7 +287,9 @@ class RigidParts:
         system = self.system
         q = scene.q
         rng = np.random.default_rng(0)
-        other = integrate(system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv))
+        other = integrate(
+            system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
+        )
         first = [p for p in self._record(scene) if not p.name.startswith("open:")]
         second: dict[str, list[DrawnPiece]] = {}
         for piece in self._record(look(system, other)):
@@ -261,14 +303,23 @@ class RigidParts:
             k = count.get(piece.name, 0)
             count[piece.name] = k + 1
             twins = second.get(piece.name, [])
-            twin = twins[k].corners if k < len(twins) and len(twins[k].corners) == len(piece.corners) else None
+            twin = (
+                twins[k].corners
+                if k < len(twins) and len(twins[k].corners) == len(piece.corners)
+                else None
+            )
             carrier = self._carrier(scene, piece, twin, Y @ X_inv)
             local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
-            held.setdefault((carrier, piece.colour[3] < 1.0), []).append(piece._replace(corners=local))
+            held.setdefault((carrier, piece.colour[3] < 1.0), []).append(
+                piece._replace(corners=local)
+            )
         for k, slide in enumerate(self.slides, len(self.heads) + len(self.rods)):
             held.setdefault((k, False), []).extend(_between(scene, slide, self.r, X[k, :3, :3]))
         held = {key: pieces for key, pieces in held.items() if pieces}
-        return [_joined(carrier, pieces) for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])]
+        return [
+            _joined(carrier, pieces)
+            for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])
+        ]
 
     def _record(self, scene: Scene) -> list[DrawnPiece]:
         lengths = [i for i, unit in enumerate(_is_length(self.system)) if unit]
@@ -289,21 +340,29 @@ class RigidParts:
         likely = _likely(scene, piece.name, len(self.heads))
         if twin is not None:
             for some in (likely, range(len(moved))):
-                there = piece.corners @ moved[some, :3, :3].swapaxes(-1, -2) + moved[some, None, :3, 3]
+                there = (
+                    piece.corners @ moved[some, :3, :3].swapaxes(-1, -2) + moved[some, None, :3, 3]
+                )
                 good = np.abs(there - twin).max(axis=(1, 2)) < NEAR * self.size
                 if good.any():
                     return some[int(np.argmax(good))]
         return likely[0] if piece.name.partition(":")[0] in OWN else likely[-1]
 
     def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
-        """The number of the carrier of a piece of what slides; None where it is that of a link, as all others."""
+        """The number of the carrier of a piece of what slides; None where it is that of a link, as
+        all others.
+        """
         what, _, of = piece.name.partition(":")
         name = of.partition(":")[0]
         first = len(self.heads) + len(self.rods)
         spans = {s.name: k for k, s in enumerate(self.slides, first) if s.part is None}
         seats = {s.name: k for k, s in enumerate(self.slides, first) if s.part is not None}
         if any(line[0] == name for line in scene.lines):
-            return seats[name] if what == "slot" or of.endswith(":point") or scene.system.dim == 3 else None
+            return (
+                seats[name]
+                if what == "slot" or of.endswith(":point") or scene.system.dim == 3
+                else None
+            )
         joint = next((j for j in scene.joints if j.name == name and j.kind in SLIDING), None)
         if joint is None:
             return None
@@ -326,7 +385,9 @@ class RigidParts:
 
 
 def _slides(scene: Scene, r: float) -> list[Slide]:
-    """What is drawn between the two halves of each joint that slides, and where a point is on its line."""
+    """What is drawn between the two halves of each joint that slides, and where a point is on its
+    line.
+    """
     system = scene.system
     out = list[Slide]()
     mechanism = system.mechanism
@@ -345,7 +406,15 @@ def _slides(scene: Scene, r: float) -> list[Slide]:
             out.append(Slide(seen.name, links, a, b, None, symbols.BEYOND * r))
         elif not np.isfinite(seen.limits).all():
             ground = 0 in links
-            out.append(Slide(seen.name, links, a, b, float(system.dim == 3 or seen.parent == 0) if ground else None))
+            out.append(
+                Slide(
+                    seen.name,
+                    links,
+                    a,
+                    b,
+                    float(system.dim == 3 or seen.parent == 0) if ground else None,
+                )
+            )
     for name, links, _, _ in scene.lines:
         c = mechanism.constraints[name]
         X_A, X_B = c.frames(mechanism.parameters, system.dim)
@@ -361,11 +430,14 @@ def _rail_link(scene: Scene, joint: SeenJoint) -> int:
 
 
 def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]:
-    """Bars of a planar drawing that reach as far as a joint without limits, or a point on a line, is.
+    """Bars of a planar drawing that reach as far as a joint without limits, or a point on a line,
+    is.
 
     In the frame of the slide, whose axes (3, 3) are those of R.
     """
-    if scene.system.dim == 3 or next((scene.telescopic(j, r) for j in scene.joints if j.name == slide.name), False):
+    if scene.system.dim == 3 or next(
+        (scene.telescopic(j, r) for j in scene.joints if j.name == slide.name), False
+    ):
         return []
     line = next((x for x in scene.lines if x[0] == slide.name), None)
     seen = next((j for j in scene.joints if j.name == slide.name), None)
@@ -386,7 +458,9 @@ def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]
         x = np.array([low, high, high, low])[:, None] * side + THICK * r * layer * up
         corners = x + np.repeat(z, 2)[:, None] * np.array([0.0, 0.0, 1.0])
         fan = _fan(4)
-        return DrawnPiece(f"rail:{slide.name}", corners, np.concatenate([fan, fan[:, ::-1]]), (*rgb(colour), 1.0))
+        return DrawnPiece(
+            f"rail:{slide.name}", corners, np.concatenate([fan, fan[:, ::-1]]), (*rgb(colour), 1.0)
+        )
 
     sides = [strip(s * half - edge, s * half + edge, layer + 0.5, dark) for s in (-1.0, 1.0)]
     return [strip(-half, half, layer, fill), *sides]
@@ -400,13 +474,29 @@ def _likely(scene: Scene, name: str, links: int) -> list[int]:
         if what == "rod" and rod[0] == of:
             return [links + k]
     for joint in scene.joints:
-        if joint.name == of and what not in ("link", "frame", "mark", "line", "slot", "ground", "hatch"):
+        if joint.name == of and what not in (
+            "link",
+            "frame",
+            "mark",
+            "line",
+            "slot",
+            "ground",
+            "hatch",
+        ):
             return [joint.parent, joint.child]
     for line in scene.lines:
         if line[0] == of and what in ("line", "slot"):
             return list(line[1])
-    found = [link.number for link in scene.links if (what == "link" and link.name == of) or of in link.frames]
-    found += [mark.link for mark in scene.marks if mark.name == of and what == "mark" and not name.endswith(":plane")]
+    found = [
+        link.number
+        for link in scene.links
+        if (what == "link" and link.name == of) or of in link.frames
+    ]
+    found += [
+        mark.link
+        for mark in scene.marks
+        if mark.name == of and what == "mark" and not name.endswith(":plane")
+    ]
     return found or [0]
 
 
@@ -418,7 +508,9 @@ def _end(system: System, rod: str, k: int) -> tuple[int, Array]:
 
 
 def _of_ends(ends: Array) -> Array:
-    """Poses (..., 4, 4) with their origins at the first of two ends (..., 2, 3) and z towards the second."""
+    """Poses (..., 4, 4) with their origins at the first of two ends (..., 2, 3) and z towards the
+    second.
+    """
     way = ends[..., 1, :] - ends[..., 0, :]
     length = np.linalg.norm(way, axis=-1, keepdims=True)
     X = np.broadcast_to(np.eye(4), (*way.shape[:-1], 4, 4)).copy()

@@ -1,4 +1,6 @@
-"""A system in a scene of viser: nodes for the links with what is drawn of them, ghosts, and one update for a frame."""
+"""A system in a scene of viser: nodes for the links with what is drawn of them, ghosts, and one
+update for a frame.
+"""
 
 from __future__ import annotations
 
@@ -36,11 +38,13 @@ ABOVE = 3.0
 PALE = (225, 228, 232)
 """Colour of the lines of the floor."""
 OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
-"""Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on one another."""
+"""Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on
+one another."""
 SOME = 48
 """Configurations of a motion by which a camera is placed."""
 ROOM = {2: 1.15, 3: 1.53}
-"""Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
+"""Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in
+space."""
 UPWARDS = np.array([0.0, 0.0, 1.0])
 ASIDE = np.array([0.6, -0.85, 0.4])
 """From where planar and spatial systems are looked at."""
@@ -60,7 +64,8 @@ class Shape(NamedTuple):
 
 
 class Drawn:
-    """A system with its shapes, made once for all pages. `lost` says which meshes could not be shown.
+    """A system with its shapes, made once for all pages. `lost` says which meshes could not be
+    shown.
 
     Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one.
     """
@@ -72,7 +77,9 @@ class Drawn:
         self.size = self.rigid.size
         if way is not None:
             some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
-            self.middle, self.size = self.rigid.box(np.concatenate([q[None], some]), self.middle[None])
+            self.middle, self.size = self.rigid.box(
+                np.concatenate([q[None], some]), self.middle[None]
+            )
         found, self.lost = meshes_of(system)
         self.shapes = tuple(self._shapes(found, q))
 
@@ -88,7 +95,9 @@ class Drawn:
                 placed.apply_transform(head @ X)
                 out.append(Shape(link.number, placed, 1.0))
                 covered.add(link.number)
-        bare = (p for p in self.rigid.parts if not covered.intersection(self.rigid.links(p.carrier)))
+        bare = (
+            p for p in self.rigid.parts if not covered.intersection(self.rigid.links(p.carrier))
+        )
         return out + [Shape(p.carrier, _mesh(p), float(p.colours[:, 3].min())) for p in bare]
 
     @property
@@ -106,7 +115,9 @@ class Drawn:
 
     @cached_property
     def seen(self) -> tuple[Scene, Array]:
-        """The scene that was drawn, and poses (carriers, 4, 4) of the ground seen from the carriers in it."""
+        """The scene that was drawn, and poses (carriers, 4, 4) of the ground seen from the carriers
+        in it.
+        """
         q = self.rigid.q
         return look(self.system, q), spatial.inverse(self.rigid.poses(q))
 
@@ -116,8 +127,9 @@ class Drawn:
         by: dict[int, list[Any]] = {}
         for shape in self.shapes:
             if shape.carrier and shape.opacity == 1.0:
-                by.setdefault(shape.carrier, []).append(trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces,
-                                                                        process=False))  # fmt: skip
+                by.setdefault(shape.carrier, []).append(
+                    trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces, process=False)
+                )
         return tuple((k, trimesh.util.concatenate(meshes)) for k, meshes in by.items())
 
     @property
@@ -128,7 +140,8 @@ class Drawn:
     def look_from(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
         """Place a camera, or the one that pages begin with.
 
-        `aspect` is the width of the picture by its height; of the latter the part `below` is covered.
+        `aspect` is the width of the picture by its height; of the latter the part `below` is
+        covered.
         """
         flat = self.system.dim == 2
         away, upright = (UPWARDS, np.array([0.0, 1.0, 0.0])) if flat else (ASIDE, UPWARDS)
@@ -137,7 +150,9 @@ class Drawn:
         high = ROOM[self.system.dim] * size / min(max(aspect, 0.1), 1.0 - below)
         far = 0.5 * high / np.tan(0.5 * opening)
         up = upright - away * float(upright @ away) / float(away @ away)
-        at = self.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
+        at = (
+            self.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
+        )
         camera.fov = opening
         camera.near = self.near
         camera.far = FAR * size
@@ -150,12 +165,18 @@ def _mesh(part: RigidPart) -> Any:
     corners = part.corners[part.triangles].reshape(-1, 3)
     triangles = np.arange(len(corners)).reshape(-1, 3)
     return trimesh.Trimesh(
-        corners, triangles, face_colors=_bytes(part.colours), vertex_normals=soft_normals(corners), process=False
+        corners,
+        triangles,
+        face_colors=_bytes(part.colours),
+        vertex_normals=soft_normals(corners),
+        process=False,
     )
 
 
 def soft_normals(corners: Array) -> Array:
-    """Unit normals (3 m, 3) at the corners (3 m, 3) of m triangles: means over those that meet there nearly flat."""
+    """Unit normals (3 m, 3) at the corners (3 m, 3) of m triangles: means over those that meet
+    there nearly flat.
+    """
     a, b, c = corners.reshape(-1, 3, 3).transpose(1, 0, 2)
     own = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     unit = own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-300)
@@ -202,7 +223,9 @@ class Nodes:
         self.stretched: dict[int, list[Any]] = {}
         quats, places = poses_as(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
-            self.frames[k] = scene.add_frame(f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k])
+            self.frames[k] = scene.add_frame(
+                f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k]
+            )
         for i, (shape, file) in enumerate(zip(drawn.shapes, drawn.files, strict=True)):
             name = f"/system/{shape.carrier}/{i}"
             scale = _along(self.lengths[shape.carrier])
@@ -210,16 +233,37 @@ class Nodes:
                 node = scene.add_glb(name, file, scale=scale)
             else:
                 colour = tuple(int(x) for x in shape.mesh.visual.face_colors[0][:3])
-                node = scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, color=colour, side="double",
-                                             scale=scale, opacity=shape.opacity, cast_shadow=False,
-                                             receive_shadow=False)  # fmt: skip
+                node = scene.add_mesh_simple(
+                    name,
+                    shape.mesh.vertices,
+                    shape.mesh.faces,
+                    color=colour,
+                    side="double",
+                    scale=scale,
+                    opacity=shape.opacity,
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
             self.stretched.setdefault(shape.carrier, []).append(node)
         if drawn.system.dim == 3:
             wide = 4.0 * drawn.rigid.size
-            low = min(0.0, float(drawn.rigid.middle[2] - 0.5 * drawn.rigid.size)) if drawn.rigid.size else 0.0
+            low = (
+                min(0.0, float(drawn.rigid.middle[2] - 0.5 * drawn.rigid.size))
+                if drawn.rigid.size
+                else 0.0
+            )
             cell = 10.0 ** np.floor(np.log10(max(drawn.rigid.size, 1e-9)))
-            scene.add_grid("/floor", wide, wide, cell_size=0.5 * cell, section_size=cell, position=(0.0, 0.0, low),
-                           shadow_opacity=0.12, cell_color=PALE, section_color=PALE)  # fmt: skip
+            scene.add_grid(
+                "/floor",
+                wide,
+                wide,
+                cell_size=0.5 * cell,
+                section_size=cell,
+                position=(0.0, 0.0, low),
+                shadow_opacity=0.12,
+                cell_color=PALE,
+                section_color=PALE,
+            )
 
     # ---- what is shown on request
 
@@ -232,13 +276,25 @@ class Nodes:
             return
         scene, X = self.drawn.seen
         at = [(joint.child, joint.centre, joint.name) for joint in scene.joints]
-        at += [(link.number, scene.points(link).mean(axis=0), link.name) for link in scene.links[1:]
-               if len(scene.points(link)) > 1]  # fmt: skip
-        at += [(link.number, Y[:3, 3], name) for link in scene.links for name, Y in link.frames.items()]
+        at += [
+            (link.number, scene.points(link).mean(axis=0), link.name)
+            for link in scene.links[1:]
+            if len(scene.points(link)) > 1
+        ]
+        at += [
+            (link.number, Y[:3, 3], name) for link in scene.links for name, Y in link.frames.items()
+        ]
         for k, (carrier, p, text) in enumerate(at):
             place = X[carrier, :3, :3] @ p + X[carrier, :3, 3]
-            self.labels.append(self.scene.add_label(f"/system/{carrier}/name/{k}", text, position=place,
-                                                    font_screen_scale=0.8, anchor="bottom-left"))  # fmt: skip
+            self.labels.append(
+                self.scene.add_label(
+                    f"/system/{carrier}/name/{k}",
+                    text,
+                    position=place,
+                    font_screen_scale=0.8,
+                    anchor="bottom-left",
+                )
+            )
 
     def mark(self, shown: bool) -> None:
         """Show the axes of all frames, or take them away."""
@@ -252,9 +308,16 @@ class Nodes:
         for link in scene.links:
             for k, Y in enumerate((link.bodies | link.frames).values()):
                 quat, place = poses_as(X[link.number] @ Y)
-                self.axes.append(self.scene.add_frame(
-                    f"/system/{link.number}/axes/{k}", axes_length=style.MARK * r, axes_radius=0.2 * r,
-                    origin_radius=0.3 * r, wxyz=quat, position=place))  # fmt: skip
+                self.axes.append(
+                    self.scene.add_frame(
+                        f"/system/{link.number}/axes/{k}",
+                        axes_length=style.MARK * r,
+                        axes_radius=0.2 * r,
+                        origin_radius=0.3 * r,
+                        wxyz=quat,
+                        position=place,
+                    )
+                )
 
     def lay(self, name: str, overlay: Overlay | None) -> None:
         """Show something laid over the system, in place of what had the same name."""
@@ -271,18 +334,39 @@ class Nodes:
         if len(overlay.lines):
             lines = overlay.lines.astype(np.float32) + above
             colour = _bytes(rgb(style.curve_colour(0)))
-            new.append(scene.add_line_segments(f"{at}/lines", lines, colour, thickness=2.5,
-                                               thickness_units="screen"))  # fmt: skip
+            new.append(
+                scene.add_line_segments(
+                    f"{at}/lines", lines, colour, thickness=2.5, thickness_units="screen"
+                )
+            )
         for k, (corners, triangles, colour) in enumerate(overlay.surfaces):
-            new.append(scene.add_mesh_simple(f"{at}/{k}", corners - above, triangles, color=_bytes(rgb(colour)),
-                                             opacity=SEEN, side="double", **still))  # fmt: skip
+            new.append(
+                scene.add_mesh_simple(
+                    f"{at}/{k}",
+                    corners - above,
+                    triangles,
+                    color=_bytes(rgb(colour)),
+                    opacity=SEEN,
+                    side="double",
+                    **still,
+                )
+            )
         if len(overlay.points):
             ball = trimesh.creation.icosphere(1, 0.5)
             none = np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
-            new.append(scene.add_batched_meshes_simple(
-                f"{at}/points", ball.vertices, ball.faces, none, overlay.points + above, lod="off",
-                batched_scales=overlay.sizes.astype(np.float32), batched_colors=_bytes(overlay.colours),
-                **still))  # fmt: skip
+            new.append(
+                scene.add_batched_meshes_simple(
+                    f"{at}/points",
+                    ball.vertices,
+                    ball.faces,
+                    none,
+                    overlay.points + above,
+                    lod="off",
+                    batched_scales=overlay.sizes.astype(np.float32),
+                    batched_colors=_bytes(overlay.colours),
+                    **still,
+                )
+            )
 
     # ---- configurations
 
@@ -302,7 +386,9 @@ class Nodes:
                 frame.position = places[k]
 
     def haunt(self, solutions: Array, clicked: Any = None) -> None:
-        """Show the other solutions (k, nq) as ghosts; `clicked` is called with the event of a click on one."""
+        """Show the other solutions (k, nq) as ghosts; `clicked` is called with the event of a click
+        on one.
+        """
         if not len(solutions) and not self.ghosts:
             return
         if not self.ghosts or len(self.ghosts[0][1].batched_positions) < len(solutions):
@@ -330,10 +416,18 @@ class Nodes:
         for k, mesh in self.drawn.outlines:
             colour = tuple(int(255 * x) for x in rgb(style.link_colour(k)))
             node = self.scene.add_batched_meshes_simple(
-                f"/ghosts/{k}", mesh.vertices, mesh.faces, np.tile([1.0, 0, 0, 0], (room, 1)), np.zeros((room, 3)),
-                batched_scales=np.zeros((room, 3), dtype=np.float32), batched_colors=colour, opacity=GHOST, lod="off",
-                cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+                f"/ghosts/{k}",
+                mesh.vertices,
+                mesh.faces,
+                np.tile([1.0, 0, 0, 0], (room, 1)),
+                np.zeros((room, 3)),
+                batched_scales=np.zeros((room, 3), dtype=np.float32),
+                batched_colors=colour,
+                opacity=GHOST,
+                lod="off",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
             if clicked is not None:
                 node.on_click(clicked)
             self.ghosts.append((k, node))

@@ -1,8 +1,10 @@
-"""The server of a page: viser's, for browsers that were given the page's address, and for no other page in them.
+"""The server of a page: viser's, for browsers that were given the page's address, and for no other
+page in them.
 
-A browser lets every page that it shows open a websocket to this machine. Each request must therefore name a token that
-only the page's address has, and a host that is this machine (DNS rebinding gives a foreign one); a websocket must come
-from a page of this server (its Origin). See RFC 6455, section 10.2, and "Cross-site WebSocket hijacking" of OWASP.
+A browser lets every page that it shows open a websocket to this machine. Each request must
+therefore name a token that only the page's address has, and a host that is this machine (DNS
+rebinding gives a foreign one); a websocket must come from a page of this server (its Origin). See
+RFC 6455, section 10.2, and "Cross-site WebSocket hijacking" of OWASP.
 """
 
 from __future__ import annotations
@@ -36,11 +38,12 @@ OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNOREC
 TOKEN_BYTES = 24
 """Random bytes of a token."""
 POLICY = (
-    "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; worker-src data: blob:; "
-    "style-src 'self' 'unsafe-inline'; font-src 'self' data: blob:; img-src 'self' data: blob:; "
-    "connect-src {connect}data: blob:; base-uri 'none'; form-action 'none'"
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; worker-src "
+    "data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data: blob:; img-src 'self' "
+    "data: blob:; connect-src {connect}data: blob:; base-uri 'none'; form-action 'none'"
 )
-"""What a page may load: what comes with it. A browser requests nothing else, whatever a name or a file says."""
+"""What a page may load: what comes with it. A browser requests nothing else, whatever a name or a
+file says."""
 
 Handler = Callable[[Any, Request], "Response | None"]
 
@@ -53,7 +56,9 @@ class Guard:
         self.active = False
 
     def around(self, serve: Callable[..., Any]) -> Callable[..., Any]:
-        """The function `serve` of websockets, with requests decided here before its own handler sees them."""
+        """The function `serve` of websockets, with requests decided here before its own handler
+        sees them.
+        """
 
         def guarded(handler: Any, *where: Any, process_request: Handler, **how: Any) -> Any:
             def decide(connection: Any, request: Request) -> Response | None:
@@ -65,15 +70,22 @@ class Guard:
         return guarded
 
     def answer(self, connection: Any, request: Request, further: Handler) -> Response | None:
-        """The answer to a request: a refusal, else that of `further`, which is None where a websocket opens."""
+        """The answer to a request: a refusal, else that of `further`, which is None where a
+        websocket opens.
+        """
         host = _single(request, "Host")
         if host is None or not OWN_HOST.fullmatch(host):
             return _refusal("the request names a host that is not this machine")
         token, _, rest = request.path.partition("?")[0].removeprefix("/").partition("/")
         if not hmac.compare_digest(token.encode(), self.token.encode()):
-            return _refusal("the address is incomplete: open the one that Kempe printed, which ends in a token")
+            return _refusal(
+                "the address is incomplete: open the one that Kempe printed, which ends in a token"
+            )
         found = further(connection, dataclasses.replace(request, path=f"/{rest}"))
-        if found is None and _single(request, "Origin") not in (f"http://{host}", f"https://{host}"):
+        if found is None and _single(request, "Origin") not in (
+            f"http://{host}",
+            f"https://{host}",
+        ):
             return _refusal("the websocket was opened by a page of another origin")
         if found is not None:
             connect = f"'self' ws://{host} wss://{host} "
@@ -84,7 +96,9 @@ class Guard:
 
 
 class PageServer(viser.ViserServer):
-    """A server of viser on this machine, at `url`, that answers only requests with the token of this address."""
+    """A server of viser on this machine, at `url`, that answers only requests with the token of
+    this address.
+    """
 
     def __init__(self, port: int, label: str | None = None):
         self.guard = guard = Guard()
@@ -94,7 +108,9 @@ class PageServer(viser.ViserServer):
 
             def _background_worker(self, ready_sem: Any) -> None:
                 theirs: Any = websockets
-                server = _with(theirs.asyncio.server, serve=guard.around(theirs.asyncio.server.serve))
+                server = _with(
+                    theirs.asyncio.server, serve=guard.around(theirs.asyncio.server.serve)
+                )
                 own = _with(theirs, asyncio=_with(theirs.asyncio, server=server))
                 _in_scope(infra.WebsockServer._background_worker, websockets=own)(self, ready_sem)
 
@@ -102,7 +118,9 @@ class PageServer(viser.ViserServer):
         quiet(lambda: begin(self, host=HOST, port=port, label=label, verbose=False))
         if not guard.active:  # another version of viser is built otherwise
             quiet(self.stop)
-            raise UnsupportedError(f"viser {viser.__version__} cannot be kept from foreign pages; install viser 1.1")
+            raise UnsupportedError(
+                f"viser {viser.__version__} cannot be kept from foreign pages; install viser 1.1"
+            )
 
     @property
     def url(self) -> str:
@@ -119,7 +137,9 @@ def quiet(action: Callable[[], Any]) -> Any:
 def _in_scope(function: Any, **names: Any) -> Callable[..., Any]:
     """A function of another package as it is, to which some global names mean something else."""
     scope = {**function.__globals__, **names}
-    made = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, function.__closure__)
+    made = FunctionType(
+        function.__code__, scope, function.__name__, function.__defaults__, function.__closure__
+    )
     made.__kwdefaults__ = function.__kwdefaults__
     return made
 
@@ -137,5 +157,7 @@ def _single(request: Request, name: str) -> str | None:
 
 def _refusal(why: str) -> Response:
     body = f"Refused: {why}.\n".encode()
-    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+    headers = Headers(
+        {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+    )
     return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)

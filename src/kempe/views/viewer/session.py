@@ -1,4 +1,6 @@
-"""What a page shows of a system and what its sliders, targets and buttons do: everything but the browser."""
+"""What a page shows of a system and what its sliders, targets and buttons do: everything but the
+browser.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ QUICK = Budget(starts=1)
 KINDS = {"solution": "solution", "mode": "assembly mode"}
 """What other configurations are called."""
 APART = 1e-4
-"""How far coordinates, or joints in parts of the drawing's size, are apart in different configurations."""
+"""How far coordinates, or joints in parts of the drawing's size, are apart in different
+configurations."""
 SINGULAR = 1e-3
 """Least rate of a frame, as a part of the largest, below which it counts as singular."""
 TRIES = 20
@@ -62,11 +65,12 @@ class Slider(NamedTuple):
 class Session:
     """A configuration `q` (nq,) of a system, and what is done with it.
 
-    `status` is the sentence about the last thing done. `frame` is the one that targets are for, `task` what of them
-    counts: "pose" or "position"; `target` (4, 4) is the last one that was not reached, else None. `solutions` (k, nq)
-    are other configurations, of the `kind` "solution" (the frame at the same place) or "mode" (the independent
-    coordinates as they are), the search for which `took` so many seconds. `motion` is what is played, `home` the
-    configuration at first. `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
+    `status` is the sentence about the last thing done. `frame` is the one that targets are for,
+    `task` what of them counts: "pose" or "position"; `target` (4, 4) is the last one that was not
+    reached, else None. `solutions` (k, nq) are other configurations, of the `kind` "solution" (the
+    frame at the same place) or "mode" (the independent coordinates as they are), the search for
+    which `took` so many seconds. `motion` is what is played, `home` the configuration at first.
+    `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
     """
 
     def __init__(self, system: System, q: Any = None, frame: Any = None, path: Any = None):
@@ -75,7 +79,9 @@ class Session:
         self.system = system
         self.lock = threading.RLock()
         self.motion = motion_from(system, path)
-        self.q = np.array(configuration_of(system, q, None if self.motion is None else self.motion.q))
+        self.q = np.array(
+            configuration_of(system, q, None if self.motion is None else self.motion.q)
+        )
         self.status = ""
         self.target = None
         self.revision = 0
@@ -85,7 +91,9 @@ class Session:
         self.took = 0.0
         self.progress: Callable[..., None] | None = None
         self._bare = not (has_loops(system) or system.mechanism.constraints)
-        self._closes = not self._bare and bool(evaluate(system, system.neutral, False, True)[0].size)
+        self._closes = not self._bare and bool(
+            evaluate(system, system.neutral, False, True)[0].size
+        )
         self._units = units(system)
         self.rng = np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
@@ -104,7 +112,9 @@ class Session:
         if self.chart is None:
             return ()
         values = self.chart.u(self.q)
-        return tuple(self._slider(n, float(x)) for n, x in zip(self.chart.useful, values, strict=False))
+        return tuple(
+            self._slider(n, float(x)) for n, x in zip(self.chart.useful, values, strict=False)
+        )
 
     def _slider(self, name: str, value: float) -> Slider:
         names = self.system.structure.velocity_names
@@ -133,7 +143,10 @@ class Session:
         """Set an independent coordinate; closed loops are led there in steps, and stay closed."""
         chart = self.chart
         if chart is None or name not in chart.useful:
-            raise InputError(f"{name!r} is no independent coordinate here: {', '.join(chart.useful if chart else ())}")
+            raise InputError(
+                f"{name!r} is no independent coordinate here: "
+                f"{', '.join(chart.useful if chart else ())}"
+            )
         self.target = None
         k = chart.useful.index(name)
         known = self.system.coordinate_names
@@ -144,7 +157,9 @@ class Session:
                 self._go(q, "")
                 return
         u = chart.u(self.q)[: len(chart.useful)]
-        wide = abs(value - u[k]) / (LEAD if self._units.get(name, "rad") == "rad" else LEAD * self.size)
+        wide = abs(value - u[k]) / (
+            LEAD if self._units.get(name, "rad") == "rad" else LEAD * self.size
+        )
         for x in np.linspace(float(u[k]), value, max(1, int(np.ceil(wide))) + 1)[1:]:
             u[k] = x
             answer = chart.q(u, self.q)
@@ -193,20 +208,32 @@ class Session:
         if self.chart is None:
             return "position"
         with self._said():
-            return "pose" if self.directions("pose") == (3 if self.system.dim == 2 else 6) else "position"
+            return (
+                "pose"
+                if self.directions("pose") == (3 if self.system.dim == 2 else 6)
+                else "position"
+            )
         return "position"
 
     def directions(self, task: str) -> int:
-        """In how many directions the frame can move, of those that a task counts: the most that were found."""
+        """In how many directions the frame can move, of those that a task counts: the most that
+        were found.
+        """
         if self.chart is None:
             return 0
         tries = () if self.chart.dependent else random(self.system, 0, 4)
         rows = self.system.dim if task == "position" else None
-        return max(int(np.linalg.matrix_rank(self._rates(q)[:rows], 1e-6)) for q in (self.q, *tries))
+        return max(
+            int(np.linalg.matrix_rank(self._rates(q)[:rows], 1e-6)) for q in (self.q, *tries)
+        )
 
     def spare(self) -> bool:
-        """Whether the system can move with the frame at rest, as far as the task counts, at most configurations."""
-        return self.chart is not None and len(self.chart.useful) > max(1, self.directions(self.task))
+        """Whether the system can move with the frame at rest, as far as the task counts, at most
+        configurations.
+        """
+        return self.chart is not None and len(self.chart.useful) > max(
+            1, self.directions(self.task)
+        )
 
     def _rates(self, q: Array) -> Array:
         """Rates (3 or 6, p) of the frame by the independent coordinates at q."""
@@ -227,9 +254,11 @@ class Session:
         return fk(self.system, self.q, self.frame)
 
     def reach(self, X: Array, quick: bool = True) -> bool:
-        """Bring the frame to a pose (4, 4) from here, or as near as can be, and say why; whether it is reached.
+        """Bring the frame to a pose (4, 4) from here, or as near as can be, and say why; whether it
+        is reached.
 
-        Loops stay closed and limits hold. `quick`: one search from here only, as while a target is dragged.
+        Loops stay closed and limits hold. `quick`: one search from here only, as while a target is
+        dragged.
         """
         from kempe.solvers.one_frame.inverse import ik
 
@@ -245,13 +274,17 @@ class Session:
         return False
 
     def solve(self, kind: str = "solution") -> int:
-        """Find the other configurations of a kind; their number, and a sentence about them where there is none."""
+        """Find the other configurations of a kind; their number, and a sentence about them where
+        there is none.
+        """
         self._after()
         self.kind = kind
         begun = time.perf_counter()
         with self._said():
             q = self._modes() if kind == "mode" else self._others()
-            self.solutions = self._apart(q.reshape(int(np.prod(q.shape[:-1])), self.system.nq))[:GHOSTS]
+            self.solutions = self._apart(q.reshape(int(np.prod(q.shape[:-1])), self.system.nq))[
+                :GHOSTS
+            ]
             n = len(self.solutions)
             where = "" if kind == "mode" else f" with {self.frame} here"
             if n:
@@ -288,7 +321,9 @@ class Session:
         return np.asarray(assembly_modes(self.system, known, self.q, budget=budget).q)
 
     def _apart(self, q: Array) -> Array:
-        """Those of configurations (k, nq) that differ from q; of loops those that look different from one another."""
+        """Those of configurations (k, nq) that differ from q; of loops those that look different
+        from one another.
+        """
         system = self.system
         q = q[np.isfinite(q).all(axis=1)]
         if not has_loops(system):
@@ -298,8 +333,13 @@ class Session:
         own = [links.points(link) for link in links.links]
         X = np.linalg.inv(fk(system, self.q)[heads])
         Y = fk(system, np.concatenate([self.q[None], q]))[:, heads]
-        at = np.concatenate([(p @ A[:3, :3].T + A[:3, 3]) @ B[..., :3, :3].swapaxes(-1, -2) + B[:, None, :3, 3]
-                             for p, A, B in zip(own, X, Y.swapaxes(0, 1), strict=True)], axis=1)  # fmt: skip
+        at = np.concatenate(
+            [
+                (p @ A[:3, :3].T + A[:3, 3]) @ B[..., :3, :3].swapaxes(-1, -2) + B[:, None, :3, 3]
+                for p, A, B in zip(own, X, Y.swapaxes(0, 1), strict=True)
+            ],
+            axis=1,
+        )
         seen = [0]
         for k in range(1, len(at)):
             if np.abs(at[seen] - at[k]).max(axis=(1, 2)).min() > APART * self.size:
@@ -309,14 +349,20 @@ class Session:
     def choose(self, k: int) -> None:
         """Go to one of the other configurations; the one that was left takes its place among them."""
         if not 0 <= k < len(self.solutions):
-            raise InputError(f"{k} is none of {counted(len(self.solutions), f'other {KINDS[self.kind]}')}")
+            raise InputError(
+                f"{k} is none of {counted(len(self.solutions), f'other {KINDS[self.kind]}')}"
+            )
         solutions = np.array(self.solutions)
         solutions[k], self.q = self.q, np.array(solutions[k])
         self.target = None
         if self.kind == "mode" or (self.chart is not None and not self.chart.valid(self.q)):
             self._choose()
         self.solutions = solutions
-        same = "the independent coordinates as they were" if self.kind == "mode" else f"{self.frame} where it was"
+        same = (
+            "the independent coordinates as they were"
+            if self.kind == "mode"
+            else f"{self.frame} where it was"
+        )
         self.status = f"another of the {len(solutions) + 1} {KINDS[self.kind]}s found with {same}"
 
     def next(self, kind: str = "solution") -> None:
@@ -362,7 +408,9 @@ class Session:
     def put(self, q: Any) -> None:
         """Go to a configuration (nq,), as it is."""
         if (q := as_q(self.system, q)).shape != (self.system.nq,):
-            raise InputError(f"q has shape {q.shape}; one configuration ({self.system.nq},) is shown")
+            raise InputError(
+                f"q has shape {q.shape}; one configuration ({self.system.nq},) is shown"
+            )
         self._go(q, "")
 
     def _go(self, q: Array, said: str) -> None:
@@ -393,8 +441,14 @@ class Session:
     # ---- what is said
 
     def residual(self) -> float:
-        """The largest error of what the system holds, lengths in parts of a characteristic one, angles in radians."""
-        return 0.0 if self._bare else float(np.abs(evaluate(self.system, self.q, False, True)[0]).max(initial=0.0))
+        """The largest error of what the system holds, lengths in parts of a characteristic one,
+        angles in radians.
+        """
+        return (
+            0.0
+            if self._bare
+            else float(np.abs(evaluate(self.system, self.q, False, True)[0]).max(initial=0.0))
+        )
 
     def singular(self) -> str:
         """How far the independent coordinates are from not moving the others, in a sentence."""
@@ -405,9 +459,17 @@ class Session:
             size = np.linalg.svd(rows, compute_uv=False)
             least = size[min(len(rows), rows.shape[1]) - 1] / max(size[0], 1e-300)
             return f"{self.frame} is singular here" if least < SINGULAR else ""
-        with contextlib.suppress(InputError):  # where loops are open, which `said` tells by the residual
+        with contextlib.suppress(
+            InputError
+        ):  # where loops are open, which `said` tells by the residual
             quality = self.chart.condition(self.q)
-            word = "singular" if quality < 1e-6 else "near a singularity" if quality < 0.05 else "regular"
+            word = (
+                "singular"
+                if quality < 1e-6
+                else "near a singularity"
+                if quality < 0.05
+                else "regular"
+            )
             return f"{word} (conditioning {quality:.2g})"
         return ""
 
@@ -421,13 +483,17 @@ class Session:
         return ""
 
     def said(self) -> str:
-        """The live sentences: residual, singularity, and what the last thing done led to, in paragraphs."""
+        """The live sentences: residual, singularity, and what the last thing done led to, in
+        paragraphs.
+        """
         closed = f"closed to {self.residual():.1e}" if self._closes else ""
         return "\n\n".join(line for line in (closed, self.singular(), self.status) if line)
 
 
 def _by_use(system: System) -> tuple[str, ...]:
-    """Names of the frames and bodies, those first that are dragged most often: the last frame on what moves."""
+    """Names of the frames and bodies, those first that are dragged most often: the last frame on
+    what moves.
+    """
     number = links_of(system)
     own = [(number[f.body] > 0, True, name) for name, f in system.structure.frames.items()]
     bodies = [(number[name] > 0, False, name) for name in system.body_names[1:]]

@@ -1,1 +1,3 @@
-"""The configuration space of a system: its shape and dimension, samples, components, ways through it."""
+"""The configuration space of a system: its shape and dimension, samples, components, ways through
+it.
+"""

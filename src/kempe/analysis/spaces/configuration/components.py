@@ -1,4 +1,6 @@
-"""Connected components of the configuration space: by theorem, by proven sweeps, or by tracing what is found."""
+"""Connected components of the configuration space: by theorem, by proven sweeps, or by tracing what
+is found.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +39,12 @@ if TYPE_CHECKING:
 
 STARTS = 256
 VALUES = 24
-"""Random assemblies from which curves are traced, and values of each coordinate at which assembly modes are."""
+"""Random assemblies from which curves are traced, and values of each coordinate at which assembly
+modes are."""
 NEAR = 0.3
 SAME = 1e-5
-"""Distance from a node of a curve from which it is looked closer at, and that below which a point is on it."""
+"""Distance from a node of a curve from which it is looked closer at, and that below which a point
+is on it."""
 NONE_INSIDE = "no configuration within limits and one-sided constraints was found"
 NOTHING = 1e-9
 """Part of a period that is rounding."""
@@ -49,7 +53,8 @@ USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class Component(InWords):
-    """A component with one freedom (idle spins left out): the curves that it consists of, joined at bifurcations.
+    """A component with one freedom (idle spins left out): the curves that it consists of, joined at
+    bifurcations.
 
     One without a freedom is a path of one configuration.
     """
@@ -65,7 +70,9 @@ class Component(InWords):
 
     @property
     def alone(self) -> bool:
-        """Whether it was traced wholly, as one curve without singular points: so nothing else is joined to it."""
+        """Whether it was traced wholly, as one curve without singular points: so nothing else is
+        joined to it.
+        """
         first = self.paths[0]
         smooth = not any("not smooth" in end for end in first.ends)
         return first.success and len(self.paths) == 1 and smooth and not first.singular_points
@@ -79,18 +86,27 @@ class Component(InWords):
     def ranges(self) -> dict[str, tuple[float, float]]:
         """The least and largest value of each coordinate on it."""
         q = np.concatenate([p.track.q for p in self.paths])
-        return dict(zip(self.paths[0].system.coordinate_names, zip(q.min(0).tolist(), q.max(0).tolist(), strict=True),
-                        strict=True))  # fmt: skip
+        return dict(
+            zip(
+                self.paths[0].system.coordinate_names,
+                zip(q.min(0).tolist(), q.max(0).tolist(), strict=True),
+                strict=True,
+            )
+        )
 
     @property
     def singular_points(self) -> tuple[Event, ...]:
         """Where curves meet, or the rank drops otherwise, each once."""
         system = self.paths[0].system
         events = [e for p in self.paths for e in p.singular_points]
-        return tuple(events[k] for k in _first(system, np.array([e.q for e in events]).reshape(-1, system.nq)))
+        return tuple(
+            events[k]
+            for k in _first(system, np.array([e.q for e in events]).reshape(-1, system.nq))
+        )
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
-        """For configurations (k, nq) the curve (k,) that is nearest, the arc length (k,) there, and the distance (k,).
+        """For configurations (k, nq) the curve (k,) that is nearest, the arc length (k,) there, and
+        the distance (k,).
 
         The distance is infinite where no curve is near.
         """
@@ -117,20 +133,28 @@ class Component(InWords):
         if first.closed and _wound(first):
             kind = "endless curve that repeats with a period"
         turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
-        text = f"{kind} of length {first.length:.6g}" if len(self.paths) == 1 else \
-            f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"  # fmt: skip
+        text = (
+            f"{kind} of length {first.length:.6g}"
+            if len(self.paths) == 1
+            else f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"
+        )
         text += f", {', '.join(turns)}" if turns and len(self.paths) == 1 else ""
         points = len(self.singular_points)
         return text + (f", {counted(points, 'singular point')}" if points else "")
 
 
 def _wound(path: Path) -> dict[int, int]:
-    """How many whole turns a curve goes on by until it repeats, by the place in q of angles of which turns count."""
+    """How many whole turns a curve goes on by until it repeats, by the place in q of angles of
+    which turns count.
+    """
     layout = path.system.structure.layout
     names = path.system.structure.velocity_names
     place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
-    return {place[int(v)]: path.turns[names[v]] for v in np.flatnonzero(winding_angles(path.system))
-            if path.turns.get(names[v])}  # fmt: skip
+    return {
+        place[int(v)]: path.turns[names[v]]
+        for v in np.flatnonzero(winding_angles(path.system))
+        if path.turns.get(names[v])
+    }
 
 
 def _at_first(path: Path, q: Array) -> Array:
@@ -147,7 +171,9 @@ def _at_first(path: Path, q: Array) -> Array:
 
 
 def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
-    """Arc lengths (k,) of the points of a path nearest to configurations (k, nq), and their distances (k,)."""
+    """Arc lengths (k,) of the points of a path nearest to configurations (k, nq), and their
+    distances (k,).
+    """
     manifold = Manifold(path.system, 1)
     track = path.track
     q = _at_first(path, q)
@@ -164,13 +190,21 @@ def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
     for _ in range(12) if len(near) and len(nodes) > 1 else ():
         way = np.where(useful, manifold.between(path.at(s[near]), q[near]), 0.0)
         far[near] = np.linalg.norm(way, axis=1)
-        k = np.clip(np.searchsorted(track.s, np.mod(s[near], path.length or 1.0), side="right") - 1, 0, len(nodes) - 2)
+        k = np.clip(
+            np.searchsorted(track.s, np.mod(s[near], path.length or 1.0), side="right") - 1,
+            0,
+            len(nodes) - 2,
+        )
         u = ((np.mod(s[near], path.length) - track.s[k]) / (track.s[k + 1] - track.s[k]))[:, None]
         along = (1.0 - u) * t[k] + u * t[k + 1]
         size = np.maximum(np.sum(along**2, axis=1), 1e-12)
-        s[near] = np.clip(s[near] + np.sum(along * way, axis=1) / size, *((-np.inf, np.inf) if path.closed
-                                                                          else (0.0, path.length)))  # fmt: skip
-    return np.mod(s, path.length) if path.closed and path.length else s, np.where(far < NEAR, far, np.inf)
+        s[near] = np.clip(
+            s[near] + np.sum(along * way, axis=1) / size,
+            *((-np.inf, np.inf) if path.closed else (0.0, path.length)),
+        )
+    return np.mod(s, path.length) if path.closed and path.length else s, np.where(
+        far < NEAR, far, np.inf
+    )
 
 
 def _first(system: System, q: Array) -> list[int]:
@@ -188,9 +222,10 @@ def _first(system: System, q: Array) -> list[int]:
 class Components(Report):
     """The connected components of a configuration space.
 
-    `count` is their number, a lower bound unless `complete`, and `reason` says why it is the one or the other. `parts`
-    are those with one freedom, as curves; `singular` (k, nq) are the singular points that are known. `dimension` is the
-    number of freedoms, of which `idle` spins do not count.
+    `count` is their number, a lower bound unless `complete`, and `reason` says why it is the one or
+    the other. `parts` are those with one freedom, as curves; `singular` (k, nq) are the singular
+    points that are known. `dimension` is the number of freedoms, of which `idle` spins do not
+    count.
     """
 
     __repr__ = brief
@@ -208,12 +243,16 @@ class Components(Report):
 
     @cached_property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `PARTLY` where the count is a lower bound, `NONE_EXISTS` where it is proven to be 0."""
+        """The outcome: `PARTLY` where the count is a lower bound, `NONE_EXISTS` where it is proven
+        to be 0.
+        """
         if self.complete:
             return Status.SOLVED if self.count else Status.NONE_EXISTS
         if self.interrupted:
             return Status.INTERRUPTED
-        return Status.OUT_OF_TIME if self.late else Status.PARTLY if self.count else Status.NOT_FOUND
+        return (
+            Status.OUT_OF_TIME if self.late else Status.PARTLY if self.count else Status.NOT_FOUND
+        )
 
     @property
     def status(self) -> str:
@@ -226,17 +265,32 @@ class Components(Report):
 
     def _notes(self) -> list[str]:
         lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]
-        return lines + ([f"{counted(len(self.singular), 'singular point')} of the space"] if len(self.singular) else [])
+        return lines + (
+            [f"{counted(len(self.singular), 'singular point')} of the space"]
+            if len(self.singular)
+            else []
+        )
 
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
     def _data(self) -> dict[str, Any]:
         names = self.system.coordinate_names
-        parts = [{"dimension": p.dimension, "length": p.length, "curves": len(p.paths),
-                  "closed": all(x.closed for x in p.paths), "ranges": p.ranges} for p in self.parts]  # fmt: skip
+        parts = [
+            {
+                "dimension": p.dimension,
+                "length": p.length,
+                "curves": len(p.paths),
+                "closed": all(x.closed for x in p.paths),
+                "ranges": p.ranges,
+            }
+            for p in self.parts
+        ]
         singular = [dict(zip(names, q.tolist(), strict=True)) for q in self.singular]
-        own = {n: getattr(self, n) for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")}
+        own = {
+            n: getattr(self, n)
+            for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")
+        }
         return {"system": self.system.name} | own | {"parts": parts, "singular": singular}
 
 
@@ -244,30 +298,39 @@ class Components(Report):
 @interruptible
 @time_limited(USUAL)
 def components(system: System, *, budget: Budget | None = None) -> Components:
-    """The connected components of the configuration space, with the proof, or as a lower bound with the reason.
+    """The connected components of the configuration space, with the proof, or as a lower bound with
+    the reason.
 
-    A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars says. Systems with
-    one freedom, idle spins and joints outside loops left out, are swept over one coordinate with proven bounds where
-    their equations can be solved one after another: planar dyads, and spatial loops of four joints (see `curves`),
-    within limits, too. Their curves are traced from there; other systems with one freedom from random assemblies and,
-    where these have a closed form, from the assembly modes at 24 values of each coordinate. Curves that meet at
-    bifurcations are one component, and limits cut curves. Without a proof a curve may be missed, or a place where two
-    meet: then curves without singular points count, and all others as one. Systems with several freedoms have at least
-    one. Of the `budget` are read: starts (256), rng (0), time_limit (120 s).
+    A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars
+    says. Systems with one freedom, idle spins and joints outside loops left out, are swept over one
+    coordinate with proven bounds where their equations can be solved one after another: planar
+    dyads, and spatial loops of four joints (see `curves`), within limits, too. Their curves are
+    traced from there; other systems with one freedom from random assemblies and, where these have a
+    closed form, from the assembly modes at 24 values of each coordinate. Curves that meet at
+    bifurcations are one component, and limits cut curves. Without a proof a curve may be missed, or
+    a place where two meet: then curves without singular points count, and all others as one.
+    Systems with several freedoms have at least one. Of the `budget` are read: starts (256), rng
+    (0), time_limit (120 s).
     """
     spend = USUAL.of(budget)
     time = time_of(USUAL, budget)
     try:
         return _counted(system, spend, time)
     except TimeUp as error:
-        return Components(system, 0, False, f"none is known: {time.reason(error)} came first", None, late=True)
+        return Components(
+            system, 0, False, f"none is known: {time.reason(error)} came first", None, late=True
+        )
 
 
 def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
     """The components, as `components` counts them."""
     if not has_loops(system):
         divided = bool(one_sided_rows(system).declared)
-        why = "one-sided constraints may divide it" if divided else "a product of circles, intervals and rotations"
+        why = (
+            "one-sided constraints may divide it"
+            if divided
+            else "a product of circles, intervals and rotations"
+        )
         if divided and not _inside(system, mid(system), spend):
             return Components(system, 0, False, NONE_INSIDE, None)
         return Components(system, 1, not divided, why, system.nv)
@@ -283,33 +346,64 @@ def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
     polygon = polygon_of(system)
     singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
     if freedoms.useful != 1:
-        why = f"no theorem is known here for {counted(freedoms.dof or 0, 'freedom')}; one configuration is known"
+        why = (
+            f"no theorem is known here for {counted(freedoms.dof or 0, 'freedom')}; one "
+            "configuration is known"
+        )
         least = sweep.count if sweep else 1
         if known is None and sweep is None and not _inside(system, freedoms.q, spend):
             return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle, late=late)
         count, why = known or (least, sweep.reason if sweep and least > 1 else why)
-        return Components(system, count, known is not None, why, freedoms.dof, freedoms.idle, (), singular, late)
+        return Components(
+            system, count, known is not None, why, freedoms.dof, freedoms.idle, (), singular, late
+        )
     found = _traced(system, freedoms, sweep, spend, time, known[0] if known else None)
-    points = [e.q for part in found.parts for e in part.singular_points] + [*(sweep.crossings if sweep else ())]
+    points = [e.q for part in found.parts for e in part.singular_points] + [
+        *(sweep.crossings if sweep else ())
+    ]
     singular = np.array(points).reshape(-1, system.nq)
     singular = singular[_first(system, singular)]
-    count, why = _lower_bound(system, found, sweep) if known is None else (known[0], known[1] + found.said(known[0]))
-    return Components(system, count, known is not None, why, freedoms.dof, freedoms.idle, found.parts, singular,
-                      late or found.late, found.interrupted)  # fmt: skip
+    count, why = (
+        _lower_bound(system, found, sweep)
+        if known is None
+        else (known[0], known[1] + found.said(known[0]))
+    )
+    return Components(
+        system,
+        count,
+        known is not None,
+        why,
+        freedoms.dof,
+        freedoms.idle,
+        found.parts,
+        singular,
+        late or found.late,
+        found.interrupted,
+    )
 
 
 def _inside(system: System, home: Array, spend: Budget) -> bool:
-    """Whether a configuration within limits and one-sided constraints is known: `home`, or one that starts lead to."""
+    """Whether a configuration within limits and one-sided constraints is known: `home`, or one that
+    starts lead to.
+    """
     manifold = Manifold(system, 1)
     if manifold.inside(home[None]).any():
         return True
-    found = assemble(system, None, random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)))
+    found = assemble(
+        system,
+        None,
+        random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)),
+    )
     ok = np.asarray(found.success, dtype=bool)
     return bool(ok.any() and manifold.inside(found.q[ok]).any())
 
 
-def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:
-    """The number and its proof, if there is one; the sweep over a coordinate; and whether the time was up."""
+def _proven(
+    system: System, time: TimeLimit
+) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:
+    """The number and its proof, if there is one; the sweep over a coordinate; and whether the time
+    was up.
+    """
     polygon = polygon_of(system)
     known = None if isinstance(polygon, str) else (polygon.count, polygon.reason)
     try:
@@ -325,7 +419,9 @@ def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, Cu
 
 @dataclass(frozen=True)
 class Traced:
-    """Curves that were traced, `several` freedoms found at starts, and whether the time limit or Ctrl-C ended it."""
+    """Curves that were traced, `several` freedoms found at starts, and whether the time limit or
+    Ctrl-C ended it.
+    """
 
     parts: tuple[Component, ...]
     several: frozenset[int]
@@ -334,7 +430,11 @@ class Traced:
 
     def said(self, known: int | None) -> str:
         """What is to be said of them beside a number."""
-        text = "" if known in (None, len(self.parts)) else f"; {counted(len(self.parts), 'curve')} traced"
+        text = (
+            ""
+            if known in (None, len(self.parts))
+            else f"; {counted(len(self.parts), 'curve')} traced"
+        )
         dims = " or ".join(map(str, sorted(self.several)))
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
 
@@ -354,14 +454,25 @@ def _lower_bound(system: System, found: Traced, sweep: CurveSweep | None) -> tup
 
 
 def _traced(
-    system: System, freedoms: Mobility, sweep: CurveSweep | None, spend: Budget, time: TimeLimit, enough: int | None
-) -> Traced:  # fmt: skip
-    """All components to which starts lead: those of the sweep first, then random ones unless that was complete."""
+    system: System,
+    freedoms: Mobility,
+    sweep: CurveSweep | None,
+    spend: Budget,
+    time: TimeLimit,
+    enough: int | None,
+) -> Traced:
+    """All components to which starts lead: those of the sweep first, then random ones unless that
+    was complete.
+    """
     if time.spent:  # the number is proven, and no curves are looked for
         return Traced((), frozenset(), True)
     home = freedoms.q
     still = moved_by_spins(system, home)
-    own = np.empty((0, system.nq)) if sweep is None else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
+    own = (
+        np.empty((0, system.nq))
+        if sweep is None
+        else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
+    )
     whole = sweep is not None and sweep.complete and len(own) == sweep.count
     q = own if whole else np.concatenate([home[None], own, _starts(system, home, spend)])
     q, several = _of_one_freedom(system, q, freedoms.dof or 1)
@@ -371,7 +482,9 @@ def _traced(
         left = time.left
         if left is not None and left <= 0.0:
             return Traced(tuple(parts), several, True)
-        path = until_interrupt(trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left))
+        path = until_interrupt(
+            trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left)
+        )
         late |= path.late
         part = Component((path, *path.others), still)
         if part.dimension or (path.success and not mobility(system, q[0]).dof):
@@ -384,8 +497,9 @@ def _traced(
 
 
 def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
-    """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as anywhere, and the true
-    numbers of others."""  # fmt: skip
+    """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as
+    anywhere, and the true numbers of others.
+    """
     s = svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
     left = system.nv - (s > RANK_TOLERANCE * s.max(axis=1, initial=1.0, keepdims=True)).sum(axis=1)
     most = max(dof, int(left.min(initial=system.nv)))
@@ -394,7 +508,9 @@ def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozense
 
 
 def _starts(system: System, home: Array, spend: Budget) -> Array:
-    """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes of a closed form."""
+    """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes
+    of a closed form.
+    """
     rng = np.random.default_rng(spend.rng)
     manifold = Manifold(system, 1)
     found = [home[None]]
@@ -406,7 +522,9 @@ def _starts(system: System, home: Array, spend: Budget) -> Array:
             low = q[:, k].min(initial=0.0)
             high = q[:, k].max(initial=0.0)
             low, high = (
-                (-np.pi, np.pi) if manifold.circle[list(system.structure.layout.vector_q).index(k)] else (low, high)
+                (-np.pi, np.pi)
+                if manifold.circle[list(system.structure.layout.vector_q).index(k)]
+                else (low, high)
             )
             for x in low + (np.arange(VALUES) + rng.random()) / VALUES * (high - low):
                 found.append(assembly_modes(system, {name: x}).q)

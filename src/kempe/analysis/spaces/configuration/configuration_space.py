@@ -1,4 +1,6 @@
-"""The configuration space of a system: the product space of its joints, and what loops and relations leave of it."""
+"""The configuration space of a system: the product space of its joints, and what loops and
+relations leave of it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate, mid, winding_angles
+from kempe.kinematics.configuration import (
+    difference,
+    distance,
+    has_loops,
+    integrate,
+    interpolate,
+    mid,
+    winding_angles,
+)
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -27,7 +37,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProductSpace(InWords):
-    """The space that the coordinates of all joints span: a circle T for each turn, a line R for each slide, ..."""
+    """The space that the coordinates of all joints span: a circle T for each turn, a line R for
+    each slide, ...
+    """
 
     shape: str
     dimension: int
@@ -40,11 +52,12 @@ class ProductSpace(InWords):
 class ConfigurationSpace(Report):
     """The set of the configurations that a system can have.
 
-    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide, SO(3) for each
-    quaternion. A turn without limits is a line, too, where a constraint tells whole turns apart: 1 - q1 - q2 >= 0. Of
-    a tree it is the configuration space. With loop closures or relations (`constraints` rows of them) the configuration
-    space is a subset, of a smaller `dimension`. `limited` coordinates are confined to an interval of their factor.
-    Sizes of arrays are `System.nq` and `System.nv`.
+    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide,
+    SO(3) for each quaternion. A turn without limits is a line, too, where a constraint tells whole
+    turns apart: 1 - q1 - q2 >= 0. Of a tree it is the configuration space. With loop closures or
+    relations (`constraints` rows of them) the configuration space is a subset, of a smaller
+    `dimension`. `limited` coordinates are confined to an interval of their factor. Sizes of arrays
+    are `System.nq` and `System.nv`.
     """
 
     system: System
@@ -76,27 +89,39 @@ class ConfigurationSpace(Report):
     # ---- all of it
 
     def sample(
-        self, n: float, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
-    ) -> Sample:  # fmt: skip
-        """Random configurations (n, nq), uniform in a stated measure; see `spaces.configuration.sampling.sample`."""
+        self,
+        n: float,
+        rng: np.random.Generator | int | None = None,
+        *,
+        budget: Budget | None = None,
+    ) -> Sample:
+        """Random configurations (n, nq), uniform in a stated measure; see
+        `spaces.configuration.sampling.sample`.
+        """
         from kempe.analysis.spaces.configuration.sampling import sample
 
         return sample(self.system, n, rng, budget=budget)
 
     def components(self, *, budget: Budget | None = None) -> Components:
-        """Its connected components, or a lower bound of their number; see `spaces.configuration.components`."""
+        """Its connected components, or a lower bound of their number; see
+        `spaces.configuration.components`.
+        """
         from kempe.analysis.spaces.configuration.components import components
 
         return components(self.system, budget=budget)
 
     def path(self, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
-        """A continuous motion between two configurations; see `spaces.configuration.connection.path`."""
+        """A continuous motion between two configurations; see
+        `spaces.configuration.connection.path`.
+        """
         from kempe.analysis.spaces.configuration.connection import path
 
         return path(self.system, q0, q1, budget=budget)
 
     def parametrizations(self, q: Any = None) -> Parametrizations:
-        """Pairs (r, R) with constraints, and generalized positions; see `spaces.configuration.parametrizations`."""
+        """Pairs (r, R) with constraints, and generalized positions; see
+        `spaces.configuration.parametrizations`.
+        """
         from kempe.analysis.spaces.configuration.parametrizations import parametrizations
 
         return parametrizations(self.system, q)
@@ -105,7 +130,9 @@ class ConfigurationSpace(Report):
 
     @property
     def ambient_dimension(self) -> int:
-        """Dimension nv of the space of all coordinates, in which constraints cut out the configuration space."""
+        """Dimension nv of the space of all coordinates, in which constraints cut out the
+        configuration space.
+        """
         return self.ambient.dimension
 
     @property
@@ -121,7 +148,9 @@ class ConfigurationSpace(Report):
 
     @property
     def dimension(self) -> int | None:
-        """Its dimension at the configuration `at`: the true degrees of freedom; None where nothing is known of them."""
+        """Its dimension at the configuration `at`: the true degrees of freedom; None where nothing
+        is known of them.
+        """
         return self._mobility.dof if has_loops(self.system) else self.ambient.dimension
 
     @property
@@ -131,7 +160,8 @@ class ConfigurationSpace(Report):
 
     @property
     def at(self) -> Array:
-        """The closed configuration (nq,) of which the dimension is found; of a tree it is the same anywhere.
+        """The closed configuration (nq,) of which the dimension is found; of a tree it is the same
+        anywhere.
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
@@ -140,10 +170,15 @@ class ConfigurationSpace(Report):
     @property
     def within(self) -> str:  # type: ignore[override]
         """What it is a subset of, without its own dimension, which takes an analysis."""
-        text = str(self.ambient) + (f", {self.limited} of them within limits" if self.limited else "")
+        text = str(self.ambient) + (
+            f", {self.limited} of them within limits" if self.limited else ""
+        )
         if not self.constraints:
             return text
-        return f"the subset of {text}, that satisfies {counted(self.constraints, 'constraint equation')}"
+        return (
+            f"the subset of {text}, that satisfies "
+            f"{counted(self.constraints, 'constraint equation')}"
+        )
 
     @property
     def code(self) -> Status:  # type: ignore[override]
@@ -153,7 +188,11 @@ class ConfigurationSpace(Report):
     def _data(self) -> dict[str, Any]:
         names = ("shape", "dimension", "certain", "ambient_dimension", "limited", "constraints")
         at = dict(zip(self.system.coordinate_names, self.at.tolist(), strict=True))
-        return {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"at": at}
+        return (
+            {"system": self.system.name}
+            | {name: getattr(self, name) for name in names}
+            | {"at": at}
+        )
 
     @property
     def status(self) -> str:
@@ -167,7 +206,9 @@ class ConfigurationSpace(Report):
 
 def configuration_space(system: System) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found on demand."""
-    turning = (system.structure.coordinates.turning & ~winding_angles(system))[system.structure.layout.vector_v]
+    turning = (system.structure.coordinates.turning & ~winding_angles(system))[
+        system.structure.layout.vector_v
+    ]
     turns = int(turning.sum())
     slides = int((~turning).sum())
     balls = len(system.structure.layout.quaternion_q)
@@ -183,4 +224,6 @@ def configuration_space(system: System) -> ConfigurationSpace:
         particle = system.mechanism.bodies[joint.child].particle
         # q holds the joint's own coordinates too: all freedoms of the child are tied to it
         rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)
-    return ConfigurationSpace(system, ProductSpace(" x ".join(parts) or "a point", system.nv), limited, rows)
+    return ConfigurationSpace(
+        system, ProductSpace(" x ".join(parts) or "a point", system.nv), limited, rows
+    )

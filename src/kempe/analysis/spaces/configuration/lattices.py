@@ -1,7 +1,9 @@
-"""Closed configurations at which two functions have the values of a lattice, found from node to node.
+"""Closed configurations at which two functions have the values of a lattice, found from node to
+node.
 
-Each configuration that is found at a node leads by Newton's method to those of its neighbours, from many random ones
-on. What is found is closed and has the values of its node; that nothing else exists is evidence, not proof.
+Each configuration that is found at a node leads by Newton's method to those of its neighbours, from
+many random ones on. What is found is closed and has the values of its node; that nothing else
+exists is evidence, not proof.
 """
 
 from __future__ import annotations
@@ -21,9 +23,11 @@ from kempe.status import Status
 MOST = 64
 """Configurations of one node, at most."""
 SAME = 1e-4
-"""Difference, in radians and characteristic lengths, up to which configurations of one node are one."""
+"""Difference, in radians and characteristic lengths, up to which configurations of one node are
+one."""
 NEAR = 3.0
-"""How far configurations of neighbours may be apart, in parts of a turn along the lattice, to be of one sheet."""
+"""How far configurations of neighbours may be apart, in parts of a turn along the lattice, to be of
+one sheet."""
 DAMPING = 1e-13
 """What is added to normal equations, as a part of their trace."""
 TRIES = 10
@@ -36,11 +40,14 @@ AT_ONCE = 1 << 14
 """Configurations that are solved for at once."""
 
 Missing = Callable[[Array, np.ndarray], tuple[Array, Array]]
-"""What two functions miss (k, m) at configurations (k, nq), at nodes of numbers (k,), and derivatives (k, m, nv)."""
+"""What two functions miss (k, m) at configurations (k, nq), at nodes of numbers (k,), and
+derivatives (k, m, nv)."""
 
 
 class Lattice(NamedTuple):
-    """Configurations `q` (n, k, nq) of the nodes, which there are (`mask` (n, k)), and what broke the search off."""
+    """Configurations `q` (n, k, nq) of the nodes, which there are (`mask` (n, k)), and what broke
+    the search off.
+    """
 
     q: Array
     mask: np.ndarray
@@ -48,7 +55,8 @@ class Lattice(NamedTuple):
 
 
 class NodeSolver:
-    """Closed configurations at which two functions have given values, which are isolated but for idle spins.
+    """Closed configurations at which two functions have given values, which are isolated but for
+    idle spins.
 
     What spins idly is left as it is, and configurations that differ by that only are one.
     """
@@ -58,8 +66,12 @@ class NodeSolver:
         self.counts = not_spun(manifold.system)
         self.spins = not self.counts.all()
 
-    def solved(self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES) -> tuple[Array, np.ndarray]:
-        """Where Newton's method leads from q (k, nq), and whether (k,) nothing is `missing` there at the node (k,)."""
+    def solved(
+        self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES
+    ) -> tuple[Array, np.ndarray]:
+        """Where Newton's method leads from q (k, nq), and whether (k,) nothing is `missing` there
+        at the node (k,).
+        """
         M = self.manifold
 
         def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
@@ -67,9 +79,13 @@ class NodeSolver:
             (f, j) = missing(x, node[at])
             still = spin_rates(M.system, x) if self.spins else J[:, :0]
             zero = np.zeros(still.shape[:2])
-            return np.concatenate([F, f, zero], axis=1), np.concatenate([J, j, still * M.scale], axis=1)
+            return np.concatenate([F, f, zero], axis=1), np.concatenate(
+                [J, j, still * M.scale], axis=1
+            )
 
-        x = gauss_newton_of_many(equations, q, tries, step=_step, met=1e-3 * CLOSED, longest=LONGEST, move=M.move)
+        x = gauss_newton_of_many(
+            equations, q, tries, step=_step, met=1e-3 * CLOSED, longest=LONGEST, move=M.move
+        )
         sound = np.isfinite(x).all(axis=1)
         x[~sound] = q[~sound]
         size = np.abs(equations(x, np.arange(len(x)))[0]).max(axis=1, initial=0.0)
@@ -93,7 +109,9 @@ class NodeSolver:
 
 
 def _step(r: Array, J: Array) -> Array:
-    """Gauss-Newton steps (k, n), damped so little that only those of singular equations are other ones."""
+    """Gauss-Newton steps (k, n), damped so little that only those of singular equations are other
+    ones.
+    """
     Jt = np.swapaxes(J, -1, -2)
     G = Jt @ J
     n = G.shape[-1]
@@ -102,10 +120,16 @@ def _step(r: Array, J: Array) -> Array:
 
 
 def flooded(
-    solver: NodeSolver, missing: Missing, shape: tuple[int, int], q: Array, node: np.ndarray, clock: TimeLimit,
+    solver: NodeSolver,
+    missing: Missing,
+    shape: tuple[int, int],
+    q: Array,
+    node: np.ndarray,
+    clock: TimeLimit,
     progress: Callable[[int, int], Any] | None = None,
-) -> Lattice:  # fmt: skip
-    """The configurations of a lattice of `shape` that are found from q (k, nq) near the nodes of numbers (k,).
+) -> Lattice:
+    """The configurations of a lattice of `shape` that are found from q (k, nq) near the nodes of
+    numbers (k,).
 
     `progress` is called with the number of nodes that have some, and that of all.
     """
@@ -123,7 +147,8 @@ def flooded(
                 x, ok = solver.solved(missing, q[i : i + AT_ONCE], node[i : i + AT_ONCE], tries)
                 found = _added(solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new)
             at, slot = (
-                np.concatenate([x[k] for x in new]).astype(int) if new else np.zeros(0, dtype=int) for k in (0, 1)
+                np.concatenate([x[k] for x in new]).astype(int) if new else np.zeros(0, dtype=int)
+                for k in (0, 1)
             )
             if progress is not None:
                 progress(int((count > 0).sum()), len(count))
@@ -141,10 +166,16 @@ def flooded(
 
 
 def _added(
-    solver: NodeSolver, found: Array, count: np.ndarray, q: Array, node: np.ndarray,
+    solver: NodeSolver,
+    found: Array,
+    count: np.ndarray,
+    q: Array,
+    node: np.ndarray,
     new: list[tuple[np.ndarray, np.ndarray]],
-) -> Array:  # fmt: skip
-    """Put those of configurations (k, nq) that their nodes (k,) lack into `found`; which these are goes to `new`."""
+) -> Array:
+    """Put those of configurations (k, nq) that their nodes (k,) lack into `found`; which these are
+    goes to `new`.
+    """
     order = np.argsort(node, kind="stable")
     q = q[order]
     node = node[order]
@@ -168,10 +199,17 @@ def _added(
 
 
 def _to_neighbours(
-    solver: NodeSolver, shape: tuple[int, int], found: Array, count: np.ndarray, node: np.ndarray, slot: np.ndarray,
+    solver: NodeSolver,
+    shape: tuple[int, int],
+    found: Array,
+    count: np.ndarray,
+    node: np.ndarray,
+    slot: np.ndarray,
     near: float,
-) -> tuple[Array, np.ndarray]:  # fmt: skip
-    """Configurations, each as a start for those neighbours of its node that have fewer, or none so `near` to it."""
+) -> tuple[Array, np.ndarray]:
+    """Configurations, each as a start for those neighbours of its node that have fewer, or none so
+    `near` to it.
+    """
     i, j = np.divmod(node, shape[1])
     starts = [found[:0, 0]]
     nodes = [node[:0]]
@@ -182,15 +220,22 @@ def _to_neighbours(
         fewer = count[node[ok]]
         lacks = count[to] < fewer
         if near:
-            lacks |= ~np.any([(k < count[to]) & (solver.apart(q, found[to, k]) < near)
-                              for k in range(int(count[to].max(initial=1)))], axis=0)  # fmt: skip
+            lacks |= ~np.any(
+                [
+                    (k < count[to]) & (solver.apart(q, found[to, k]) < near)
+                    for k in range(int(count[to].max(initial=1)))
+                ],
+                axis=0,
+            )
         starts.append(q[lacks])
         nodes.append(to[lacks])
     return np.concatenate(starts), np.concatenate(nodes)
 
 
 def in_order(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Configurations (n, k, nq) along a line, and which (n, k) there are, so ordered that each follows its like."""
+    """Configurations (n, k, nq) along a line, and which (n, k) there are, so ordered that each
+    follows its like.
+    """
     q = q.copy()
     mask = mask.copy()
     like: Array = q[0].copy()
@@ -219,14 +264,20 @@ def _matched(far: Array) -> np.ndarray:
 
 
 def nodes_around(x: Array, y: Array, p: Array) -> np.ndarray:
-    """Numbers (k, 4) of the corners of the cells of a lattice x (m,), y (n,) in which places p (k, 2) are."""
-    i, j = (np.clip(((p[:, k] - side[0]) // (side[1] - side[0])).astype(int), 0, len(side) - 2)
-            for k, side in enumerate((x, y)))  # fmt: skip
+    """Numbers (k, 4) of the corners of the cells of a lattice x (m,), y (n,) in which places p (k,
+    2) are.
+    """
+    i, j = (
+        np.clip(((p[:, k] - side[0]) // (side[1] - side[0])).astype(int), 0, len(side) - 2)
+        for k, side in enumerate((x, y))
+    )
     return np.stack([(i + a) * len(y) + j + b for a in (0, 1) for b in (0, 1)], axis=1)
 
 
 def nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
     """Numbers (k,) of the nodes of a lattice x (m,), y (n,) that are nearest to places p (k, 2)."""
-    i, j = (np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
-            for k, side in enumerate((x, y)))  # fmt: skip
+    i, j = (
+        np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
+        for k, side in enumerate((x, y))
+    )
     return i * len(y) + j

@@ -1,7 +1,9 @@
-"""Closed configurations as a manifold in the space of all coordinates: tangents, normals, and the way back onto it.
+"""Closed configurations as a manifold in the space of all coordinates: tangents, normals, and the
+way back onto it.
 
-Lengths count in characteristic lengths, angles in radians: the coordinates of all joints with this measure are the
-space around, and volumes on the manifold are those that it induces there (of rotations: Haar's measure).
+Lengths count in characteristic lengths, angles in radians: the coordinates of all joints with this
+measure are the space around, and volumes on the manifold are those that it induces there (of
+rotations: Haar's measure).
 """
 
 from __future__ import annotations
@@ -23,22 +25,27 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 CLOSED = 1e-9
-"""Norm of the closure equations, in radians and characteristic lengths, up to which a configuration is closed."""
+"""Norm of the closure equations, in radians and characteristic lengths, up to which a configuration
+is closed."""
 REGULAR = 1e-6
-"""Singular value, as a part of the largest, below which a constraint counts as dependent on others."""
+"""Singular value, as a part of the largest, below which a constraint counts as dependent on
+others."""
 TRIES = 30
 STEEP = 0.5
-"""Steps of a search for the manifold, and the longest: that of starts many lengths away is not bounded."""
+"""Steps of a search for the manifold, and the longest: that of starts many lengths away is not
+bounded."""
 NEWTON = 8
 EXACT = 1e-11
 LONGEST = 10.0
 NEARER = 0.7
-"""Steps of Newton's method, the norm of the equations at which it ends, that from which it does not begin, and the part
-of it that is left after a step, at most."""
+"""Steps of Newton's method, the norm of the equations at which it ends, that from which it does not
+begin, and the part of it that is left after a step, at most."""
 
 
 class Frames(NamedTuple):
-    """Orthonormal bases of tangents (k, nv, p) and normals (k, nv, nv - p), and whether (k,) the point is regular."""
+    """Orthonormal bases of tangents (k, nv, p) and normals (k, nv, nv - p), and whether (k,) the
+    point is regular.
+    """
 
     tangent: Array
     normal: Array
@@ -66,7 +73,9 @@ class Manifold:
         return self.layout.integrate(q, y * self.scale)
 
     def between(self, q: Array, to: Array) -> Array:
-        """The shortest way (k, nv) from q (k, nq) to other configurations; what is not limited turns the short way."""
+        """The shortest way (k, nv) from q (k, nq) to other configurations; what is not limited
+        turns the short way.
+        """
         return by_short_turns(self.layout.difference(q, to), self.circle) / self.scale
 
     def apart(self, q: Array, to: Array) -> Array:
@@ -78,12 +87,18 @@ class Manifold:
         return np.asarray((self.one_sided.beyond(q) <= 0.0).all(axis=-1))
 
     def closed(self, q: Array, longest: float = STEEP) -> tuple[Array, np.ndarray]:
-        """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,) they are closed."""
-        out = gauss_newton_of_many(lambda x, _: self.equations(x), q, TRIES, longest=longest, move=self.move)
+        """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,)
+        they are closed.
+        """
+        out = gauss_newton_of_many(
+            lambda x, _: self.equations(x), q, TRIES, longest=longest, move=self.move
+        )
         return out, self._met(out)
 
     def drawn(self, rng: np.random.Generator, count: int) -> Array:
-        """Closed configurations (k, nq), those to which so many random ones lead; limits are not looked at."""
+        """Closed configurations (k, nq), those to which so many random ones lead; limits are not
+        looked at.
+        """
         starts = random(self.system, rng, count)
         q, ok = self.closed(starts)
         if not ok.any():
@@ -101,7 +116,9 @@ class Manifold:
             Q, R = np.linalg.qr(np.swapaxes(J, -1, -2), mode="complete")
             size = np.abs(np.einsum("kii->ki", R[:, :rank]))
             return Frames(
-                Q[..., rank:], Q[..., :rank], size.min(axis=1) > REGULAR * np.maximum(size.max(axis=1), 1e-300)
+                Q[..., rank:],
+                Q[..., :rank],
+                size.min(axis=1) > REGULAR * np.maximum(size.max(axis=1), 1e-300),
             )
         _, s, Vt = svd(J, full_matrices=True)
         least = REGULAR * np.maximum(s[:, 0], 1e-300)
@@ -112,9 +129,11 @@ class Manifold:
         return Frames(V[..., rank:], V[..., :rank], regular)
 
     def lifted(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
-        """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals; whether (k,).
+        """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals;
+        whether (k,).
 
-        By Newton's method from no normals at all, which is given up where it does not come much nearer at each step.
+        By Newton's method from no normals at all, which is given up where it does not come much
+        nearer at each step.
         """
         step = np.array(y)
         found = np.zeros(len(q), dtype=bool)
@@ -138,7 +157,8 @@ class Manifold:
     def _met(self, q: Array) -> np.ndarray:
         out = np.asarray(np.isfinite(q).all(axis=-1))
         size = np.linalg.norm(
-            closure_rows.evaluate(self.system, np.where(out[:, None], q, 0.0), False, True)[0], axis=-1
+            closure_rows.evaluate(self.system, np.where(out[:, None], q, 0.0), False, True)[0],
+            axis=-1,
         )
         return out & (size < CLOSED)
 

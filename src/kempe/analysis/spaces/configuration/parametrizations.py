@@ -1,4 +1,6 @@
-"""Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized positions without any."""
+"""Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized
+positions without any.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,11 @@ SHOWN = 12
 
 
 class Parametrization(NamedTuple):
-    """A way to say where all bodies are: how many numbers, how many constraints on them, of which `rank`.
+    """A way to say where all bodies are: how many numbers, how many constraints on them, of which
+    `rank`.
 
-    `rank` is None where the loops cannot be closed. `dof` is what is left of the numbers, to first order.
+    `rank` is None where the loops cannot be closed. `dof` is what is left of the numbers, to first
+    order.
     """
 
     what: str
@@ -47,8 +51,9 @@ class Parametrization(NamedTuple):
 class Parametrizations(Report):
     """Ways to parametrize the configuration space of a system, as one table; ``print`` it.
 
-    `rows` are the pairs (r, R) of all bodies; with loops the coordinates of all joints; the generalized positions,
-    as many as freedoms. Constraints of velocity and one-sided ones take no dimension, and are not counted.
+    `rows` are the pairs (r, R) of all bodies; with loops the coordinates of all joints; the
+    generalized positions, as many as freedoms. Constraints of velocity and one-sided ones take no
+    dimension, and are not counted.
     """
 
     system: System = field(repr=False)
@@ -66,7 +71,9 @@ class Parametrizations(Report):
         return self.rows[0].constraints
 
     def pairs(self, q: Any) -> tuple[Array, Array]:
-        """Positions r (..., n_b, 3) and orientations R (..., n_b, 3, 3) of all bodies at q (..., nq)."""
+        """Positions r (..., n_b, 3) and orientations R (..., n_b, 3, 3) of all bodies at q (...,
+        nq).
+        """
         X = to_maximal(self.system, q)
         return X[..., :3, 3].copy(), X[..., :3, :3].copy()
 
@@ -79,19 +86,33 @@ class Parametrizations(Report):
     def status(self) -> str:
         """The lecture's sentence: n_b pairs with m_c constraints, or n generalized positions."""
         known = self.why or f"n = {counted(self.n or 0, 'generalized position')}"
-        pairs = f"n_b = {counted(self.n_b, 'pair')} (r, R) with m_c = {counted(self.m_c, 'constraint')}"
+        pairs = (
+            f"n_b = {counted(self.n_b, 'pair')} (r, R) with m_c = {counted(self.m_c, 'constraint')}"
+        )
         return f"{self.system.name}: {pairs}, or {known}"
 
     def _cells(self) -> Cells:
-        rows = [(r.what, *("?" if x is None else str(x) for x in (r.numbers, r.constraints, r.rank, r.dof)),
-                 listed(r.names, SHOWN)) for r in self.rows]  # fmt: skip
+        rows = [
+            (
+                r.what,
+                *("?" if x is None else str(x) for x in (r.numbers, r.constraints, r.rank, r.dof)),
+                listed(r.names, SHOWN),
+            )
+            for r in self.rows
+        ]
         return ("parameters", "numbers", "constraints", "rank", "left", "names"), rows
 
     def _lines(self) -> list[str]:
         heads, rows = self._cells()
         widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads) - 1)]
-        padded = [[row[0].ljust(widths[0]), *(x.rjust(w) for x, w in zip(row[1:-1], widths[1:], strict=True)), row[-1]]
-                  for row in (heads, *rows)]  # fmt: skip
+        padded = [
+            [
+                row[0].ljust(widths[0]),
+                *(x.rjust(w) for x, w in zip(row[1:-1], widths[1:], strict=True)),
+                row[-1],
+            ]
+            for row in (heads, *rows)
+        ]
         return ["  ".join(row) for row in padded]
 
     def _data(self) -> dict[str, Any]:
@@ -102,7 +123,8 @@ class Parametrizations(Report):
 
 @explained
 def parametrizations(system: System, q: Any = None) -> Parametrizations:
-    """How many numbers say where all bodies are, in pairs with constraints and in generalized positions.
+    """How many numbers say where all bodies are, in pairs with constraints and in generalized
+    positions.
 
     `q` (nq,): where the rank is taken, default as in `mobility`. Errors: as `mobility`.
     """
@@ -113,7 +135,11 @@ def parametrizations(system: System, q: Any = None) -> Parametrizations:
     rows = [Parametrization("pairs (r, R)", count.free, count.taken, rank, bodies)]
     if has_loops(system) and m.rank is not None:
         names = system.structure.velocity_names
-        rows.append(Parametrization("all joints", system.nv, count.taken - count.free + system.nv, m.rank.rank, names))
+        rows.append(
+            Parametrization(
+                "all joints", system.nv, count.taken - count.free + system.nv, m.rank.rank, names
+            )
+        )
     why = "" if m.closed else "no generalized positions: the loops cannot be closed here"
     if m.closed and m.dof is None:
         why = "generalized positions, whose true number is not known"

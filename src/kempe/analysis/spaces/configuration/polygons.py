@@ -1,10 +1,11 @@
 """Planar loops of bars, whose components are known by theorem.
 
-The configurations of a closed planar chain of n bars, one of them held, are disconnected if and only if there
-are three long bars, any two of which are longer together than half of all; then there are two components, mirror images
-of one another, and two long bars are never parallel: the side to which the second turns from the first tells them
-apart. Source: Kapovich, Millson, "On the moduli space of polygons in the Euclidean plane", J. Differential Geom. 42
-(1995), theorem 1. With four bars it is Grashof's rule (1883).
+The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
+only if there are three long bars, any two of which are longer together than half of all; then there
+are two components, mirror images of one another, and two long bars are never parallel: the side to
+which the second turns from the first tells them apart. Source: Kapovich, Millson, "On the moduli
+space of polygons in the Euclidean plane", J. Differential Geom. 42 (1995), theorem 1. With four
+bars it is Grashof's rule (1883).
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ MOST_BARS = 14
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
-    """A planar loop of bars: `bodies` (n) in their order, `joints` (n), each with the next bar, lengths (n,) [m]."""
+    """A planar loop of bars: `bodies` (n) in their order, `joints` (n), each with the next bar,
+    lengths (n,) [m].
+    """
 
     system: System
     bodies: tuple[str, ...]
@@ -62,7 +65,9 @@ class Polygon:
         total = float(self.lengths.sum())
         longest = self.lengths[order]
         if self.count == 0:
-            return f"{self.bodies[order[0]]!r}, {longest[0]:.6g} m, is longer than all others together"
+            return (
+                f"{self.bodies[order[0]]!r}, {longest[0]:.6g} m, is longer than all others together"
+            )
         names = ", ".join(repr(self.bodies[k]) for k in order[:3])
         said = "three long bars" if self.count == 2 else "no three long bars"
         sign = ">" if self.count == 2 else "<="
@@ -70,25 +75,37 @@ class Polygon:
         more = max(longest[1] + longest[2], longest[0]) - 0.5 * total
         taken = self.count == 1 and more > 8.0 * np.finfo(float).eps * total
         equal = f"; sums that differ by {more:.1g} m are taken to be equal" if taken else ""
-        return f"{said} (the longest are {names}; {sums}, half of all: Kapovich and Millson, 1995{equal})"
+        return (
+            f"{said} (the longest are {names}; {sums}, half of all: Kapovich and Millson, "
+            f"1995{equal})"
+        )
 
     def side(self, q: Array) -> np.ndarray:
-        """Which of two components (k,) configurations (k, nq) are on: 1 or -1; 0 where there is only one."""
+        """Which of two components (k,) configurations (k, nq) are on: 1 or -1; 0 where there is
+        only one.
+        """
         if self.count < 2:
             return np.zeros(len(q), dtype=int)
         i, j = map(int, np.sort(np.argsort(-self.lengths, kind="stable")[:2]))
-        a, b = (np.einsum("kij,j->ki", fk(self.system, q, self.bodies[k])[:, :2, :2], self.vectors[k]) for k in (i, j))
+        a, b = (
+            np.einsum("kij,j->ki", fk(self.system, q, self.bodies[k])[:, :2, :2], self.vectors[k])
+            for k in (i, j)
+        )
         return np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).astype(int)
 
     def aligned(self) -> Array:
-        """Configurations (k, nq) with all bars on one line: the singular points of the configuration space."""
+        """Configurations (k, nq) with all bars on one line: the singular points of the
+        configuration space.
+        """
         n = len(self.bodies)
         lengths = self.lengths
         if n > MOST_BARS:
             return np.empty((0, self.system.nq))
         signs = np.array([s for s in product((1.0, -1.0), repeat=n) if s[0] > 0.0])
         signs = signs[np.abs(signs @ lengths) <= EQUAL * lengths.sum()]
-        return np.array([self._at(np.where(s > 0.0, 0.0, np.pi)) for s in signs]).reshape(-1, self.system.nq)
+        return np.array([self._at(np.where(s > 0.0, 0.0, np.pi)) for s in signs]).reshape(
+            -1, self.system.nq
+        )
 
     def _at(self, directions: Array) -> Array:
         """The configuration (nq,) with bars in these directions (n,) from that of the one at rest."""
@@ -135,7 +152,11 @@ def polygon_of(system: System) -> Polygon | str:
 def _turns(system: System, joint: Joint) -> bool:
     """Whether it is one turn without limits."""
     primitives = primitives_of(system, joint)
-    if len(primitives) != 1 or primitives[0].kind != R or joint.name not in system.structure.velocity_names:
+    if (
+        len(primitives) != 1
+        or primitives[0].kind != R
+        or joint.name not in system.structure.velocity_names
+    ):
         return False
     i = system.structure.velocity_names.index(joint.name)
     return not (np.isfinite(system.lower[i]) or np.isfinite(system.upper[i]))

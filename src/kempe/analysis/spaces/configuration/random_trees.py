@@ -1,7 +1,9 @@
-"""Two random trees that grow towards one another on the closed configurations, and the way where they meet.
+"""Two random trees that grow towards one another on the closed configurations, and the way where
+they meet.
 
-Sources: Kuffner, LaValle, "RRT-Connect", ICRA 2000; Berenson, Srinivasa, Ferguson, Kuffner, "Manipulation planning on
-constraint manifolds", ICRA 2009: each step towards a sample is led back onto the manifold.
+Sources: Kuffner, LaValle, "RRT-Connect", ICRA 2000; Berenson, Srinivasa, Ferguson, Kuffner,
+"Manipulation planning on constraint manifolds", ICRA 2009: each step towards a sample is led back
+onto the manifold.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ class Tree:
         return int(np.argmin(self.manifold.apart(self.q, np.broadcast_to(q, self.q.shape))))
 
     def grow(self, aim: Array, step: float, time: TimeLimit) -> int:
-        """The number of the configuration from which no step leads nearer to the aim (nq,), added step by step."""
+        """The number of the configuration from which no step leads nearer to the aim (nq,), added
+        step by step.
+        """
         at = self.nearest(aim)
         for q in stepped(self.manifold, self.q[at][None], aim[None], step, time)[0]:
             self.q, at = np.concatenate([self.q, q[None]]), self._add(at)
@@ -64,8 +68,9 @@ class Tree:
 
 def stepped(
     manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Any = np.inf
-) -> list[list[Array]]:  # fmt: skip
-    """Configurations on the manifold, within limits, by which one comes from each q (k, nq) towards its aim (k, nq).
+) -> list[list[Array]]:
+    """Configurations on the manifold, within limits, by which one comes from each q (k, nq) towards
+    its aim (k, nq).
 
     It ends where more than `most` steps would be needed, even straight.
     """
@@ -84,10 +89,16 @@ def stepped(
             T = manifold.frames(before[far]).tangent
             way[far] = np.einsum("kip,kp->ki", T, np.einsum("kip,ki->kp", T, way[far]))
         size = np.linalg.norm(way, axis=1)
-        x, ok = manifold.closed(manifold.move(before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None]))
+        x, ok = manifold.closed(
+            manifold.move(before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None])
+        )
         gone = manifold.apart(before, x)
         rest = manifold.apart(x, aim)
-        ok &= manifold.inside(x) & (gone <= BENT * step) & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
+        ok &= (
+            manifold.inside(x)
+            & (gone <= BENT * step)
+            & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
+        )
         ok &= ~far | (size >= FEWEST * step)
         on = on[ok]
         x = x[ok]
@@ -102,9 +113,17 @@ def stepped(
 
 
 def joined(
-    manifold: Manifold, a: Array, b: Array, step: float, rng: np.random.Generator, most: int, time: TimeLimit
-) -> tuple[Array | None, int]:  # fmt: skip
-    """A way (n, nq) from a to b on the manifold, or None, and how many configurations the trees have."""
+    manifold: Manifold,
+    a: Array,
+    b: Array,
+    step: float,
+    rng: np.random.Generator,
+    most: int,
+    time: TimeLimit,
+) -> tuple[Array | None, int]:
+    """A way (n, nq) from a to b on the manifold, or None, and how many configurations the trees
+    have.
+    """
     coarse = 2.0 * step
     trees = [Tree(manifold, a), Tree(manifold, b)]
     for k in range(most):
@@ -129,8 +148,10 @@ def joined(
 
 def _shortened(
     manifold: Manifold, way: list[Array], step: float, rng: np.random.Generator, time: TimeLimit
-) -> list[Array]:  # fmt: skip
-    """The way with shortcuts between points of it: in each round those that save most, and do not overlap."""
+) -> list[Array]:
+    """The way with shortcuts between points of it: in each round those that save most, and do not
+    overlap.
+    """
     for _ in range(ROUNDS):
         if len(way) < 3:
             break
@@ -141,8 +162,11 @@ def _shortened(
         j = ends[:, 1]
         cuts = stepped(manifold, points[i], points[j], step, time, j - i - 1)
         pairs: list[tuple[int, int]] = ends.tolist()
-        better = [(len(cut) - (b - a), a, b, cut) for (a, b), cut in zip(pairs, cuts, strict=True)
-                  if cut and manifold.apart(cut[-1][None], way[b][None])[0] < MET]  # fmt: skip
+        better = [
+            (len(cut) - (b - a), a, b, cut)
+            for (a, b), cut in zip(pairs, cuts, strict=True)
+            if cut and manifold.apart(cut[-1][None], way[b][None])[0] < MET
+        ]
         kept: list[tuple[int, int, list[Array]]] = []
         for _, a, b, cut in sorted(better, key=lambda found: found[:3]):
             if all(b <= c or a >= d for c, d, _ in kept):
@@ -155,7 +179,9 @@ def _shortened(
 
 
 def _refined(manifold: Manifold, way: list[Array], step: float, time: TimeLimit) -> Array | None:
-    """The way with no step longer than `step`, each once more halved without a jump; None where there is one."""
+    """The way with no step longer than `step`, each once more halved without a jump; None where
+    there is one.
+    """
     q = np.array(way)
     for _ in range(DEEPEST):
         time.check()

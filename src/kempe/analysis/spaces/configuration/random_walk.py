@@ -1,10 +1,11 @@
-"""A random walk on the closed configurations whose limit is uniform: Metropolis's algorithm on a manifold.
+"""A random walk on the closed configurations whose limit is uniform: Metropolis's algorithm on a
+manifold.
 
-Source: Zappa, Holmes-Cerfon, Goodman, "Monte Carlo on manifolds: sampling densities and integrating functions",
-Comm. Pure Appl. Math. 71 (2018): a step along the tangent space, led back along the normals of where it began, is taken
-only if the step back would be found, too. In rotations steps are exponentials; the determinants that compare the
-volumes of the two steps are transposes of one another, as in flat space, because the measure is invariant on both
-sides.
+Source: Zappa, Holmes-Cerfon, Goodman, "Monte Carlo on manifolds: sampling densities and integrating
+functions", Comm. Pure Appl. Math. 71 (2018): a step along the tangent space, led back along the
+normals of where it began, is taken only if the step back would be found, too. In rotations steps
+are exponentials; the determinants that compare the volumes of the two steps are transposes of one
+another, as in flat space, because the measure is invariant on both sides.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.configuration.manifold import Manifold
 
 FIRST = 0.5
-"""Standard deviation of the first steps in each tangent direction, in radians and characteristic lengths."""
+"""Standard deviation of the first steps in each tangent direction, in radians and characteristic
+lengths."""
 WANTED = 0.45
-"""Share of steps that shall be taken: the length of steps is fitted to it before anything is kept."""
+"""Share of steps that shall be taken: the length of steps is fitted to it before anything is
+kept."""
 BACK = 1e-6
 """How far the step back may miss where it came from."""
 LEAST = 1e-3

@@ -1,4 +1,6 @@
-"""Random configurations, uniform in a stated measure: product of coordinates, arc length, volume on a manifold."""
+"""Random configurations, uniform in a stated measure: product of coordinates, arc length, volume on
+a manifold.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,14 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common.answer import Configurations
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, time_limited, time_of
+from kempe.solvers.common.clock import (
+    BROKEN_OFF,
+    TIME_LIMIT,
+    TimeLimit,
+    TimeUp,
+    time_limited,
+    time_of,
+)
 from kempe.solvers.modes.modes import assembly_modes
 from kempe.spatial import Array
 from kempe.words import counted
@@ -35,11 +44,13 @@ CHUNK = 1 << 16
 WALKERS = 1000
 FEW = 100
 STARTS = 4
-"""Walkers at most, those that the length of steps is fitted with, and starts that are assembled for each."""
+"""Walkers at most, those that the length of steps is fitted with, and starts that are assembled for
+each."""
 FITTED = 60
 FIRST = 140
 EACH = 40
-"""Steps whose length is fitted, steps before the first configuration is kept, and between two of one walker."""
+"""Steps whose length is fitted, steps before the first configuration is kept, and between two of
+one walker."""
 FAR = 1e3
 """Characteristic lengths at which a slide that can be there counts as one that runs away."""
 USUAL = Usual("sample", time_limit=TIME_LIMIT, progress=None)
@@ -50,8 +61,9 @@ USUAL = Usual("sample", time_limit=TIME_LIMIT, progress=None)
 class Sample(Configurations):
     """Random configurations `q` (n, nq), uniform in the `measure` that the sentence states.
 
-    `exact` says that they are drawn independently from that measure (on curves: of the components that were found); a
-    random walk only comes near to it. `taken` is the share of proposals, or of steps of the walk, that were taken.
+    `exact` says that they are drawn independently from that measure (on curves: of the components
+    that were found); a random walk only comes near to it. `taken` is the share of proposals, or of
+    steps of the walk, that were taken.
     """
 
     __repr__ = brief
@@ -74,35 +86,51 @@ class Sample(Configurations):
         return len(self.q) == self.wanted
 
 
-def _made(system: System, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0) -> Sample:
-    said = f"{counted(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in {measure}: {how}"
+def _made(
+    system: System, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0
+) -> Sample:
+    said = (
+        f"{counted(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in "
+        f"{measure}: {how}"
+    )
     return Sample(q, measure, exact, said, taken, n, system)
 
 
 def _not_begun(time: TimeLimit, system: System, n: float, *_: Any, **__: Any) -> Sample:
     """The answer where the time was up before a configuration was drawn."""
     none = f"none is known: {time.reason(TimeUp())} came first"
-    return _broken(_made(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0), TimeUp())
+    return _broken(
+        _made(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0), TimeUp()
+    )
 
 
 @explained
 @interruptible
 @time_limited(USUAL, _not_begun)
 def sample(
-    system: System, n: float, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
-) -> Sample:  # fmt: skip
-    """Random configurations (n, nq), uniform in a stated measure, within limits and on all constraints.
+    system: System,
+    n: float,
+    rng: np.random.Generator | int | None = None,
+    *,
+    budget: Budget | None = None,
+) -> Sample:
+    """Random configurations (n, nq), uniform in a stated measure, within limits and on all
+    constraints.
 
-    Of a tree: the product of the coordinates, rotations of balls by Haar's measure; independent draws, rejected where a
-    one-sided constraint does not hold. With loops or relations the measure is the length, area or volume that closed
-    configurations have in the space of all coordinates (radians and characteristic lengths): with one freedom along the
-    traced curves by arc length, else by a random walk (Zappa, Holmes-Cerfon and Goodman, 2018) from random assemblies,
-    which is uniform in the limit of many steps on each component; the shares of components that it does not join are
-    those of the random assemblies. Of the `budget` are read: time_limit (120 s), progress(done, n). Errors:
-    `InputError` for n, and for slides that nothing bounds, by name: nothing is uniform there.
+    Of a tree: the product of the coordinates, rotations of balls by Haar's measure; independent
+    draws, rejected where a one-sided constraint does not hold. With loops or relations the measure
+    is the length, area or volume that closed configurations have in the space of all coordinates
+    (radians and characteristic lengths): with one freedom along the traced curves by arc length,
+    else by a random walk (Zappa, Holmes-Cerfon and Goodman, 2018) from random assemblies, which is
+    uniform in the limit of many steps on each component; the shares of components that it does not
+    join are those of the random assemblies. Of the `budget` are read: time_limit (120 s),
+    progress(done, n). Errors: `InputError` for n, and for slides that nothing bounds, by name:
+    nothing is uniform there.
     """
     if not (is_real(n) and 1 <= n <= MOST and n == int(n)):
-        raise InputError(f"n is {shown(n)}; it must be a whole number of configurations, from 1 to {MOST}")
+        raise InputError(
+            f"n is {shown(n)}; it must be a whole number of configurations, from 1 to {MOST}"
+        )
     rng = generator(rng)
     spend = USUAL.of(budget)
     n = int(n)
@@ -118,7 +146,13 @@ def sample(
     freedoms = mobility(system)
     if not freedoms.closed or freedoms.dof is None:
         return _made(
-            system, n, np.empty((0, system.nq)), "no measure", False, f"none is known: {freedoms.sentence}", 0.0
+            system,
+            n,
+            np.empty((0, system.nq)),
+            "no measure",
+            False,
+            f"none is known: {freedoms.sentence}",
+            0.0,
         )
     if freedoms.dof == 0:
         return _of_points(system, n, rng)
@@ -127,7 +161,9 @@ def sample(
     return _by_walk(system, n, rng, freedoms.dof, freedoms.q, check)
 
 
-def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[int], None]) -> Sample:
+def _of_tree(
+    system: System, n: int, rng: np.random.Generator, check: Callable[[int], None]
+) -> Sample:
     v = system.structure.layout.vector_v
     bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | circles(system)
     _refuse([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
@@ -140,19 +176,26 @@ def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[
             check(sum(map(len, found)))
             q = random(system, rng, min(n, CHUNK))
             drawn += len(q)
-            found.append(q[(rows.beyond(q, declared=True) <= 0.0).all(axis=1)] if rows.declared else q)
+            found.append(
+                q[(rows.beyond(q, declared=True) <= 0.0).all(axis=1)] if rows.declared else q
+            )
     except BROKEN_OFF as error:
         why = error
     q = np.concatenate([np.empty((0, system.nq)), *found])
     taken = len(q) / max(1, drawn)
-    how = "drawn independently" + (f", {taken:.2g} of them within one-sided constraints" if rows.declared else "")
+    how = "drawn independently" + (
+        f", {taken:.2g} of them within one-sided constraints" if rows.declared else ""
+    )
     return _broken(_made(system, n, q[:n], "the product of the coordinates", True, how, taken), why)
 
 
 def _of_points(system: System, n: int, rng: np.random.Generator) -> Sample:
     modes = assembly_modes(system)
     q = modes.q[rng.integers(len(modes.q), size=n)] if len(modes.q) else modes.q
-    how = f"{counted(len(modes.q), 'assembly mode')} of a structure that does not move; {modes.status}"
+    how = (
+        f"{counted(len(modes.q), 'assembly mode')} of a structure that does not move; "
+        f"{modes.status}"
+    )
     return _made(system, n, q, "the count of assembly modes", modes.complete, how)
 
 
@@ -161,8 +204,10 @@ def _of_curves(system: System, n: int, rng: np.random.Generator, spend: Budget) 
     paths = [p for c in found.parts for p in c.paths if len(p) > 1]
     for path in paths:
         if not path.closed and any("no end" in end or "runs away" in end for end in path.ends):
-            raise InputError(f"{system.name} moves along a curve without end ({path.ends[1]}): nothing is uniform "
-                             "there; limits bound it (with_limits)")  # fmt: skip
+            raise InputError(
+                f"{system.name} moves along a curve without end ({path.ends[1]}): nothing is "
+                "uniform there; limits bound it (with_limits)"
+            )
     if not paths:
         return _made(system, n, np.empty((0, system.nq)), "arc length", False, found.status, 0.0)
     length = np.array([p.length for p in paths])
@@ -172,14 +217,22 @@ def _of_curves(system: System, n: int, rng: np.random.Generator, spend: Budget) 
     for k, path in enumerate(paths):
         q[which == k] = path.at(at[which == k])
     q = Manifold(system, 1).metric.representatives(q, None)
-    how = f"drawn independently along {counted(len(paths), 'traced curve')} of total length {length.sum():.6g}"
+    how = (
+        f"drawn independently along {counted(len(paths), 'traced curve')} of total length "
+        f"{length.sum():.6g}"
+    )
     how += "" if found.complete else "; curves may have been missed"
     return _broken(_made(system, n, q, "arc length", bool(found.complete), how), None, found.late)
 
 
 def _by_walk(
-    system: System, n: int, rng: np.random.Generator, dim: int, home: Array, check: Callable[[int], None]
-) -> Sample:  # fmt: skip
+    system: System,
+    n: int,
+    rng: np.random.Generator,
+    dim: int,
+    home: Array,
+    check: Callable[[int], None],
+) -> Sample:
     manifold = Manifold(system, dim)
     _refuse(_run_away(system))
     why = None
@@ -188,7 +241,9 @@ def _by_walk(
     few = Walkers(manifold, starts[:FEW].copy(), rng)
     walkers = Walkers(manifold, starts, rng)
     if not len(walkers.q):
-        raise UnsupportedError(f"{system.name}: no regular configuration was found from which to walk")
+        raise UnsupportedError(
+            f"{system.name}: no regular configuration was found from which to walk"
+        )
     try:
         few.fit(FITTED, lambda: check(0))
         walkers.sigma = few.sigma
@@ -218,7 +273,9 @@ def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generato
 
 
 def _run_away(system: System) -> list[str]:
-    """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds them."""
+    """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds
+    them.
+    """
     names = system.structure.velocity_names
     turning = system.structure.coordinates.turning
     manifold = Manifold(system, 1)
@@ -227,15 +284,27 @@ def _run_away(system: System) -> list[str]:
     for iq, iv in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
         if turning[iv] or (np.isfinite(system.lower[iv]) and np.isfinite(system.upper[iv])):
             continue
-        far = [s * FAR * manifold.metric.length for s in (-1.0, 1.0) if system.lower[iv] <= s * FAR <= system.upper[iv]]
-        if any(assemble(system, {system.coordinate_names[iq]: x}, limits=False, budget=Budget(starts=4)) for x in far):
+        far = [
+            s * FAR * manifold.metric.length
+            for s in (-1.0, 1.0)
+            if system.lower[iv] <= s * FAR <= system.upper[iv]
+        ]
+        if any(
+            assemble(
+                system, {system.coordinate_names[iq]: x}, limits=False, budget=Budget(starts=4)
+            )
+            for x in far
+        ):
             out.append(names[int(iv)])
     return out
 
 
 def _refuse(names: list[str]) -> None:
     if names:
-        said = f"{', '.join(map(repr, names))} {'is' if len(names) == 1 else 'are'} not bounded on both sides"
+        said = (
+            f"{', '.join(map(repr, names))} {'is' if len(names) == 1 else 'are'} not bounded on "
+            "both sides"
+        )
         cure = f"with_limits({{{names[0]!r}: (low, high)}}) bounds it"
         raise InputError(f"{said}, and nothing is uniform there: {cure}")
 
@@ -243,5 +312,9 @@ def _refuse(names: list[str]) -> None:
 def _broken(answer: Sample, why: BaseException | None, late: bool = False) -> Sample:
     if why is None and not late:
         return answer
-    return replace(answer, late=late or isinstance(why, TimeUp), interrupted=isinstance(why, KeyboardInterrupt),
-                   reason=f"{answer.reason} (stopped early)")  # fmt: skip
+    return replace(
+        answer,
+        late=late or isinstance(why, TimeUp),
+        interrupted=isinstance(why, KeyboardInterrupt),
+        reason=f"{answer.reason} (stopped early)",
+    )

@@ -1,4 +1,6 @@
-"""The task space: what of the configuration space is seen in a task, by counts, ranks and bounds of its image."""
+"""The task space: what of the configuration space is seen in a task, by counts, ranks and bounds of
+its image.
+"""
 
 from __future__ import annotations
 
@@ -41,10 +43,11 @@ SOME = 8
 class TaskSpace(Report):
     """What of a configuration space of dimension `n` is seen in a task of `m` constraints.
 
-    `rank` is the number of directions in which the task can be moved at `q` (nq,), `generic_rank` the largest that was
-    found at random configurations: the dimension of the image, of which the rank can only be a lower bound. The system
-    is redundant for the task by `redundancy` freedoms. `image` has, for a frame, the least and largest coordinates
-    [m] of its origin at the random configurations, by axis: what is reached is at least as wide.
+    `rank` is the number of directions in which the task can be moved at `q` (nq,), `generic_rank`
+    the largest that was found at random configurations: the dimension of the image, of which the
+    rank can only be a lower bound. The system is redundant for the task by `redundancy` freedoms.
+    `image` has, for a frame, the least and largest coordinates [m] of its origin at the random
+    configurations, by axis: what is reached is at least as wide.
     """
 
     __repr__ = brief
@@ -89,10 +92,17 @@ class TaskSpace(Report):
         elif k < m:
             said = f"{counted(m - k, 'constraint')} of the task cannot be set independently"
         elif n > k:
-            said = f"redundant by {counted(n - k, 'freedom')}: infinitely many configurations reach what is reached"
+            said = (
+                f"redundant by {counted(n - k, 'freedom')}: infinitely many configurations reach "
+                "what is reached"
+            )
         else:
             said = "isolated configurations reach what is reached, but for singular ones"
-        here = f"; at this q the rank is {self.rank}, a singular configuration" if self.singular else ""
+        here = (
+            f"; at this q the rank is {self.rank}, a singular configuration"
+            if self.singular
+            else ""
+        )
         seen = counted(self.samples, "random configuration")
         late = f"; the time limit ended the work after {seen}" if self.late else ""
         return f"{self.task}: {counts}, rank {k}; {said}{here}{late}"
@@ -106,27 +116,50 @@ class TaskSpace(Report):
         return f"{self.system.name}: {self.status}"
 
     def _cells(self) -> Cells:
-        return (), [(f"{axis} [m]", f"from {a:.6g} to {b:.6g}, at least") for axis, (a, b) in self.image.items()]
+        return (), [
+            (f"{axis} [m]", f"from {a:.6g} to {b:.6g}, at least")
+            for axis, (a, b) in self.image.items()
+        ]
 
     def _data(self) -> dict[str, Any]:
-        names = ("task", "m", "n", "rank", "generic_rank", "redundancy", "dependent", "singular", "image", "samples")
+        names = (
+            "task",
+            "m",
+            "n",
+            "rank",
+            "generic_rank",
+            "redundancy",
+            "dependent",
+            "singular",
+            "image",
+            "samples",
+        )
         at = dict(zip(self.system.coordinate_names, self.q.tolist(), strict=True))
-        return {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"q": at}
+        return (
+            {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"q": at}
+        )
 
 
 @explained
 @time_limited(USUAL)
 def task_space(
-    system: System, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
-) -> TaskSpace:  # fmt: skip
+    system: System,
+    tasks: Any,
+    q: Any = None,
+    *,
+    task: str | None = None,
+    budget: Budget | None = None,
+) -> TaskSpace:
     """What of the configuration space is seen in tasks: m, n and ranks, and bounds of the image.
 
-    `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of `kempe.tasks` or a
-    list of them. Ranks are those of the task's rates by the velocities that loops leave, at `q` (nq,) (by default a
-    configuration that was drawn) and, for the generic rank, at random configurations; the image is that of those within
-    limits and one-sided constraints, of a tree of 10 000 more. Of the `budget` are read: starts (64 random
-    configurations), rng (0), time_limit (30 s): where it ends the work, `late` is true, and what is said rests on the
-    `samples` that were looked at. Errors: `InputError`, `UnknownNameError`, `TimeLimitError` before the first of them.
+    `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of
+    `kempe.tasks` or a list of them. Ranks are those of the task's rates by the velocities that
+    loops leave, at `q` (nq,) (by default a configuration that was drawn) and, for the generic rank,
+    at random configurations; the image is that of those within limits and one-sided constraints, of
+    a tree of 10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0),
+    time_limit (30 s): where it ends the work, `late` is true, and what is said rests on the
+    `samples` that were looked at. Errors: `InputError`, `UnknownNameError`, `TimeLimitError` before
+    the first of them.
 
     >>> from kempe import load
     >>> print(task_space(load("two_link"), "e", task="position").status)
@@ -165,16 +198,23 @@ def task_space(
         seen = seen[Manifold(system, 1).inside(seen)]
         p = fk(system, seen, frame, form="position")
     if frame is not None and len(p):
-        image = {axis: (float(p[:, i].min()), float(p[:, i].max())) for i, axis in enumerate("xyz"[: system.dim])}
+        image = {
+            axis: (float(p[:, i].min()), float(p[:, i].max()))
+            for i, axis in enumerate("xyz"[: system.dim])
+        }
     return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn), time.spent)
 
 
-def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constraint], str, FrameLike | None]:
+def _wanted(
+    system: System, tasks: Any, task: str | None
+) -> tuple[list[Constraint], str, FrameLike | None]:
     """The tasks, what they are called, and the frame if it is one of a frame."""
     name: Any = tasks
     if isinstance(tasks, Constraint) or (isinstance(tasks, (list, tuple)) and tasks):
         if task is not None:
-            raise InputError("task says what counts of a frame; with tasks of kempe.tasks leave it out")
+            raise InputError(
+                "task says what counts of a frame; with tasks of kempe.tasks leave it out"
+            )
         given: list[Any] = [tasks] if isinstance(tasks, Constraint) else list(name)
         wrong = [t for t in given if not isinstance(t, Constraint)]
         if wrong:
@@ -195,5 +235,8 @@ def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
         return random(system, rng, count)
     q = Manifold(system, 1).drawn(rng, count)
     if not len(q):
-        raise InputError(f"{system.name} was not closed from {count} random starts: it has no configuration to look at")
+        raise InputError(
+            f"{system.name} was not closed from {count} random starts: it has no configuration to "
+            "look at"
+        )
     return q

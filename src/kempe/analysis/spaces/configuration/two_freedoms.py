@@ -1,7 +1,9 @@
-"""Systems with two freedoms over two of their coordinates: all configurations there, and all that reach a place.
+"""Systems with two freedoms over two of their coordinates: all configurations there, and all that
+reach a place.
 
-Of an open chain there is one configuration over each pair of values; of a planar mechanism made of dyads there are its
-assembly modes, in closed form. Of others configurations are found from node to node of a lattice (`lattices`).
+Of an open chain there is one configuration over each pair of values; of a planar mechanism made of
+dyads there are its assembly modes, in closed form. Of others configurations are found from node to
+node of a lattice (`lattices`).
 """
 
 from __future__ import annotations
@@ -47,24 +49,25 @@ INSIDE = 1e-9
 """How far, in radians and metres, a configuration may be beyond a limit to be inside."""
 STARTS = 1024
 LOOKED = 64
-"""Random configurations from which others are found, and those at which pairs of coordinates are looked at."""
+"""Random configurations from which others are found, and those at which pairs of coordinates are
+looked at."""
 SEEDS = 4000
 """Configurations, at most, from which those that reach a place are found."""
 BLOCK = 4096
 """Places of which those reached in several ways are counted at once."""
 SETS = 0.2
 FLAT = 1e-6
-"""Area that rates of two coordinates span at half of all configurations, as a part of the largest, for these to be
-taken, and that of two that do not place the others."""
+"""Area that rates of two coordinates span at half of all configurations, as a part of the largest,
+for these to be taken, and that of two that do not place the others."""
 NEEDED = "both spaces are drawn of systems with two freedoms"
 
 
 class TwoFreedoms:
     """A system with two freedoms over two coordinates, and the frame of which a task is seen.
 
-    `names` are the two coordinates, `columns` theirs in q, `low`, `high` and `turns` (2,) their ranges and which of
-    them are full turns. What is found is found from node to node of lattices; `broken` says what ended that early.
-    Errors: `UnsupportedError`, `InputError`.
+    `names` are the two coordinates, `columns` theirs in q, `low`, `high` and `turns` (2,) their
+    ranges and which of them are full turns. What is found is found from node to node of lattices;
+    `broken` says what ended that early. Errors: `UnsupportedError`, `InputError`.
     """
 
     modes = True
@@ -75,7 +78,9 @@ class TwoFreedoms:
     progress: Callable[[int, int], Any] | None = None
     """Called with how many nodes of a lattice have configurations, and how many it has."""
 
-    def __init__(self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit):
+    def __init__(
+        self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit
+    ):
         self.system = system
         self.frame = frame
         self.task = task
@@ -87,8 +92,10 @@ class TwoFreedoms:
         self.turns = circles(system)[self.at]
         for i, name in zip(self.at, names, strict=True):
             if not circles(system)[i] and not np.isfinite([system.lower[i], system.upper[i]]).all():
-                raise InputError(f"{name!r} has no limits on both sides, and a picture has an end: "
-                                 f"with_limits({{{name!r}: (low, high)}}) gives it one")  # fmt: skip
+                raise InputError(
+                    f"{name!r} has no limits on both sides, and a picture has an end: "
+                    f"with_limits({{{name!r}: (low, high)}}) gives it one"
+                )
         self.low, self.high = (x[self.at] for x in sampling_box(system))
         self.manifold = Manifold(system, 2)
         self.rows = one_sided_rows(system)
@@ -108,15 +115,24 @@ class TwoFreedoms:
         """Configurations (n, n, k, nq) at the values of `grid`, and which (n, n, k) there are."""
         values = self.grid(n)
         q = self.manifold.drawn(np.random.default_rng(0), STARTS)
-        found = flooded(self.solver, self._off_values(values.reshape(-1, 2)), (n, n), q,
-                        self._node(q[:, self.columns], n), self.clock, self.progress)  # fmt: skip
+        found = flooded(
+            self.solver,
+            self._off_values(values.reshape(-1, 2)),
+            (n, n),
+            q,
+            self._node(q[:, self.columns], n),
+            self.clock,
+            self.progress,
+        )
         self.broken = self.broken or found.broken
         self._over = n, found.q, found.mask
         q, mask = self._inside(found.q, found.mask)
         return q.reshape(n, n, -1, self.system.nq), mask.reshape(n, n, -1)
 
     def over(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., k, nq) at values (..., 2) of the coordinates, and which (..., k) there are."""
+        """Configurations (..., k, nq) at values (..., 2) of the coordinates, and which (..., k)
+        there are.
+        """
         assert self._over is not None
         n, q, mask = self._over
         flat = values.reshape(-1, 2)
@@ -125,7 +141,9 @@ class TwoFreedoms:
         return x.reshape(*values.shape[:-1], -1, self.system.nq), ok.reshape(*values.shape[:-1], -1)
 
     def along(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, mode by mode."""
+        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, mode
+        by mode.
+        """
         return in_order(self.solver, *self.over(values))
 
     def _node(self, values: Array, n: int) -> np.ndarray:
@@ -148,7 +166,9 @@ class TwoFreedoms:
         return missing
 
     def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
-        """How many configurations (n, n) there are of q (n, n, k, nq): the assembly modes at the values of `grid`."""
+        """How many configurations (n, n) there are of q (n, n, k, nq): the assembly modes at the
+        values of `grid`.
+        """
         return np.asarray(mask.sum(axis=-1))
 
     # ---- that reach a place
@@ -158,16 +178,26 @@ class TwoFreedoms:
         seeds = self._seeds()
         p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         node = nearest_node(x, y, self.task.of(fk(self.system, seeds, self.frame)))
-        found = flooded(self.solver, self._off_places(p), (len(x), len(y)), seeds, node, self.clock, self.progress)
+        found = flooded(
+            self.solver,
+            self._off_places(p),
+            (len(x), len(y)),
+            seeds,
+            node,
+            self.clock,
+            self.progress,
+        )
         self.broken = self.broken or found.broken
         q, mask = self._inside(found.q, found.mask)
         self._reaching = x, y, q, mask
         return mask.sum(axis=1).reshape(len(x), len(y))
 
     def ways(self, q: Array) -> np.ndarray:
-        """How many configurations (...) bring the frame to where it is at configurations q (..., nq) inside the limits.
+        """How many configurations (...) bring the frame to where it is at configurations q (...,
+        nq) inside the limits.
 
-        Where the nodes around have different numbers, those of them that lead to the place are counted, with q.
+        Where the nodes around have different numbers, those of them that lead to the place are
+        counted, with q.
         """
         assert self._reaching is not None
         x, y, found, mask = self._reaching
@@ -180,7 +210,9 @@ class TwoFreedoms:
         for at in np.array_split(mixed, 1 + len(mixed) // BLOCK):
             near = around[at]
             k = len(at)
-            starts = np.concatenate([flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1)
+            starts = np.concatenate(
+                [flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1
+            )
             there = np.insert(mask[near].reshape(k, -1), 0, True, axis=1)
             out[at] = self._again(self._off_places(p[at]), starts, there)[1].sum(axis=1)
         return out.reshape(q.shape[:-1])
@@ -190,14 +222,19 @@ class TwoFreedoms:
         assert self._reaching is not None
         x, y, q, mask = self._reaching
         i, j = np.divmod(nearest_node(x, y, p[None])[0], len(y))
-        rows, columns = (range(max(int(k) - 1, 0), min(int(k) + 2, len(side))) for k, side in ((i, x), (j, y)))
+        rows, columns = (
+            range(max(int(k) - 1, 0), min(int(k) + 2, len(side))) for k, side in ((i, x), (j, y))
+        )
         near = np.array([r * len(y) + c for r in rows for c in columns])
-        found, ok = self._again(self._off_places(p[None]), q[near].reshape(1, -1, q.shape[2]),
-                                mask[near].reshape(1, -1))  # fmt: skip
+        found, ok = self._again(
+            self._off_places(p[None]), q[near].reshape(1, -1, q.shape[2]), mask[near].reshape(1, -1)
+        )
         return found[ok]
 
     def _seeds(self) -> Array:
-        """Configurations (k, nq) from which those that reach places are found: of all that lie over a grid."""
+        """Configurations (k, nq) from which those that reach places are found: of all that lie over
+        a grid.
+        """
         assert self._over is not None
         _, q, mask = self._over
         q = q[mask]
@@ -216,7 +253,9 @@ class TwoFreedoms:
     # ---- both
 
     def _again(self, missing: Missing, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-        """Configurations (n, k, nq) of n problems from those of others, and which (n, k) there are, each once."""
+        """Configurations (n, k, nq) of n problems from those of others, and which (n, k) there are,
+        each once.
+        """
         n, k = mask.shape
         x = q.reshape(n * k, -1).copy()
         ok = mask.ravel().copy()
@@ -230,7 +269,9 @@ class TwoFreedoms:
         return self._inside(x, ok)
 
     def _inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-        """Configurations (..., nq), angles inside limits where they can be, and which (...) are there and inside."""
+        """Configurations (..., nq), angles inside limits where they can be, and which (...) are
+        there and inside.
+        """
         flat = np.array(q.reshape(-1, self.system.nq))
         ok = np.array(mask.ravel())
         flat[ok] = self.manifold.metric.representatives(flat[ok], None)
@@ -259,21 +300,27 @@ class OpenChain(TwoFreedoms):
         return self._inside(values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool))
 
     def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
-        """How many configurations (n, n) bring the frame to the same place as each of q (n, n, 1, nq)."""
+        """How many configurations (n, n) bring the frame to the same place as each of q (n, n, 1,
+        nq).
+        """
         out = np.zeros(mask.shape[:-1], dtype=int)
         out[mask[..., 0]] = self.ways(q[mask])
         return out
 
 
 class FlatChain(OpenChain):
-    """An open planar system with two coordinates, whose configurations at a place are found by `ik_all`."""
+    """An open planar system with two coordinates, whose configurations at a place are found by
+    `ik_all`.
+    """
 
     def reach_grid(self, x: Array, y: Array) -> np.ndarray:
         """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
         return self.number(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
 
     def ways(self, q: Array) -> np.ndarray:
-        """How many configurations (...) bring the frame to where it is at configurations q (..., nq)."""
+        """How many configurations (...) bring the frame to where it is at configurations q (...,
+        nq).
+        """
         return np.maximum(self.number(self.task.of(fk(self.system, q, self.frame))), 1)
 
     def number(self, p: Array) -> np.ndarray:
@@ -287,7 +334,8 @@ class FlatChain(OpenChain):
 
 
 class Dyads(TwoFreedoms):
-    """A planar mechanism with two freedoms that is made of dyads, with all closed configurations in closed form.
+    """A planar mechanism with two freedoms that is made of dyads, with all closed configurations in
+    closed form.
 
     `placed` is the closed form with the place of the frame known, None where there is none.
     """
@@ -300,7 +348,9 @@ class Dyads(TwoFreedoms):
         self.placed = _placed(system, frame)
 
     def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Configurations (n, n, k, nq) on all branches, and which (n, n, k) close inside the limits."""
+        """Configurations (n, n, k, nq) on all branches, and which (n, n, k) close inside the
+        limits.
+        """
         q, mask = self.over(self.grid(n))
         self._over = n, q.reshape(n * n, -1, self.system.nq), mask.reshape(n * n, -1)
         return q, mask
@@ -310,11 +360,15 @@ class Dyads(TwoFreedoms):
         return self._inside(*self.plan.all(values))
 
     def along(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, branch by branch."""
+        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are,
+        branch by branch.
+        """
         return self.over(values)
 
     def reaching(self, p: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., k, nq) that bring the frame to places p (..., 2), and which (..., k) there are."""
+        """Configurations (..., k, nq) that bring the frame to places p (..., 2), and which (..., k)
+        there are.
+        """
         assert self.placed is not None
         q, mask = self.placed.all(p)
         at = [self.placed.system.coordinate_names.index(n) for n in self.system.coordinate_names]
@@ -334,19 +388,27 @@ class Dyads(TwoFreedoms):
         return self.solver.different(q[mask])
 
 
-def two_freedoms(system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None) -> TwoFreedoms:
-    """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see `TwoFreedoms`."""
+def two_freedoms(
+    system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None
+) -> TwoFreedoms:
+    """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see
+    `TwoFreedoms`.
+    """
     loops = has_loops(system)
     clock = clock or TimeLimit(None)
     found = mobility(system, local=False) if loops else None
     freedoms = system.nv if found is None else found.rank_dof
     if freedoms is None:
-        raise UnsupportedError(f"{NEEDED}; of {system.name} they are not known: {found and found.sentence}")
+        raise UnsupportedError(
+            f"{NEEDED}; of {system.name} they are not known: {found and found.sentence}"
+        )
     idle = found.idle if found else 0
     if freedoms - idle != 2 or (not loops and len(system.structure.layout.vector_q) != 2):
         what = counted(freedoms - idle, "freedom" if loops else "coordinate")
         left_out = f", {counted(idle, 'idle spin')} left out" if idle else ""
-        raise UnsupportedError(f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}{left_out}")
+        raise UnsupportedError(
+            f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}{left_out}"
+        )
     if not loops:
         kind = FlatChain if system.dim == 2 else OpenChain
         return kind(system, frame, task, tuple(system.coordinate_names), clock)
@@ -382,11 +444,14 @@ def _moves(plan: Plan) -> bool:
 
 
 def _pair(system: System) -> tuple[str, ...]:
-    """The actuated coordinates where they place the others, else the first with ends that do. Errors:
-    `UnsupportedError`."""  # fmt: skip
+    """The actuated coordinates where they place the others, else the first with ends that do.
+    Errors: `UnsupportedError`.
+    """
     q = Manifold(system, 2).drawn(np.random.default_rng(0), LOOKED)
     if not len(q):
-        raise UnsupportedError(f"{system.name}: no closed configuration was found: there is nothing to draw")
+        raise UnsupportedError(
+            f"{system.name}: no closed configuration was found: there is nothing to draw"
+        )
     N = [tangent_space(system, x)[0] for x in q]
     names = system.structure.velocity_names
     pairs = list(_pairs(system))
@@ -395,22 +460,38 @@ def _pair(system: System) -> tuple[str, ...]:
     areas = [float(np.median([np.prod(svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
     ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
     driving = set(pairs[0]) == {names[i] for i in driven(system, None) or ()}
-    good = [k for k, x in enumerate(areas) if x > (FLAT if driving and k == 0 else max(SETS * max(areas), FLAT))]
+    good = [
+        k
+        for k, x in enumerate(areas)
+        if x > (FLAT if driving and k == 0 else max(SETS * max(areas), FLAT))
+    ]
     good.sort(key=lambda k: (not (driving and k == 0), not ended[at[k]].all()))
     if not good:
-        raise UnsupportedError(f"{NEEDED}, over two coordinates that place the others; of {system.name} no two do")
+        raise UnsupportedError(
+            f"{NEEDED}, over two coordinates that place the others; of {system.name} no two do"
+        )
     return pairs[good[0]]
 
 
 def _placed(system: System, frame: str) -> Plan | None:
-    """The closed form with the place of a frame known: that of the mechanism with slides in x and y pinned to it."""
+    """The closed form with the place of a frame known: that of the mechanism with slides in x and y
+    pinned to it.
+    """
     m = system.mechanism.copy()
     free = "place"
-    while any(name.startswith(free) for name in (*m.bodies, *m.joints, *m.frames, *m.couplings, *m.constraints)):
+    while any(
+        name.startswith(free)
+        for name in (*m.bodies, *m.joints, *m.frames, *m.couplings, *m.constraints)
+    ):
         free += "'"
     m.prismatic(f"{free} x", m.ground, m.body(f"{free} 1"), axis=(1, 0))
     m.prismatic(f"{free} y", f"{free} 1", m.body(f"{free} 2"), axis=(0, 1))
     on = m.frames.get(frame)
-    m.revolute(f"{free} pin", f"{free} 2", frame if on is None else on.body, child_at=(0, 0) if on is None else frame)
+    m.revolute(
+        f"{free} pin",
+        f"{free} 2",
+        frame if on is None else on.body,
+        child_at=(0, 0) if on is None else frame,
+    )
     found = closed_form(type(system)(m), (f"{free} x", f"{free} y"))
     return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found

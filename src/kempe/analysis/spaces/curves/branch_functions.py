@@ -1,4 +1,6 @@
-"""A curve of configurations as branches over one coordinate, each of which exists where functions are positive."""
+"""A curve of configurations as branches over one coordinate, each of which exists where functions
+are positive.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +19,19 @@ if TYPE_CHECKING:
 
 LIMIT = -1
 SOUND = -2
-"""Kinds of functions beside the numbers of the signs that flip where they are zero: a limit, and what is never zero."""
+"""Kinds of functions beside the numbers of the signs that flip where they are zero: a limit, and
+what is never zero."""
 Function = tuple[Enclosure, int]
 """A function that is positive where a branch exists, and its kind."""
 
 
 @dataclass(frozen=True, eq=False)
 class BranchFunctions:
-    """The branches of a mechanism over one coordinate `name` from `low` to `high`, which meet if it `closes`.
+    """The branches of a mechanism over one coordinate `name` from `low` to `high`, which meet if it
+    `closes`.
 
-    `signs` is the number of their signs, `functions(x, signs)` are those that are positive where branches exist, for
-    the coordinate as an enclosure of n intervals, and signs (n, signs).
+    `signs` is the number of their signs, `functions(x, signs)` are those that are positive where
+    branches exist, for the coordinate as an enclosure of n intervals, and signs (n, signs).
     """
 
     system: System
@@ -60,4 +64,8 @@ def within_turn(angle: tuple[Enclosure, Enclosure], low: float, high: float) -> 
 
 def within(value: Enclosure, low: float, high: float) -> list[Function]:
     """What is positive where a length is between two limits."""
-    return [(x, LIMIT) for x, bound in ((value - low, low), (high - value, high)) if math.isfinite(bound)]
+    return [
+        (x, LIMIT)
+        for x, bound in ((value - low, low), (high - value, high))
+        if math.isfinite(bound)
+    ]

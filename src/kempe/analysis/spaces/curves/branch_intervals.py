@@ -1,9 +1,10 @@
 """Where the branches of a curve exist, over one coordinate: intervals on which it is proven.
 
-Each interval is cut until on it every branch is proven to exist throughout, or nowhere, or to end once: where one of
-its functions has one simple root, which opposite signs at the ends of the interval and a slope that is not zero prove
-(Moore, Kearfott, Cloud, *Introduction to Interval Analysis*, 2009). A function that is convex on an interval, positive
-at its ends, and zero to rounding between them, only touches zero there, as at a change point of a parallelogram.
+Each interval is cut until on it every branch is proven to exist throughout, or nowhere, or to end
+once: where one of its functions has one simple root, which opposite signs at the ends of the
+interval and a slope that is not zero prove (Moore, Kearfott, Cloud, *Introduction to Interval
+Analysis*, 2009). A function that is convex on an interval, positive at its ends, and zero to
+rounding between them, only touches zero there, as at a change point of a parallelogram.
 """
 
 from __future__ import annotations
@@ -23,23 +24,26 @@ if TYPE_CHECKING:
 FIRST = 48
 """Intervals at the beginning."""
 SPLIT = 0.4871
-"""Where intervals are cut: not in the middle, so that roots at round numbers do not fall on their ends."""
+"""Where intervals are cut: not in the middle, so that roots at round numbers do not fall on their
+ends."""
 COARSE = 1e-6
 FINE = 1e-13
-"""Widths, as parts of the whole, at which functions that touch zero are looked for, and at which it is given up."""
+"""Widths, as parts of the whole, at which functions that touch zero are looked for, and at which it
+is given up."""
 MOST = 16_000
 """Intervals, times branches, at most."""
 TOUCHING = 4e-12
 """Size of a function, as a part of its largest, at which it counts as zero where it touches it."""
 DEAD, ALIVE, LEFT, RIGHT, TOUCH, POINT, OPEN = range(7)
-"""What is known of a branch on an interval: it exists nowhere; throughout; at its left, or right, end; throughout, and
-touches another one; at one point only; nothing."""
+"""What is known of a branch on an interval: it exists nowhere; throughout; at its left, or right,
+end; throughout, and touches another one; at one point only; nothing."""
 NONE = -3
 """In place of a kind of function: none ends the branch."""
 
 
 class Cells(NamedTuple):
-    """Intervals from `low` (n,) to `high` (n,), in order; the states (n, k) of branches, and kinds of what ends them.
+    """Intervals from `low` (n,) to `high` (n,), in order; the states (n, k) of branches, and kinds
+    of what ends them.
 
     Where a branch touches another one, `place` (n, k) is the coordinate.
     """
@@ -79,13 +83,17 @@ class Decider:
         return _ordered([coarse.only(~coarse.open), self._refined(left.low, left.high, FINE)])
 
     def _values(self, low: Array, high: Array, order: int) -> tuple[Array, Array, np.ndarray]:
-        """Middles and radii (order + 1, f, n, k) of Taylor coefficients of all functions on intervals; kinds (f,)."""
+        """Middles and radii (order + 1, f, n, k) of Taylor coefficients of all functions on
+        intervals; kinds (f,).
+        """
         n = len(low)
         k = len(self.signs)
         x = interval(np.repeat(low, k), np.repeat(high, k), order)
         found = self.branches.functions(x, np.tile(self.signs, (n, 1)))
-        mid, rad = (np.stack([np.broadcast_to(a, (order + 1, n * k)) for a in each], axis=1)
-                    for each in ([f.mid for f, _ in found], [f.rad for f, _ in found]))  # fmt: skip
+        mid, rad = (
+            np.stack([np.broadcast_to(a, (order + 1, n * k)) for a in each], axis=1)
+            for each in ([f.mid for f, _ in found], [f.rad for f, _ in found])
+        )
         shape = order + 1, len(found), n, k
         return mid.reshape(shape), rad.reshape(shape), np.array([kind for _, kind in found])
 
@@ -97,7 +105,13 @@ class Decider:
     def _refined(self, low: Array, high: Array, least: float) -> Cells:
         """Intervals cut until they are decided, or down to a part `least` of the whole."""
         least *= self.branches.high - self.branches.low
-        done = [Cells(low[:0], high[:0], *(np.zeros((0, len(self.signs)), dtype=t) for t in (int, int, float)))]
+        done = [
+            Cells(
+                low[:0],
+                high[:0],
+                *(np.zeros((0, len(self.signs)), dtype=t) for t in (int, int, float)),
+            )
+        ]
         while len(low):
             self.time.check()
             state, kind = self._decided(low, high)
@@ -112,17 +126,23 @@ class Decider:
         return _ordered(done)
 
     def _decided(self, low: Array, high: Array) -> tuple[np.ndarray, np.ndarray]:
-        """States and kinds (n, k) on intervals, from values, slopes, and values at their middles and ends."""
+        """States and kinds (n, k) on intervals, from values, slopes, and values at their middles
+        and ends.
+        """
         mid, rad, kinds = self._values(low, high, 1)
-        (a, a_high), (c, c_high), (b, b_high) = (self._at(x) for x in (low, 0.5 * (low + high), high))
+        (a, a_high), (c, c_high), (b, b_high) = (
+            self._at(x) for x in (low, 0.5 * (low + high), high)
+        )
         if not len(self.size):
             self.size = np.abs(c).max(axis=(1, 2), initial=1e-300)
         steep = (np.abs(mid[1]) + rad[1]) * (0.5 * (high - low) * (1.0 + 1e-9))[:, None]
         holds = np.maximum(mid[0] - rad[0], c - steep) > 0.0
         fails = np.minimum(mid[0] + rad[0], c_high + steep) < 0.0
         state, kind, single = _known(holds, kinds)
-        for end, which in ((LEFT, (mid[1] < -rad[1]) & (a > 0.0) & (b_high < 0.0)),
-                           (RIGHT, (mid[1] > rad[1]) & (a_high < 0.0) & (b > 0.0))):  # fmt: skip
+        for end, which in (
+            (LEFT, (mid[1] < -rad[1]) & (a > 0.0) & (b_high < 0.0)),
+            (RIGHT, (mid[1] > rad[1]) & (a_high < 0.0) & (b > 0.0)),
+        ):
             state[single & (~holds & which).any(axis=0)] = end
         state[fails.any(axis=0)] = DEAD
         return state, kind
@@ -130,7 +150,9 @@ class Decider:
     def _touched(self, cells: Cells) -> Cells:
         """The intervals, open neighbours made one where branches only touch there."""
         out = [cells.only(~cells.open)]
-        groups = np.split(np.flatnonzero(cells.open), np.flatnonzero(np.diff(np.flatnonzero(cells.open)) > 1) + 1)
+        groups = np.split(
+            np.flatnonzero(cells.open), np.flatnonzero(np.diff(np.flatnonzero(cells.open)) > 1) + 1
+        )
         for group in groups if cells.open.any() else ():
             found = self._touch(cells.low[group[:1]], cells.high[group[-1:]])
             out.append(cells.only(group) if found.open[0] else found)
@@ -150,7 +172,11 @@ class Decider:
             least, most = (bound[j, 0, k] for bound in self._at(x))
             if max(-least, most) < TOUCHING * self.size[j]:
                 up = mid[2, j, 0, k] > rad[2, j, 0, k] and a[j, 0, k] > 0.0 and b[j, 0, k] > 0.0
-                down = mid[2, j, 0, k] < -rad[2, j, 0, k] and a_high[j, 0, k] < 0.0 and b_high[j, 0, k] < 0.0
+                down = (
+                    mid[2, j, 0, k] < -rad[2, j, 0, k]
+                    and a_high[j, 0, k] < 0.0
+                    and b_high[j, 0, k] < 0.0
+                )
                 state[0, k] = TOUCH if up else POINT if down else OPEN
                 place[0, k] = float(x[0])
         state[(mid[0] + rad[0] < 0.0).any(axis=0)] = DEAD
@@ -158,8 +184,9 @@ class Decider:
 
 
 def _known(holds: np.ndarray, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States (n, k), where functions are positive (f, n, k); kinds of what is not, and whether that is one that ends a
-    branch."""  # fmt: skip
+    """States (n, k), where functions are positive (f, n, k); kinds of what is not, and whether that
+    is one that ends a branch.
+    """
     kind = np.where(holds.all(axis=0), NONE, kinds[np.argmin(holds, axis=0)])
     single = ((~holds).sum(axis=0) == 1) & (kind != SOUND)
     return np.where(holds.all(axis=0), ALIVE, OPEN), kind, single

@@ -1,8 +1,10 @@
-"""A planar mechanism of dyads as functions of one coordinate: where each of its branches exists, with bounds.
+"""A planar mechanism of dyads as functions of one coordinate: where each of its branches exists,
+with bounds.
 
-The dyads of a closed form (`solvers.dyads`) are walked with enclosures in place of numbers. Each of them has two roots,
-which exist where its circles, or its line and circle, meet: where functions of the coordinate are positive. Where one
-of them is zero the two roots are one. Limits of the other coordinates are such functions, too.
+The dyads of a closed form (`solvers.dyads`) are walked with enclosures in place of numbers. Each of
+them has two roots, which exist where its circles, or its line and circle, meet: where functions of
+the coordinate are positive. Where one of them is zero the two roots are one. Limits of the other
+coordinates are such functions, too.
 """
 
 from __future__ import annotations
@@ -14,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.first_order.constraint_graph import structure
-from kempe.analysis.spaces.curves.branch_functions import SOUND, BranchFunctions, Function, within, within_turn
+from kempe.analysis.spaces.curves.branch_functions import (
+    SOUND,
+    BranchFunctions,
+    Function,
+    within,
+    within_turn,
+)
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.kinematics.common.enclosures import Enclosure, constant, cos_sin
 from kempe.kinematics.configuration import circles, mid, q_dict
@@ -37,7 +45,9 @@ Vector = tuple[Enclosure, Enclosure]
 
 @kept
 def dyad_branches(system: System) -> tuple[BranchFunctions, ...] | str:
-    """The branches over each coordinate from which all others follow by dyads, or why there are none."""
+    """The branches over each coordinate from which all others follow by dyads, or why there are
+    none.
+    """
     parts = parts_of(system)
     if parts.trouble:
         return parts.trouble
@@ -55,12 +65,23 @@ def dyad_branches(system: System) -> tuple[BranchFunctions, ...] | str:
         name: str = system.coordinate_names[iq]
         low, high = map(float, system.structure.limits[iv])
         plan = closed_form(system, (name, *aside)) if name not in aside else None
-        if isinstance(plan, Plan) and plan.signs <= MOST_SIGNS and (turns[iv] or math.isfinite(high - low)):
+        if (
+            isinstance(plan, Plan)
+            and plan.signs <= MOST_SIGNS
+            and (turns[iv] or math.isfinite(high - low))
+        ):
             walk = Walk(system, plan)
             if walk.sound:
                 ends = (0.1 - math.pi, 0.1 + math.pi + 1e-15) if turns[iv] else (low, high)
                 found = BranchFunctions(
-                    system, name, *ends, bool(turns[iv]), plan.signs, walk, _solved(plan), _signs(plan)
+                    system,
+                    name,
+                    *ends,
+                    bool(turns[iv]),
+                    plan.signs,
+                    walk,
+                    _solved(plan),
+                    _signs(plan),
                 )
                 out.append((bool(turns[iv]), found))
     out.sort(key=lambda x: (not x[0], x[1].signs))
@@ -96,7 +117,9 @@ def _signs(plan: Plan) -> Callable[[Array], Array]:
 
 
 class Walk:
-    """Walks the program of a plan with enclosures; `sound` says whether it holds what is understood here, only."""
+    """Walks the program of a plan with enclosures; `sound` says whether it holds what is understood
+    here, only.
+    """
 
     def __init__(self, system: System, plan: Plan):
         ints: list[int] = plan.program[0].tolist()
@@ -110,7 +133,9 @@ class Walk:
         layout = system.structure.layout
         bounds = system.structure.limits[layout.vector_v].tolist()
         self.limits = dict(zip(layout.vector_q.tolist(), bounds, strict=True))
-        self.turns = dict(zip(layout.vector_q.tolist(), circles(system)[layout.vector_v].tolist(), strict=True))
+        self.turns = dict(
+            zip(layout.vector_q.tolist(), circles(system)[layout.vector_v].tolist(), strict=True)
+        )
         self.sound = all(self._understood(i, f) for i, f in self.ops)
 
     def _understood(self, i: list[int], f: list[float]) -> bool:
@@ -121,7 +146,9 @@ class Walk:
                 return not i[5]
             if code == K.READ_SLIDE:
                 return True
-            return abs(f[2]) == 1.0 and (self.turns[slot] or f[6] - f[5] < 2.0 * math.pi * (1.0 - 1e-9))
+            return abs(f[2]) == 1.0 and (
+                self.turns[slot] or f[6] - f[5] < 2.0 * math.pi * (1.0 - 1e-9)
+            )
         if code in (K.TURN, K.SLIDE):
             given = i[3] == self.known or i[3] in self.aside
             return given or (code == K.TURN and abs(f[0]) == 1.0)
@@ -131,18 +158,26 @@ class Walk:
         """The functions of all branches with these signs (n, signs) on the intervals x."""
         order = len(x.mid) - 1
         none, unit = (constant(np.array([value]), order) for value in (0.0, 1.0))
-        poses: dict[int, Any] = {K.REGISTERS + 4 * k: (unit, none, none, none) for k in range(self.registers)}
+        poses: dict[int, Any] = {
+            K.REGISTERS + 4 * k: (unit, none, none, none) for k in range(self.registers)
+        }
         angles: dict[int, Vector] = {}
-        given = {self.known: x} | {k: constant(np.array([value]), order) for k, value in self.aside.items()}
+        given = {self.known: x} | {
+            k: constant(np.array([value]), order) for k, value in self.aside.items()
+        }
         out: list[Function] = []
         for i, f in self.ops:
             code = i[0]
             if code == K.TURN:
-                c, s = _scaled(angles[i[3]], f[0]) if i[3] in angles else cos_sin(given[i[3]] * f[0])
+                c, s = (
+                    _scaled(angles[i[3]], f[0]) if i[3] in angles else cos_sin(given[i[3]] * f[0])
+                )
                 a = times(times(poses[i[2]], f[1:5]), (c, s, 0.0, 0.0))
                 poses[i[1]] = times(a, f[5:9])
             elif code == K.SLIDE:
-                poses[i[1]] = times(times(times(poses[i[2]], f[1:5]), (1.0, 0.0, given[i[3]] * f[0], 0.0)), f[5:9])
+                poses[i[1]] = times(
+                    times(times(poses[i[2]], f[1:5]), (1.0, 0.0, given[i[3]] * f[0], 0.0)), f[5:9]
+                )
             elif code == K.DIVIDE:
                 poses[i[1]] = times(poses[i[1]], inverted(poses[i[2]]))
             elif code == K.CARRY:
@@ -170,7 +205,12 @@ class Walk:
 def times(a: Any, b: Any) -> Any:
     """The pose a b."""
     c, s, x, y = a
-    return c * b[0] - s * b[1], s * b[0] + c * b[1], x + (c * b[2] - s * b[3]), y + (s * b[2] + c * b[3])
+    return (
+        c * b[0] - s * b[1],
+        s * b[0] + c * b[1],
+        x + (c * b[2] - s * b[3]),
+        y + (s * b[2] + c * b[3]),
+    )
 
 
 def inverted(a: Any) -> Any:
@@ -230,7 +270,9 @@ def _circles(poses: Any, i: list[int], f: list[float], number: int, sign: Any) -
     return [(r1, SOUND), (r2, SOUND), (d, SOUND), (far, number), (near, number)]
 
 
-def _line_circle(poses: Any, i: list[int], f: list[float], number: int, sign: Any) -> list[Function]:
+def _line_circle(
+    poses: Any, i: list[int], f: list[float], number: int, sign: Any
+) -> list[Function]:
     px, py, dx, dy = _rail(poses[i[1]], f)
     qx, qy, ex, ey = _rail(poses[i[2]], f[4:])
     b1, b2, a2, a = (_pin(poses[i[k + 3]], f[8 + 2 * k :]) for k in range(4))

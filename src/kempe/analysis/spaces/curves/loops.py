@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 @kept
 def loop_of(system: System) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
-    """Bodies and joints of the only loop in their order, body k before joint k; or why there is no such loop."""
+    """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
+    such loop.
+    """
     s = system.structure
     if len(s.closures) != 1:
         return "it has more than one loop" if s.closures else "it has no loop"

@@ -1,9 +1,11 @@
-"""The components of a curve whose branches are known over one coordinate: circles and arcs, by proof.
+"""The components of a curve whose branches are known over one coordinate: circles and arcs, by
+proof.
 
-Branches are joined where intervals touch (`branch_intervals`), and where they meet: where the function of a sign is
-zero, the curve goes on with the other sign; where that of a limit is, it ends. Where a sign's function only touches
-zero, four branches meet, or one point lies alone. Where something is open, as where several functions vanish at once,
-all branches of which nothing is known may be joined: the number of components is a lower bound then.
+Branches are joined where intervals touch (`branch_intervals`), and where they meet: where the
+function of a sign is zero, the curve goes on with the other sign; where that of a limit is, it
+ends. Where a sign's function only touches zero, four branches meet, or one point lies alone. Where
+something is open, as where several functions vanish at once, all branches of which nothing is known
+may be joined: the number of components is a lower bound then.
 """
 
 from __future__ import annotations
@@ -47,8 +49,8 @@ AT_RIGHT = (ALIVE, RIGHT, TOUCH, OPEN)
 class CurveSweep:
     """A curve of k branches with `signs` (k, m) over n intervals, its `cells`.
 
-    `label` (n, k) is the number of the component of each branch on each interval, from 0 to `count` - 1, or -1; `ends`
-    (count,) is how many ends each component has: 2 if it is an arc.
+    `label` (n, k) is the number of the component of each branch on each interval, from 0 to `count`
+    - 1, or -1; `ends` (count,) is how many ends each component has: 2 if it is an arc.
     """
 
     branches: BranchFunctions
@@ -68,7 +70,10 @@ class CurveSweep:
         """What was proven, and how."""
         k = len(self.signs)
         name = self.branches.name
-        over = f"{k} branch{'es' * (k > 1)} over {name!r}, bounded on {counted(len(self.label), 'interval')}"
+        over = (
+            f"{k} branch{'es' * (k > 1)} over {name!r}, bounded on "
+            f"{counted(len(self.label), 'interval')}"
+        )
         touching = counted(len(self.crossings), "place") if len(self.crossings) else ""
         over += f"; they touch in {touching}, to rounding" if touching else ""
         return over if self.complete else f"{over}, and open where several of them meet"
@@ -81,7 +86,9 @@ class CurveSweep:
         x = np.empty(self.count)
         which = np.empty(self.count, dtype=int)
         for c in range(self.count):
-            i, which[c] = np.unravel_index(int(np.argmax(np.where(self.label == c, 1.0 + wide, 0.0))), wide.shape)
+            i, which[c] = np.unravel_index(
+                int(np.argmax(np.where(self.label == c, 1.0 + wide, 0.0))), wide.shape
+            )
             place = self.cells.place[i, which[c]]
             x[c] = middle[i] if np.isnan(place) else place
         return self.branches.at(x, self.signs[which])
@@ -100,9 +107,15 @@ class CurveSweep:
         for i, row in enumerate(q):
             x = float(row[b.place])
             x -= 2.0 * np.pi * np.floor((x - b.low) / (2.0 * np.pi)) if b.closes else 0.0
-            cell = int(np.clip(np.searchsorted(self.cells.low, x, side="right") - 1, 0, len(self.label) - 1))
+            cell = int(
+                np.clip(
+                    np.searchsorted(self.cells.low, x, side="right") - 1, 0, len(self.label) - 1
+                )
+            )
             near = b.signs_of(row[None])[0]
-            same = np.all((self.signs == near) | (near == 0.0), axis=1) & (self.cells.state[cell] != DEAD)
+            same = np.all((self.signs == near) | (near == 0.0), axis=1) & (
+                self.cells.state[cell] != DEAD
+            )
             found = {*self.label[cell, same].tolist()}
             out[i] = found.pop() if len(found) == 1 else -1
         return out
@@ -114,10 +127,14 @@ def swept(branches: BranchFunctions, time: TimeLimit) -> CurveSweep:
     cells = run.cells()
     group = _joined(branches, run.signs, cells)
     present = np.unique(group[(cells.state != DEAD) & (cells.state != OPEN)])
-    label = np.where(np.isin(group, present) & (cells.state != DEAD), np.searchsorted(present, group), -1)
+    label = np.where(
+        np.isin(group, present) & (cells.state != DEAD), np.searchsorted(present, group), -1
+    )
     stops = [label[np.isin(cells.state, (LEFT, RIGHT)) & (cells.kind == LIMIT)]]
     if not branches.closes:
-        stops += [label[c][np.isin(cells.state[c], there)] for c, there in ((0, AT_LEFT), (-1, AT_RIGHT))]
+        stops += [
+            label[c][np.isin(cells.state[c], there)] for c, there in ((0, AT_LEFT), (-1, AT_RIGHT))
+        ]
     ends = np.bincount(np.concatenate(stops) + 1, minlength=len(present) + 1)[1:]
     return CurveSweep(branches, run.signs, cells, label, len(present), ends)
 
@@ -133,7 +150,9 @@ def _joined(branches: BranchFunctions, signs: Array, cells: Cells) -> np.ndarray
     pairs = [(node[:last][goes_on[:last]], np.roll(node, -1, axis=0)[:last][goes_on[:last]])]
     i, j = np.nonzero(np.isin(cells.state, (LEFT, RIGHT, TOUCH, POINT)) & (cells.kind >= 0))
     digit = 2 ** (branches.signs - 1 - cells.kind[i, j])
-    pairs.append((node[i, j], node[i, j + np.where(signs[j, cells.kind[i, j]] > 0.0, digit, -digit)]))
+    pairs.append(
+        (node[i, j], node[i, j + np.where(signs[j, cells.kind[i, j]] > 0.0, digit, -digit)])
+    )
     for row in np.flatnonzero(cells.open):
         some = node[row][cells.state[row] == OPEN]
         pairs.append((some[:-1], some[1:]))
@@ -157,7 +176,10 @@ def sweep_of(system: System, time: TimeLimit) -> CurveSweep | str:
         best: CurveSweep | str = branches if isinstance(branches, str) else ""
         for way in branches[:TRIES] if not isinstance(branches, str) else ():
             sweep = swept(way, time)
-            better = isinstance(best, str) or (sweep.complete, sweep.count) > (best.complete, best.count)
+            better = isinstance(best, str) or (sweep.complete, sweep.count) > (
+                best.complete,
+                best.count,
+            )
             best = sweep if better else best
             if sweep.complete:
                 break

@@ -1,6 +1,8 @@
-"""The legs of a parallel mechanism: chains from the ground to a frame that share only the bodies at their ends.
+"""The legs of a parallel mechanism: chains from the ground to a frame that share only the bodies at
+their ends.
 
-Where the frame's pose is given, the legs do not know of each other: it is reached if and only if each leg reaches it.
+Where the frame's pose is given, the legs do not know of each other: it is reached if and only if
+each leg reaches it.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ if TYPE_CHECKING:
 
 @kept
 def legs_of(system: System, frame: str) -> tuple[System, ...]:
-    """The legs to a frame, each a system with that frame; none where the mechanism is not made of two legs or more.
+    """The legs to a frame, each a system with that frame; none where the mechanism is not made of
+    two legs or more.
 
-    Bodies that hang on others only are left out. Constraints and couplings may tie legs: with these there are none.
+    Bodies that hang on others only are left out. Constraints and couplings may tie legs: with these
+    there are none.
     """
     m = system.mechanism
     ground = system.body_names[0]
@@ -53,7 +57,11 @@ def _between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
                 names.append(j.name)
                 del free[j.name]
         parts.append(_trimmed(m, names, ends))
-    return [names for names in parts if ends <= {b for n in names for b in (m.joints[n].parent, m.joints[n].child)}]
+    return [
+        names
+        for names in parts
+        if ends <= {b for n in names for b in (m.joints[n].parent, m.joints[n].child)}
+    ]
 
 
 def _trimmed(m: Mechanism, names: list[str], ends: set[str]) -> list[str]:

@@ -1,8 +1,9 @@
 """What lengths and limits leave of space: places outside of it are proven not to be reached.
 
-A chain cannot be longer than its links and slides together, nor fold back further than its longest link leaves; and an
-interval is led through its joints, each anywhere within its limits. Loops and constraints only take away.
-Source of the intervals: Moore, Kearfott, Cloud, *Introduction to Interval Analysis*, 2009.
+A chain cannot be longer than its links and slides together, nor fold back further than its longest
+link leaves; and an interval is led through its joints, each anywhere within its limits. Loops and
+constraints only take away. Source of the intervals: Moore, Kearfott, Cloud, *Introduction to
+Interval Analysis*, 2009.
 """
 
 from __future__ import annotations
@@ -35,11 +36,14 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-9
 MISSED = 1e-6
-"""Slack for rounding, as a part of the box; and by how much [m] the inverse model may miss a place that it reaches."""
+"""Slack for rounding, as a part of the box; and by how much [m] the inverse model may miss a place
+that it reaches."""
 
 
 class PlaceBounds(NamedTuple):
-    """A box (2, 3), perhaps infinite, and shells in which a frame's origin is, each wider by a `slack` for rounding."""
+    """A box (2, 3), perhaps infinite, and shells in which a frame's origin is, each wider by a
+    `slack` for rounding.
+    """
 
     box: Array
     shells: tuple[ReachBound, ...]
@@ -53,7 +57,9 @@ def place_bounds(system: System, frame: str) -> tuple[PlaceBounds, ...]:
 
 
 def possible_places(system: System, frame: str, points: Array) -> np.ndarray:
-    """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of NaN none."""
+    """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of
+    NaN none.
+    """
     out = np.asarray(np.isfinite(points).all(axis=1))
     for (low, high), shells, slack in place_bounds(system, frame):
         slack += MISSED
@@ -83,7 +89,9 @@ def _bounds(system: System, frame: str) -> PlaceBounds:
             far = float(np.linalg.norm(np.abs(box).max(axis=0)))
             box = np.array([[-far] * 3, [far] * 3])
         box = _placed(box, X)
-    return PlaceBounds(box, shells, ROUNDING * (1.0 + float(np.abs(box[np.isfinite(box)]).max(initial=0.0))))
+    return PlaceBounds(
+        box, shells, ROUNDING * (1.0 + float(np.abs(box[np.isfinite(box)]).max(initial=0.0)))
+    )
 
 
 def _placed(box: Array, X: Array) -> Array:
@@ -106,11 +114,15 @@ def _turned(box: Array, low: float, high: float) -> Array:
     if not high - low < 2.0 * math.pi:
         low = 0.0
         high = 2.0 * math.pi
-    for axis, quarter in ((0, 0.0), (1, 0.5 * math.pi)):  # the largest value is at `quarter`, the least opposite
+    for axis, quarter in (
+        (0, 0.0),
+        (1, 0.5 * math.pi),
+    ):  # the largest value is at `quarter`, the least opposite
         at = np.stack([r * np.cos(angle + low - quarter), r * np.cos(angle + high - quarter)])
         for k, side in ((1, 0.0), (0, math.pi)):
             passes = np.floor((angle + high - quarter - side) / (2.0 * math.pi)) >= np.ceil(
-                (angle + low - quarter - side) / (2.0 * math.pi))  # fmt: skip
+                (angle + low - quarter - side) / (2.0 * math.pi)
+            )
             ends = np.where(passes, r if k else -r, at.max(axis=0) if k else at.min(axis=0))
             out[k, axis] = ends.max() if k else ends.min()
     return out

@@ -1,8 +1,10 @@
-"""What a workspace holds: places reached somehow, in one orientation, in several; or orientations reached at a place.
+"""What a workspace holds: places reached somehow, in one orientation, in several; or orientations
+reached at a place.
 
-Whether one is reached is decided by the inverse model: in closed form where the chain has one, leg by leg where the
-mechanism is made of legs, else by a search. Sources of the kinds: Kumar, Waldron, "The workspaces of a mechanical
-manipulator", J. Mechanical Design 103 (1981); Merlet, *Parallel Robots*, 2006, chapter 7.
+Whether one is reached is decided by the inverse model: in closed form where the chain has one, leg
+by leg where the mechanism is made of legs, else by a search. Sources of the kinds: Kumar, Waldron,
+"The workspaces of a mechanical manipulator", J. Mechanical Design 103 (1981); Merlet, *Parallel
+Robots*, 2006, chapter 7.
 """
 
 from __future__ import annotations
@@ -39,17 +41,19 @@ TURNS = {2: 180, 3: 256}
 STARTS = 64
 """Starts of a search for one pose."""
 TURNED = {2: ("angle",), 3: ("azimuth", "height", "roll")}
-"""Coordinates of orientations, of which equal cells hold equally many: an angle, or the azimuth and the height of the z
-axis on the unit sphere and the turn about it (Euler's angles z-y-z, with the cosine of the second)."""
+"""Coordinates of orientations, of which equal cells hold equally many: an angle, or the azimuth and
+the height of the z axis on the unit sphere and the turn about it (Euler's angles z-y-z, with the
+cosine of the second)."""
 RANGES = {2: ((-np.pi, np.pi),), 3: ((-np.pi, np.pi), (-1.0, 1.0), (-np.pi, np.pi))}
 
 
 @dataclass(frozen=True)
 class WorkspaceKind:
-    """A `kind` of workspace: of places, in the `turns` (k, 9), the orientations that count; or of orientations.
+    """A `kind` of workspace: of places, in the `turns` (k, 9), the orientations that count; or of
+    orientations.
 
-    These are reached `at` a place. `tried`: samples are places or orientations that the inverse model decides, not
-    configurations.
+    These are reached `at` a place. `tried`: samples are places or orientations that the inverse
+    model decides, not configurations.
     """
 
     kind: str = REACHABLE
@@ -71,7 +75,9 @@ class WorkspaceKind:
 
     def all_turns(self, dim: int) -> bool:
         """Whether the orientations stand for all of them."""
-        return len(self.turns) == TURNS[dim] and np.array_equal(self.rotations, spread_rotations(TURNS[dim], dim))
+        return len(self.turns) == TURNS[dim] and np.array_equal(
+            self.rotations, spread_rotations(TURNS[dim], dim)
+        )
 
     @property
     def noun(self) -> str:
@@ -79,7 +85,9 @@ class WorkspaceKind:
         return "orientation" if self.kind == ORIENTATION else "place"
 
     def reached(self, system: System, frame: str, points: Array, seed: int) -> np.ndarray:
-        """Which points (n, 3) are reached within all limits and constraints, as far as the inverse model finds."""
+        """Which points (n, 3) are reached within all limits and constraints, as far as the inverse
+        model finds.
+        """
         if self.kind == ORIENTATION:
             return self._reached(system, frame, points, seed)
         out = possible_places(system, frame, points)
@@ -142,13 +150,18 @@ def rotations_at(points: Array, dim: int) -> Array:
     sa = np.sin(a)
     cb = np.cos(b)
     sb = np.sin(b)
-    rows = [[ca * c * cb - sa * sb, -ca * c * sb - sa * cb, ca * s],
-            [sa * c * cb + ca * sb, -sa * c * sb + ca * cb, sa * s], [-s * cb, s * sb, c]]  # fmt: skip
+    rows = [
+        [ca * c * cb - sa * sb, -ca * c * sb - sa * cb, ca * s],
+        [sa * c * cb + ca * sb, -sa * c * sb + ca * cb, sa * s],
+        [-s * cb, s * sb, c],
+    ]
     return np.moveaxis(np.array(rows), -1, 0)
 
 
 def coordinates_of(R: Array, dim: int) -> Array:
-    """Coordinates (..., 3) of rotations (..., 3, 3): the inverse of `rotations_at`; what it does not read is 0."""
+    """Coordinates (..., 3) of rotations (..., 3, 3): the inverse of `rotations_at`; what it does
+    not read is 0.
+    """
     out = np.zeros(R.shape[:-1])
     if dim == 2:
         out[..., 0] = np.arctan2(R[..., 1, 0], R[..., 0, 0])
@@ -157,7 +170,9 @@ def coordinates_of(R: Array, dim: int) -> Array:
     level = s > 1e-12  # else only the sum of azimuth and roll counts
     out[..., 0] = np.where(level, np.arctan2(R[..., 1, 2], R[..., 0, 2]), 0.0)
     out[..., 1] = np.clip(R[..., 2, 2], -1.0, 1.0)
-    out[..., 2] = np.where(level, np.arctan2(R[..., 2, 1], -R[..., 2, 0]), np.arctan2(R[..., 1, 0], R[..., 1, 1]))
+    out[..., 2] = np.where(
+        level, np.arctan2(R[..., 2, 1], -R[..., 2, 0]), np.arctan2(R[..., 1, 0], R[..., 1, 1])
+    )
     return out
 
 
@@ -173,12 +188,15 @@ def spread_rotations(n: int, dim: int) -> Array:
     b = 2.0 * np.pi * s / 1.533751168755204288118041
     near = np.sqrt(s / n)
     far = np.sqrt(1.0 - s / n)
-    quat_wxyz = np.column_stack([near * np.sin(a), near * np.cos(a), far * np.sin(b), far * np.cos(b)])
+    quat_wxyz = np.column_stack(
+        [near * np.sin(a), near * np.cos(a), far * np.sin(b), far * np.cos(b)]
+    )
     return spatial.quat_wxyz_to_matrix(quat_wxyz)
 
 
 def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
-    """Rotations (..., 3, 3) as people give them: in the plane angles (...), in space also roll, pitch, yaw (3,).
+    """Rotations (..., 3, 3) as people give them: in the plane angles (...), in space also roll,
+    pitch, yaw (3,).
 
     Errors: `InputError`.
     """
@@ -197,38 +215,64 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
         raise InputError(f"{what} is {shown(x)}; it must be finite {needed}, at least one")
     about_z = dim == 3 or bool((np.abs(R[..., 2, 2] - 1.0) < EXACT).all())
     if (rotation_error(R) > EXACT).any() or not about_z:
-        raise InputError(f"{what} is no rotation{'' if about_z else ' of the plane'}; it must be {needed}")
+        raise InputError(
+            f"{what} is no rotation{'' if about_z else ' of the plane'}; it must be {needed}"
+        )
     return R
 
 
-def question_of(system: System, frame: str, kind: object, orientation: Any, at: Any) -> WorkspaceKind:
+def question_of(
+    system: System, frame: str, kind: object, orientation: Any, at: Any
+) -> WorkspaceKind:
     """The question that arguments of `workspace` pose. Errors: `InputError`."""
     if kind is None:
-        several = orientation is not None and np.ndim(orientation) not in ((0,) if system.dim == 2 else (1, 2))
+        several = orientation is not None and np.ndim(orientation) not in (
+            (0,) if system.dim == 2 else (1, 2)
+        )
         kind = ORIENTATION if at is not None else REACHABLE if orientation is None else CONSTANT
         kind = DEXTEROUS if several else kind
     word = known("kind", kind, KINDS)
     if (at is not None) != (word == ORIENTATION):
-        raise InputError(f"kind {word!r} {'needs' if at is None else 'reads no'} at, the place of the frame's origin, "
-                         "which kind 'orientation' reads")  # fmt: skip
+        raise InputError(
+            f"kind {word!r} {'needs' if at is None else 'reads no'} at, the place of the frame's "
+            "origin, which kind 'orientation' reads"
+        )
     if word == REACHABLE and orientation is None:
         return WorkspaceKind()
     if bool(system.structure.table.at[frame][2]):
-        raise InputError(f"{frame!r} is a particle, which has no orientation: its only workspace is the reachable one")
+        raise InputError(
+            f"{frame!r} is a particle, which has no orientation: its only workspace is the "
+            "reachable one"
+        )
     if word == ORIENTATION:
         p = numbers(at, "at")
         if p.shape != (system.dim,) or not np.isfinite(p).all():
-            raise InputError(f"at is {shown(at)}; it must be one place ({system.dim},) of finite numbers in metres")
+            raise InputError(
+                f"at is {shown(at)}; it must be one place ({system.dim},) of finite numbers in "
+                "metres"
+            )
         if orientation is not None:
             raise InputError("kind 'orientation' looks for orientations: it reads none")
         return WorkspaceKind(word, at=(*p.tolist(), 0.0)[:3], tried=True)
     if word == REACHABLE:
-        raise InputError(f"kind 'reachable' reads no orientation: kinds {CONSTANT!r} and {DEXTEROUS!r} do")
+        raise InputError(
+            f"kind 'reachable' reads no orientation: kinds {CONSTANT!r} and {DEXTEROUS!r} do"
+        )
     if orientation is None and word == CONSTANT:
-        given = "an angle in radians" if system.dim == 2 else "a rotation (3, 3), or roll, pitch and yaw in radians"
+        given = (
+            "an angle in radians"
+            if system.dim == 2
+            else "a rotation (3, 3), or roll, pitch and yaw in radians"
+        )
         raise InputError(f"kind {CONSTANT!r} needs an orientation: {given}")
-    R = spread_rotations(TURNS[system.dim], system.dim) if orientation is None else read_rotations(
-        orientation, system.dim)  # fmt: skip
+    R = (
+        spread_rotations(TURNS[system.dim], system.dim)
+        if orientation is None
+        else read_rotations(orientation, system.dim)
+    )
     if word == CONSTANT and R.shape != (3, 3):
-        raise InputError(f"kind {CONSTANT!r} reads one orientation, not {len(R)}: kind {DEXTEROUS!r} reads several")
+        raise InputError(
+            f"kind {CONSTANT!r} reads one orientation, not {len(R)}: kind {DEXTEROUS!r} reads "
+            "several"
+        )
     return WorkspaceKind(word, tuple(tuple(r) for r in R.reshape(-1, 9).tolist()), tried=True)

@@ -1,6 +1,8 @@
-"""Curves that points of a body describe while two others of its points move on arcs or segments: coupler curves.
+"""Curves that points of a body describe while two others of its points move on arcs or segments:
+coupler curves.
 
-Source: Wunderlich, "Ebene Kinematik", Bibliographisches Institut (1970): of order six, with arcs for both points.
+Source: Wunderlich, "Ebene Kinematik", Bibliographisches Institut (1970): of order six, with arcs
+for both points.
 """
 
 from __future__ import annotations
@@ -20,10 +22,12 @@ HALVINGS = 50
 NODES = (16, 32, 64, 128, 256, 512, 1024)
 """Numbers of nodes of Gauss and Legendre that are tried for an integral, until two agree."""
 NEAR = 1e-7
-"""Distance of s from the ends of an interval at which derivatives are read there: at dead centres they are 0 / 0."""
+"""Distance of s from the ends of an interval at which derivatives are read there: at dead centres
+they are 0 / 0."""
 ROUNDING = 1e-14
 FLAT = 1e-12
-"""Square of half a chord, in squares of the radius, below which circles touch at the end of an interval."""
+"""Square of half a chord, in squares of the radius, below which circles touch at the end of an
+interval."""
 BESIDE = 1e-4
 """Distance of s from a dead centre below which chords are read from there."""
 NARROW = 1e-9
@@ -59,12 +63,14 @@ def cosine_intervals(middle: float, low: float, high: float) -> list[tuple[float
 
 @dataclass(frozen=True)
 class FourBar:
-    """A body whose point `a` is on the circle or line of one piece, and `b` on that of another, over an interval.
+    """A body whose point `a` is on the circle or line of one piece, and `b` on that of another,
+    over an interval.
 
-    Points of the body are complex numbers: at the place p, turned by the unit number u, a is at p + u a. Of the two
-    places that a turn leaves, `branch` 1 or -1 says which. If one of the pieces is a segment it is the second. Motions
-    are functions of s from 0 to 1: the angle is that of the middle between `low` and `high` less half the width times
-    cos(pi s), so that they are smooth at dead centres, where the branches meet.
+    Points of the body are complex numbers: at the place p, turned by the unit number u, a is at p +
+    u a. Of the two places that a turn leaves, `branch` 1 or -1 says which. If one of the pieces is
+    a segment it is the second. Motions are functions of s from 0 to 1: the angle is that of the
+    middle between `low` and `high` less half the width times cos(pi s), so that they are smooth at
+    dead centres, where the branches meet.
     """
 
     first: PlanePiece
@@ -77,15 +83,21 @@ class FourBar:
 
     def turns(self, s: np.ndarray) -> np.ndarray:
         """The unit numbers (...) by which the body is turned."""
-        return np.exp(1j * (0.5 * (self.low + self.high) - 0.5 * (self.high - self.low) * np.cos(np.pi * s)))
+        return np.exp(
+            1j * (0.5 * (self.low + self.high) - 0.5 * (self.high - self.low) * np.cos(np.pi * s))
+        )
 
     def parameter(self, angle: float) -> float:
         """The s of an angle inside the interval."""
-        c = np.clip((0.5 * (self.low + self.high) - angle) / (0.5 * (self.high - self.low)), -1.0, 1.0)
+        c = np.clip(
+            (0.5 * (self.low + self.high) - angle) / (0.5 * (self.high - self.low)), -1.0, 1.0
+        )
         return float(np.arccos(c) / np.pi)
 
     def _chord(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The middle (...) and the direction of the chord in which a's circle meets b's curve, and its square."""
+        """The middle (...) and the direction of the chord in which a's circle meets b's curve, and
+        its square.
+        """
         one = self.first
         two = self.second
         ud = turns * (self.b - self.a)
@@ -109,7 +121,9 @@ class FourBar:
             one = self.first
             two = self.second
             gap = two.centre - u * (self.b - self.a) - one.centre
-            return one.centre + one.way * np.imag(gap * np.conj(two.way)) / np.imag(one.way * np.conj(two.way))
+            return one.centre + one.way * np.imag(gap * np.conj(two.way)) / np.imag(
+                one.way * np.conj(two.way)
+            )
         foot, way, square = self._chord(u)
         s = np.asarray(s)
         half = np.asarray(np.sqrt(np.maximum(square, 0.0)))
@@ -127,13 +141,17 @@ class FourBar:
         return self._of_first(s, u) - u * self.a
 
     def velocities(self, s: np.ndarray, point: complex) -> np.ndarray:
-        """Derivatives (...) by s of a point of the body. At dead centres they are those close to it."""
+        """Derivatives (...) by s of a point of the body. At dead centres they are those close to
+        it.
+        """
         s = np.clip(s, NEAR, 1.0 - NEAR)
         u = self.turns(s)
         p = self.place(s, u)
         turning = 0.5 * (self.high - self.low) * np.sin(np.pi * s) * np.pi
-        one, two = (p + u * x - piece.centre if piece.is_arc else 1j * piece.way / abs(piece.way) + 0.0 * u
-                    for piece, x in ((self.first, self.a), (self.second, self.b)))  # fmt: skip
+        one, two = (
+            p + u * x - piece.centre if piece.is_arc else 1j * piece.way / abs(piece.way) + 0.0 * u
+            for piece, x in ((self.first, self.a), (self.second, self.b))
+        )
         e, f = (-np.real(np.conj(n) * 1j * u * x) for n, x in ((one, self.a), (two, self.b)))
         across = np.imag(np.conj(one) * two)
         across = np.where(across == 0.0, np.inf, across)
@@ -141,7 +159,9 @@ class FourBar:
 
 
 def four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[FourBar]:
-    """The bodies with a point a on a circle or line and b on another, over all intervals in which they assemble."""
+    """The bodies with a point a on a circle or line and b on another, over all intervals in which
+    they assemble.
+    """
     for branch in (1.0, -1.0) if first.is_arc else (1.0,):
         for low, high in _intervals(first, second, b - a):
             if high - low > NARROW:
@@ -185,11 +205,18 @@ def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _overlapping(one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (k,), (k,) of boxes (2, 2, n) of two curves that overlap: first of groups of them, then of single ones."""
-    groups = [np.stack([b[0].reshape(2, -1, GROUP).min(axis=2), b[1].reshape(2, -1, GROUP).max(axis=2)])
-              for b in (one, two)]  # fmt: skip
+    """Pairs (k,), (k,) of boxes (2, 2, n) of two curves that overlap: first of groups of them, then
+    of single ones.
+    """
+    groups = [
+        np.stack([b[0].reshape(2, -1, GROUP).min(axis=2), b[1].reshape(2, -1, GROUP).max(axis=2)])
+        for b in (one, two)
+    ]
     inside = np.arange(GROUP)
-    i, j = (x[:, None] * GROUP + inside for x in np.nonzero(_overlap(groups[0][..., None], groups[1][:, :, None])))
+    i, j = (
+        x[:, None] * GROUP + inside
+        for x in np.nonzero(_overlap(groups[0][..., None], groups[1][:, :, None]))
+    )
     i, j = np.broadcast_arrays(i[:, :, None], j[:, None, :])
     i = i.ravel()
     j = j.ravel()
@@ -203,7 +230,9 @@ def _overlap(one: np.ndarray, two: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CouplerCurve(PlaneCurve):
-    """The curve of the point `point` of a four-bar's body, with its s from `start` to `start + sweep`."""
+    """The curve of the point `point` of a four-bar's body, with its s from `start` to
+    `start + sweep`.
+    """
 
     bar: FourBar
     point: complex = 0j
@@ -265,7 +294,9 @@ class CouplerCurve(PlaneCurve):
 
     @cached_property
     def moment(self) -> float:
-        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
+        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve
+        has to its left.
+        """
         value = np.inf
         rounding = ROUNDING * self.length * (self.length + float(np.abs(self._fine[1]).max()))
         for n in NODES:
@@ -279,7 +310,9 @@ class CouplerCurve(PlaneCurve):
     @property
     def extremes(self) -> np.ndarray:
         """Its ends, and where x or y is largest or least on it (k,)."""
-        t = [self.roots(lambda x, axis=axis: np.real(self.velocity(x) * axis)) for axis in (1.0, -1j)]
+        t = [
+            self.roots(lambda x, axis=axis: np.real(self.velocity(x) * axis)) for axis in (1.0, -1j)
+        ]
         return self.at(np.concatenate([[0.0, 1.0], *t]))
 
     def nearest(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -314,7 +347,9 @@ class CouplerCurve(PlaneCurve):
 
     @cached_property
     def _boxes(self) -> np.ndarray:
-        """Least and largest x and y (2, 2, n) of boxes about chords between samples, wide enough for the curve."""
+        """Least and largest x and y (2, 2, n) of boxes about chords between samples, wide enough
+        for the curve.
+        """
         z = self._fine[1]
         corners = np.stack([z[:-1], z[1:]])
         xy = np.stack([np.real(corners), np.imag(corners)])
@@ -322,13 +357,20 @@ class CouplerCurve(PlaneCurve):
         return np.stack([xy.min(axis=1) - wide, xy.max(axis=1) + wide])
 
     def roots(self, f: Callable[[np.ndarray], np.ndarray], touch: float = 0.0) -> np.ndarray:
-        """Parameters between 0 and 1 at which a function changes sign, or comes as near to 0 as `touch`."""
+        """Parameters between 0 and 1 at which a function changes sign, or comes as near to 0 as
+        `touch`.
+        """
         t = self._fine[0]
         y = f(t)
-        middle = np.flatnonzero((np.abs(y[1:-1]) < np.abs(y[:-2])) & (np.abs(y[1:-1]) <= np.abs(y[2:]))) + 1
+        middle = (
+            np.flatnonzero((np.abs(y[1:-1]) < np.abs(y[:-2])) & (np.abs(y[1:-1]) <= np.abs(y[2:])))
+            + 1
+        )
         middle = middle[(y[middle] * y[middle - 1] > 0.0) & (y[middle] * y[middle + 1] > 0.0)]
         falls = np.maximum(np.abs(y[middle - 1] - y[middle]), np.abs(y[middle + 1] - y[middle]))
-        middle = middle[np.abs(y[middle]) <= falls + touch]  # else it does not come to 0 between two samples
+        middle = middle[
+            np.abs(y[middle]) <= falls + touch
+        ]  # else it does not come to 0 between two samples
         low = t[middle - 1]
         high = t[middle + 1]
         for _ in range(HALVINGS if len(middle) else 0):  # the least of |f|, by thirds
@@ -355,7 +397,8 @@ class CouplerCurve(PlaneCurve):
     def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
         """Parameters (k,) at which it meets or touches another curve, or crosses itself.
 
-        Where one touches the other with its end, rounding finds meetings beside that: they are left out.
+        Where one touches the other with its end, rounding finds meetings beside that: they are left
+        out.
         """
         near = TOUCHING * (self.length + other.length)
         if self._passes(other):
@@ -387,7 +430,9 @@ class CouplerCurve(PlaneCurve):
         return bool(off.min() > chord)
 
     def _crossed(self, other: CouplerCurve, near: float) -> np.ndarray:
-        """Parameters (k,) where it comes as near as that to another one: Newton's method from where boxes overlap."""
+        """Parameters (k,) where it comes as near as that to another one: Newton's method from where
+        boxes overlap.
+        """
         t = self._fine[0]
         s = other._fine[0]
         i, j = _overlapping(self._boxes, other._boxes)
@@ -407,5 +452,7 @@ class CouplerCurve(PlaneCurve):
         met = np.abs(other.at(y) - self.at(x)) <= near
         if other is self:
             apart = np.abs(x - y)
-            met &= (apart > ITSELF) & ((apart < 1.0 - ITSELF) | (abs(self.at(0.0) - self.at(1.0)) > near))
+            met &= (apart > ITSELF) & (
+                (apart < 1.0 - ITSELF) | (abs(self.at(0.0) - self.at(1.0)) > near)
+            )
         return x[met]

@@ -1,10 +1,12 @@
-"""Planar chains of turns and slides: curves on which their workspace can end, and which points are reached.
+"""Planar chains of turns and slides: curves on which their workspace can end, and which points are
+reached.
 
-The workspace ends where joints are at limits, or the others cannot move the point across a direction: their axes and
-the point are on a line, to which slides are at right angles. There the first of them leads the point along an arc or a
-segment. Sources: Litvin, "Application of theorem of implicit function system existence for analysis and synthesis of
-linkages", Mechanism and Machine Theory 15 (1980); Haug, Luh, Adkins, Wang, "Numerical algorithms for mapping boundaries
-of manipulator workspaces", J. Mechanical Design 118 (1996).
+The workspace ends where joints are at limits, or the others cannot move the point across a
+direction: their axes and the point are on a line, to which slides are at right angles. There the
+first of them leads the point along an arc or a segment. Sources: Litvin, "Application of theorem of
+implicit function system existence for analysis and synthesis of linkages", Mechanism and Machine
+Theory 15 (1980); Haug, Luh, Adkins, Wang, "Numerical algorithms for mapping boundaries of
+manipulator workspaces", J. Mechanical Design 118 (1996).
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from kempe.analysis.spaces.planar.plane_curves import TURN, PlaneCurve, PlanePie
 
 @dataclass(frozen=True)
 class PlanarJoint:
-    """A joint where its coordinate is zero: a turn about `axis` by `rate` times it, or (axis None) a slide along `way`.
+    """A joint where its coordinate is zero: a turn about `axis` by `rate` times it, or (axis None)
+    a slide along `way`.
 
     `low` and `high` are its limits; those of turns may be infinite.
     """
@@ -59,7 +62,10 @@ class PlanarJoint:
             high = TURN / abs(self.rate)
         d = p - self.axis
         return PlanePiece(
-            self.axis, abs(d), float(np.angle(d)) + sense * self.rate * low, sense * self.rate * (high - low)
+            self.axis,
+            abs(d),
+            float(np.angle(d)) + sense * self.rate * low,
+            sense * self.rate * (high - low),
         )
 
     def turned_to(self, turns: Iterator[complex] | list[complex]) -> list[float]:
@@ -77,10 +83,13 @@ class PlanarJoint:
         return out
 
     def with_next(self, other: PlanarJoint) -> PlanarJoint | None:
-        """One joint for this and the next, where they turn about one axis or slide along one way; else None."""
+        """One joint for this and the next, where they turn about one axis or slide along one way;
+        else None.
+        """
         if self.axis is None or other.axis is None:
-            if self.axis is not other.axis or abs(np.imag(self.way * np.conj(other.way))) > NOTHING * abs(
-                self.way * other.way):  # fmt: skip
+            if self.axis is not other.axis or abs(
+                np.imag(self.way * np.conj(other.way))
+            ) > NOTHING * abs(self.way * other.way):
                 return None
             rates = 1.0, float(np.real(other.way / self.way))
         elif abs(self.axis - other.axis) > NOTHING * (abs(self.axis) + abs(other.axis)):
@@ -105,7 +114,8 @@ class PlanarChain(RegionOfArcs):
 
     @classmethod
     def of(cls, joints: Iterable[PlanarJoint], tip: complex) -> PlanarChain:
-        """The chain of joints, of which those that turn about one axis or slide along one way are one.
+        """The chain of joints, of which those that turn about one axis or slide along one way are
+        one.
 
         A joint with the tip on its axis is left out.
         """
@@ -122,7 +132,9 @@ class PlanarChain(RegionOfArcs):
 
     @cached_property
     def size(self) -> float:
-        """A length scale [m]: distances between successive axes and the tip, plus the largest values of slides."""
+        """A length scale [m]: distances between successive axes and the tip, plus the largest
+        values of slides.
+        """
         places = [j.axis for j in self.joints if j.axis is not None] + [self.tip]
         slides = [abs(j.way) * max(abs(j.low), abs(j.high)) for j in self.joints if j.axis is None]
         return sum(abs(b - a) for a, b in itertools.pairwise(places)) + sum(slides)
@@ -169,19 +181,26 @@ class PlanarChain(RegionOfArcs):
         return a, b
 
     def _first_state(self, last: int, tip: complex) -> list[tuple[complex, complex]]:
-        """Where the point is on the body of the last joint that is free, and the direction of the line."""
+        """Where the point is on the body of the last joint that is free, and the direction of the
+        line.
+        """
         joint = self.joints[last]
         if joint.axis is None:
             return [(tip, 1j * joint.way / abs(joint.way))]
         d = tip - joint.axis
         return [] if abs(d) < NOTHING * self.size else [(tip, d / abs(d))]
 
-    def _before(self, i: int, k: int, a: complex, b: complex, t: complex, u: complex) -> list[tuple[complex, complex]]:
-        """What of a state (t, u) of joint k becomes one of joint i, with k where all are on a line again."""
+    def _before(
+        self, i: int, k: int, a: complex, b: complex, t: complex, u: complex
+    ) -> list[tuple[complex, complex]]:
+        """What of a state (t, u) of joint k becomes one of joint i, with k where all are on a line
+        again.
+        """
         first = self.joints[i]
         joint = self.joints[k]
         if joint.axis is None and first.axis is None:
-            return []  # parallel slides: what they reach together they reach with one of them at a limit
+            # parallel slides: what they reach together they reach with one of them at a limit
+            return []
         if joint.axis is None:
             assert first.axis is not None
             way = a * joint.way
@@ -190,7 +209,9 @@ class PlanarChain(RegionOfArcs):
         else:
             line = 1j * first.way if first.axis is None else a * joint.axis + b - first.axis
             if abs(line) < NOTHING * self.size:
-                return [] if joint.limits or first.limits else [(a * t + b, a * u)]  # axes that coincide: one joint
+                return (
+                    [] if joint.limits or first.limits else [(a * t + b, a * u)]
+                )  # axes that coincide: one joint
             turn = line / abs(line) / (a * u)
             values = joint.turned_to([turn, -turn])
         out: list[tuple[complex, complex]] = []
@@ -238,4 +259,6 @@ def _carried(motion: tuple[complex, complex], z: complex) -> complex:
 def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
     a = motion[0]
     centre = _carried(motion, piece.centre)
-    return PlanePiece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)
+    return PlanePiece(
+        centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way
+    )

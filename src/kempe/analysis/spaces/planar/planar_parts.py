@@ -1,9 +1,10 @@
-"""Planar regions made of others: where several hold, and where a circle about the point lies in one.
+"""Planar regions made of others: where several hold, and where a circle about the point lies in
+one.
 
-So are places in one orientation, in several and in all of them, and those of parallel mechanisms: each leg leaves a
-region of its own. Sources: Gosselin, Angeles, "The optimum kinematic design of a planar three-degree-of-freedom
-parallel manipulator", J. Mechanisms 110 (1988); Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators",
-Mechanism and Machine Theory 33 (1998).
+So are places in one orientation, in several and in all of them, and those of parallel mechanisms:
+each leg leaves a region of its own. Sources: Gosselin, Angeles, "The optimum kinematic design of a
+planar three-degree-of-freedom parallel manipulator", J. Mechanisms 110 (1988); Merlet, Gosselin,
+Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998).
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from kempe.analysis.spaces.planar.plane_curves import TURN, PlaneCurve, PlanePie
 
 @dataclass(frozen=True)
 class RegionOfLegs(PlanarRegion):
-    """The points that all parts hold; each combination of their ways is one where these are `counted`."""
+    """The points that all parts hold; each combination of their ways is one where these are
+    `counted`.
+    """
 
     parts: tuple[PlanarRegion, ...]
     counted: bool = False
@@ -39,7 +42,9 @@ class RegionOfLegs(PlanarRegion):
 
     @cached_property
     def candidates(self) -> list[PlaneCurve]:
-        """Pieces of all curves on which it can end; of many parts those that bound what either half of them holds."""
+        """Pieces of all curves on which it can end; of many parts those that bound what either half
+        of them holds.
+        """
         if self.counted or len(self.parts) < 3:
             return merged([c for part in self.parts for c in part.candidates], SAME * self.size)
         half = len(self.parts) // 2
@@ -81,27 +86,38 @@ class Surrounded(RegionOfArcs):
 
     @cached_property
     def candidates(self) -> list[PlaneCurve]:
-        """Pieces of all curves on which it can end: beside those that bound the inner one, and about their ends."""
+        """Pieces of all curves on which it can end: beside those that bound the inner one, and
+        about their ends.
+        """
         found: list[PlanePiece] = []
         for piece in cast("list[PlanePiece]", self.inner.ends):
             if piece.is_arc:
                 radii = (piece.radius + self.radius, abs(piece.radius - self.radius))
-                found += [PlanePiece(piece.centre, r, 0.0, TURN) for r in radii if r > SAME * self.size]
+                found += [
+                    PlanePiece(piece.centre, r, 0.0, TURN) for r in radii if r > SAME * self.size
+                ]
             else:
                 beside = 1j * piece.way / abs(piece.way) * self.radius
-                found += [PlanePiece(piece.centre + s * beside, 0.0, way=piece.way) for s in (1.0, -1.0)]
+                found += [
+                    PlanePiece(piece.centre + s * beside, 0.0, way=piece.way) for s in (1.0, -1.0)
+                ]
             found += [PlanePiece(complex(piece.at(t)), self.radius, 0.0, TURN) for t in (0.0, 1.0)]
         return merged(found, SAME * self.size)
 
     def solutions(self, p: complex) -> int:
         """1 for a point that it holds, else 0."""
         circle = PlanePiece(p, self.radius, 0.0, TURN)
-        t = np.unique(np.concatenate([[0.0, 1.0], *[circle.meets(end) for end in self.inner.ends]]).clip(0.0, 1.0))
+        t = np.unique(
+            np.concatenate([[0.0, 1.0], *[circle.meets(end) for end in self.inner.ends]]).clip(
+                0.0, 1.0
+            )
+        )
         return int(self.inner.holds(circle.at(0.5 * (t[1:] + t[:-1]))).all())
 
 
 def wrist_of(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:
-    """The chain without its last joint, up to the axis of that, and the way from there to the tip; None without one.
+    """The chain without its last joint, up to the axis of that, and the way from there to the tip;
+    None without one.
 
     The last joint must turn without limits: then the orientation is free, wherever the axis is.
     """
@@ -113,7 +129,9 @@ def wrist_of(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:
 
 
 def in_all_orientations(chain: PlanarChain) -> PlanarRegion | None:
-    """Where the tip is reached in all orientations; None where the last joint does not turn without limits."""
+    """Where the tip is reached in all orientations; None where the last joint does not turn without
+    limits.
+    """
     if (found := wrist_of(chain)) is None:
         return None
     inner, way = found
@@ -121,7 +139,9 @@ def in_all_orientations(chain: PlanarChain) -> PlanarRegion | None:
 
 
 def in_one_orientation(chain: PlanarChain, turn: float) -> PlanarChain | None:
-    """Where the tip is reached with the last body turned by an angle from where it is while all joints are at zero."""
+    """Where the tip is reached with the last body turned by an angle from where it is while all
+    joints are at zero.
+    """
     if (found := wrist_of(chain)) is None:
         return None
     inner, way = found

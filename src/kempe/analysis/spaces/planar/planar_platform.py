@@ -1,10 +1,13 @@
-"""Places of a platform whose legs end with joints that turn without limits: in some orientation each leg holds.
+"""Places of a platform whose legs end with joints that turn without limits: in some orientation
+each leg holds.
 
-At a place p, with the platform turned by the unit number u, its point b is at p + u b. So a leg with the region W holds
-at the angles at which a circle about p is inside W, and p is reached if the legs hold at a common angle. The workspace
-ends where such intervals shrink to nothing: where the circle leaves W, beside its boundary or at a corner, and where
-two legs hold on different sides of one angle, so that their points are on boundaries and p on a coupler curve.
-Source: Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998).
+At a place p, with the platform turned by the unit number u, its point b is at p + u b. So a leg
+with the region W holds at the angles at which a circle about p is inside W, and p is reached if the
+legs hold at a common angle. The workspace ends where such intervals shrink to nothing: where the
+circle leaves W, beside its boundary or at a corner, and where two legs hold on different sides of
+one angle, so that their points are on boundaries and p on a coupler curve. Source: Merlet,
+Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33
+(1998).
 """
 
 from __future__ import annotations
@@ -30,7 +33,9 @@ APART = 1e-9
 
 @dataclass(frozen=True)
 class PlatformLeg:
-    """The `region`, bounded by arcs and segments, in which a leg holds the point `b` of the platform."""
+    """The `region`, bounded by arcs and segments, in which a leg holds the point `b` of the
+    platform.
+    """
 
     region: PlanarRegion
     b: complex
@@ -38,12 +43,16 @@ class PlatformLeg:
     @cached_property
     def ends(self) -> list[PlanePiece]:
         """The curve that it is, or what bounds it."""
-        return cast("list[PlanePiece]", self.region.candidates if self.region.is_curve else self.region.ends)
+        return cast(
+            "list[PlanePiece]", self.region.candidates if self.region.is_curve else self.region.ends
+        )
 
 
 @dataclass(frozen=True)
 class RotationAbout:
-    """Motions of the platform about its point `fixed`, which is at `centre`, by angles from `start` on by `sweep`."""
+    """Motions of the platform about its point `fixed`, which is at `centre`, by angles from `start`
+    on by `sweep`.
+    """
 
     centre: complex
     fixed: complex
@@ -108,12 +117,16 @@ class RegionOfPlatform(PlanarRegion):
     @property
     def counted(self) -> bool:
         """Whether solutions are counted."""
-        return self.curve is not None and all(leg is self.curve or leg.region.counted for leg in self.legs)
+        return self.curve is not None and all(
+            leg is self.curve or leg.region.counted for leg in self.legs
+        )
 
     # ---- curves on which it can end
 
     def _edges(self, leg: PlatformLeg) -> list[PlanePiece]:
-        """Where a leg begins or ends to hold its point, or, where solutions are counted, does so in other ways."""
+        """Where a leg begins or ends to hold its point, or, where solutions are counted, does so in
+        other ways.
+        """
         if not self.counted or leg is self.curve:
             return leg.ends
         return [cast(PlanePiece, piece) for piece, left, right in leg.region.sides if left != right]
@@ -125,7 +138,9 @@ class RegionOfPlatform(PlanarRegion):
         return merged(found, SAME * self.size)
 
     def _motions(self) -> Iterator[tuple[Motion, tuple[PlatformLeg, ...]]]:
-        """Motions along which intervals of angles begin or end, and the legs whose points then are on boundaries."""
+        """Motions along which intervals of angles begin or end, and the legs whose points then are
+        on boundaries.
+        """
         for leg in self.legs:
             if self.curve in (None, leg):
                 for motion in _beside(leg):
@@ -137,9 +152,16 @@ class RegionOfPlatform(PlanarRegion):
                         yield motion, (one, two)
 
     def _held(self, motion: Motion, held: tuple[PlatformLeg, ...]) -> Iterator[PlaneCurve]:
-        """The parts of a motion's curve on which all other legs hold, and intervals of these may end."""
+        """The parts of a motion's curve on which all other legs hold, and intervals of these may
+        end.
+        """
         path = motion.of(0j)
-        cuts = [motion.of(leg.b).meets(end) for leg in self.legs if leg not in held for end in self._edges(leg)]
+        cuts = [
+            motion.of(leg.b).meets(end)
+            for leg in self.legs
+            if leg not in held
+            for end in self._edges(leg)
+        ]
         rates: list[Callable[..., np.ndarray]] = []
         if isinstance(motion, CouplerCurve):
             rates = [partial(_rate, motion, leg) for leg in held]
@@ -149,9 +171,13 @@ class RegionOfPlatform(PlanarRegion):
             x = 0.5 * (a + b)
             p = complex(path.at(x))
             u = motion.turns(x)
-            if not all(bool(leg.region.holds(p + u * leg.b)) for leg in self.legs if leg not in held):
+            if not all(
+                bool(leg.region.holds(p + u * leg.b)) for leg in self.legs if leg not in held
+            ):
                 continue
-            same_side = len(rates) == 2 and self.curve is None and float(rates[0](x) * rates[1](x)) > 0.0
+            same_side = (
+                len(rates) == 2 and self.curve is None and float(rates[0](x) * rates[1](x)) > 0.0
+            )
             if not same_side:
                 yield path.part(a, b)
 
@@ -179,7 +205,9 @@ class RegionOfPlatform(PlanarRegion):
         legs = self.legs if self.curve is None else (self.curve,)
         found = [_angles(p, leg.b, end) for leg in legs for end in leg.ends]
         angles = np.sort(np.concatenate([np.full((len(p), 1), np.nan), *found], axis=1), axis=1)
-        if self.curve is None:  # the middles of intervals between which nothing changes, and an angle if there are none
+        if (
+            self.curve is None
+        ):  # the middles of intervals between which nothing changes, and an angle if there are none
             first = np.where(np.isfinite(angles[:, :1]), angles[:, :1], 0.0)
             angles = np.concatenate([angles, first + TURN], axis=1)
             angles = np.sort(np.where(np.isfinite(angles), angles, first + TURN), axis=1)
@@ -196,7 +224,9 @@ class RegionOfPlatform(PlanarRegion):
 
 
 def _angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
-    """Angles (n, 2) in [0, 2 pi) at which the platform's point b, of places p (n,), is on a piece; NaN for none."""
+    """Angles (n, 2) in [0, 2 pi) at which the platform's point b, of places p (n,), is on a piece;
+    NaN for none.
+    """
     r = abs(b)
     if end.is_arc:
         to = end.centre - p
@@ -226,7 +256,9 @@ def _rate(motion: CouplerCurve, leg: PlatformLeg, t: np.ndarray | float) -> np.n
 
 
 def _beside(leg: PlatformLeg) -> Iterator[Motion]:
-    """Motions with a leg's point where a circle about the place touches a boundary from outside, or at its corners."""
+    """Motions with a leg's point where a circle about the place touches a boundary from outside, or
+    at its corners.
+    """
     r = abs(leg.b)
     curve = leg.region.is_curve
     for end in leg.ends:
@@ -237,16 +269,22 @@ def _beside(leg: PlatformLeg) -> Iterator[Motion]:
             for side in (1.0, -1.0) if curve else (1.0,):
                 yield TranslationAlong(end, leg.b, side * 1j * end.way / abs(end.way) * r / leg.b)
             continue
-        # the place is on the line of the centre and the point, outside the circle or on the other side of the centre
+        # the place is on the line of the centre and the point, outside the circle or on the other
+        # side of the centre
         outwards = r
         inwards = -r
-        sides = (outwards, inwards) if curve else (outwards, inwards) if r > end.radius else (outwards,)
+        sides = (
+            (outwards, inwards) if curve else (outwards, inwards) if r > end.radius else (outwards,)
+        )
         if not curve and end.sweep < 0.0:
             sides = (inwards,) if r < end.radius else ()
         for side in sides:
             turn = -np.sign(side) * r / leg.b
             yield RotationAbout(
-                end.centre, leg.b * (1.0 + end.radius / side), end.start + float(np.angle(turn)), end.sweep
+                end.centre,
+                leg.b * (1.0 + end.radius / side),
+                end.start + float(np.angle(turn)),
+                end.sweep,
             )
 
 
@@ -255,7 +293,9 @@ def _four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) ->
     if not first.is_arc and second.is_arc:
         first, second, a, b = second, first, b, a
     d = b - a
-    if not first.is_arc and abs(np.imag(np.conj(first.way) * second.way)) < 1e-9 * abs(first.way * second.way):
+    if not first.is_arc and abs(np.imag(np.conj(first.way) * second.way)) < 1e-9 * abs(
+        first.way * second.way
+    ):
         yield from _between_parallels(first, second, a, b)
         return
     base = second.centre - first.centre
@@ -266,7 +306,9 @@ def _four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) ->
         yield from _on_pieces(bar)
 
 
-def _between_parallels(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[Motion]:
+def _between_parallels(
+    first: PlanePiece, second: PlanePiece, a: complex, b: complex
+) -> Iterator[Motion]:
     """Motions along two parallel segments."""
     w = first.way / abs(first.way)
     d = b - a
@@ -277,8 +319,12 @@ def _between_parallels(first: PlanePiece, second: PlanePiece, a: complex, b: com
             yield from _common(first, second, a, b, w * across * abs(d) / d)
 
 
-def _common(first: PlanePiece, second: PlanePiece, a: complex, b: complex, turn: complex) -> Iterator[Motion]:
-    """Motions without turning, with two points of the platform on two pieces, which then lie on each other."""
+def _common(
+    first: PlanePiece, second: PlanePiece, a: complex, b: complex, turn: complex
+) -> Iterator[Motion]:
+    """Motions without turning, with two points of the platform on two pieces, which then lie on
+    each other.
+    """
     moved = replace(second, centre=second.centre - turn * (b - a))
     ends = first.parameters(moved.at(np.array([0.0, 1.0])))[0]
     t = np.unique(np.concatenate([[0.0, 1.0], ends]).clip(0.0, 1.0))
@@ -290,7 +336,10 @@ def _common(first: PlanePiece, second: PlanePiece, a: complex, b: complex, turn:
 def _on_pieces(bar: FourBar) -> Iterator[CouplerCurve]:
     """The parts of a four-bar's motion on which both points are inside their pieces."""
     cuts = [0.0, 1.0]
-    for piece, other, d in ((bar.first, bar.second, bar.b - bar.a), (bar.second, bar.first, bar.a - bar.b)):
+    for piece, other, d in (
+        (bar.first, bar.second, bar.b - bar.a),
+        (bar.second, bar.first, bar.a - bar.b),
+    ):
         for end in piece.at(np.array([0.0, 1.0])).tolist():
             circle = PlanePiece(end, abs(d), float(np.angle(d)), TURN)
             angles = bar.low + np.mod(TURN * circle.meets(other) - bar.low, TURN)

@@ -1,4 +1,6 @@
-"""Regions of the plane that are bounded by pieces of curves: of candidates those with the region on one side only."""
+"""Regions of the plane that are bounded by pieces of curves: of candidates those with the region on
+one side only.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ NOTHING = 1e-12
 SAME = 1e-10
 """Difference, in sizes of a region, up to which circles and lines are the same."""
 BESIDE = 1e-6
-"""How far beside a curve points are tried, in sizes of a region, at most as a part of the curve's length, and nearer
-where another curve is near."""
+"""How far beside a curve points are tried, in sizes of a region, at most as a part of the curve's
+length, and nearer where another curve is near."""
 PART = 0.02
 
 
@@ -47,7 +49,8 @@ class PlanarRegion:
 
     @cached_property
     def sides(self) -> list[tuple[PlaneCurve, int, int]]:
-        """Pieces of the candidates, cut where these meet, with the numbers of solutions to the left and to the right.
+        """Pieces of the candidates, cut where these meet, with the numbers of solutions to the left
+        and to the right.
 
         Each piece is directed so that the number to its left is no less.
         """
@@ -60,7 +63,9 @@ class PlanarRegion:
             for a, b in itertools.pairwise(t):
                 part = piece.part(a, b)
                 middle = complex(part.at(0.47))
-                others = (float(c.distance(np.asarray(middle))) for c in self.candidates if c is not piece)
+                others = (
+                    float(c.distance(np.asarray(middle))) for c in self.candidates if c is not piece
+                )
                 thin = min((0.3 * x for x in others if x > 0.1 * SAME * self.size), default=np.inf)
                 beside = min(BESIDE * self.size, PART * part.length, thin) * 1j * part.tangent(0.47)
                 left, right = (self.solutions(middle + s * beside) for s in (1.0, -1.0))
@@ -79,9 +84,13 @@ class RegionOfArcs(PlanarRegion):
     """A region that is bounded by arcs and segments only."""
 
     def holds(self, p: Any) -> Any:
-        """Whether points (...), which are not on the boundary, are inside it: by how often this goes round them."""
+        """Whether points (...), which are not on the boundary, are inside it: by how often this
+        goes round them.
+        """
         z = np.asarray(p)
-        turns = sum((_turn_about(cast(PlanePiece, piece), z) for piece in self.ends), np.zeros(z.shape))
+        turns = sum(
+            (_turn_about(cast(PlanePiece, piece), z) for piece in self.ends), np.zeros(z.shape)
+        )
         return np.round(turns / TURN) != 0
 
 
@@ -91,7 +100,8 @@ def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
     b = complex(piece.at(1.0)) - p
     if not piece.is_arc:
         return np.angle(b * a.conj())
-    # along the arc the angle is that of the chord, and a full turn more where p lies between the two
+    # along the arc the angle is that of the chord, and a full turn more where p lies between the
+    # two
     parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
     total = np.zeros(p.shape)
     for k in range(parts):

@@ -1,4 +1,6 @@
-"""Arcs of circles and segments in the plane, as complex numbers: where they meet, and areas that they enclose."""
+"""Arcs of circles and segments in the plane, as complex numbers: where they meet, and areas that
+they enclose.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ class PlaneCurve:
     length: Any
     """Its length in metres."""
     moment: Any
-    """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
+    """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to
+    its left."""
     extremes: Any
     """Its ends, and where x or y is largest or least on it (k,)."""
 
@@ -44,7 +47,9 @@ class PlaneCurve:
         raise NotImplementedError
 
     def directions(self, p: np.ndarray) -> np.ndarray:
-        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close to it."""
+        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close
+        to it.
+        """
         raise NotImplementedError
 
     def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
@@ -68,8 +73,9 @@ def as_pair(z: Any) -> list[float]:
 
 @dataclass(frozen=True)
 class PlanePiece(PlaneCurve):
-    """A piece of a curve, from its parameter 0 to 1: an arc about `centre` of `radius`, from the angle `start` on by
-    `sweep`; where the radius is 0 a segment from `centre` by `way`."""  # fmt: skip
+    """A piece of a curve, from its parameter 0 to 1: an arc about `centre` of `radius`, from the
+    angle `start` on by `sweep`; where the radius is 0 a segment from `centre` by `way`.
+    """
 
     centre: complex
     radius: float
@@ -93,7 +99,12 @@ class PlanePiece(PlaneCurve):
 
     def data(self) -> dict[str, Any]:
         """Its numbers, for JSON."""
-        arc = {"centre": as_pair(self.centre), "radius": self.radius, "start": self.start, "sweep": self.sweep}
+        arc = {
+            "centre": as_pair(self.centre),
+            "radius": self.radius,
+            "start": self.start,
+            "sweep": self.sweep,
+        }
         return super().data() | (arc if self.is_arc else {})
 
     @property
@@ -117,7 +128,9 @@ class PlanePiece(PlaneCurve):
     def part(self, a: float, b: float) -> PlanePiece:
         """The piece from the parameter a to b."""
         if self.is_arc:
-            return PlanePiece(self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a))
+            return PlanePiece(
+                self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a)
+            )
         return PlanePiece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
 
     def parameters(self, p: np.ndarray, slack: float = ENDS) -> tuple[np.ndarray, np.ndarray]:
@@ -133,20 +146,26 @@ class PlanePiece(PlaneCurve):
         return t, (t > -slack) & (t < 1.0 + slack)
 
     def directions(self, p: np.ndarray) -> np.ndarray:
-        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close to it."""
+        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close
+        to it.
+        """
         if not self.is_arc:
             return np.full(np.shape(p), self.way / abs(self.way))
         d = p - self.centre
         return 1j * np.sign(self.sweep) * d / np.maximum(np.abs(d), 1e-300)
 
     def off(self, p: np.ndarray) -> np.ndarray:
-        """How far points (...) are outside its circle, or to the left of its line, in metres; negative on the other."""
+        """How far points (...) are outside its circle, or to the left of its line, in metres;
+        negative on the other.
+        """
         if self.is_arc:
             return np.abs(p - self.centre) - self.radius
         return np.imag((p - self.centre) * np.conj(self.way)) / abs(self.way)
 
     def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
-        """Parameters (k,) of the points in which it meets or touches another piece; none on the same circle or line."""
+        """Parameters (k,) of the points in which it meets or touches another piece; none on the
+        same circle or line.
+        """
         if isinstance(other, PlanePiece):
             p = circle_points(self, other)
             p = p[other.parameters(p, slack)[1]] if len(p) else p
@@ -158,7 +177,9 @@ class PlanePiece(PlaneCurve):
     def distance(self, p: np.ndarray) -> np.ndarray:
         """Distances (...) of points (...) from it."""
         t, on = self.parameters(p)
-        near = np.abs(np.abs(p - self.centre) - self.radius) if self.is_arc else np.abs(p - self.at(t))
+        near = (
+            np.abs(np.abs(p - self.centre) - self.radius) if self.is_arc else np.abs(p - self.at(t))
+        )
         return np.where(on, near, np.minimum(np.abs(p - self.at(0.0)), np.abs(p - self.at(1.0))))
 
     @property
@@ -172,16 +193,23 @@ class PlanePiece(PlaneCurve):
 
     @property
     def moment(self) -> float:
-        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
+        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve
+        has to its left.
+        """
         if not self.is_arc:
             return 0.5 * float((self.centre.conjugate() * self.way).imag)
         a = self.at(0.0)
         b = self.at(1.0)
-        return 0.5 * float((self.centre.conjugate() * (b - a)).imag) + 0.5 * self.radius**2 * self.sweep
+        return (
+            0.5 * float((self.centre.conjugate() * (b - a)).imag)
+            + 0.5 * self.radius**2 * self.sweep
+        )
 
 
 def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
-    """Points in which the circles or lines of two pieces meet or touch, of the same circle or line none."""
+    """Points in which the circles or lines of two pieces meet or touch, of the same circle or line
+    none.
+    """
     if not a.is_arc and not b.is_arc:
         across = np.imag(np.conj(a.way) * b.way)
         if abs(across) < 1e-12 * abs(a.way) * abs(b.way):
@@ -210,7 +238,9 @@ def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
 
 
 def merged(curves: Iterable[PlaneCurve], same: float) -> list[PlaneCurve]:
-    """The curves longer than `same` metres; pieces on the same circle or line are joined where they overlap."""
+    """The curves longer than `same` metres; pieces on the same circle or line are joined where they
+    overlap.
+    """
     groups: list[tuple[PlanePiece, list[tuple[float, float]]]] = []
     others: list[PlaneCurve] = []
     for piece in curves:
@@ -229,7 +259,9 @@ def merged(curves: Iterable[PlaneCurve], same: float) -> list[PlaneCurve]:
 
 
 def _whole(piece: PlanePiece) -> PlanePiece:
-    """The circle of an arc from the angle 0 on, or the line of a segment with its nearest point to the origin."""
+    """The circle of an arc from the angle 0 on, or the line of a segment with its nearest point to
+    the origin.
+    """
     if piece.is_arc:
         return PlanePiece(piece.centre, piece.radius, 0.0, TURN)
     unit = piece.way / abs(piece.way)

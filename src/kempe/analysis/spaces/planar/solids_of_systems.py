@@ -1,4 +1,6 @@
-"""The solids that chains in space reach whose joints move a frame in a plane, but for a slide or a first turn."""
+"""The solids that chains in space reach whose joints move a frame in a plane, but for a slide or a
+first turn.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,15 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 PARALLEL = 1e-9
-"""Sine of an angle below which directions are parallel, and cosine below which they are at right angles."""
+"""Sine of an angle below which directions are parallel, and cosine below which they are at right
+angles."""
 
 
 @dataclass(frozen=True)
 class SpaceJoint:
-    """A joint at zero: it turns about a line through `point` by `turn` a unit, or (turn 0) slides by `way` a unit."""
+    """A joint at zero: it turns about a line through `point` by `turn` a unit, or (turn 0) slides
+    by `way` a unit.
+    """
 
     turn: Array
     point: Array
@@ -45,12 +50,20 @@ class SpaceJoint:
         return bool(self.turn.any())
 
     def in_plane(self, o: Array, axes: Array) -> PlanarJoint | None:
-        """The joint in the plane of two unit vectors (2, 3) through o; None if it does not move along that."""
+        """The joint in the plane of two unit vectors (2, 3) through o; None if it does not move
+        along that.
+        """
         normal = np.cross(*axes)
         if self.turns:
             if np.linalg.norm(np.cross(self.direction, normal)) > PARALLEL:
                 return None
-            return PlanarJoint(_complex(axes @ (self.point - o)), float(self.turn @ normal), 0j, self.low, self.high)
+            return PlanarJoint(
+                _complex(axes @ (self.point - o)),
+                float(self.turn @ normal),
+                0j,
+                self.low,
+                self.high,
+            )
         if abs(self.direction @ normal) > PARALLEL:
             return None
         return PlanarJoint(None, 0.0, _complex(axes @ self.way), self.low, self.high)
@@ -68,7 +81,9 @@ def swept_solid(system: System, frame: str) -> SweptSolid | None:
 
 
 def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
-    """The joints that move a frame's origin; None where there are others than turns and slides of their own."""
+    """The joints that move a frame's origin; None where there are others than turns and slides of
+    their own.
+    """
     table, _, v_index = local_chain(system.structure.table, frame)
     if system.nq != system.nv or len(table.iv) != len(v_index) or system.structure.closures:
         return None
@@ -78,7 +93,9 @@ def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
     tip = fk(system, q, frame)[:3, 3]
     J = jacobian(system, q, frame)[:, v_index]
     out: list[SpaceJoint] = []
-    for column, low, high in zip(J.T, system.lower[v_index].tolist(), system.upper[v_index].tolist(), strict=True):
+    for column, low, high in zip(
+        J.T, system.lower[v_index].tolist(), system.upper[v_index].tolist(), strict=True
+    ):
         v = column[:3]
         w = column[3:]
         rate = float(w @ w)
@@ -92,8 +109,12 @@ def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
             return None  # a screw
         else:
             out.append(SpaceJoint(w, tip + np.cross(w, v) / rate, np.zeros(3), low, high))
-    while out and out[-1].turns and np.linalg.norm(np.cross(out[-1].direction, tip - out[-1].point)) < NOTHING * 1e3 * (
-        1.0 + np.linalg.norm(tip)):  # fmt: skip
+    while (
+        out
+        and out[-1].turns
+        and np.linalg.norm(np.cross(out[-1].direction, tip - out[-1].point))
+        < NOTHING * 1e3 * (1.0 + np.linalg.norm(tip))
+    ):
         out.pop()  # the tip is on its axis
     return out if len(out) <= MOST else None
 
@@ -128,7 +149,9 @@ def _revolved(joints: list[SpaceJoint], tip: Array) -> Iterator[SweptSolid]:
         axes = np.stack([np.cross(a, normal), a, normal])
         rest = [j.in_plane(origin, axes[:2]) for j in joints[1:]]
         if rest and all(j is not None for j in rest):
-            chain = PlanarChain.of(cast("list[PlanarJoint]", rest), _complex(axes[:2] @ (tip - origin)))
+            chain = PlanarChain.of(
+                cast("list[PlanarJoint]", rest), _complex(axes[:2] @ (tip - origin))
+            )
             if len(chain.joints) > 1:
                 beside = float(normal @ (tip - origin))
                 if high - low >= 2.0 * np.pi:

@@ -1,8 +1,10 @@
-"""Solids that planar regions sweep in space: moved along their normal by a slide, or turned about an axis.
+"""Solids that planar regions sweep in space: moved along their normal by a slide, or turned about
+an axis.
 
-They are the places that chains reach whose other joints move a frame in a plane. About an axis in the plane or parallel
-to it, a point of the plane at x beside the axis describes a circle whose radius is the root of x^2 + d^2, with the
-distance d of the plane from the axis; so places at x and -x are one. The volume is that of Pappus (about 340).
+They are the places that chains reach whose other joints move a frame in a plane. About an axis in
+the plane or parallel to it, a point of the plane at x beside the axis describes a circle whose
+radius is the root of x^2 + d^2, with the distance d of the plane from the axis; so places at x and
+-x are one. The volume is that of Pappus (about 340).
 """
 
 from __future__ import annotations
@@ -50,8 +52,12 @@ class Folded(RegionOfArcs):
     def candidates(self) -> list[PlaneCurve]:
         """Pieces of all curves on which it can end."""
         pieces = [cast(PlanePiece, piece) for piece in self.inner.ends]
-        across = [PlanePiece(-p.centre.conjugate(), p.radius, np.pi - p.start, -p.sweep, -p.way.conjugate())
-                  for p in pieces]  # fmt: skip
+        across = [
+            PlanePiece(
+                -p.centre.conjugate(), p.radius, np.pi - p.start, -p.sweep, -p.way.conjugate()
+            )
+            for p in pieces
+        ]
         return merged([*pieces, *across], SAME * self.size)
 
     def solutions(self, p: complex) -> int:
@@ -63,7 +69,8 @@ class Folded(RegionOfArcs):
 class SweptSolid:
     """The places that a frame reaches whose chain moves it in a plane, and that plane in space.
 
-    `axes` (3, 3) are unit vectors along the plane and across it, from `origin` (3,), in the ground frame.
+    `axes` (3, 3) are unit vectors along the plane and across it, from `origin` (3,), in the ground
+    frame.
     """
 
     section: PlanarRegion
@@ -154,14 +161,24 @@ class Prism(SweptSolid):
 
 @dataclass(frozen=True, eq=False)
 class Revolved(SweptSolid):
-    """The section, turned about the axis that is along its y, `beside` [m] across the plane from its origin."""
+    """The section, turned about the axis that is along its y, `beside` [m] across the plane from
+    its origin.
+    """
 
     beside: float = 0.0
 
     @property
     def measure(self) -> float:
-        """Its volume in cubic metres, exact but for rounding: pi times the integral of |x| over the folded section."""
-        return 0.5 * np.pi * sum(_integral(cast(PlanePiece, p), lambda x: x * np.abs(x)) for p in self.section.ends)
+        """Its volume in cubic metres, exact but for rounding: pi times the integral of |x| over the
+        folded section.
+        """
+        return (
+            0.5
+            * np.pi
+            * sum(
+                _integral(cast(PlanePiece, p), lambda x: x * np.abs(x)) for p in self.section.ends
+            )
+        )
 
     @property
     def extent(self) -> Array:
@@ -185,7 +202,9 @@ class Revolved(SweptSolid):
 
     @cached_property
     def _outlines(self) -> list[np.ndarray]:
-        """Lines (k,) of the boundary over radius and height: images of that of the section, and of the line x = 0."""
+        """Lines (k,) of the boundary over radius and height: images of that of the section, and of
+        the line x = 0.
+        """
         ends = [cast(PlanePiece, p) for p in self.section.ends]
         out: list[np.ndarray] = []
         for piece in ends:
@@ -201,10 +220,12 @@ class Revolved(SweptSolid):
 
 @dataclass(frozen=True, eq=False)
 class Turned(SweptSolid):
-    """The section, turned from `low` to `high` [rad], less than once, about the axis that is along its y.
+    """The section, turned from `low` to `high` [rad], less than once, about the axis that is along
+    its y.
 
-    It lies `beside` [m] across the plane. Places on both sides of the axis, x and -x, come at angles that differ by
-    2 arctan(x / beside): a place of both is reached twice where the intervals of these angles overlap.
+    It lies `beside` [m] across the plane. Places on both sides of the axis, x and -x, come at
+    angles that differ by 2 arctan(x / beside): a place of both is reached twice where the intervals
+    of these angles overlap.
     """
 
     beside: float = 0.0
@@ -213,24 +234,35 @@ class Turned(SweptSolid):
 
     @property
     def measure(self) -> float:
-        """Its volume in cubic metres, exact but for rounding: the angles at which each radius and height is reached.
+        """Its volume in cubic metres, exact but for rounding: the angles at which each radius and
+        height is reached.
 
-        Of the section these are all, less those that the points across the axis reach, too, counted once.
+        Of the section these are all, less those that the points across the axis reach, too, counted
+        once.
         """
         wide = self.high - self.low
         d = abs(self.beside)
-        bent = [s * x for x in (d * np.tan(0.5 * wide), d * np.tan(np.pi - 0.5 * wide)) if x > 0.0 for s in (-1.0, 1.0)]
+        bent = [
+            s * x
+            for x in (d * np.tan(0.5 * wide), d * np.tan(np.pi - 0.5 * wide))
+            if x > 0.0
+            for s in (-1.0, 1.0)
+        ]
 
         def twice(x: Array) -> Array:
             return np.sign(x) * _overlapping(np.abs(x), wide, d)
 
-        own, folded = (cast("list[PlanePiece]", r.ends) for r in (self.section, Folded(self.section)))
+        own, folded = (
+            cast("list[PlanePiece]", r.ends) for r in (self.section, Folded(self.section))
+        )
         once = sum(_integral(p, lambda x: 0.5 * wide * x * np.abs(x) - twice(x), bent) for p in own)
         return once + 0.5 * sum(_integral(p, twice, bent) for p in folded)
 
     @property
     def extent(self) -> Array:
-        """The least and the largest x, y and z (2, 3) in metres, of a box about it, wider by some 1e-5 of its size."""
+        """The least and the largest x, y and z (2, 3) in metres, of a box about it, wider by some
+        1e-5 of its size.
+        """
         z = np.concatenate([cast(PlanePiece, piece).points(FINE) for piece in self.section.ends])
         turns = np.linspace(self.low, self.high, TURNS)
         least = np.full(3, np.inf)
@@ -250,16 +282,22 @@ class Turned(SweptSolid):
         out = np.zeros(x.shape, dtype=bool)
         along = np.sqrt(np.maximum(r * r - self.beside**2, 0.0))
         for side in (along, -along):
-            turn = np.mod(np.angle((x - 1j * h) * np.conj(side - 1j * self.beside)) - self.low, 2.0 * np.pi)
+            turn = np.mod(
+                np.angle((x - 1j * h) * np.conj(side - 1j * self.beside)) - self.low, 2.0 * np.pi
+            )
             out |= self.section.holds(side + 1j * y) & (turn <= self.high - self.low)
         return out & (r >= abs(self.beside))
 
     def _far(self, x: Array, y: Array, h: Array) -> Array:
-        raise UnsupportedError("distances from a solid that is turned less than once are those of its map")
+        raise UnsupportedError(
+            "distances from a solid that is turned less than once are those of its map"
+        )
 
 
 def _overlapping(x: Array, wide: float, d: float) -> Array:
-    """The integral from 0 to x (n,) >= 0 of t times the overlap of two intervals of angles, 2 arctan(t / d) apart."""
+    """The integral from 0 to x (n,) >= 0 of t times the overlap of two intervals of angles, 2
+    arctan(t / d) apart.
+    """
 
     def apart(t: Any) -> Any:  # the integral of t times the angle between them
         return (t * t + d * d) * np.arctan2(t, d) - d * t
@@ -292,15 +330,25 @@ def _nearest_of_lines(lines: list[np.ndarray], z: np.ndarray) -> Array:
 
 
 def _integral(piece: PlanePiece, of: Callable[[Array], Array], bent: Iterable[float] = ()) -> float:
-    """The integral of a function of x over y along a piece; it is smooth but at x = 0 and at those of `bent`."""
+    """The integral of a function of x over y along a piece; it is smooth but at x = 0 and at those
+    of `bent`.
+    """
     across = piece.radius if piece.is_arc else abs(piece.way)
     cuts: list[Array] = [np.linspace(0.0, 1.0, 2 + int(abs(piece.sweep) / (0.5 * np.pi)))]
     for x in (0.0, *bent):
-        cuts.append(piece.meets(PlanePiece(x + 1j * (piece.centre.imag - 2.0 * across), 0.0, way=4j * across)))
+        cuts.append(
+            piece.meets(
+                PlanePiece(x + 1j * (piece.centre.imag - 2.0 * across), 0.0, way=4j * across)
+            )
+        )
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     total = 0.0
     for a, b in itertools.pairwise(np.unique(np.concatenate(cuts).clip(0.0, 1.0)).tolist()):
         p = piece.at(0.5 * (a + b) + 0.5 * (b - a) * nodes)
-        dy = np.real(p - piece.centre) * piece.sweep if piece.is_arc else np.full(NODES, piece.way.imag)
+        dy = (
+            np.real(p - piece.centre) * piece.sweep
+            if piece.is_arc
+            else np.full(NODES, piece.way.imag)
+        )
         total += 0.5 * (b - a) * float(weights @ (of(np.real(p)) * dy))
     return total

@@ -38,11 +38,13 @@ MOST = 10_000_000
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class BasePlacement(Report):
-    """Places of the base, as a map over `axes` (name to values), and how well a list of poses is reached from each.
+    """Places of the base, as a map over `axes` (name to values), and how well a list of poses is
+    reached from each.
 
-    Over the axes, in their order: `fraction` of the poses that are reached; `margin` and `manipulability`, the least
-    over the poses (NaN where one is not reached). `fixed` are the coordinates of the base that are the same everywhere.
-    Where the map was `broken` off, by the time limit or an interrupt, all three are NaN at the places left.
+    Over the axes, in their order: `fraction` of the poses that are reached; `margin` and
+    `manipulability`, the least over the poses (NaN where one is not reached). `fixed` are the
+    coordinates of the base that are the same everywhere. Where the map was `broken` off, by the
+    time limit or an interrupt, all three are NaN at the places left.
     """
 
     _pictured = True
@@ -61,7 +63,9 @@ class BasePlacement(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all poses are reached from some place, `PARTLY` where some are, or what broke the map off."""
+        """`SOLVED` where all poses are reached from some place, `PARTLY` where some are, or what
+        broke the map off.
+        """
         most = float(np.nan_to_num(self.fraction).max())
         if self.broken is not None and most < 1.0:
             return self.broken
@@ -69,17 +73,25 @@ class BasePlacement(Report):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Places in the flat map, the best first: more poses, then the larger margin, then manipulability."""
-        rest = [np.nan_to_num(x.ravel(), nan=-1.0, posinf=1e9) for x in (self.manipulability, self.margin)]
+        """Places in the flat map, the best first: more poses, then the larger margin, then
+        manipulability.
+        """
+        rest = [
+            np.nan_to_num(x.ravel(), nan=-1.0, posinf=1e9)
+            for x in (self.manipulability, self.margin)
+        ]
         return np.lexsort((*rest, np.nan_to_num(self.fraction.ravel(), nan=-1.0)))[::-1]
 
     def place(self, rank: int = 0) -> dict[str, float]:
-        """Coordinates x, y, z [m] and yaw [rad] of the base at the best place (0), the next one, ...
+        """Coordinates x, y, z [m] and yaw [rad] of the base at the best place (0), the next one,
+        ...
 
         Errors: `InputError`.
         """
         if not 0 <= rank < self.fraction.size:
-            raise InputError(f"rank is {rank}; there are {counted(self.fraction.size, 'place')}, from 0")
+            raise InputError(
+                f"rank is {rank}; there are {counted(self.fraction.size, 'place')}, from 0"
+            )
         index = np.unravel_index(int(self.order[rank]), self.fraction.shape)
         here = {n: float(v[i]) for (n, v), i in zip(self.axes.items(), index, strict=True)}
         return {n: here.get(n, self.fixed.get(n, 0.0)) for n in AXES}
@@ -90,7 +102,8 @@ class BasePlacement(Report):
         return base_pose(np.array([list(self.place().values())]))[0]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place.
+        """Matplotlib axes with the fraction over the first two axes, the others where they are at
+        the best place.
 
         Over a single axis it is a curve.
         """
@@ -107,11 +120,16 @@ class BasePlacement(Report):
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         if not n:
             return f"{of}: none of {counted(self.poses, 'pose')} reached from any of {tried}{tail}"
-        return (f"{of}: {n} of {counted(self.poses, 'pose')} reached from the best place ({where}); all from "
-                f"{full} of {tried}{tail}")  # fmt: skip
+        return (
+            f"{of}: {n} of {counted(self.poses, 'pose')} reached from the best place ({where}); "
+            f"all from {full} of {tried}{tail}"
+        )
 
     def _data(self) -> dict[str, Any]:
-        own = {n: getattr(self, n) for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")}
+        own = {
+            n: getattr(self, n)
+            for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")
+        }
         return {"system": self.system.name, "frame": self.frame} | own | {"best": self.place()}
 
 
@@ -125,22 +143,32 @@ def base_pose(places: Array) -> Array:
 @explained
 @interruptible
 def place_base(
-    system: System, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11,
-    *, task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
-) -> BasePlacement:  # fmt: skip
-    """Where to put the base so that a frame reaches all `targets` (n, 4, 4), which stay where they are.
+    system: System,
+    targets: ArrayLike,
+    frame: FrameLike,
+    box: Mapping[str, Any],
+    cells: int | Mapping[str, int] = 11,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    budget: Budget | None = None,
+) -> BasePlacement:
+    """Where to put the base so that a frame reaches all `targets` (n, 4, 4), which stay where they
+    are.
 
-    The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a pair (low, high) that
-    is tried at so many `cells` values (one number, or a dict by name), or with one number; those not named are 0. Of
-    the `budget` are read: starts (64), rng (0), threads, time_limit (600 s), and progress(poses tried, all).
-    After the time limit the map has what was done, after Ctrl-C the `answer` of the
+    The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a
+    pair (low, high) that is tried at so many `cells` values (one number, or a dict by name), or
+    with one number; those not named are 0. Of the `budget` are read: starts (64), rng (0), threads,
+    time_limit (600 s), and progress(poses tried, all). After the time limit the map has what was
+    done, after Ctrl-C the `answer` of the
     `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
     spend = USUAL.of(budget)
     name = system.structure.frame_name(frame)
     X = numbers(targets, "targets")
     if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X):
-        raise InputError(f"targets have shape {X.shape}; they must be poses (n, 4, 4), at least one")
+        raise InputError(
+            f"targets have shape {X.shape}; they must be poses (n, 4, 4), at least one"
+        )
     X = checked_poses(X)
     axes, fixed = _axes(system, box, cells)
     shape = tuple(len(v) for v in axes.values())
@@ -155,7 +183,10 @@ def place_base(
     def work(first: int, last: int, each: Budget) -> list[Array]:
         wanted = (spatial.inverse(base_pose(places[first:last]))[:, None] @ X).reshape(-1, 4, 4)
         found = reached(system, wanted, name, task, each)
-        own = (x.reshape(last - first, len(X)) for x in (found.reached, found.margin, found.manipulability))
+        own = (
+            x.reshape(last - first, len(X))
+            for x in (found.reached, found.margin, found.manipulability)
+        )
         hit, far, w = own
         return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
 
@@ -164,7 +195,9 @@ def place_base(
     return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w, broken)
 
 
-def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str, Array], dict[str, float]]:
+def _axes(
+    system: System, box: Mapping[str, Any], cells: Any
+) -> tuple[dict[str, Array], dict[str, float]]:
     """Values of the base's coordinates that vary, and those that do not. Errors: `InputError`."""
     allowed = AXES if system.dim == 3 else tuple(n for n in AXES if n != "z")
     axes: dict[str, Array] = {}
@@ -174,14 +207,17 @@ def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str,
         v = numbers(value, f"box: {name}")
         if not np.isfinite(v).all() or v.shape not in ((), (2,)) or (v.shape and not v[0] < v[1]):
             raise InputError(
-                f"box has {name} = {value!r}; it must be a number, or a pair (low, high) of finite numbers"
+                f"box has {name} = {value!r}; it must be a number, or a pair (low, high) of finite "
+                "numbers"
             )
         if v.shape == ():
             fixed[name] = float(v)
             continue
         n: Any = cells.get(name, 11) if is_mapping(cells) else cells
         if not is_whole(n) or not 1 <= int(n) <= MOST:
-            raise InputError(f"cells has {name} = {n!r}; it must be a whole number, from 1 to {MOST}")
+            raise InputError(
+                f"cells has {name} = {n!r}; it must be a whole number, from 1 to {MOST}"
+            )
         axes[name] = np.linspace(v[0], v[1], int(n)) if n > 1 else v.mean(keepdims=True)
     if not axes:
         raise InputError("box names no range to try, such as {'x': (-1, 1), 'y': (-1, 1)}")

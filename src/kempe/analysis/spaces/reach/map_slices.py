@@ -1,4 +1,6 @@
-"""Maps made slice by slice, which say how far they are, and keep what was done where they are broken off."""
+"""Maps made slice by slice, which say how far they are, and keep what was done where they are
+broken off.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,11 @@ if TYPE_CHECKING:
 
 SLICE = 2048
 LOOP_SLICE = 128
-"""Poses that are tried at once, of a system with closed loops, where each takes longer: less than a second's work."""
+"""Poses that are tried at once, of a system with closed loops, where each takes longer: less than a
+second's work."""
 LONG = 16
-"""Velocity coordinates, twice which make these poses fewer, for the work grows with their square."""
+"""Velocity coordinates, twice which make these poses fewer, for the work grows with their
+square."""
 
 
 def sliced(
@@ -31,10 +35,12 @@ def sliced(
     poses: int,
     spend: Budget,
 ) -> tuple[list[Array], Status | None]:
-    """What `work` finds of the places 0 to `count`, each of so many `poses`, and what broke it off (None: nothing).
+    """What `work` finds of the places 0 to `count`, each of so many `poses`, and what broke it off
+    (None: nothing).
 
-    `work` gets the first place, the one after the last and what it may spend, and gives arrays with a row, of one of
-    the `shapes`, for each place. Rows that were not done before the time limit or an interrupt are NaN.
+    `work` gets the first place, the one after the last and what it may spend, and gives arrays with
+    a row, of one of the `shapes`, for each place. Rows that were not done before the time limit or
+    an interrupt are NaN.
     """
     clock = TimeLimit(spend.time_limit)
     each = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
@@ -54,4 +60,6 @@ def sliced(
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     rows.append([np.zeros((0, *shape)) for shape in shapes])
     out = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
-    return [np.concatenate([x, np.full((count - len(x), *x.shape[1:]), np.nan)]) for x in out], broken
+    return [
+        np.concatenate([x, np.full((count - len(x), *x.shape[1:]), np.nan)]) for x in out
+    ], broken

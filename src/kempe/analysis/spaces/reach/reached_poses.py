@@ -43,8 +43,9 @@ SHOWN = 6
 class ReachedPoses:
     """Of poses (n,): whether they are `reached`, by how many `solutions`, and the best of these.
 
-    `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known. `manipulability` and
-    `margin` are the largest of those found, each by itself; `q` (n, nq) has the largest margin.
+    `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known.
+    `manipulability` and `margin` are the largest of those found, each by itself; `q` (n, nq) has
+    the largest margin.
     """
 
     reached: np.ndarray
@@ -66,9 +67,11 @@ def checked_poses(X: Array) -> Array:
 
 
 def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
-    """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in characteristic lengths.
+    """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in
+    characteristic lengths.
 
-    Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J. Robotics Res. 4 (1985).
+    Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J.
+    Robotics Res. 4 (1985).
     """
     axes = twist_rows(task, system.dim)
     J = jacobian(system, q, frame, "body")[..., axes, :]
@@ -80,7 +83,9 @@ def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
 
 
 def margin(system: System, q: Array) -> Array:
-    """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the middle; inf without."""
+    """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the
+    middle; inf without.
+    """
     at_q = system.structure.layout.vector_q
     at_v = system.structure.layout.vector_v
     low = system.lower[at_v]
@@ -115,9 +120,14 @@ def reached(system: System, targets: Array, frame: str, task: Any, budget: Budge
     any_ = np.asarray(mask.any(axis=1))
     best = np.argmax(np.where(mask, far, -np.inf), axis=1)
     at = np.arange(len(q))
-    return ReachedPoses(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
-                   np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan), far[at, best], q[at, best],
-                   np.where(any_, int(Status.SOLVED), single.code))  # fmt: skip
+    return ReachedPoses(
+        any_,
+        np.where(any_ & (solutions == 0), UNKNOWN, solutions),
+        np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan),
+        far[at, best],
+        q[at, best],
+        np.where(any_, int(Status.SOLVED), single.code),
+    )
 
 
 PROVEN = [int(s) for s in Status if s.proof]
@@ -128,11 +138,12 @@ PROVEN = [int(s) for s in Status if s.proof]
 class ReachStudy(Report):
     """Which of a list of poses a frame reaches, how well, and what blocks the others.
 
-    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside the limits (-1
-    where it is infinite or not certain); `manipulability` and `margin`, the best of those that were found (NaN where
-    there is none): the margin is how far, of half its range, a joint is from its nearest limit; `q` (n, nq) the
-    configuration with the largest margin, or the nearest to the pose; `codes` the outcomes, as numbers of `Status`.
-    Where the study was `broken` off, by the time limit or an interrupt, that is the outcome of the poses left.
+    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
+    the limits (-1 where it is infinite or not certain); `manipulability` and `margin`, the best of
+    those that were found (NaN where there is none): the margin is how far, of half its range, a
+    joint is from its nearest limit; `q` (n, nq) the configuration with the largest margin, or the
+    nearest to the pose; `codes` the outcomes, as numbers of `Status`. Where the study was `broken`
+    off, by the time limit or an interrupt, that is the outcome of the poses left.
     """
 
     __repr__ = brief
@@ -174,17 +185,26 @@ class ReachStudy(Report):
         return self.codes != (-1 if self.broken is None else int(self.broken))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the system at the reached pose with the largest margin, and where all poses are.
+        """Matplotlib axes with the system at the reached pose with the largest margin, and where
+        all poses are.
 
         Reached ones are dots, others crosses, those that were not tried rings.
         """
         return late("plots of workspaces").plot_reach(self, ax)
 
     def reason(self, index: int) -> str:
-        """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors: `InputError`."""
+        """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors:
+        `InputError`.
+        """
         if not 0 <= index < len(self.reached):
-            raise InputError(f"index is {index}; there are {counted(len(self.reached), 'pose')}, from 0")
-        return str(ik(self.system, self.targets[index], self.frame, task=self.task, budget=self.budget).status)
+            raise InputError(
+                f"index is {index}; there are {counted(len(self.reached), 'pose')}, from 0"
+            )
+        return str(
+            ik(
+                self.system, self.targets[index], self.frame, task=self.task, budget=self.budget
+            ).status
+        )
 
     @property
     def reasons(self) -> dict[int, str]:
@@ -197,7 +217,8 @@ class ReachStudy(Report):
         else:
             worst = int(np.nanargmin(self.margin))
             lines = [f"least margin to limits: {self.margin[worst]:.3g} (pose {worst})"] * bool(
-                np.isfinite(self.margin[worst]))  # fmt: skip
+                np.isfinite(self.margin[worst])
+            )
             least = int(np.nanargmin(self.manipulability))
             lines.append(f"least manipulability: {self.manipulability[least]:.3g} (pose {least})")
         blocked = np.flatnonzero(self.tried & ~self.reached).tolist()
@@ -207,22 +228,31 @@ class ReachStudy(Report):
     def _data(self) -> dict[str, Any]:
         names = ("reached", "solutions", "manipulability", "margin", "q")
         own = {n: getattr(self, n) for n in names} | {"codes": named(self.codes)}
-        return {"system": self.system.name, "frame": self.frame} | own | {"reasons": {
-            str(i): text for i, text in self.reasons.items()}}  # fmt: skip
+        return (
+            {"system": self.system.name, "frame": self.frame}
+            | own
+            | {"reasons": {str(i): text for i, text in self.reasons.items()}}
+        )
 
 
 @explained
 @interruptible
 def reach_poses(
-    system: System, targets: ArrayLike, frame: FrameLike, *, task: str | tuple[str, ArrayLike] | None = None,
+    system: System,
+    targets: ArrayLike,
+    frame: FrameLike,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
     budget: Budget | None = None,
-) -> ReachStudy:  # fmt: skip
-    """Which of a list of poses a frame reaches, how well, and what blocks the others, as a `ReachStudy`.
+) -> ReachStudy:
+    """Which of a list of poses a frame reaches, how well, and what blocks the others, as a
+    `ReachStudy`.
 
-    `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as `System.ik` takes them. A
-    pose counts as reached where `ik` or, of chains with finitely many solutions, `ik_all` finds one inside the limits.
-    Of the `budget` are read: starts (1000), rng (0), threads, time_limit (600 s), and progress(poses tried, all).
-    After the time limit the study has what was done, after Ctrl-C the
+    `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as
+    `System.ik` takes them. A pose counts as reached where `ik` or, of chains with finitely many
+    solutions, `ik_all` finds one inside the limits. Of the `budget` are read: starts (1000), rng
+    (0), threads, time_limit (600 s), and progress(poses tried, all). After the time limit the study
+    has what was done, after Ctrl-C the
     `answer` of the `Interrupted`.
     Errors: `InputError`, `UnknownNameError`.
     """
@@ -232,8 +262,10 @@ def reach_poses(
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
         X = X[None]
     if X.ndim > 3 or (X.ndim == 3 and X.shape[1:] not in ((4, 4), (3, 3))):
-        raise InputError(f"targets have shape {X.shape}; they must be a list: poses (n, 4, 4), rotations (n, 3, 3) or "
-                         f"places (n, {system.dim})")  # fmt: skip
+        raise InputError(
+            f"targets have shape {X.shape}; they must be a list: poses (n, 4, 4), rotations (n, 3, "
+            f"3) or places (n, {system.dim})"
+        )
     X = checked_poses(X)
 
     def work(first: int, last: int, each: Budget) -> list[Array]:
@@ -247,5 +279,17 @@ def reach_poses(
     if broken is not None:
         codes[left] = int(broken)
         solutions[left] = UNKNOWN
-    return ReachStudy(system, name, hit == 1.0, solutions.astype(np.int64), w, far, q, codes.astype(np.int64), X, task,
-                      each, broken)  # fmt: skip
+    return ReachStudy(
+        system,
+        name,
+        hit == 1.0,
+        solutions.astype(np.int64),
+        w,
+        far,
+        q,
+        codes.astype(np.int64),
+        X,
+        task,
+        each,
+        broken,
+    )

@@ -20,14 +20,19 @@ BORDER = " singular"
 
 
 def names_of(system: System, frame: str | None, q: Array) -> list[str]:
-    """For each configuration (k, nq) "shoulder", "elbow", "wrist", or several of them, or "" where there is no name."""
+    """For each configuration (k, nq) "shoulder", "elbow", "wrist", or several of them, or "" where
+    there is no name.
+    """
     named = None if frame is None else _named(system, frame)
     if named is None or not len(q):
         return [""] * len(q)
     kind, lines = named
     theta = lines.theta(q[:, lines.q_index])
     found = branch_names(kind, lines, theta, np.ones(len(q), dtype=bool))
-    return [" and ".join(w.removesuffix(BORDER) for w in name.split(", ") if w.endswith(BORDER)) for name in found]
+    return [
+        " and ".join(w.removesuffix(BORDER) for w in name.split(", ") if w.endswith(BORDER))
+        for name in found
+    ]
 
 
 @kept

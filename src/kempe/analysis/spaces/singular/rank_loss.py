@@ -1,9 +1,11 @@
-"""Where a matrix that depends on the configuration has a smaller rank than almost everywhere, loops closed.
+"""Where a matrix that depends on the configuration has a smaller rank than almost everywhere, loops
+closed.
 
-The unknowns are the configuration q and a basis V of the null space, one dimension larger than in general: C(q) = 0,
-A(q) V = 0, V fixed by a constant complement. These equations are regular at most singular points, so that Newton's
-method converges to them quadratically; see Griewank, Reddien, "Characterization and computation of generalized turning
-points", SIAM J. Numer. Anal. 21 (1984). Turns are in radians, slides and positions in characteristic lengths.
+The unknowns are the configuration q and a basis V of the null space, one dimension larger than in
+general: C(q) = 0, A(q) V = 0, V fixed by a constant complement. These equations are regular at most
+singular points, so that Newton's method converges to them quadratically; see Griewank, Reddien,
+"Characterization and computation of generalized turning points", SIAM J. Numer. Anal. 21 (1984).
+Turns are in radians, slides and positions in characteristic lengths.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ Equations = Callable[[Array], tuple[Array, Array]]
 class RankLoss:
     """The equations of configurations of `system` at which `matrices` have rank less than `rank`.
 
-    `columns` (n,) are the velocity coordinates to which the columns belong, `unit` (nv,) what counts as 1 of each.
+    `columns` (n,) are the velocity coordinates to which the columns belong, `unit` (nv,) what
+    counts as 1 of each.
     """
 
     system: System
@@ -74,7 +77,9 @@ class RankLoss:
         return not self.counts.all()
 
     def closure(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
-        """What the loops and further equations miss (k, c), and the derivatives (k, c, nv), at q (k, nq)."""
+        """What the loops and further equations miss (k, c), and the derivatives (k, c, nv), at q
+        (k, nq).
+        """
         rows = np.zeros((len(q), 0)), np.zeros((len(q), 0, self.system.nv))
         if self.closed:
             rows = closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
@@ -109,13 +114,19 @@ class RankLoss:
         """The matrices at steps (nv, nv) from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
         n = self.system.nv
         k = len(q)
-        A = self._transposed(self.matrices(self.move(np.repeat(q, n, axis=0), np.tile(steps, (k, 1)))))
+        A = self._transposed(
+            self.matrices(self.move(np.repeat(q, n, axis=0), np.tile(steps, (k, 1))))
+        )
         return A.reshape(k, n, *A.shape[1:]) @ V[:, None]
 
-    def equations(self, q: Array, V: Array, frame: Array, sharp: bool = True) -> tuple[Array, Array]:
-        """What is missing (k, e) at q (k, nq) and V (k, n, d), and derivatives (k, e, nv + n d); see above.
+    def equations(
+        self, q: Array, V: Array, frame: Array, sharp: bool = True
+    ) -> tuple[Array, Array]:
+        """What is missing (k, e) at q (k, nq) and V (k, n, d), and derivatives (k, e, nv + n d);
+        see above.
 
-        With `sharp` derivatives are central differences, else of one side, which Newton's method is content with.
+        With `sharp` derivatives are central differences, else of one side, which Newton's method is
+        content with.
         """
         k = len(q)
         nv = self.system.nv
@@ -135,11 +146,14 @@ class RankLoss:
         J[:, :c, :nv] = dC
         J[:, c : c + m * d, :nv] = np.moveaxis(dA, 1, -1).reshape(k, m * d, nv)
         J[:, c : c + m * d, nv:] = np.einsum("kmn,de->kmdne", A, np.eye(d)).reshape(k, m * d, n * d)
-        J[:, c + m * d :, nv:] = np.einsum("knd,ef->kdenf", frame, np.eye(d)).reshape(k, d * d, n * d)
+        J[:, c + m * d :, nv:] = np.einsum("knd,ef->kdenf", frame, np.eye(d)).reshape(
+            k, d * d, n * d
+        )
         return F, J
 
     def led(self, q: Array, home: Array | None = None) -> Array:
-        """Where Newton's method leads from q (k, nq): points of the set, NaN where it leads to none.
+        """Where Newton's method leads from q (k, nq): points of the set, NaN where it leads to
+        none.
 
         With a `home` (nq,) they are led towards what is nearest to it, too.
         """
@@ -173,7 +187,9 @@ class RankLoss:
             return np.concatenate([self.move(x[:, :nq], y[:, :nv]), x[:, nq:] + y[:, nv:]], axis=1)
 
         start = np.concatenate([q, frame.reshape(len(q), -1)], axis=1)
-        return gauss_newton_of_many(equations, start, STEPS, met=1e-14, last=1e-13, longest=LONGEST, move=move)[:, :nq]
+        return gauss_newton_of_many(
+            equations, start, STEPS, met=1e-14, last=1e-13, longest=LONGEST, move=move
+        )[:, :nq]
 
     def holds(self, q: Array) -> np.ndarray:
         """Whether (k,) loops are closed and the rank is lost at q (k, nq)."""
@@ -198,7 +214,8 @@ class RankLoss:
         return s[:, self.rank - 1] / np.maximum(s[:, 0], 1e-300) if self.rank else np.zeros(len(q))
 
     def tangents(self, q: Array) -> Array:
-        """Orthonormal basis (nv, k) of the directions of the set at one of its points (nq,), irrelevant ones included.
+        """Orthonormal basis (nv, k) of the directions of the set at one of its points (nq,),
+        irrelevant ones included.
 
         It is exact where the set is smooth and its equations are regular.
         """

@@ -1,10 +1,11 @@
 """Which matrices lose rank at the singular configurations of a frame, of inputs and of loops.
 
-Of a chain it is the Jacobian of the frame. Of closed loops C(q) = 0 with inputs a: the frame loses directions where
-[dC; J] does (type 1), the inputs no longer hold the mechanism where [dC; da] does (type 2), and it has more first-order
-freedoms than elsewhere where dC alone does (constraint singularity). Sources: Gosselin, Angeles, "Singularity analysis
-of closed-loop kinematic chains", IEEE Trans. Robotics and Automation 6 (1990); Zlatanov, Bonev, Gosselin, "Constraint
-singularities of parallel mechanisms", ICRA 2002.
+Of a chain it is the Jacobian of the frame. Of closed loops C(q) = 0 with inputs a: the frame loses
+directions where [dC; J] does (type 1), the inputs no longer hold the mechanism where [dC; da] does
+(type 2), and it has more first-order freedoms than elsewhere where dC alone does (constraint
+singularity). Sources: Gosselin, Angeles, "Singularity analysis of closed-loop kinematic chains",
+IEEE Trans. Robotics and Automation 6 (1990); Zlatanov, Bonev, Gosselin, "Constraint singularities
+of parallel mechanisms", ICRA 2002.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ GENERIC = 256
 PARTS = 8
 HALVED = 8
 NEARLY = 24
-"""Steps of a way between two starts, how often one is halved, and places on all ways from which sets are looked for."""
+"""Steps of a way between two starts, how often one is halved, and places on all ways from which
+sets are looked for."""
 SERIAL = "serial"
 TYPE_1 = "type 1"
 TYPE_2 = "type 2"
@@ -50,7 +52,8 @@ CONSTRAINT = "constraint"
 
 @dataclass(frozen=True, eq=False)
 class LostAndGained:
-    """What is lost and gained at one configuration, in a basis of twists [linear; angular], metres and radians.
+    """What is lost and gained at one configuration, in a basis of twists [linear; angular], metres
+    and radians.
 
     `kinds` are those of which it is singular; empty where it is regular.
     """
@@ -63,12 +66,20 @@ class LostAndGained:
 
 
 class RankQuestions:
-    """The questions about one frame of a system (None: only about its inputs), posed at configurations (k, nq)."""
+    """The questions about one frame of a system (None: only about its inputs), posed at
+    configurations (k, nq).
+    """
 
     def __init__(
-        self, system: System, frame: str | None, task: str, inputs: list[int] | None, rng: np.random.Generator,
-        starts: int, limits: bool = False,
-    ):  # fmt: skip
+        self,
+        system: System,
+        frame: str | None,
+        task: str,
+        inputs: list[int] | None,
+        rng: np.random.Generator,
+        starts: int,
+        limits: bool = False,
+    ):
         self.system = system
         self.frame = frame
         self.inputs = inputs
@@ -84,7 +95,8 @@ class RankQuestions:
                 self.starts = _led_inside(system, self.starts)
         if not len(self.starts):
             raise InputError(
-                f"{system.name}: no configuration with closed loops was found in {counted(starts, 'start')}"
+                f"{system.name}: no configuration with closed loops was found in "
+                f"{counted(starts, 'start')}"
             )
         self.of_axis = task == DIRECTION
         words = "orientation" if self.of_axis else "position" if task in PLANES else task
@@ -98,24 +110,32 @@ class RankQuestions:
             _, s, Vt = svd(seen, full_matrices=False)
             self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
             if not self.twists.size:
-                raise InputError(f"frame {frame!r} of {system.name} does not move: nothing of it can be lost")
+                raise InputError(
+                    f"frame {frame!r} of {system.name} does not move: nothing of it can be lost"
+                )
             moving = np.abs(self.task_jacobians(few)).max(axis=(0, 1)) > 0.0
-        self.frame_rank = 0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
+        self.frame_rank = (
+            0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
+        )
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
 
     def nearly(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
-        """Of each question closed configurations (k, nq) inside the limits, nearly singular, between the starts.
+        """Of each question closed configurations (k, nq) inside the limits, nearly singular,
+        between the starts.
 
-        On ways from each start to the next determinants change their sign, which halving steps locates; of matrices
-        that have none, as they are not square, the least singular values are taken. Sets that are met from afar seldom,
-        where limits are narrow, are so from there.
+        On ways from each start to the next determinants change their sign, which halving steps
+        locates; of matrices that have none, as they are not square, the least singular values are
+        taken. Sets that are met from afar seldom, where limits are narrow, are so from there.
         """
         own = self.starts[inside_limits(self.system, self.starts)][:RANKED]
         t = np.arange(PARTS + 1) / PARTS
         if not len(own):
             return dict.fromkeys(problems, own)
-        q, ok = self._between(np.repeat(own, len(t), axis=0), np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
-                              np.tile(t, len(own)))  # fmt: skip
+        q, ok = self._between(
+            np.repeat(own, len(t), axis=0),
+            np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
+            np.tile(t, len(own)),
+        )
         out = dict[str, Array]()
         for kind, problem in problems.items():
             if problem.square:
@@ -127,15 +147,21 @@ class RankQuestions:
         return out
 
     def _between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
-        """Closed configurations (k, nq) near those at parts t (k,) of straight ways, and which (k,) there are."""
+        """Closed configurations (k, nq) near those at parts t (k,) of straight ways, and which (k,)
+        there are.
+        """
         layout = self.system.structure.layout
-        found = assemble(self.system, None, layout.integrate(a, t[:, None] * layout.difference(a, b)))
+        found = assemble(
+            self.system, None, layout.integrate(a, t[:, None] * layout.difference(a, b))
+        )
         ok = np.asarray(found.success, dtype=bool)
         q = np.where(ok[:, None], found.q, self.system.neutral)
         return q, ok & inside_limits(self.system, q)
 
     def _located(self, problem: RankLoss, a: Array, b: Array) -> Array:
-        """Configurations (k, nq) beside those between a and b (k, nq) at which the determinant changes its sign."""
+        """Configurations (k, nq) beside those between a and b (k, nq) at which the determinant
+        changes its sign.
+        """
         for _ in range(HALVED if len(a) else 0):
             middle, ok = self._between(a, b, np.full(len(a), 0.5))
             a = a[ok]
@@ -147,7 +173,9 @@ class RankQuestions:
         return a
 
     def task_jacobians(self, q: Array) -> Array:
-        """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it can ever do."""
+        """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it
+        can ever do.
+        """
         assert self.frame is not None
         J = jacobian(self.system, q, self.frame)[:, self.rows] * self.unit
         if self.of_axis:  # a turn about the axis does not count
@@ -179,7 +207,9 @@ class RankQuestions:
 
     def _with_inputs(self, q: Array) -> Array:
         held = np.eye(self.system.nv)[self.inputs]
-        return np.concatenate([self.closures(q), np.broadcast_to(held, (len(q), *held.shape))], axis=1)
+        return np.concatenate(
+            [self.closures(q), np.broadcast_to(held, (len(q), *held.shape))], axis=1
+        )
 
     def problems(self) -> dict[str, RankLoss]:
         """The questions by their kinds."""
@@ -192,11 +222,17 @@ class RankQuestions:
             if self.inputs is not None:
                 found[TYPE_2] = self._with_inputs
             found[CONSTRAINT] = self.closures
-        return {kind: RankLoss(self.system, f, generic_rank(f(self.starts[:RANKED])), self.columns, self.unit)
-                for kind, f in found.items()}  # fmt: skip
+        return {
+            kind: RankLoss(
+                self.system, f, generic_rank(f(self.starts[:RANKED])), self.columns, self.unit
+            )
+            for kind, f in found.items()
+        }
 
     def in_si(self, twists: Array) -> Array:
-        """Twists (k, 6) in metres and radians of columns (m, k) without unit: turn 1, or slide 1 without a turn."""
+        """Twists (k, 6) in metres and radians of columns (m, k) without unit: turn 1, or slide 1
+        without a turn.
+        """
         full = np.zeros((twists.shape[1], 6))
         full[:, self.rows] = (self.twists @ twists).T
         full[:, :3] *= self.length
@@ -221,7 +257,11 @@ class RankQuestions:
         J = N[:0]
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
-            B = null_space((self.twists.T @ self._axes(q))[None], ZERO) if self.of_axis else np.eye(len(J))
+            B = (
+                null_space((self.twists.T @ self._axes(q))[None], ZERO)
+                if self.of_axis
+                else np.eye(len(J))
+            )
             U, _, Vt = svd(B.T @ J @ N)
             rank = _rank(J @ N, J)
             lost = self.in_si(B @ U[:, rank:]) if rank < self.frame_rank else none
@@ -238,7 +278,8 @@ class RankQuestions:
 
 
 def _led_inside(system: System, q: Array) -> Array:
-    """Closed configurations (k, nq), those outside the limits as ones inside them, where `assemble` finds some.
+    """Closed configurations (k, nq), those outside the limits as ones inside them, where `assemble`
+    finds some.
 
     From far outside Newton's method rarely comes to the part of a singular set that is inside.
     """

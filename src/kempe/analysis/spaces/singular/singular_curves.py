@@ -1,9 +1,10 @@
 """Curves of singular configurations, traced, and the curves that a frame draws there.
 
-The equations are those of `rank_loss`, of configuration and null vectors; where they leave one dimension, a curve is
-followed from each singular configuration that was found. In the plane, places at which the frame loses a direction are
-such curves for any number of freedoms, and they bound what it reaches where no limit does (Haug and others,
-"Numerical algorithms for mapping boundaries of manipulator workspaces", J. Mechanical Design 118, 1996).
+The equations are those of `rank_loss`, of configuration and null vectors; where they leave one
+dimension, a curve is followed from each singular configuration that was found. In the plane, places
+at which the frame loses a direction are such curves for any number of freedoms, and they bound what
+it reaches where no limit does (Haug and others, "Numerical algorithms for mapping boundaries of
+manipulator workspaces", J. Mechanical Design 118, 1996).
 """
 
 from __future__ import annotations
@@ -42,9 +43,11 @@ MOST = 1500
 """Nodes of one curve, at most, to each side."""
 COARSE = 0.2
 BEND = 0.2
-"""How far apart nodes are at most, and by which angle the tangent turns between them, if they are not too few."""
+"""How far apart nodes are at most, and by which angle the tangent turns between them, if they are
+not too few."""
 FEW = 3
-"""Points that a curve has at least: less is an isolated configuration that was found several times."""
+"""Points that a curve has at least: less is an isolated configuration that was found several
+times."""
 BESIDE = 0.1
 """How far a configuration may be from a piece of a curve, as a part of its length, to be on it."""
 HALVINGS = 24
@@ -53,11 +56,12 @@ HALVINGS = 24
 
 @dataclass(frozen=True, eq=False)
 class SingularCurve(InWords):
-    """Singular configurations `q` (n, nq) along a curve, and where the frame is there: places `p` (n, 3) in metres.
+    """Singular configurations `q` (n, nq) along a curve, and where the frame is there: places `p`
+    (n, 3) in metres.
 
-    `kinds` and `name` are those of the set; `p` has no rows without a frame. A curve that is `closed` ends where it
-    begins, unlimited turns modulo full ones; others end at a limit, at a configuration that is more singular, or where
-    they are followed no further.
+    `kinds` and `name` are those of the set; `p` has no rows without a frame. A curve that is
+    `closed` ends where it begins, unlimited turns modulo full ones; others end at a limit, at a
+    configuration that is more singular, or where they are followed no further.
     """
 
     __repr__ = brief
@@ -83,10 +87,11 @@ class SingularCurve(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class SingularCurves(Report):
-    """The `curves` of singular configurations that were found; that there are no others is not proven.
+    """The `curves` of singular configurations that were found; that there are no others is not
+    proven.
 
-    `held` are the coordinates, and "orientation", that were held. What was `broken` off, by the time limit or an
-    interrupt, has the curves that were done.
+    `held` are the coordinates, and "orientation", that were held. What was `broken` off, by the
+    time limit or an interrupt, has the curves that were done.
     """
 
     __repr__ = brief
@@ -117,7 +122,8 @@ class SingularCurves(Report):
         return iter(self.curves)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the places of the frame along the curves, a style of line for each kind.
+        """Matplotlib axes with the places of the frame along the curves, a style of line for each
+        kind.
 
         Errors: `InputError` where there are no curves, or no frame.
         """
@@ -137,10 +143,16 @@ Start = tuple[tuple[str, ...], str, Array]
 
 @interruptible
 def singular_curves(
-    found: Singularities, problems: dict[str, RankLoss], starts: list[Start], held: tuple[str, ...],
-    budget: Budget | None, clock: TimeLimit,
-) -> SingularCurves:  # fmt: skip
-    """The curves of `problems` through `starts`, in the time of the `clock`; see `Singularities.curves`."""
+    found: Singularities,
+    problems: dict[str, RankLoss],
+    starts: list[Start],
+    held: tuple[str, ...],
+    budget: Budget | None,
+    clock: TimeLimit,
+) -> SingularCurves:
+    """The curves of `problems` through `starts`, in the time of the `clock`; see
+    `Singularities.curves`.
+    """
     spend = USUAL.of(budget)
     system = found.system
     curves = list[SingularCurve]()
@@ -154,7 +166,11 @@ def singular_curves(
                 if not any(tracer.on(q, c.q) for c in curves if c.kinds == kinds):
                     sizes.add(size := tracer.dimension(q))
                     way, closed = tracer.traced(q) if size == 1 else (q[None], False)
-                    p = fk(system, way, found.frame)[:, :3, 3] if found.frame is not None else np.zeros((0, 3))
+                    p = (
+                        fk(system, way, found.frame)[:, :3, 3]
+                        if found.frame is not None
+                        else np.zeros((0, 3))
+                    )
                     if len(way) >= FEW:
                         curves.append(SingularCurve(kinds, name, way, p, closed))
                     if tracer.broken is not None:
@@ -165,10 +181,15 @@ def singular_curves(
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     if sizes and min(sizes) > 1 and broken is None:
         more = counted(min(sizes) - 1, "further coordinate")
-        hint = ", or the orientation" if system.dim == 2 and found.frame is not None and not held else ""
+        hint = (
+            ", or the orientation"
+            if system.dim == 2 and found.frame is not None and not held
+            else ""
+        )
         raise InputError(
-            f"the singular configurations of {system.name} have dimension {min(sizes)}: curves are what is "
-            f"left when {more} {'is' if min(sizes) == 2 else 'are'} held, by hold={{name: value}}{hint}"
+            f"the singular configurations of {system.name} have dimension {min(sizes)}: curves are "
+            f"what is left when {more} {'is' if min(sizes) == 2 else 'are'} held, by hold={{name: "
+            f"value}}{hint}"
         )
     return SingularCurves(system, found.frame, tuple(curves), held, broken)
 
@@ -176,12 +197,16 @@ def singular_curves(
 def held_equations(
     found: Singularities, hold: Mapping[str, float] | None, orientation: Any
 ) -> tuple[Equations | None, tuple[str, ...]]:
-    """The equations of coordinates and of an orientation that are held, and their names. Errors: `InputError`."""
+    """The equations of coordinates and of an orientation that are held, and their names. Errors:
+    `InputError`.
+    """
     system = found.system
     unit = found.questions.unit
     given: Mapping[str, float] = {} if hold is None else hold
     if not isinstance(given, Mapping):
-        raise InputError(f"hold is {type(given).__name__}; it must be a dict of values by coordinate name")
+        raise InputError(
+            f"hold is {type(given).__name__}; it must be a dict of values by coordinate name"
+        )
     values = source_values(system, {str(k): x for k, x in given.items()})
     names = system.structure.velocity_names
     layout = system.structure.layout
@@ -216,12 +241,16 @@ def _angle(found: Singularities, orientation: Any) -> float:
         raise InputError("orientation is held of a frame of a planar system")
     angle = numbers(orientation, "orientation")
     if angle.ndim or not np.isfinite(angle):
-        raise InputError(f"orientation is {shown(orientation)}; it must be one finite angle in radians")
+        raise InputError(
+            f"orientation is {shown(orientation)}; it must be one finite angle in radians"
+        )
     return float(angle)
 
 
 class _SingularCurveEquations(Curve):
-    """The equations of `RankLoss` as those of a curve: its points are configurations with null vectors of length 1."""
+    """The equations of `RankLoss` as those of a curve: its points are configurations with null
+    vectors of length 1.
+    """
 
     def __init__(self, problem: RankLoss, shape: tuple[int, int], clock: TimeLimit):
         self.problem = problem
@@ -273,7 +302,9 @@ class _CurveTracer:
         return self.problem.tangents(q).shape[1] - self.idle
 
     def short(self, q: Array, to: Array) -> Array:
-        """The shortest ways (k, n) from configurations (k, nq) to others, of the coordinates that count."""
+        """The shortest ways (k, n) from configurations (k, nq) to others, of the coordinates that
+        count.
+        """
         v = self.problem.system.structure.layout.difference(q, to)
         columns = self.problem.columns[self.problem.counts[self.problem.columns]]
         return (by_short_turns(v, self.circle) / self.problem.unit)[:, columns]
@@ -293,7 +324,9 @@ class _CurveTracer:
             back, _ = self._walked(equations, start.reversed())
             way = [*(b.reversed() for b in back[:0:-1]), *way]
         rows = self._finer(equations, way)
-        if closed and self.problem.spins:  # what spins idly came back otherwise, and was in the way of the last point
+        if (
+            closed and self.problem.spins
+        ):  # what spins idly came back otherwise, and was in the way of the last point
             layout = self.problem.system.structure.layout
             at = layout.vector_q[self.circle[layout.vector_v]]
             rows[-1] = q
@@ -327,7 +360,9 @@ class _CurveTracer:
         return way, False
 
     def _finer(self, equations: _SingularCurveEquations, way: list[Node]) -> Array:
-        """Configurations (n, nq) along nodes, at most `longest` apart: cubic pieces, led onto the curve."""
+        """Configurations (n, nq) along nodes, at most `longest` apart: cubic pieces, led onto the
+        curve.
+        """
         nq = equations.nq
         nv = equations.nv
         rows = [way[0].x[None, : equations.nq]]
@@ -335,14 +370,23 @@ class _CurveTracer:
             y = equations.between(a.x, b.x)
             h = float(np.linalg.norm(y))
             y = y[:nv]
-            t = np.linspace(0.0, 1.0, max(int(np.ceil(np.linalg.norm(y) / self.longest)), 1) + 1)[1:-1, None]
-            bent = (3.0 - 2.0 * t) * t**2 * y + h * t * (1.0 - t) * ((1.0 - t) * a.t[:nv] - t * b.t[:nv])
-            rows += [self.problem.move(np.repeat(a.x[None, :nq], len(t), axis=0), bent), b.x[None, :nq]]
+            t = np.linspace(0.0, 1.0, max(int(np.ceil(np.linalg.norm(y) / self.longest)), 1) + 1)[
+                1:-1, None
+            ]
+            bent = (3.0 - 2.0 * t) * t**2 * y + h * t * (1.0 - t) * (
+                (1.0 - t) * a.t[:nv] - t * b.t[:nv]
+            )
+            rows += [
+                self.problem.move(np.repeat(a.x[None, :nq], len(t), axis=0), bent),
+                b.x[None, :nq],
+            ]
         q = self.problem.led(np.concatenate(rows))
         return q[np.isfinite(q).all(axis=1)]
 
     def _turned(self, q: Array, to: Array) -> Array:
-        """How far (nq,) a configuration is from another, full turns left out, as a difference of entries of q."""
+        """How far (nq,) a configuration is from another, full turns left out, as a difference of
+        entries of q.
+        """
         off = to - q
         layout = self.problem.system.structure.layout
         at = layout.vector_q[self.circle[layout.vector_v]]
@@ -377,5 +421,6 @@ def _beside(to: Array, on: Array) -> np.ndarray:
     size = np.einsum("ij,ij->i", along, along)
     t = np.einsum("ij,ij->i", to, along) / np.maximum(size, 1e-300)
     across = np.linalg.norm(to - np.clip(t, 0.0, 1.0)[:, None] * along, axis=1)
-    # on the far side of a turn the short way changes its sense, and what is no segment seems to be a long one
+    # on the far side of a turn the short way changes its sense, and what is no segment seems to be
+    # a long one
     return (across <= BESIDE * np.sqrt(size)) & (size < np.pi**2)

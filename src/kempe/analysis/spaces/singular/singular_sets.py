@@ -1,4 +1,6 @@
-"""What is said of singular configurations: sets that are singular in the same way, and the nearest of them."""
+"""What is said of singular configurations: sets that are singular in the same way, and the nearest
+of them.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +28,11 @@ SAME = 1e-5
 class SingularSet(InWords):
     """Configurations that are singular in the same way.
 
-    `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and "constraint". `name` is
-    "shoulder", "elbow" or "wrist" where the arm has such, else "". `coordinates` are those that decide whether a
-    configuration is in the set, and `values` (k, n) theirs, where they are isolated; elsewhere it has no rows.
-    `dimension` is that of the set; `q` (m, nq) are the configurations that were found.
+    `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and
+    "constraint". `name` is "shoulder", "elbow" or "wrist" where the arm has such, else "".
+    `coordinates` are those that decide whether a configuration is in the set, and `values` (k, n)
+    theirs, where they are isolated; elsewhere it has no rows. `dimension` is that of the set; `q`
+    (m, nq) are the configurations that were found.
     """
 
     __repr__ = brief
@@ -47,7 +50,9 @@ class SingularSet(InWords):
 
     @property
     def lost(self) -> tuple[Array, ...]:
-        """Twists (k, 6), [linear; angular] at the frame along the axes of the ground, that the frame has lost."""
+        """Twists (k, 6), [linear; angular] at the frame along the axes of the ground, that the
+        frame has lost.
+        """
         return tuple(x.lost for x in self.local)
 
     @property
@@ -66,14 +71,27 @@ class SingularSet(InWords):
             single = f": {counted(len(self.q), 'configuration')}" if self.dimension == 0 else ""
             return f"{head} ({joined(self.coordinates)})" if self.coordinates else head + single
         if len(self.coordinates) == 1:
-            return f"{head} ({self.coordinates[0]} = {' or '.join(f'{x:.4g}' for x in self.values[:, 0])})"
+            return (
+                f"{head} ({self.coordinates[0]} = "
+                f"{' or '.join(f'{x:.4g}' for x in self.values[:, 0])})"
+            )
         points = [f"({', '.join(f'{x:.4g}' for x in row)})" for row in self.values[:4]]
         more = f" and {len(self.values) - 4} more" if len(self.values) > 4 else ""
         return f"{head} ({', '.join(self.coordinates)} = {' or '.join(points)}{more})"
 
     def data(self) -> dict[str, Any]:
         """Its numbers and names."""
-        names = ("kinds", "name", "coordinates", "values", "dimension", "q", "lost", "gained", "self_motion")
+        names = (
+            "kinds",
+            "name",
+            "coordinates",
+            "values",
+            "dimension",
+            "q",
+            "lost",
+            "gained",
+            "self_motion",
+        )
         values: dict[str, Any] = {n: getattr(self, n) for n in names}
         several = [n for n in names[-3:] if isinstance(values[n], tuple)]
         return values | {n: [np.asarray(x) for x in values[n]] for n in several}
@@ -84,8 +102,8 @@ class SingularSet(InWords):
 class NearestSingular(Report):
     """The singular configuration `q` (nq,) that is nearest to one, of those found, at a `distance`.
 
-    Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost and gained there,
-    are as in `SingularSet`; `distances` are those of all sets, by their words.
+    Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost
+    and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.
     """
 
     __repr__ = brief
@@ -111,7 +129,10 @@ class NearestSingular(Report):
         return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
 
     def _lines(self) -> list[str]:
-        return [f"{name}: {x:.4g} away" for name, x in sorted(self.distances.items(), key=lambda row: row[1])]
+        return [
+            f"{name}: {x:.4g} away"
+            for name, x in sorted(self.distances.items(), key=lambda row: row[1])
+        ]
 
     def _data(self) -> dict[str, Any]:
         names = ("q", "distance", "kinds", "name", "lost", "gained", "self_motion", "distances")

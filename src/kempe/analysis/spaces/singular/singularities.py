@@ -1,4 +1,6 @@
-"""Singular configurations of a frame and of closed loops: found, distinguished, and how far the nearest is."""
+"""Singular configurations of a frame and of closed loops: found, distinguished, and how far the
+nearest is.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +13,51 @@ import numpy as np
 from kempe.analysis.first_order.control import driven
 from kempe.analysis.spaces.singular.arm_names import names_of
 from kempe.analysis.spaces.singular.rank_loss import RankLoss
-from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, OF_FRAMES, SERIAL, LostAndGained, RankQuestions
+from kempe.analysis.spaces.singular.rank_questions import (
+    CONSTRAINT,
+    OF_FRAMES,
+    SERIAL,
+    LostAndGained,
+    RankQuestions,
+)
 from kempe.analysis.spaces.singular.singular_curves import USUAL as CURVES
-from kempe.analysis.spaces.singular.singular_curves import SingularCurves, held_equations, singular_curves
-from kempe.analysis.spaces.singular.singular_sets import SAME, NearestSingular, SingularSet, changes, inside_limits
+from kempe.analysis.spaces.singular.singular_curves import (
+    SingularCurves,
+    held_equations,
+    singular_curves,
+)
+from kempe.analysis.spaces.singular.singular_sets import (
+    SAME,
+    NearestSingular,
+    SingularSet,
+    changes,
+    inside_limits,
+)
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible, known, until_interrupt
+from kempe.calls import (
+    brief,
+    explained,
+    explained_methods,
+    flag,
+    generator,
+    interruptible,
+    known,
+    until_interrupt,
+)
 from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite, random
 from kempe.kinematics.forward import jacobian
 from kempe.late import late
 from kempe.solvers.common.arguments import DRAWN, start_count
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, begun_within, partial
+from kempe.solvers.common.clock import (
+    BROKEN_OFF,
+    TIME_LIMIT,
+    TimeLimit,
+    TimeUp,
+    begun_within,
+    partial,
+)
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -39,7 +73,8 @@ AT_ONCE = 16
 MATTERS = 1e-4
 """How far, of 1, a coordinate must be from the directions of the set, to matter."""
 BESIDE = 1e-3
-"""How far, in radians and characteristic lengths, a configuration may be from one that is more singular, to be it."""
+"""How far, in radians and characteristic lengths, a configuration may be from one that is more
+singular, to be it."""
 FARTHER = 20.0 * BESIDE
 """Singular value, as a part of the largest, above which none is looked for so near."""
 NEAR = 6
@@ -48,17 +83,20 @@ SEED = 1888
 ROUNDS = 6
 AROUND = 16
 CLOSER = 0.5
-"""Rounds in which so many configurations around the nearest one so far, nearer each time, are led to the set."""
+"""Rounds in which so many configurations around the nearest one so far, nearer each time, are led
+to the set."""
 FULL_TURN = 2.0 * np.pi
 
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Singularities(Report):
-    """The singular configurations of a frame of `system`, as `sets` that are singular in the same way.
+    """The singular configurations of a frame of `system`, as `sets` that are singular in the same
+    way.
 
-    They were found from so many `starts`; that a set is not among them is no proof that it does not exist. Where the
-    search was `broken` off, by the time limit or an interrupt, these are the starts that were done.
+    They were found from so many `starts`; that a set is not among them is no proof that it does not
+    exist. Where the search was `broken` off, by the time limit or an interrupt, these are the
+    starts that were done.
     """
 
     __repr__ = brief
@@ -85,27 +123,40 @@ class Singularities(Report):
         within = " inside the limits" if self.limits else ""
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         if not self.sets:
-            return f"{of}: no singular configuration found{within}, from {counted(self.starts, 'start')}{tail}"
+            return (
+                f"{of}: no singular configuration found{within}, from "
+                f"{counted(self.starts, 'start')}{tail}"
+            )
         found = counted(len(self.sets), "set")
-        return f"{of}: {found} of singular configurations{within}, from {counted(self.starts, 'start')}{tail}"
+        return (
+            f"{of}: {found} of singular configurations{within}, from "
+            f"{counted(self.starts, 'start')}{tail}"
+        )
 
     def _lines(self) -> list[str]:
-        return [f"{s}: dimension {s.dimension}, {changes(s.local[0].lost, s.local[0].gained)}" for s in self.sets]
+        return [
+            f"{s}: dimension {s.dimension}, {changes(s.local[0].lost, s.local[0].gained)}"
+            for s in self.sets
+        ]
 
     def _data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
         return {"system": self.system.name} | own | {"sets": [s.data() for s in self.sets]}
 
     def nearest(self, q: Any) -> NearestSingular:
-        """The nearest singular configuration to a closed one (nq,), of each set that was found; see `NearestSingular`.
+        """The nearest singular configuration to a closed one (nq,), of each set that was found; see
+        `NearestSingular`.
 
-        It is a local minimum of the distance, found from several points of each set. Errors: `InputError`.
+        It is a local minimum of the distance, found from several points of each set. Errors:
+        `InputError`.
         """
         q = one_finite(self.system, q)
         found = [self._nearest(s, q) for s in self.sets]
         if not found:
             none = np.zeros((0, 6))
-            return NearestSingular(q, np.inf, (), "", none, none, np.zeros((0, self.system.nv)), {}, Status.NOT_FOUND)
+            return NearestSingular(
+                q, np.inf, (), "", none, none, np.zeros((0, self.system.nv)), {}, Status.NOT_FOUND
+            )
         distances: dict[str, float] = {}
         for s, (_, d) in zip(self.sets, found, strict=True):
             distances[str(s)] = min(d, distances.get(str(s), np.inf))
@@ -113,16 +164,28 @@ class Singularities(Report):
         there, distance = found[i]
         local = self.questions.local(there, self.problems)
         s = self.sets[i]
-        return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
-                               local.self_motion, distances)  # fmt: skip
+        return NearestSingular(
+            there,
+            distance,
+            local.kinds or s.kinds,
+            s.name,
+            local.lost,
+            local.gained,
+            local.self_motion,
+            distances,
+        )
 
-    def plot(self, *, ax: Any = None, budget: Budget | None = None, **options: Any) -> tuple[Axes, ...]:
-        """Matplotlib axes with configurations of the sets beside one another, and what is lost and gained there.
+    def plot(
+        self, *, ax: Any = None, budget: Budget | None = None, **options: Any
+    ) -> tuple[Axes, ...]:
+        """Matplotlib axes with configurations of the sets beside one another, and what is lost and
+        gained there.
 
-        Arrows show directions of the frame: of turns in the plane there is the centre with an arc, in space the axis
-        (dotted). Of a planar system whose sets are curves the last axes have these. At most four configurations are
-        drawn. `ax` are as many axes to draw on, the `budget` is that of `curves`, of which what was done is drawn
-        (after Ctrl-C in the `answer` of an `Interrupted`); `options` are those of `System.plot`.
+        Arrows show directions of the frame: of turns in the plane there is the centre with an arc,
+        in space the axis (dotted). Of a planar system whose sets are curves the last axes have
+        these. At most four configurations are drawn. `ax` are as many axes to draw on, the `budget`
+        is that of `curves`, of which what was done is drawn (after Ctrl-C in the `answer` of an
+        `Interrupted`); `options` are those of `System.plot`.
         Errors: `InputError` where no set was found.
         """
         plots = late("plots of singularities")
@@ -133,16 +196,22 @@ class Singularities(Report):
         return axes
 
     def curves(
-        self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
-    ) -> SingularCurves:  # fmt: skip
-        """The curves of singular configurations, and those that the frame draws there, where the sets are curves.
+        self,
+        *,
+        hold: Mapping[str, float] | None = None,
+        orientation: Any = None,
+        budget: Budget | None = None,
+    ) -> SingularCurves:
+        """The curves of singular configurations, and those that the frame draws there, where the
+        sets are curves.
 
-        In the plane those are curves at which a frame's position loses a direction, and of two freedoms all of them.
-        Larger sets are cut down to curves by coordinates that are held, `hold` {name: value}, and by the frame's
-        `orientation` (planar systems: an angle in radians). With the answer's `limits` curves end there. Of the
-        `budget` are read: step (0.05, the longest step, in radians and characteristic lengths), time_limit (120 s), and
-        progress, which is called with the number of configurations done and that of all. Errors: `InputError` where
-        the sets are larger than curves; `UnknownNameError`.
+        In the plane those are curves at which a frame's position loses a direction, and of two
+        freedoms all of them. Larger sets are cut down to curves by coordinates that are held,
+        `hold` {name: value}, and by the frame's `orientation` (planar systems: an angle in
+        radians). With the answer's `limits` curves end there. Of the `budget` are read: step (0.05,
+        the longest step, in radians and characteristic lengths), time_limit (120 s), and progress,
+        which is called with the number of configurations done and that of all. Errors: `InputError`
+        where the sets are larger than curves; `UnknownNameError`.
         """
         clock = TimeLimit(CURVES.of(budget).time_limit)
         rows, held = held_equations(self, hold, orientation)
@@ -151,7 +220,9 @@ class Singularities(Report):
         if held:
             near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
             with begun_within(CURVES, clock):
-                led = _led(self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits)
+                led = _led(
+                    self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits
+                )
             starts = [(kinds, name, q) for (kinds, name, _), (q, _) in led if kinds]
         return singular_curves(self, problems, starts, held, budget, clock)
 
@@ -162,12 +233,16 @@ class Singularities(Report):
         rng = np.random.default_rng(SEED)
         nv = self.system.nv
         sizes = [far, 0.5 * far, *(far * CLOSER**k for k in range(1, ROUNDS))]
-        for k, size in enumerate(sizes):  # limits cut the set off, and there may be several nearest points
+        for k, size in enumerate(
+            sizes
+        ):  # limits cut the set off, and there may be several nearest points
             centre, many = (q, 5 * AROUND) if k < 2 else (best, AROUND)
             aside = np.zeros((many, nv))
             aside[:, self.questions.columns] = rng.normal(size=(many, len(self.questions.columns)))
             aside *= size / np.sqrt(max(1, len(self.questions.columns)))
-            tried = problem.led(self._inside(problem.move(np.repeat(centre[None], many, axis=0), aside)))
+            tried = problem.led(
+                self._inside(problem.move(np.repeat(centre[None], many, axis=0), aside))
+            )
             best, far = self._best(s, q, best[None], tried)
         return best, far
 
@@ -181,15 +256,24 @@ class Singularities(Report):
         return x
 
     def _best(self, s: SingularSet, q: Array, starts: Array, led: Array) -> tuple[Array, float]:
-        """The nearest to q of configurations that are in the set, `starts`, and may be, `led`, and its distance."""
+        """The nearest to q of configurations that are in the set, `starts`, and may be, `led`, and
+        its distance.
+        """
         problem = self.problems[s.kinds[-1]]
         led = led[np.isfinite(led).all(axis=1)]
         if s.coordinates:  # a start near another set may have been led there
             names = self.system.structure.velocity_names
             columns = self.questions.columns
-            own = [tuple(names[i] for i in _deciding(problem, x, columns)) == s.coordinates for x in led]
+            own = [
+                tuple(names[i] for i in _deciding(problem, x, columns)) == s.coordinates
+                for x in led
+            ]
             led = led[np.array(own, dtype=bool)]
-            led = led[[name == s.name for name in names_of(self.system, self.frame, led)]] if s.name else led
+            led = (
+                led[[name == s.name for name in names_of(self.system, self.frame, led)]]
+                if s.name
+                else led
+            )
         if self.limits:
             led = led[inside_limits(self.system, led)]
         led = np.concatenate([led, starts])
@@ -206,29 +290,39 @@ class Singularities(Report):
 Key = tuple[tuple[str, ...], str, tuple[int, ...]]
 Row = tuple[Array, LostAndGained]
 Found = dict[Key, list[Row]]
-"""Configurations, with what is lost and gained there, by the kinds, name and coordinates of their set."""
+"""Configurations, with what is lost and gained there, by the kinds, name and coordinates of their
+set."""
 
 
 @explained
 @interruptible
 def singularities(
-    system: System, frame: FrameLike | None = None, task: str | None = None, *,
-    inputs: Iterable[str] | None = None, limits: bool = True, budget: Budget | None = None,
-) -> Singularities:  # fmt: skip
-    """The singular configurations of a frame, and of closed loops, that are found from random starts.
+    system: System,
+    frame: FrameLike | None = None,
+    task: str | None = None,
+    *,
+    inputs: Iterable[str] | None = None,
+    limits: bool = True,
+    budget: Budget | None = None,
+) -> Singularities:
+    """The singular configurations of a frame, and of closed loops, that are found from random
+    starts.
 
-    Of a chain they are those at which the Jacobian of the frame's `task` has a smaller rank than almost everywhere:
-    "pose", "position", "orientation", in space also "xy", "xz", "yz" (the position along two axes) and "direction" (of
-    its z axis); by default the pose where three joints or, in space, four move the frame, else the position; with
-    closed loops the pose, but of planar frames with two freedoms the position. Of closed loops see
-    `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has lost directions; type 2, where it moves
-    although all `inputs` (names of coordinates; by default what is marked as actuated) are held; and constraint
-    singularities, where the loops allow more than elsewhere. What spins idly does not count.
+    Of a chain they are those at which the Jacobian of the frame's `task` has a smaller rank than
+    almost everywhere: "pose", "position", "orientation", in space also "xy", "xz", "yz" (the
+    position along two axes) and "direction" (of its z axis); by default the pose where three joints
+    or, in space, four move the frame, else the position; with closed loops the pose, but of planar
+    frames with two freedoms the position. Of closed loops see
+    `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has lost directions;
+    type 2, where it moves although all `inputs` (names of coordinates; by default what is marked as
+    actuated) are held; and constraint singularities, where the loops allow more than elsewhere.
+    What spins idly does not count.
 
-    Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
-    `limits` only configurations inside them count, which hold the one-sided constraints, too; with closed loops they
-    are then looked for from nearly singular ones between the starts, besides. Of the `budget` are read:
-    starts (64, at most a million), rng (0), time_limit (120 s), and progress(starts done, all).
+    Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of
+    their branches. With `limits` only configurations inside them count, which hold the one-sided
+    constraints, too; with closed loops they are then looked for from nearly singular ones between
+    the starts, besides. Of the `budget` are read: starts (64, at most a million), rng (0),
+    time_limit (120 s), and progress(starts done, all).
     Errors: `InputError`, `UnknownNameError`.
     """
     spend = USUAL.of(budget)
@@ -236,7 +330,9 @@ def singularities(
     name = None if frame is None else system.structure.frame_name(frame)
     loops = has_loops(system)
     if name is None and not loops:
-        raise InputError(f"{system.name} is a chain: name a frame; there are: {', '.join(system.frame_names)}")
+        raise InputError(
+            f"{system.name} is a chain: name a frame; there are: {', '.join(system.frame_names)}"
+        )
     driving = driven(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
@@ -244,7 +340,9 @@ def singularities(
     done = 0
     broken = None
     with begun_within(USUAL, clock):
-        task, questions = _questions_of(system, name, task, driving if loops else None, spend, limits)
+        task, questions = _questions_of(
+            system, name, task, driving if loops else None, spend, limits
+        )
         problems = questions.problems()
     found: Found = {}
     try:
@@ -263,19 +361,31 @@ def singularities(
                     found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
-    sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]
+    sets = [
+        _set(system, key, rows, [problems[kind] for kind in key[0]])
+        for key, rows in found.items()
+        if key[0]
+    ]
     if any(s.coordinates for s in sets):
         # where several sets cross, their equations do not tell which coordinates decide
         sets = [s for s in sets if s.coordinates]
     sets.sort(key=lambda s: (s.kinds, s.coordinates, s.name))
     starts = int(spend.starts or 0) if broken is None else done
-    return Singularities(system, name, task, tuple(sets), starts, limits, questions, problems, broken)
+    return Singularities(
+        system, name, task, tuple(sets), starts, limits, questions, problems, broken
+    )
 
 
 def _led(
-    questions: RankQuestions, problems: dict[str, RankLoss], starts: dict[str, Array], task: str, limits: bool
-) -> list[tuple[Key, Row]]:  # fmt: skip
-    """Singular configurations to which starts (k, nq) of each question are led, with the keys of their sets."""
+    questions: RankQuestions,
+    problems: dict[str, RankLoss],
+    starts: dict[str, Array],
+    task: str,
+    limits: bool,
+) -> list[tuple[Key, Row]]:
+    """Singular configurations to which starts (k, nq) of each question are led, with the keys of
+    their sets.
+    """
     system = questions.system
     name = questions.frame
     rows = list[tuple[Key, Row]]()
@@ -288,15 +398,25 @@ def _led(
         names = names_of(system, name, q) if kind == SERIAL and task == "pose" else [""] * len(q)
         for at, word in zip(q, names, strict=True):
             local = questions.local(at, problems)
-            key = (local.kinds, word, () if questions.loops else _deciding(problem, at, questions.columns))
+            key = (
+                local.kinds,
+                word,
+                () if questions.loops else _deciding(problem, at, questions.columns),
+            )
             rows.append((key, (at, local)))
     return rows
 
 
 def _questions_of(
-    system: System, frame: str | None, task: str | None, driving: list[int] | None, spend: Budget, limits: bool
-) -> tuple[str, RankQuestions]:  # fmt: skip
-    """The task by its name and what is wanted: of a planar frame with loops and two freedoms its place, if that moves.
+    system: System,
+    frame: str | None,
+    task: str | None,
+    driving: list[int] | None,
+    spend: Budget,
+    limits: bool,
+) -> tuple[str, RankQuestions]:
+    """The task by its name and what is wanted: of a planar frame with loops and two freedoms its
+    place, if that moves.
 
     Its pose has three equations, and so lacks a direction everywhere.
     """
@@ -306,7 +426,9 @@ def _questions_of(
     questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts, limits)
     if task is None and loops and system.dim == 2 and questions.frame_rank == 2:
         try:
-            place = RankQuestions(system, frame, "position", driving, generator(spend.rng), starts, limits)
+            place = RankQuestions(
+                system, frame, "position", driving, generator(spend.rng), starts, limits
+            )
         except InputError:  # it turns about its origin
             return word, questions
         if place.frame_rank == 2:
@@ -361,8 +483,16 @@ def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) ->
         keep = _distinct_rows(q)
         rows = [rows[i] for i in keep]
         q = q[keep]
-    return SingularSet(kinds, name, tuple(names[int(i)] for i in deciding), values, dimension, q,
-                       tuple(local for _, local in rows), tuple(at.tolist()))  # fmt: skip
+    return SingularSet(
+        kinds,
+        name,
+        tuple(names[int(i)] for i in deciding),
+        values,
+        dimension,
+        q,
+        tuple(local for _, local in rows),
+        tuple(at.tolist()),
+    )
 
 
 def _distinct_rows(x: Array) -> list[int]:
@@ -374,18 +504,24 @@ def _distinct_rows(x: Array) -> list[int]:
 
 
 def _distinct(system: System, x: Array, deciding: tuple[int, ...]) -> Array:
-    """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they have no limits."""
+    """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they
+    have no limits.
+    """
     circle = circles(system)[list(deciding)]
     keep: list[Array] = []
     row: Array
     for row in x[np.lexsort(np.round(x, 6).T[::-1])]:
-        if not any(np.where(circle, np.abs(np.sin(0.5 * (row - k))), np.abs(row - k)).max() < SAME for k in keep):
+        if not any(
+            np.where(circle, np.abs(np.sin(0.5 * (row - k))), np.abs(row - k)).max() < SAME
+            for k in keep
+        ):
             keep.append(np.where(np.abs(row) < 1e-9, 0.0, row))
     return np.array(keep)
 
 
 def _turned(system: System, q: Array) -> Array:
-    """Configurations (k, nq) of which turns are led by full turns into (-pi, pi], or where that is outside, the limits.
+    """Configurations (k, nq) of which turns are led by full turns into (-pi, pi], or where that is
+    outside, the limits.
 
     Where relations tie turns to each other they stay as they are.
     """

@@ -18,10 +18,12 @@ SHARED_BYTES = 256 * 2**20
 
 
 class Threads:
-    """Threads that count ranges of samples of a recipe, each range in pieces that are begun in order.
+    """Threads that count ranges of samples of a recipe, each range in pieces that are begun in
+    order.
 
-    An interrupt may come between any two steps of the thread that hands out the work, even where a piece is handed out
-    and its thread is not yet known. So which pieces are begun is decided by the threads that count them.
+    An interrupt may come between any two steps of the thread that hands out the work, even where a
+    piece is handed out and its thread is not yet known. So which pieces are begun is decided by the
+    threads that count them.
     """
 
     def __init__(self, recipe: Recipe, threads: int | None):
@@ -36,9 +38,11 @@ class Threads:
     def count(
         self, first: int, last: int, clock: TimeLimit, said: Callable[[int], None]
     ) -> tuple[np.ndarray, int, Any]:
-        """Counts (entries,) of the samples `first` to `stop`, that stop, and what broke the work off (None: nothing).
+        """Counts (entries,) of the samples `first` to `stop`, that stop, and what broke the work
+        off (None: nothing).
 
-        `stop` is `last`, or the end of a piece where the time was up or an interrupt came: all pieces before are done.
+        `stop` is `last`, or the end of a piece where the time was up or an interrupt came: all
+        pieces before are done.
         """
         for counts in self.counts:
             counts[:] = 0

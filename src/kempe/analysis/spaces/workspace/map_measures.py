@@ -1,4 +1,6 @@
-"""What a map and the inverse model say together: the measure of what is reached, single points, the boundary."""
+"""What a map and the inverse model say together: the measure of what is reached, single points, the
+boundary.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +19,32 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 POINTS = {"inner": 500, "near": 2000, "far": 500}
-"""Random points of each kind of cells whose places the inverse model is to reach, for the measure."""
+"""Random points of each kind of cells whose places the inverse model is to reach, for the
+measure."""
 SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
 UNDECIDED, REACHED, UNREACHED = range(3)
 """What is known of a cell without samples."""
 FIRST = 4
 AT_ONCE = 256
-"""Empty cells of which the nearest that is not reached is looked for first; points that are looked at together."""
+"""Empty cells of which the nearest that is not reached is looked for first; points that are looked
+at together."""
 
 
 def measured(
-    system: System, frame: str, cells: CellMap, seed: int, question: WorkspaceKind, possible: np.ndarray
-) -> tuple[float, float]:  # fmt: skip
+    system: System,
+    frame: str,
+    cells: CellMap,
+    seed: int,
+    question: WorkspaceKind,
+    possible: np.ndarray,
+) -> tuple[float, float]:
     """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
 
-    Random points in three layers of the map are decided by the inverse model; the layers make the error small, they
-    prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after Agresti and Coull 1998). Cells that are
-    not `possible` are proven not to be reached, and left out.
+    Random points in three layers of the map are decided by the inverse model; the layers make the
+    error small, they prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after
+    Agresti and Coull 1998). Cells that are not `possible` are proven not to be reached, and left
+    out.
     """
     rng = np.random.default_rng([seed, 1])
     cell = math.prod(cells.cell)
@@ -56,7 +66,8 @@ def measured(
 def counted(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
     """The same of places of which so many were tried, as many in each cell, and so many reached.
 
-    Cells of which each has its share make the error smaller than this one, which is that of places anywhere.
+    Cells of which each has its share make the error smaller than this one, which is that of places
+    anywhere.
     """
     whole = math.prod(cells.cell) * cells.counts.size
     part = (hits + 2.0) / (samples + 4.0)
@@ -84,24 +95,36 @@ def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Ar
 def decided(
     system: System, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
 ) -> np.ndarray:
-    """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse model."""
+    """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse
+    model.
+    """
     grid = cells.grid
     at, inside = grid.places(points[:, grid.kept])
     off = [k for k in range(3) if k not in grid.kept]
     middle = 0.5 * (np.array(grid.low) + grid.high)
-    inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
+    inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(
+        axis=1
+    )
     out = inside & cells.layers["inner"][tuple(at.T)]
     out[~out] = question.reached(system, frame, points[~out], seed)
     return out
 
 
 def to_boundary(
-    system: System, frame: str, cells: CellMap, points: Array, inside: np.ndarray, seed: int, question: WorkspaceKind
-) -> Array:  # fmt: skip
-    """Distance [m] of points (n, 3) from the boundary, negative where they are not `inside`; of NaN it is NaN.
+    system: System,
+    frame: str,
+    cells: CellMap,
+    points: Array,
+    inside: np.ndarray,
+    seed: int,
+    question: WorkspaceKind,
+) -> Array:
+    """Distance [m] of points (n, 3) from the boundary, negative where they are not `inside`; of NaN
+    it is NaN.
 
-    Outside it is that from the nearest cell with samples. Inside it is that from the nearest cell whose middle is not
-    reached: a cell may be empty for lack of samples only, so the inverse model decides.
+    Outside it is that from the nearest cell with samples. Inside it is that from the nearest cell
+    whose middle is not reached: a cell may be empty for lack of samples only, so the inverse model
+    decides.
     """
     at = points[:, cells.grid.kept]
     finite = np.isfinite(at).all(axis=1)
@@ -117,18 +140,22 @@ def to_boundary(
     for k in range(0, len(near), AT_ONCE):
         which = near[k : k + AT_ONCE]
         out[which] = _to_unreached(
-            cells, at[which], known, lambda p: question.reached(system, frame, cells.grid.whole(p), seed)
+            cells,
+            at[which],
+            known,
+            lambda p: question.reached(system, frame, cells.grid.whole(p), seed),
         )
     return out
 
 
 def _to_unreached(
     cells: CellMap, points: Array, known: np.ndarray, reached: Callable[[Array], np.ndarray]
-) -> Array:  # fmt: skip
-    """Distance (n,) of points (n, d) from the nearest empty cell that is not reached, less half its diagonal.
+) -> Array:
+    """Distance (n,) of points (n, d) from the nearest empty cell that is not reached, less half its
+    diagonal.
 
-    `known` says of each empty cell what is known of it, and is filled in. That of the nearest middle is at most a
-    diagonal too large, where the boundary is flat, and never too small.
+    `known` says of each empty cell what is known of it, and is filled in. That of the nearest
+    middle is at most a diagonal too large, where the boundary is flat, and never too small.
     """
     tree = cast(Any, cells.empty[0])
     half = 0.5 * math.hypot(*cells.cell)
@@ -136,7 +163,9 @@ def _to_unreached(
     left = np.arange(len(points))
     many = FIRST
     while len(left):
-        far, cell = (x.reshape(len(left), -1) for x in tree.query(points[left], k=min(many, tree.n)))
+        far, cell = (
+            x.reshape(len(left), -1) for x in tree.query(points[left], k=min(many, tree.n))
+        )
         before = np.cumsum(known[cell] == UNREACHED, axis=1) == 0
         open_cells = np.unique(cell[before & (known[cell] == UNDECIDED)])
         known[open_cells] = np.where(reached(tree.data[open_cells]), REACHED, UNREACHED)
@@ -149,7 +178,8 @@ def _to_unreached(
 
 
 def boundary_of(cells: CellMap) -> Any:
-    """The boundary between cells with and without samples, through the middles between them; see `Workspace.boundary`.
+    """The boundary between cells with and without samples, through the middles between them; see
+    `Workspace.boundary`.
 
     Errors: `MissingExtraError` without scikit-image.
     """

@@ -1,4 +1,6 @@
-"""The verb `workspace`: any number of samples in fixed memory, in threads or on a cluster, stopped and gone on with."""
+"""The verb `workspace`: any number of samples in fixed memory, in threads or on a cluster, stopped
+and gone on with.
+"""
 
 from __future__ import annotations
 
@@ -39,50 +41,68 @@ if TYPE_CHECKING:
 MOST = 2**62
 USUAL = Usual("workspace", rng=0, threads=None, time_limit=None, progress=None)
 TREES = 16
-"""SampleParts into which the work of a cluster is divided: what is done is written down part by part."""
+"""SampleParts into which the work of a cluster is divided: what is done is written down part by
+part."""
 LARGEST_PART = 2**31
 
 
 @explained
 @interruptible
 def workspace(
-    system: System, frame: FrameLike, *, kind: str | None = None, orientation: Any = None, at: ArrayLike | None = None,
-    n: float | None = None, cells: Any = None, box: Any = None, client: Any = None, path: str | Path | None = None,
+    system: System,
+    frame: FrameLike,
+    *,
+    kind: str | None = None,
+    orientation: Any = None,
+    at: ArrayLike | None = None,
+    n: float | None = None,
+    cells: Any = None,
+    box: Any = None,
+    client: Any = None,
+    path: str | Path | None = None,
     budget: Budget | None = None,
-) -> Workspace:  # fmt: skip
-    """The places that a frame reaches, by `n` random samples within all limits and constraints: a `Workspace`.
+) -> Workspace:
+    """The places that a frame reaches, by `n` random samples within all limits and constraints: a
+    `Workspace`.
 
-    The `kind` says which places: "reachable", in some orientation (the default); "constant-orientation", in one
-    `orientation`; "dexterous", in several, by default 180 angles of the plane or 256 rotations in space that are spread
-    evenly; or it is "orientation": the orientations in which the frame's origin is reached `at` a place (d,) [m].
-    Orientations are angles in the plane, and rotations (..., 3, 3), or roll, pitch and yaw (3,), in space.
+    The `kind` says which places: "reachable", in some orientation (the default);
+    "constant-orientation", in one `orientation`; "dexterous", in several, by default 180 angles of
+    the plane or 256 rotations in space that are spread evenly; or it is "orientation": the
+    orientations in which the frame's origin is reached `at` a place (d,) [m]. Orientations are
+    angles in the plane, and rotations (..., 3, 3), or roll, pitch and yaw (3,), in space.
 
-    Samples of a reachable workspace are configurations: coordinates are uniform within their limits, angles without
-    limits in a full turn, quaternions uniform. Of a system with loops random ones are brought to where all loops are
-    closed, and what violates a declared constraint is left out; that is a thousand times slower (n is 1e7, with loops
-    1e5). Samples of the other kinds, and where slides have no limits and a box is given, are random places (or
-    orientations), as many in each cell, by default one: the inverse model decides whether they are reached.
+    Samples of a reachable workspace are configurations: coordinates are uniform within their
+    limits, angles without limits in a full turn, quaternions uniform. Of a system with loops random
+    ones are brought to where all loops are closed, and what violates a declared constraint is left
+    out; that is a thousand times slower (n is 1e7, with loops 1e5). Samples of the other kinds, and
+    where slides have no limits and a box is given, are random places (or orientations), as many in
+    each cell, by default one: the inverse model decides whether they are reached.
 
-    They are counted in `cells` (a number along the longest edge, or one for each axis) of a `box` (d, 2) [m]; without
-    one, of the box of the first positions, a tenth wider. Memory does not depend on n.
+    They are counted in `cells` (a number along the longest edge, or one for each axis) of a `box`
+    (d, 2) [m]; without one, of the box of the first positions, a tenth wider. Memory does not
+    depend on n.
 
-    Samples are a function of the seed (the `rng` of the `budget`, 0) and their number, so the same map comes of any
-    number of threads or workers. With a `client`, a `distributed.Client` or the address of a scheduler, the workers
-    of a Dask cluster do the work. With a `path`, what is done is written beside it as it goes, and the map to it at the
-    end: the same call goes on after any interruption, and with a larger `n` adds to a map that is there.
+    Samples are a function of the seed (the `rng` of the `budget`, 0) and their number, so the same
+    map comes of any number of threads or workers. With a `client`, a `distributed.Client` or the
+    address of a scheduler, the workers of a Dask cluster do the work. With a `path`, what is done
+    is written beside it as it goes, and the map to it at the end: the same call goes on after any
+    interruption, and with a larger `n` adds to a map that is there.
 
-    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). The time limit returns
-    what was done, Ctrl-C raises it as the `answer` of an `Interrupted`.
+    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). The time limit
+    returns what was done, Ctrl-C raises it as the `answer` of an `Interrupted`.
 
     Errors: `InputError` for a frame that does not move, slides without limits
-    where no box is given, and what belongs to another map; `KernelsError` for a map of other kernels; `DiskError`;
-    `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
+    where no box is given, and what belongs to another map; `KernelsError` for a map of other
+    kernels; `DiskError`; `UnknownNameError`; `MissingExtraError` without the extra [scale], for
+    `client` and `path`.
     """
     name = system.structure.frame_name(frame)
     spend = USUAL.of(budget)
     clock = TimeLimit(spend.time_limit)
     if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
-        raise InputError(f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}")
+        raise InputError(
+            f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}"
+        )
     with begun_within(USUAL, clock):
         question = question_of(system, name, kind, orientation, at)
     if client is not None:
@@ -102,7 +122,7 @@ def workspace(
 
 def _answer(
     recipe: Recipe, store: _Memory | _Disk, count: int, client: Any, spend: Budget, clock: TimeLimit
-) -> Workspace:  # fmt: skip
+) -> Workspace:
     """The map of the first `count` samples, or of those that were counted until it was broken off."""
     if store.found is not None and store.found.samples >= count:
         return of_stored(recipe.system, store.found, store.found.samples)
@@ -118,7 +138,9 @@ def _answer(
         else:
             from kempe.analysis.spaces.workspace.on_cluster import parts_of
 
-            runs = parts_of(client, recipe, store.missing(count, max(each, count // TREES)), each, clock.check)
+            runs = parts_of(
+                client, recipe, store.missing(count, max(each, count // TREES)), each, clock.check
+            )
         for first, last, counts in runs:
             if last > first:
                 store.add(first, last, counts)
@@ -130,19 +152,29 @@ def _answer(
     late = broken is not None and not interrupted
     if broken is None:
         store.finish(stored)
-    return of_stored(recipe.system, stored, count, interrupted=interrupted, late=late, redone=store.redone)
+    return of_stored(
+        recipe.system, stored, count, interrupted=interrupted, late=late, redone=store.redone
+    )
 
 
 def _local(
-    recipe: Recipe, ranges: list[tuple[int, int]], spend: Budget, clock: TimeLimit, pace: Pace, before: int
-) -> Iterator[tuple[int, int, np.ndarray]]:  # fmt: skip
-    """Counts of ranges, by threads of this process: (first, last, counts), the last one shorter if it is broken off.
+    recipe: Recipe,
+    ranges: list[tuple[int, int]],
+    spend: Budget,
+    clock: TimeLimit,
+    pace: Pace,
+    before: int,
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Counts of ranges, by threads of this process: (first, last, counts), the last one shorter if
+    it is broken off.
 
     Errors: what broke it off, after what was done by then.
     """
     threads = Threads(recipe, spend.threads)
     for first, last in ranges:
-        counts, stop, broken = threads.count(first, last, clock, lambda k, a=before - first: pace(a + k))
+        counts, stop, broken = threads.count(
+            first, last, clock, lambda k, a=before - first: pace(a + k)
+        )
         yield first, stop, counts
         before += stop - first
         if broken is not None:
@@ -178,7 +210,9 @@ class _Memory:
 
     def stored(self, n: int) -> Stored:
         """The map of what was added."""
-        return _stored(self.recipe, self.counts, int(self.counts.sum()))  # `done` may not yet have been added to
+        return _stored(
+            self.recipe, self.counts, int(self.counts.sum())
+        )  # `done` may not yet have been added to
 
     def finish(self, stored: Stored) -> None:
         """Keep nothing: the answer has it all."""
@@ -210,7 +244,10 @@ class _Disk:
         if self.found is not None and not self.parts.done:
             counts = np.zeros(recipe.entries, dtype=np.uint64)
             counts[: recipe.grid.count] = self.found.map.counts.ravel()
-            counts[recipe.grid.count : recipe.grid.count + 2] = self.found.outside, self.found.left_out
+            counts[recipe.grid.count : recipe.grid.count + 2] = (
+                self.found.outside,
+                self.found.left_out,
+            )
             self.parts.add_counts(0, self.found.samples, counts)
 
     def missing(self, n: int, most: int) -> list[tuple[int, int]]:

@@ -1,7 +1,8 @@
 """Ranges of samples counted by the workers of a Dask cluster, and added up there in a tree.
 
-Each task is a pure function of the recipe and its range: it can be done twice, or anywhere, and a worker that is lost
-costs its tasks only. Nothing is added into storage; counts come here once a part.
+Each task is a pure function of the recipe and its range: it can be done twice, or anywhere, and a
+worker that is lost costs its tasks only. Nothing is added into storage; counts come here once a
+part.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ def added(many: bool, *counts: np.ndarray) -> np.ndarray:
 
 def parts_of(
     client: Any, recipe: Recipe, ranges: list[tuple[int, int]], each: int, check: Callable[[], None]
-) -> Iterator[tuple[int, int, np.ndarray]]:  # fmt: skip
+) -> Iterator[tuple[int, int, np.ndarray]]:
     """The counts of each range, as they come: (first, last, counts). Tasks have `each` samples.
 
-    `check` is called now and then, and raises what ends the work early; tasks that are left are then given up.
-    Errors: those of the tasks, after `RETRIES`.
+    `check` is called now and then, and raises what ends the work early; tasks that are left are
+    then given up. Errors: those of the tasks, after `RETRIES`.
     """
 
     workers = ClusterWorkers(client, len(ranges))
@@ -50,10 +51,11 @@ def parts_of(
 
 
 def _tree(client: Any, recipe: Any, digest: str, first: int, last: int, each: int) -> Any:
-    """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so on.
+    """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so
+    on.
 
-    `recipe` is the future of the recipe, and `digest` its name: another attempt has other keys, since under those of
-    before the scheduler knows tasks as failed.
+    `recipe` is the future of the recipe, and `digest` its name: another attempt has other keys,
+    since under those of before the scheduler knows tasks as failed.
     """
     many = last - first >= 2**32
     starts = range(first, last, each)
@@ -64,8 +66,13 @@ def _tree(client: Any, recipe: Any, digest: str, first: int, last: int, each: in
     while len(level) > 1:
         height += 1
         level = [
-            client.submit(added, many, *level[k : k + FAN], key=f"kempe-{digest}-{first}-{last}-sum-{height}-{k}",
-                          retries=RETRIES)
+            client.submit(
+                added,
+                many,
+                *level[k : k + FAN],
+                key=f"kempe-{digest}-{first}-{last}-sum-{height}-{k}",
+                retries=RETRIES,
+            )
             for k in range(0, len(level), FAN)
-        ]  # fmt: skip
+        ]
     return level[0]

@@ -1,4 +1,6 @@
-"""What a map is made of, and the counts of any range of its samples: pure, and the same wherever it is done."""
+"""What a map is made of, and the counts of any range of its samples: pure, and the same wherever it
+is done.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ import numpy as np
 
 from kempe.analysis.maps.cluster import refuse_kernels
 from kempe.analysis.spaces.kinds.questions import ORIENTATION, RANGES, TURNED, WorkspaceKind
-from kempe.analysis.spaces.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
+from kempe.analysis.spaces.workspace.cell_map import (
+    FEW_CELLS,
+    USUAL_CELLS,
+    Grid,
+    cell_counts,
+    grid_of,
+)
 from kempe.errors import InputError
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
@@ -34,8 +42,8 @@ if TYPE_CHECKING:
 PIECE = 2**20
 SLOW_PIECE = 1024
 TRIED_PIECE = 64
-"""Samples that one thread counts before it looks up: by the kernel, with what closes loops or obeys constraints, and of
-places that the inverse model decides."""
+"""Samples that one thread counts before it looks up: by the kernel, with what closes loops or obeys
+constraints, and of places that the inverse model decides."""
 PART = 10**8
 SLOW_PART = 10**5
 TRIED_PART = 10**4
@@ -46,7 +54,8 @@ SLOW_PILOT = 2**11
 """Samples whose positions say where the box is."""
 NARROW_PILOT = (2**18, 2**14)
 ENOUGH = 64
-"""Samples at most, of trees and with loops, that are drawn for that until there are enough within constraints."""
+"""Samples at most, of trees and with loops, that are drawn for that until there are enough within
+constraints."""
 FEW_SAMPLES = 10**5, 10**7
 """Samples where none are requested: with loops or constraints, and without."""
 AFTER = 2
@@ -59,7 +68,8 @@ _one_at_a_time = threading.Lock()
 
 @dataclass(frozen=True)
 class Recipe:
-    """A system, a frame, a seed, a grid, a question: all that the counts of samples number `first` to `last` depend on.
+    """A system, a frame, a seed, a grid, a question: all that the counts of samples number `first`
+    to `last` depend on.
 
     `variant` are the kernels that make them: others round otherwise, and are refused.
     """
@@ -73,11 +83,21 @@ class Recipe:
     question: WorkspaceKind = PLAIN
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Recipe, (self.system, self.frame, self.seed, self.grid, self.variant, self.version, self.question)
+        return Recipe, (
+            self.system,
+            self.frame,
+            self.seed,
+            self.grid,
+            self.variant,
+            self.version,
+            self.question,
+        )
 
     @cached_property
     def plain(self) -> bool:
-        """Whether samples are independent coordinates: no loop moves the frame, no constraint is declared."""
+        """Whether samples are independent coordinates: no loop moves the frame, no constraint is
+        declared.
+        """
         return is_plain_chain(self.system) and not self.question.tried
 
     @property
@@ -97,15 +117,23 @@ class Recipe:
 
     @property
     def entries(self) -> int:
-        """Length of the counts of 32 bits: cells, what is outside, what was left out, filled up to an even number."""
+        """Length of the counts of 32 bits: cells, what is outside, what was left out, filled up to
+        an even number.
+        """
         return (self.grid.count + AFTER + 1) // 2 * 2
 
     def said(self) -> dict[str, Any]:
         """What is written beside a map, and must be the same for counts to be added."""
         grid = {k: list(x) for k, x in asdict(self.grid).items()}
         grid |= json.loads(json.dumps(asdict(self.question)))  # as it is read again
-        return {"system": self.system.structure.content_hash, "frame": self.frame, "seed": self.seed, **grid,
-                "variant": self.variant, "version": self.version}  # fmt: skip
+        return {
+            "system": self.system.structure.content_hash,
+            "frame": self.frame,
+            "seed": self.seed,
+            **grid,
+            "variant": self.variant,
+            "version": self.version,
+        }
 
     @property
     def digest(self) -> str:
@@ -117,7 +145,9 @@ class Recipe:
         refuse_kernels(self.variant, self.version)
 
     def count(self, first: int, last: int, counts: np.ndarray) -> None:
-        """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may share."""
+        """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may
+        share.
+        """
         if self.plain:
             keys, bounds = self._drawn
             table = chain_table(self.system, self.frame)
@@ -127,8 +157,11 @@ class Recipe:
             return
         size = self.piece
         for piece in range(first // size, -(-last // size)):
-            points = (self._tried(piece) if self.question.tried else
-                      slow_positions(self.system, self.frame, self.seed, piece))  # fmt: skip
+            points = (
+                self._tried(piece)
+                if self.question.tried
+                else slow_positions(self.system, self.frame, self.seed, piece)
+            )
             points = points[max(0, first - piece * size) : last - piece * size]
             kept = points[~np.isnan(points[:, 0])]
             with _one_at_a_time:
@@ -136,10 +169,14 @@ class Recipe:
                 counts[self.grid.count + 1] += np.uint32(len(points) - len(kept))
 
     def _tried(self, piece: int) -> Array:
-        """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they are not reached."""
+        """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they
+        are not reached.
+        """
         grid = self.grid
         rng = np.random.Generator(np.random.Philox(key=[self.seed, piece]))
-        number = (np.arange(piece * TRIED_PIECE, (piece + 1) * TRIED_PIECE) * self._stride) % grid.count
+        number = (
+            np.arange(piece * TRIED_PIECE, (piece + 1) * TRIED_PIECE) * self._stride
+        ) % grid.count
         at = np.stack(np.unravel_index(number, grid.shape), axis=-1)
         points = grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
         points[~self.question.reached(self.system, self.frame, points, self.seed)] = np.nan
@@ -159,7 +196,9 @@ class Recipe:
 
 
 def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
-    """The counts (entries,) of the samples `first` to `last`, in one thread. Errors: `KernelsError`."""
+    """The counts (entries,) of the samples `first` to `last`, in one thread. Errors:
+    `KernelsError`.
+    """
     recipe.check()
     counts = np.zeros(recipe.entries, dtype=np.uint32)
     for start in range(first, last, recipe.piece):
@@ -210,8 +249,12 @@ def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
     return points
 
 
-def closed_configurations(system: System, seed: int, piece: int, count: int = SLOW_PIECE) -> tuple[Array, np.ndarray]:
-    """Random configurations (count, nq), brought to where loops are closed, and where (count,) all constraints hold."""
+def closed_configurations(
+    system: System, seed: int, piece: int, count: int = SLOW_PIECE
+) -> tuple[Array, np.ndarray]:
+    """Random configurations (count, nq), brought to where loops are closed, and where (count,) all
+    constraints hold.
+    """
     q = random(system, np.random.Generator(np.random.Philox(key=[seed, piece])), count)
     good = np.ones(len(q), dtype=bool)
     if has_loops(system):
@@ -223,19 +266,31 @@ def closed_configurations(system: System, seed: int, piece: int, count: int = SL
     return q, good
 
 
-def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN) -> Recipe:
-    """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides, wrong boxes."""
+def recipe_of(
+    system: System, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
+) -> Recipe:
+    """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides,
+    wrong boxes.
+    """
     if question.kind == ORIENTATION:
-        return Recipe(system, frame, seed, _of_orientations(cells, box, system.dim), question=question)
+        return Recipe(
+            system, frame, seed, _of_orientations(cells, box, system.dim), question=question
+        )
     if (names := unlimited(system, frame)) and box is None:
-        turns = {n for n, t in zip(system.structure.velocity_names, system.structure.coordinates.turning, strict=True)
-                 if t}  # fmt: skip
+        turns = {
+            n
+            for n, t in zip(
+                system.structure.velocity_names, system.structure.coordinates.turning, strict=True
+            )
+            if t
+        }
         so = f"so the frame {frame!r} no end of places"
         if turns.issuperset(names):
             so = f"a constraint tells {'its' if len(names) == 1 else 'their'} whole turns apart"
         raise InputError(
-            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, and {so}: give a box, "
-            f"or limits, such as system.with_limits({{{names[0]!r}: (-1.0, 1.0)}})"
+            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, "
+            f"and {so}: give a box, or limits, such as system.with_limits({{{names[0]!r}: (-1.0, "
+            "1.0)})"
         )
     question = replace(question, tried=True) if names else question
     points = pilot_positions(system, frame, seed)
@@ -252,11 +307,15 @@ def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, quest
 
 
 def pilot_positions(system: System, frame: str, seed: int) -> Array:
-    """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration could be closed."""
+    """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration
+    could be closed.
+    """
     if is_plain_chain(system):
         points = np.empty((PILOT, 3))
         table = chain_table(system, frame)
-        lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
+        lane_positions.random_positions(
+            *table, keys_of(seed, system.nq), bounds_of(system), 0, points
+        )
         return points
     found = list[Array]()
     most = NARROW_PILOT[has_loops(system)]
@@ -268,8 +327,9 @@ def pilot_positions(system: System, frame: str, seed: int) -> Array:
     points = np.concatenate(found)
     if not len(points):
         raise InputError(
-            f"of {most} random configurations of {system.name!r} none could be closed within the limits and "
-            "constraints, and a map counts random ones: narrower limits make more of them hold"
+            f"of {most} random configurations of {system.name!r} none could be closed within the "
+            "limits and constraints, and a map counts random ones: narrower limits make more of "
+            "them hold"
         )
     return points
 
@@ -283,7 +343,13 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
     low, high = (tuple(x) for x in zip(*ranges, strict=True))
     counts = cell_counts(cells, np.array(high) - low, names, FEW_CELLS)
     rest = 3 - len(names)
-    return Grid(low + (-0.5,) * rest, high + (0.5,) * rest, (*counts, *(1,) * rest), names, names + ("",) * rest)
+    return Grid(
+        low + (-0.5,) * rest,
+        high + (0.5,) * rest,
+        (*counts, *(1,) * rest),
+        names,
+        names + ("",) * rest,
+    )
 
 
 def unlimited(system: System, frame: str) -> list[str]:
@@ -293,11 +359,17 @@ def unlimited(system: System, frame: str) -> list[str]:
     if not has_loops(system):
         used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops
-        driven = {c for j in system.structure.joints.values() if j.actuated
-                  for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip
+        driven = {
+            c
+            for j in system.structure.joints.values()
+            if j.actuated
+            for c in system.structure.coordinates_of_joint(j.name)
+        }
         used = {k for k, name in enumerate(system.coordinate_names) if name in driven}
     return [
         system.structure.velocity_names[int(v)]
         for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True)
-        if at in used and not circle[v] and not all(abs(x[v]) < FAR for x in (system.lower, system.upper))
+        if at in used
+        and not circle[v]
+        and not all(abs(x[v]) < FAR for x in (system.lower, system.upper))
     ]

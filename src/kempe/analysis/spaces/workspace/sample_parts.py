@@ -47,7 +47,11 @@ class SampleParts(PartLog):
             counts = np.load(self.file(part), allow_pickle=False)
         except UNREADABLE:
             return None
-        return counts if counts.shape == (self.entries,) and checksum_of(counts) == part.checksum else None
+        return (
+            counts
+            if counts.shape == (self.entries,) and checksum_of(counts) == part.checksum
+            else None
+        )
 
     def add_counts(self, first: int, last: int, counts: np.ndarray) -> None:
         """Write one more part. Errors: `DiskError`."""
@@ -61,7 +65,9 @@ class SampleParts(PartLog):
         return part
 
     def _merge(self) -> None:
-        """Put parts that follow each other into one file; the former ones go when the list no longer names them."""
+        """Put parts that follow each other into one file; the former ones go when the list no
+        longer names them.
+        """
         former = self.done
         runs: list[list[DonePart]] = []
         for part in sorted(former):
@@ -70,7 +76,8 @@ class SampleParts(PartLog):
             else:
                 runs.append([part])
         self.done = [
-            run[0] if len(run) == 1 else self._written(run[0].first, run[-1].last, self.total(run)) for run in runs
+            run[0] if len(run) == 1 else self._written(run[0].first, run[-1].last, self.total(run))
+            for run in runs
         ]
         self.write_list()
         for part in set(former) - set(self.done):
@@ -82,6 +89,8 @@ class SampleParts(PartLog):
         for part in self.done if parts is None else parts:
             counts = self.read(part)
             if counts is None:
-                raise DiskError(f"{self.file(part)} was damaged meanwhile: the same call draws it again")
+                raise DiskError(
+                    f"{self.file(part)} was damaged meanwhile: the same call draws it again"
+                )
             out += counts
         return out

@@ -62,12 +62,13 @@ ROUNDING = 1e-9
 class Workspace(Report):
     """The places that a frame reaches, as counts of random samples in the cells of a box.
 
-    A cell with a count above zero holds a point that is reached: no more is proven by the `map`, which so is a lower
-    bound. An empty cell may hold points that are reached, too. `samples` were drawn, of the `requested` ones; `outside`
-    of them fell outside the box, `left_out` could not be closed or violated a constraint, or were places that are not
-    reached. Where the work was `interrupted`, or the time limit came (`late`), the map holds what was done. Of the kind
-    "orientation" points are orientations, and what is measured is their angle, in space the volume of rotations, of
-    which there are 8 pi^2.
+    A cell with a count above zero holds a point that is reached: no more is proven by the `map`,
+    which so is a lower bound. An empty cell may hold points that are reached, too. `samples` were
+    drawn, of the `requested` ones; `outside` of them fell outside the box, `left_out` could not be
+    closed or violated a constraint, or were places that are not reached. Where the work was
+    `interrupted`, or the time limit came (`late`), the map holds what was done. Of the kind
+    "orientation" points are orientations, and what is measured is their angle, in space the volume
+    of rotations, of which there are 8 pi^2.
     """
 
     _pictured = True
@@ -92,8 +93,16 @@ class Workspace(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `INTERRUPTED` and `OUT_OF_TIME` where fewer samples were drawn than were requested."""
-        return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else Status.SOLVED
+        """The outcome: `INTERRUPTED` and `OUT_OF_TIME` where fewer samples were drawn than were
+        requested.
+        """
+        return (
+            Status.INTERRUPTED
+            if self.interrupted
+            else Status.OUT_OF_TIME
+            if self.late
+            else Status.SOLVED
+        )
 
     # ---- how much
 
@@ -109,11 +118,12 @@ class Workspace(Report):
 
     @cached_property
     def exact(self) -> PlanarWorkspace | SweptSolid | None:
-        """The exact workspace, None where that is not known: of a planar system as `System.reach.planar` has it.
+        """The exact workspace, None where that is not known: of a planar system as
+        `System.reach.planar` has it.
 
-        In space it is known of chains that move the frame in a plane, which a slide moves across itself or a first
-        joint turns. It is not looked for where more than four joints of a chain have limits, which takes long,
-        nor used where it is not inside the box.
+        In space it is known of chains that move the frame in a plane, which a slide moves across
+        itself or a first joint turns. It is not looked for where more than four joints of a chain
+        have limits, which takes long, nor used where it is not inside the box.
         """
         found = self._exact_anywhere()
         grid = self.map.grid
@@ -140,26 +150,33 @@ class Workspace(Report):
     def dimension(self) -> int:
         """The dimension of what is reached: 1 of a curve, 2 of a surface, else that of the box.
 
-        It is the rank of the frame's velocities at up to `LOOKED` random configurations; where none was closed, and
-        where not all places count that are reached in any way, it is that of the box.
+        It is the rank of the frame's velocities at up to `LOOKED` random configurations; where none
+        was closed, and where not all places count that are reached in any way, it is that of the
+        box.
         """
         most = len(self.map.grid.axes)
         q, good = closed_configurations(self.system, self.seed, 0, LOOKED)
         if self.kind != REACHABLE or not good.any():
             return most
         rates = jacobian(self.system, q[good], self.frame)[..., :3, :]
-        return min(most, int(image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max()))
+        return min(
+            most, int(image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max())
+        )
 
     @property
     def thin(self) -> bool:
-        """Whether it is a curve or a surface in a box of more dimensions, so that its measure there is 0."""
+        """Whether it is a curve or a surface in a box of more dimensions, so that its measure there
+        is 0.
+        """
         return self.dimension < len(self.map.grid.axes)
 
     @cached_property
     def measure(self) -> tuple[float, float]:
-        """Length, area or volume of what is reached in the box, as it has dimensions, and the error.
+        """Length, area or volume of what is reached in the box, as it has dimensions, and the
+        error.
 
-        It is the `estimate`, or where the workspace is known exactly its area or volume, and an error that is rounding.
+        It is the `estimate`, or where the workspace is known exactly its area or volume, and an
+        error that is rounding.
         """
         if self.exact is None:
             return self.estimate
@@ -169,9 +186,10 @@ class Workspace(Report):
     def estimate(self) -> tuple[float, float]:
         """The measure by samples, and two standard errors of it.
 
-        The inverse model decides random points, more of them where the map changes. What it does not find counts as not
-        reached, so that but for chance the value is too small rather than too large. Cells that lengths and limits
-        prove not to be reached are left out; where these are all, the error is 0, and so it is of what is `thin`.
+        The inverse model decides random points, more of them where the map changes. What it does
+        not find counts as not reached, so that but for chance the value is too small rather than
+        too large. Cells that lengths and limits prove not to be reached are left out; where these
+        are all, the error is 0, and so it is of what is `thin`.
         """
         if self.thin:
             return 0.0, 0.0
@@ -183,7 +201,11 @@ class Workspace(Report):
             possible = np.ones(self.map.counts.shape, dtype=bool)
             if wanted.kind != ORIENTATION:
                 possible = possible_cells(self.system, self.frame, self.map.grid)
-            found.append(map_measures.measured(self.system, self.frame, self.map, self.seed, wanted, possible))
+            found.append(
+                map_measures.measured(
+                    self.system, self.frame, self.map, self.seed, wanted, possible
+                )
+            )
         value, error = map_measures.together(found)
         return min(value, self._outer), error
 
@@ -198,9 +220,9 @@ class Workspace(Report):
     def bounds(self) -> tuple[float, float]:
         """A lower and an upper bound of the measure in the box.
 
-        The lower one is the value less its error: each point that it counts is reached, so that only chance, which
-        points were drawn, makes it too large (in one of 40 cases). The upper one is proven, by lengths and limits, or
-        rounding away from an exact measure.
+        The lower one is the value less its error: each point that it counts is reached, so that
+        only chance, which points were drawn, makes it too large (in one of 40 cases). The upper one
+        is proven, by lengths and limits, or rounding away from an exact measure.
         """
         value, error = self.measure
         if self.exact is not None or self.thin:
@@ -233,12 +255,14 @@ class Workspace(Report):
     # ---- single points
 
     def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
-        """Whether points (..., d) in the ground frame [m] are reached (...); d is 2 or 3, as of the system.
+        """Whether points (..., d) in the ground frame [m] are reached (...); d is 2 or 3, as of the
+        system.
 
-        The `exact` workspace decides where there is one, unless `check` is True. Else the map does in a cell that has
-        samples, as all cells around it have: that is no proof for each point of it. All others, and with `check` all,
-        are decided by the inverse model, which finds a configuration or not. Of the kind "orientation" points are
-        rotations (..., 3, 3), in the plane also angles (...).
+        The `exact` workspace decides where there is one, unless `check` is True. Else the map does
+        in a cell that has samples, as all cells around it have: that is no proof for each point of
+        it. All others, and with `check` all, are decided by the inverse model, which finds a
+        configuration or not. Of the kind "orientation" points are rotations (..., 3, 3), in the
+        plane also angles (...).
         """
         flat, lead = self._points(points)
         if self.exact is not None and not check:
@@ -246,27 +270,34 @@ class Workspace(Report):
         elif check:
             found = self.question.reached(self.system, self.frame, flat, self.seed)
         else:
-            found = map_measures.decided(self.system, self.frame, self.map, flat, self.seed, self.question)
+            found = map_measures.decided(
+                self.system, self.frame, self.map, flat, self.seed, self.question
+            )
         return found.reshape(lead)
 
     def distance(self, points: ArrayLike) -> Array:
-        """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact` one, or of the map.
+        """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact`
+        one, or of the map.
 
         It is of the map, too, where a first joint in space has limits.
 
-        Which points are inside says `contains`. Of the map the distance is that of the nearest cell that is not
-        reached, outside of the nearest that is, so it may be off by half the diagonal of a cell (`resolution`), and
-        outside by what the samples missed; inside, the inverse model decides cells without samples. Errors:
-        `UnsupportedError` for orientations.
+        Which points are inside says `contains`. Of the map the distance is that of the nearest cell
+        that is not reached, outside of the nearest that is, so it may be off by half the diagonal
+        of a cell (`resolution`), and outside by what the samples missed; inside, the inverse model
+        decides cells without samples. Errors: `UnsupportedError` for orientations.
         """
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
         flat, lead = self._points(points)
         if self.exact is not None and not isinstance(self.exact, Turned):
-            return (self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)).reshape(lead)
+            return (
+                self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)
+            ).reshape(lead)
         question = self.question
         inside = np.asarray(self.contains(points)).reshape(-1)
-        far = map_measures.to_boundary(self.system, self.frame, self.map, flat, inside, self.seed, question)
+        far = map_measures.to_boundary(
+            self.system, self.frame, self.map, flat, inside, self.seed, question
+        )
         return far.reshape(lead)
 
     @property
@@ -290,8 +321,9 @@ class Workspace(Report):
     def boundary(self) -> Any:
         """The boundary of the cells with samples, in metres.
 
-        In the plane a list of closed lines (k, 2), in space a surface as corners (k, 3) and triangles (m, 3) by number
-        (marching cubes), on a line the ends. Errors: `MissingExtraError` without the extra [scale].
+        In the plane a list of closed lines (k, 2), in space a surface as corners (k, 3) and
+        triangles (m, 3) by number (marching cubes), on a line the ends. Errors: `MissingExtraError`
+        without the extra [scale].
         """
         return map_measures.boundary_of(self.map)
 
@@ -301,7 +333,9 @@ class Workspace(Report):
         """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
         path = expanded(path)
         toml = description_of(self.system)
-        write_map(path, Stored(self.map, self.samples, self.outside, self.left_out, self.said, toml))
+        write_map(
+            path, Stored(self.map, self.samples, self.outside, self.left_out, self.said, toml)
+        )
         return path
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:
@@ -320,15 +354,20 @@ class Workspace(Report):
         part, unit = (1.0, "m") if max(self.map.cell) >= LARGE else (1e3, "mm")
         edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
         size = "" if self.kind == ORIENTATION else f" of {edges} {unit}"
-        cells = f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
+        cells = (
+            f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
+        )
         if not wanted.tried:
             return (
-                f"{self.samples:.6g} {plural(self.samples, 'sample')}{left} of frame {self.frame!r} fell into {cells}"
+                f"{self.samples:.6g} {plural(self.samples, 'sample')}{left} of frame "
+                f"{self.frame!r} fell into {cells}"
             )
         many = f" in all {len(wanted.turns)} orientations" if len(wanted.turns) > 1 else ""
         hits = int(self.map.counts.sum())
-        return (f"{self.kind}: {hits} of {counted(self.samples, wanted.noun)}{left} that were tried are reached by "
-                f"frame {self.frame!r}{many}, in {cells}")  # fmt: skip
+        return (
+            f"{self.kind}: {hits} of {counted(self.samples, wanted.noun)}{left} that were tried "
+            f"are reached by frame {self.frame!r}{many}, in {cells}"
+        )
 
     def _cells(self) -> Cells:
         grid = self.map.grid
@@ -336,8 +375,11 @@ class Workspace(Report):
         (value, error) = self.measure
         (low, high) = self.bounds
         unit = unit.replace("m", self.map.unit)
-        box = ", ".join(f"{a} {grid.low[k]:.6g} to {grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
-                        for a, k in zip(grid.axes, grid.kept, strict=True))  # fmt: skip
+        box = ", ".join(
+            f"{a} {grid.low[k]:.6g} to "
+            f"{grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
+            for a, k in zip(grid.axes, grid.kept, strict=True)
+        )
         if self.exact is not None:
             said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
         elif self.thin:
@@ -347,13 +389,22 @@ class Workspace(Report):
         else:
             least = f"at least {low:.6g} {unit} but for chance"
             most = f"at most {high:.6g} {unit} by lengths and limits"
-            said = [(name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),
-                    ("bounds", f"{least}, {most}")]  # fmt: skip
+            said = [
+                (name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),
+                ("bounds", f"{least}, {most}"),
+            ]
         rows = [("box", box), *said]
         rows += [("outside the box", counted(self.outside, "sample"))] * bool(self.outside)
-        rows += [("left out", f"{counted(self.left_out, 'sample')} that could not be closed within all limits and "
-                  "constraints")] * bool(self.left_out and not self.question.tried)  # fmt: skip
-        rows += [("redone", f"{counted(self.redone, 'part')} that was damaged on disk")] * bool(self.redone)
+        rows += [
+            (
+                "left out",
+                f"{counted(self.left_out, 'sample')} that could not be closed within all limits "
+                "and constraints",
+            )
+        ] * bool(self.left_out and not self.question.tried)
+        rows += [("redone", f"{counted(self.redone, 'part')} that was damaged on disk")] * bool(
+            self.redone
+        )
         return (), rows
 
     def _data(self) -> dict[str, Any]:
@@ -361,25 +412,41 @@ class Workspace(Report):
         (name, _) = MEASURES[len(self.map.grid.axes)]
         value, error = self.measure
         box = {a: [grid.low[k], grid.high[k]] for a, k in zip(grid.axes, grid.kept, strict=True)}
-        numbers = {k: getattr(self, k) for k in ("samples", "requested", "outside", "left_out", "seed", "redone")}
-        return {"system": self.system.name, "frame": self.frame, "kind": self.kind, "box": box,
-                "cells": list(grid.shape), "occupied": int(self.map.occupied.sum()),
-                "exact": self.exact is not None, name: value, f"{name}_error": error,
-                f"{name}_bounds": list(self.bounds), **numbers,
-                "kernels": self.said["variant"], "version": self.said["version"]}  # fmt: skip
+        numbers = {
+            k: getattr(self, k)
+            for k in ("samples", "requested", "outside", "left_out", "seed", "redone")
+        }
+        return {
+            "system": self.system.name,
+            "frame": self.frame,
+            "kind": self.kind,
+            "box": box,
+            "cells": list(grid.shape),
+            "occupied": int(self.map.occupied.sum()),
+            "exact": self.exact is not None,
+            name: value,
+            f"{name}_error": error,
+            f"{name}_bounds": list(self.bounds),
+            **numbers,
+            "kernels": self.said["variant"],
+            "version": self.said["version"],
+        }
 
 
 @explained
 def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
     """The `Workspace` that was written to a path.
 
-    The system is read from the map itself, or given. Errors: `InputError` where there is no map, where it is of another
-    system, or where it has none in it and none is given; `DamagedError` where the file is not what was written.
+    The system is read from the map itself, or given. Errors: `InputError` where there is no map,
+    where it is of another system, or where it has none in it and none is given; `DamagedError`
+    where the file is not what was written.
     """
     stored = read_map(expanded(path))
     if system is None:
         if stored.toml is None:
-            raise InputError(f"{path} does not hold its system, which no file can describe: give it, too")
+            raise InputError(
+                f"{path} does not hold its system, which no file can describe: give it, too"
+            )
         from kempe.description.source import collecting_later
         from kempe.description.toml.toml import read_toml
 

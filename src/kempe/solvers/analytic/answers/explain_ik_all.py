@@ -1,4 +1,6 @@
-"""What there is to say about a target: how many solutions, why these are all, or why there are none."""
+"""What there is to say about a target: how many solutions, why these are all, or why there are
+none.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.answers.solutions import Solutions
 
 BEYOND = 1e-8
-"""How far (lengths of the chain, cosines) an equation must be from having a root, to be named as the reason."""
+"""How far (lengths of the chain, cosines) an equation must be from having a root, to be named as
+the reason."""
 
 REACHED = 2e-6
 """Error [m, rad] below which a search, which stops there, has found a solution."""
@@ -44,34 +47,45 @@ CONSTANT = 1e-9
 
 CONDITION = 1e-6
 PERTURBED = 0.1
-"""A joint that rests is a condition of a family if moving it by PERTURBED makes this singular value of the joints that
-move larger."""
+"""A joint that rests is a condition of a family if moving it by PERTURBED makes this singular value
+of the joints that move larger."""
 
 AT_ZERO = 1e-7
-"""Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of rounding."""
+"""Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of
+rounding."""
 
 TURNS = ("orientation", "direction")
 """Tasks of which no place counts."""
 
 NO_ROOT = {
-    "closed": "the equations of the closed form have no real root", "elimination": "no real root among 16",
+    "closed": "the equations of the closed form have no real root",
+    "elimination": "no real root among 16",
     "search": "not found; no closed form applies",
-}  # fmt: skip
+}
 """What is said of a method that found nothing."""
 
 
 def status(solutions: Solutions, index: int) -> str:
-    """The sentence for target number `index`: how many solutions and why these are all, or why there are none."""
+    """The sentence for target number `index`: how many solutions and why these are all, or why
+    there are none.
+    """
     if solutions._counts[index, 0] < 0:
         return not_a_pose(solutions.question.targets[index])
-    limit, late = (0.0, False) if solutions._ended is None else (solutions._ended[0], solutions._ended[1][index])
+    limit, late = (
+        (0.0, False)
+        if solutions._ended is None
+        else (solutions._ended[0], solutions._ended[1][index])
+    )
     if solutions._used[index].any():
         return _reached(solutions, index) + (wording.ended(limit) if late else "")
     if late:
         return wording.none_in_time(limit)
     size = float(np.abs(solutions.question.targets[index]).max())
     if size >= LARGEST:
-        return f"no solution: the target has an entry of {size:.3g}; allowed are numbers below {LARGEST:g}"
+        return (
+            f"no solution: the target has an entry of {size:.3g}; allowed are numbers below "
+            f"{LARGEST:g}"
+        )
     _, position, angle = nearest(solutions, index)
     question = solutions.question
     plan = solutions.plan
@@ -87,9 +101,16 @@ def status(solutions: Solutions, index: int) -> str:
         head = "no solution"
     if miss <= REACHED:
         near = f"a configuration within {miss:.1g} of the target: see nearest()"
-        return f"{wording.failed(head, *why).split(':')[0]} within {question.tolerance:.1g}, but {near}"
+        return (
+            f"{wording.failed(head, *why).split(':')[0]} within {question.tolerance:.1g}, but "
+            f"{near}"
+        )
     if why[0].__class__ is Evidence and why[0].kind == "joints":
-        why.append(rounded(position, angle, chain_of(solutions.system, question.frame).span.largest, one=True))
+        why.append(
+            rounded(
+                position, angle, chain_of(solutions.system, question.frame).span.largest, one=True
+            )
+        )
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     place = None if question.task in TURNS else position
     turn = None if question.task == "position" else angle
@@ -98,7 +119,9 @@ def status(solutions: Solutions, index: int) -> str:
 
 
 def held_sentence(solutions: Solutions) -> str:
-    """Which joints a redundant chain has to spare, and where they are held for the targets; '' for other chains."""
+    """Which joints a redundant chain has to spare, and where they are held for the targets; '' for
+    other chains.
+    """
     if not solutions.spare:
         return ""
     parts: list[str] = []
@@ -128,10 +151,16 @@ def _reached(solutions: Solutions, index: int) -> str:
     inside = int((code % 2).sum())
     times = code // int(A.MULTIPLICITY_UNIT)
     text = wording.solutions(
-        len(code), inside, plan.method, not solutions._counts[index, 1], bool(spare), times[times > 1].tolist(),
+        len(code),
+        inside,
+        plan.method,
+        not solutions._counts[index, 1],
+        bool(spare),
+        times[times > 1].tolist(),
         _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
-        [(f.dimension, family_motion(f)) for f in families], _ground(plan),
-    )  # fmt: skip
+        [(f.dimension, family_motion(f)) for f in families],
+        _ground(plan),
+    )
     if not spare or deficient and not len(code):
         return text
     now = _held(solutions, index, spare)
@@ -150,7 +179,9 @@ def spare_joints(plan: ChainPlan) -> list[int]:
 
 
 def more_than_enough(plan: ChainPlan) -> bool:
-    """Whether the chain has more joints than the task has equations: else freedoms to spare come from its lengths."""
+    """Whether the chain has more joints than the task has equations: else freedoms to spare come
+    from its lengths.
+    """
     free = free_lines(plan.lines, plan.task, plan.planar)
     return len(plan.lines) - len(fixed_joints(plan)) + len(free.kinds) > (3 if plan.planar else 6)
 
@@ -180,14 +211,18 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     worst = int(np.argmax(row))
     names = solutions.system.structure.velocity_names
     still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
-    return wording.beyond_limit(lines.names[worst], row[worst], "m" if lines.kinds[worst] == SLIDE else "rad", still)
+    return wording.beyond_limit(
+        lines.names[worst], row[worst], "m" if lines.kinds[worst] == SLIDE else "rad", still
+    )
 
 
 # ---- not reached
 
 
 def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
-    """What is to be said of a target without solutions, and whether it holds wherever spare joints are held."""
+    """What is to be said of a target without solutions, and whether it holds wherever spare joints
+    are held.
+    """
     question = solutions.question
     plan = solutions.plan
     system = solutions.system
@@ -202,7 +237,11 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
         off = float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0])
         far = lengths(system, off, slides=slides_of(system, question.frame))
     wide = plan.lines.span.wide
-    failed = None if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
+    failed = (
+        None
+        if wide or spare_joints(plan) or plan.method != "closed"
+        else _without_root(solutions, index)
+    )
     if far or failed:
         return [x for x in (far, failed) if x], far is not None
     over = _overdetermined(solutions)
@@ -223,7 +262,9 @@ def _overdetermined(solutions: Solutions) -> Evidence | None:
     if rank >= full:
         return None
     held = bool(fixed_joints(plan))
-    return evidence("joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others)
+    return evidence(
+        "joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others
+    )
 
 
 def _without_root(solutions: Solutions, index: int) -> Evidence | None:
@@ -251,12 +292,16 @@ def _without_root(solutions: Solutions, index: int) -> Evidence | None:
         t = terms[second, measures[1]]
         if len(_roots(t, known, bool(slides[joint[second]]))):
             return None
-        found.append((_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known)))
+        found.append(
+            (_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known))
+        )
     return min(found, key=lambda x: x[0])[1]
 
 
 def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
-    """Constant and factors (2, 2, 3) of joints x and z in both measures, see `kempe.kernels.closed_form.arm_part`."""
+    """Constant and factors (2, 2, 3) of joints x and z in both measures, see
+    `kempe.kernels.closed_form.arm_part`.
+    """
     from kempe.kernels.compiled import candidates
 
     plan = solutions.plan
@@ -265,20 +310,25 @@ def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
     axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
     order = list(way.order)
     six = Axes(axes.kinds[order], axes.h[order], axes.o[order])
-    goal = np.ascontiguousarray((aim.target @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift))[:3]).ravel()
+    goal = np.ascontiguousarray(
+        (aim.target @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift))[:3]
+    ).ravel()
     out = np.empty(12)
     candidates.outer_terms(six.kinds, six.packed(), goal, way.inner, way.what, way.option, out)
     return out.reshape(2, 2, 3)
 
 
 def _range(t: Array, wanted: float) -> tuple[float, float, float]:
-    """How far a turn's t0 + t1 cos + t2 sin stays from a value, and the least and the largest that it reaches."""
+    """How far a turn's t0 + t1 cos + t2 sin stays from a value, and the least and the largest that
+    it reaches.
+    """
     size = math.hypot(t[1], t[2])
     return max(t[0] - size - wanted, wanted - t[0] - size, 0.0), t[0] - size, t[0] + size
 
 
 def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
-    """Solutions (f, g) of t0 + t1 f + t2 g = wanted: f, g are cosine and sine of a turn, d and d^2 of a slide.
+    """Solutions (f, g) of t0 + t1 f + t2 g = wanted: f, g are cosine and sine of a turn, d and d^2
+    of a slide.
 
     NaN where any value solves it.
     """
@@ -298,8 +348,12 @@ def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
     return [(math.cos(middle + s * half), math.sin(middle + s * half)) for s in (1.0, -1.0)]
 
 
-def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float) -> Evidence | None:
-    """That a joint cannot bring what the inner joints keep to where the target wants it; None for joints of nobody."""
+def _named(
+    solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float
+) -> Evidence | None:
+    """That a joint cannot bring what the inner joints keep to where the target wants it; None for
+    joints of nobody.
+    """
     plan = solutions.plan
     n = len(plan.lines)
     length = plan.lines.length
@@ -308,7 +362,12 @@ def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Arr
     _, low, high = _range(t, wanted)
     inner = sorted(i for i in way.order[way.inner : way.inner + 3] if i < n)
     middle = way.order[(way.inner + 4) % 6]
-    turning = middle >= n and plan.extra.kinds[middle - n] != SLIDE or middle < n and plan.lines.kinds[middle] != SLIDE
+    turning = (
+        middle >= n
+        and plan.extra.kinds[middle - n] != SLIDE
+        or middle < n
+        and plan.lines.kinds[middle] != SLIDE
+    )
     what = "plane"
     off = 0.0
     edge = low if wanted < low else high

@@ -30,16 +30,20 @@ ON = 1e-5
 
 MOST = 64
 ROOM = 48
-"""Families of one target at most; rows in which their samples are looked for, where an answer has no room for all."""
+"""Families of one target at most; rows in which their samples are looked for, where an answer has
+no room for all."""
 
 STRAIGHT = 1e-6
-"""How far samples may be from a straight line in a family that is called linear; joints that move less rest."""
+"""How far samples may be from a straight line in a family that is called linear; joints that move
+less rest."""
 
 MERGED = 1e-4
-"""Joints that move less rest where roots have merged, which the tolerance leaves open to its root."""
+"""Joints that move less rest where roots have merged, which the tolerance leaves open to its
+root."""
 
 EXACT = 1e-12
-"""Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the tolerance only."""
+"""Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the
+tolerance only."""
 
 
 @explained_methods
@@ -47,11 +51,12 @@ EXACT = 1e-12
 class Family(InWords):
     """A connected set of infinitely many configurations that reach a target; limits are ignored.
 
-    `dimension` is the number of its freedoms. `q` (m, nq) are samples: along a curve in their order, angles continuous,
-    and if it is `closed` the first one follows the last; of a family with more freedoms some, in any order. `basis`
-    (dimension, nq) are unit vectors along it at the first sample. `joints` are those that move; `parameter` is a joint
-    whose value (modulo a turn) picks one configuration of a curve, None where there is none. `residual` is the largest
-    error of the samples [m, rad].
+    `dimension` is the number of its freedoms. `q` (m, nq) are samples: along a curve in their
+    order, angles continuous, and if it is `closed` the first one follows the last; of a family with
+    more freedoms some, in any order. `basis` (dimension, nq) are unit vectors along it at the first
+    sample. `joints` are those that move; `parameter` is a joint whose value (modulo a turn) picks
+    one configuration of a curve, None where there is none. `residual` is the largest error of the
+    samples [m, rad].
     """
 
     dimension: int
@@ -74,11 +79,13 @@ class Family(InWords):
         return len(self.q)
 
     def at(self, **values: ArrayLike) -> Array:
-        """Configurations of the family in which joints have given values: (nq,) where there is one, (k, nq) of several.
+        """Configurations of the family in which joints have given values: (nq,) where there is one,
+        (k, nq) of several.
 
-        As many joints are named as the family has freedoms; of more freedoms than one, one such configuration is given.
-        An array (m,) of values of the `parameter`, or another joint with one configuration for each, gives (m, nq).
-        Errors: `InputError` where there is none, or for a wrong number of joints; `UnknownNameError`.
+        As many joints are named as the family has freedoms; of more freedoms than one, one such
+        configuration is given. An array (m,) of values of the `parameter`, or another joint with
+        one configuration for each, gives (m, nq). Errors: `InputError` where there is none, or for
+        a wrong number of joints; `UnknownNameError`.
         """
         names = self._motion.aim.lines.names
         if len(values) != self.dimension:
@@ -99,14 +106,17 @@ class Family(InWords):
             return found[0] if len(found) == 1 else found
         each = [self._crossings(name, float(x)) for x in wanted]
         if any(len(found) > 1 for found in each):
-            raise InputError(f"{name!r} does not tell the configurations of the family apart; give one value")
+            raise InputError(
+                f"{name!r} does not tell the configurations of the family apart; give one value"
+            )
         return np.concatenate([np.zeros((0, self.q.shape[1])), *each])
 
     def distance(self, q: ArrayLike) -> Any:
-        """How far configurations (..., nq) are from the family: the largest difference of a joint [rad, m].
+        """How far configurations (..., nq) are from the family: the largest difference of a joint
+        [rad, m].
 
-        Angles count modulo turns. Of a family with more freedoms than one, the distance to the next configuration that
-        reaches the target.
+        Angles count modulo turns. Of a family with more freedoms than one, the distance to the next
+        configuration that reaches the target.
         """
         q = reals(q, "q")
         lines = self._motion.aim.lines
@@ -125,7 +135,8 @@ class Family(InWords):
 
     @cached_property
     def equations(self) -> list[dict[str, float]] | None:
-        """Linear equations of a curve that is straight: coefficients by joint, "" for the right side; None if it bends.
+        """Linear equations of a curve that is straight: coefficients by joint, "" for the right
+        side; None if it bends.
 
         Each has two joints, the first of which is the same in all of them.
         """
@@ -147,7 +158,9 @@ class Family(InWords):
             size = min(abs(a), abs(b)) * math.copysign(1.0, a)
             a, b = (round(float(c / size), 9) + 0.0 for c in (a, b))
             q = self.q[0, lines.q_index]
-            out.append({self.joints[0]: a, self.joints[k]: b, "": float(a * q[first] + b * q[at[k]])})
+            out.append(
+                {self.joints[0]: a, self.joints[k]: b, "": float(a * q[first] + b * q[at[k]])}
+            )
         return out
 
     # ---- inside
@@ -162,11 +175,15 @@ class Family(InWords):
         """Configurations (k, nq) of a curve in which a joint has a value. Errors: `InputError`."""
         lines = self._motion.aim.lines
         i = lines.names.index(name)
-        theta = self._motion.crossings(self._theta, self.closed, i, value * lines.multiplier[i] + lines.offset[i])
+        theta = self._motion.crossings(
+            self._theta, self.closed, i, value * lines.multiplier[i] + lines.offset[i]
+        )
         if not len(theta):
             x = (self._theta[:, i] - lines.offset[i]) / lines.multiplier[i]
-            raise InputError(f"the family has no configuration with {name} = {value:.6g}; it goes from {x.min():.6g} "
-                             f"to {x.max():.6g}")  # fmt: skip
+            raise InputError(
+                f"the family has no configuration with {name} = {value:.6g}; it goes from "
+                f"{x.min():.6g} to {x.max():.6g}"
+            )
         q = self._full(theta)
         q[:, lines.q_index[i]] = value
         return q
@@ -182,7 +199,9 @@ class Family(InWords):
         return theta
 
     def _apart(self, theta: Array) -> float:
-        """The largest difference of a joint between variables (n,) and the family, in radians and metres of q."""
+        """The largest difference of a joint between variables (n,) and the family, in radians and
+        metres of q.
+        """
         motion = self._motion
         if not np.isfinite(theta).all():
             return math.nan
@@ -191,18 +210,21 @@ class Family(InWords):
         else:
             nearest = motion.projected(theta, self.dimension)
         apart = np.abs(motion.gap(nearest, theta) / motion.aim.lines.multiplier)
-        away = np.abs(motion.gap(self._theta, theta) / motion.aim.lines.multiplier).max(axis=1).min()
+        away = (
+            np.abs(motion.gap(self._theta, theta) / motion.aim.lines.multiplier).max(axis=1).min()
+        )
         return float(min(apart.max(), away))
 
 
 def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndarray]:
-    """The families of target number `index`, and for each row (K,) of its answer the number of its family, or -1.
+    """The families of target number `index`, and for each row (K,) of its answer the number of its
+    family, or -1.
 
-    A row belongs to a family if the Jacobian of the task is singular there and the chain can move away from it without
-    leaving the target: exactly, or within the tolerance, all the way round or, where rounding leaves the
-    solution itself undetermined, for a part of it. Joints that were locked only because the chain has more than it
-    needs may move. The Jacobian's null space says where to start; then each curve is followed (predictor and corrector:
-    Allgower and Georg, 1990).
+    A row belongs to a family if the Jacobian of the task is singular there and the chain can move
+    away from it without leaving the target: exactly, or within the tolerance, all the way round or,
+    where rounding leaves the solution itself undetermined, for a part of it. Joints that were
+    locked only because the chain has more than it needs may move. The Jacobian's null space says
+    where to start; then each curve is followed (predictor and corrector: Allgower and Georg, 1990).
     """
     plan = solutions.plan
     numbers = solutions._rows[index]
@@ -252,8 +274,19 @@ def _left_out(solutions: Solutions, index: int, aim: Aim) -> Array:
     counts = np.zeros((1, 2), dtype=np.int64)
     tolerance = solutions.question.tolerance
     locked = held_coordinates(solutions, index)[None]
-    kernel_of(plan)(plan.ints, plan.floats, target, np.ascontiguousarray(near[plan.lines.q_index])[None], locked,
-                    tolerance, tolerance, 0, np.arange(1), out, counts)  # fmt: skip
+    kernel_of(plan)(
+        plan.ints,
+        plan.floats,
+        target,
+        np.ascontiguousarray(near[plan.lines.q_index])[None],
+        locked,
+        tolerance,
+        tolerance,
+        0,
+        np.arange(1),
+        out,
+        counts,
+    )
     code = out[0, :, n + A.CODE]
     return plan.lines.theta(out[0, (code >= 0.0) & (code < A.MULTIPLICITY_UNIT), :n])
 
@@ -267,14 +300,18 @@ def _collect(families: list[Family], motion: TolerantMotion, theta: Array, base:
     starts = [theta]
     while starts and len(families) < MOST:
         for curve in motion.through(starts.pop(), known):
-            if any(f.dimension == curve.dimension and _on(f, motion, curve.theta[0]) for f in families):
+            if any(
+                f.dimension == curve.dimension and _on(f, motion, curve.theta[0]) for f in families
+            ):
                 continue
             families.append(_family(motion, curve, base))
             starts += motion.crossings_of(curve) if curve.dimension == 1 else []
 
 
 def in_turn(motion: TolerantMotion, theta: Array, base: Array) -> Array:
-    """Coordinates (..., n) of variables, of each angle the turn that is inside the limits and near `base` (nq,)."""
+    """Coordinates (..., n) of variables, of each angle the turn that is inside the limits and near
+    `base` (nq,).
+    """
     lines = motion.aim.lines
     q = (theta - lines.offset) / lines.multiplier
     near = base[lines.q_index]
@@ -318,5 +355,15 @@ def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     joints = tuple(n for n, m in zip(lines.names, moved, strict=True) if m)
     parameter = motion.parameter(curve) if curve.dimension == 1 else None
     residual = float(curve.residual)
-    return Family(curve.dimension, q, curve.closed, basis, joints,
-                  None if parameter is None else lines.names[parameter], residual, motion, theta, base)  # fmt: skip
+    return Family(
+        curve.dimension,
+        q,
+        curve.closed,
+        basis,
+        joints,
+        None if parameter is None else lines.names[parameter],
+        residual,
+        motion,
+        theta,
+        base,
+    )

@@ -17,7 +17,8 @@ from kempe.spatial import Array
 
 REACH = 0.05
 NEAR = 3e-3
-"""The first step off a solution; another one, for those that are undetermined (radians, lengths of the chain)."""
+"""The first step off a solution; another one, for those that are undetermined (radians, lengths of
+the chain)."""
 
 LONGEST = 0.12
 """The longest step along a curve (radians, lengths of the chain)."""
@@ -38,8 +39,10 @@ SAMPLES = 64
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples theta (m, n) of a family with `dimension` freedoms; tangents (m, n) along a curve, a `basis` at the first
-    sample, the largest error [m, rad]. Where the `second` (m,) smallest singular value vanishes, curves may cross."""
+    """Samples theta (m, n) of a family with `dimension` freedoms; tangents (m, n) along a curve, a
+    `basis` at the first sample, the largest error [m, rad]. Where the `second` (m,) smallest
+    singular value vanishes, curves may cross.
+    """
 
     dimension: int
     theta: Array
@@ -57,7 +60,9 @@ class TolerantMotion(Points, Curve):
     # ---- from a solution
 
     def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Samples]:
-        """The families on which a solution (n,) lies, none where it is isolated; those through `known` are left out."""
+        """The families on which a solution (n,) lies, none where it is isolated; those through
+        `known` are left out.
+        """
         free = self.null_space(self.linear(theta)[1], least=0)
         found = list[Samples]()
         if not len(free):
@@ -102,7 +107,9 @@ class TolerantMotion(Points, Curve):
     # ---- curves
 
     def follow(self, theta: Array, way: Array) -> Samples | None:
-        """The curve through a configuration (n,), which starts in a direction; None if it leaves the target."""
+        """The curve through a configuration (n,), which starts in a direction; None if it leaves
+        the target.
+        """
         theta, _, J = self.led(theta, way[None])
         first = self.node(theta, way, J)
         nodes, end = self._trace(first)
@@ -113,7 +120,11 @@ class TolerantMotion(Points, Curve):
         x = np.array([a.x for a in nodes])
         t = np.array([a.t for a in nodes])
         worst = max(map(self.missed, self.linear_each(x)[0]))
-        if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > self.undetermined:
+        if (
+            "off" in (end, other)
+            and worst > 1e-3 * self.tolerance
+            and self.spectrum(J)[0] > self.undetermined
+        ):
             return None
         return Samples(1, x, t, t[:1], end == "closed", worst, np.array([a.sigma for a in nodes]))
 
@@ -153,15 +164,18 @@ class TolerantMotion(Points, Curve):
             def least(s: float, at: Callable[[float], tuple[Array, Array]] = at) -> float:
                 return self.spectrum(at(s)[1])[1]
 
-            found = cast(Any, optimize).minimize_scalar(least, bounds=(-LONGEST, LONGEST), method="bounded",
-                                                        options={"xatol": 1e-8})  # fmt: skip
+            found = cast(Any, optimize).minimize_scalar(
+                least, bounds=(-LONGEST, LONGEST), method="bounded", options={"xatol": 1e-8}
+            )
             if found.fun < SINGULAR:
                 yield at(found.x)[0]
 
     def _trace(self, first: Node) -> tuple[list[Node], str]:
         """Nodes one way, and its end: "closed", "far", or "off"."""
         nodes = [first]
-        for b in walk(first, lambda a, h: None if (c := step(self, a, h)) is None else [c], LONGEST, REACH):
+        for b in walk(
+            first, lambda a, h: None if (c := step(self, a, h)) is None else [c], LONGEST, REACH
+        ):
             if len(nodes) > 3 and self._returns(nodes[-1], b, first):
                 return nodes, "closed"
             nodes.append(b)
@@ -176,7 +190,11 @@ class TolerantMotion(Points, Curve):
         rest = self.gap(first.x, a.x)
         h = float((b.x - a.x) @ a.t)
         along = float(rest @ a.t)
-        if not -0.01 * h < along <= 1.01 * h or a.t @ first.t < 0.8 or np.linalg.norm(rest - along * a.t) > 0.3 * h:
+        if (
+            not -0.01 * h < along <= 1.01 * h
+            or a.t @ first.t < 0.8
+            or np.linalg.norm(rest - along * a.t) > 0.3 * h
+        ):
             return False
         there, _, _ = self.led(a.x + along * a.t, a.t[None])
         return bool(np.linalg.norm(self.gap(first.x, there)) < 0.02 * h)
@@ -201,7 +219,9 @@ class TolerantMotion(Points, Curve):
     # ---- questions about a curve
 
     def nearest_on(self, samples: Array, theta: Array) -> Array:
-        """The point (n,) of a curve, of which samples are known, nearest to theta (n,); in the turn of the samples."""
+        """The point (n,) of a curve, of which samples are known, nearest to theta (n,); in the turn
+        of the samples.
+        """
         k = int(np.argmin((self.gap(samples, theta) ** 2).sum(axis=1)))
         if len(samples) == 1:
             return samples[0]
@@ -228,12 +248,19 @@ class TolerantMotion(Points, Curve):
                 aimed = [value] if (a[i] - value) * (b[i] - value) <= 0.0 else []
             else:
                 low, high = sorted((a[i], b[i]))
-                k = range(math.ceil((low - value) / period - 1e-12), math.floor((high - value) / period + 1e-12) + 1)
+                k = range(
+                    math.ceil((low - value) / period - 1e-12),
+                    math.floor((high - value) / period + 1e-12) + 1,
+                )
                 aimed = [value + period * j for j in k]
             for v in aimed:
                 share = (v - a[i]) / (b[i] - a[i]) if b[i] != a[i] else 0.0
-                point = self._with_value(a + min(1.0, max(0.0, share)) * (b - a), [i], np.array([v]))
-                if point is not None and not any(np.abs(self.gap(point, y)).max() < 1e-7 for y in out):
+                point = self._with_value(
+                    a + min(1.0, max(0.0, share)) * (b - a), [i], np.array([v])
+                )
+                if point is not None and not any(
+                    np.abs(self.gap(point, y)).max() < 1e-7 for y in out
+                ):
                     out.append(point)
         return np.array(out).reshape(-1, samples.shape[1])
 
@@ -253,13 +280,19 @@ class TolerantMotion(Points, Curve):
                 for _ in range(40):
                     middle = 0.5 * (low + high)
                     point, _, J = self.led(a + middle * (b - a), way[None])
-                    low, high = (middle, high) if self.node(point, way, J).t[i] * ta > 0.0 else (low, middle)
+                    low, high = (
+                        (middle, high)
+                        if self.node(point, way, J).t[i] * ta > 0.0
+                        else (low, middle)
+                    )
                 out.append(point)
             out.append(b)
         return np.array(out)
 
     def _with_value(self, theta: Array, at: list[int], values: Array) -> Array | None:
-        """A configuration on target near theta (n,) in which joints have values; None if none is found."""
+        """A configuration on target near theta (n,) in which joints have values; None if none is
+        found.
+        """
         units = np.eye(len(theta))[at]
 
         def both(theta: Array) -> tuple[Array, Array]:
@@ -273,7 +306,9 @@ class TolerantMotion(Points, Curve):
     # ---- more than one freedom
 
     def _surface(self, theta: Array, start: Array, wide: Array) -> Samples:
-        """A family with several freedoms, those `wide` (d, n) next to a solution: samples of a random walk on it."""
+        """A family with several freedoms, those `wide` (d, n) next to a solution: samples of a
+        random walk on it.
+        """
         rng = np.random.default_rng(2)
         x = start
         out = [theta, start]
@@ -284,14 +319,20 @@ class TolerantMotion(Points, Curve):
             way = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free)
             far = 0.6 * rng.random()
             ahead = x + far * way / np.linalg.norm(way)
-            new = self.led(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead[None], far)[0]
+            new = (
+                self.led(ahead, free)[0]
+                if len(free) == d
+                else self.at_distance(x, ahead[None], far)[0]
+            )
             if np.isfinite(new[0]) and self.on_target(e := self.linear(new)[0]):
                 x = new
                 worst = max(worst, self.missed(e))
                 out.append(x)
         free = self.null_space(self.linear(theta)[1], d)
         basis = free if len(free) == d else wide
-        return Samples(d, np.array(out), np.zeros((0, len(theta))), basis, False, worst, np.zeros(0))
+        return Samples(
+            d, np.array(out), np.zeros((0, len(theta))), basis, False, worst, np.zeros(0)
+        )
 
     def projected(self, theta: Array, dimension: int) -> Array:
         """The configuration on target next to theta (n,), by shortest steps."""
@@ -322,7 +363,9 @@ class TolerantMotion(Points, Curve):
         return False
 
     def held(self, samples: Array, at: list[int], values: Array) -> Array | None:
-        """A configuration on target in which joints have values; None if none is found from the nearest samples."""
+        """A configuration on target in which joints have values; None if none is found from the
+        nearest samples.
+        """
         turns = np.where(self.aim.slides[at], 0.0, 2.0 * math.pi)
         off = values - samples[:, at]
         off -= turns * np.round(off / (2.0 * math.pi))

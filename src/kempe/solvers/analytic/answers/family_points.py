@@ -9,23 +9,30 @@ from functools import cached_property
 import numpy as np
 
 from kempe import spatial
-from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many, least_squares
+from kempe.kinematics.common.gauss_newton import (
+    GaussNewtonEnd,
+    gauss_newton,
+    gauss_newton_of_many,
+    least_squares,
+)
 from kempe.singular_values import svd
 from kempe.solvers.analytic.answers.nearest import Aim
 from kempe.spatial import Array
 
 SINGULAR = 1e-5
-"""Singular values of the Jacobian below this (radians, lengths of the chain) are looked at as zero; whether a motion
-remains is decided by moving."""
+"""Singular values of the Jacobian below this (radians, lengths of the chain) are looked at as zero;
+whether a motion remains is decided by moving."""
 
 UNDETERMINED = 5e-9
-"""Smallest singular value below which a solution is not determined: rounding of its target moves it by 1e8 times as
-much. Then the part of the curve that is on target within the tolerance counts as a family; the curve may be longer."""
+"""Smallest singular value below which a solution is not determined: rounding of its target moves it
+by 1e8 times as much. Then the part of the curve that is on target within the tolerance counts as a
+family; the curve may be longer."""
 
 CORRECTIONS = 12
 FURTHEST = 1.0
 EXACT = 3e-14
-"""Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error that is rounding."""
+"""Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error
+that is rounding."""
 
 SLACK = 1.01
 """How much more than the tolerance the error may be along a family."""
@@ -35,8 +42,8 @@ LONG = 1e3
 
 STRIDE = 0.3
 SPANNED = 0.2
-"""Where freedoms are counted: the step, in parts of the first one; singular values of the directions found, in parts of
-the largest, that count."""
+"""Where freedoms are counted: the step, in parts of the first one; singular values of the
+directions found, in parts of the largest, that count."""
 
 DIRECTIONS = 24
 """Directions tried where several may be free."""
@@ -56,7 +63,8 @@ class Points:
 
     @cached_property
     def shift(self) -> Array:
-        """Rows (m, m) that bring errors to the last axis, of tools much longer than the chain; else none (0, 0).
+        """Rows (m, m) that bring errors to the last axis, of tools much longer than the chain; else
+        none (0, 0).
 
         There, a turn that is hardly an error of the tool would move the chain by a lot.
         """
@@ -69,7 +77,9 @@ class Points:
         return out
 
     def linear(self, theta: Array) -> tuple[Array, Array]:
-        """Errors (m,) and Jacobian (m, n) at theta (n,), see `shift`; columns of joints that are held are zero."""
+        """Errors (m,) and Jacobian (m, n) at theta (n,), see `shift`; columns of joints that are
+        held are zero.
+        """
         e, J = self.linear_each(theta[None])
         return e[0], J[0]
 
@@ -81,7 +91,9 @@ class Points:
         return (e @ self.shift.T, self.shift @ J) if len(self.shift) else (e, J)
 
     def missed(self, e: Array) -> float:
-        """The larger of both errors, of position [m], also where it is brought to, and of orientation [rad]."""
+        """The larger of both errors, of position [m], also where it is brought to, and of
+        orientation [rad].
+        """
         place = self.aim.rows < 3
         far = float(np.linalg.norm(e[place]))
         if len(self.shift):
@@ -89,7 +101,9 @@ class Points:
         return max(far * self.aim.lines.length, float(np.linalg.norm(e[~place])))
 
     def null_space(self, J: Array, least: int = 1) -> Array:
-        """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
+        """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the
+        freest last.
+        """
         moves = self.aim.moves
         _, s, Vt = svd(J[:, moves])
         d = max(least, len(moves) - int((s > SINGULAR).sum()))
@@ -98,7 +112,9 @@ class Points:
         return out
 
     def led(self, theta: Array, free: Array) -> GaussNewtonEnd:
-        """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
+        """Variables (n,) moved across directions `free` (d, n) until the error is least; error and
+        Jacobian there.
+        """
 
         def step(theta: Array, e: Array, J: Array) -> Array:
             y = least_squares(J - (J @ free.T) @ free, e)
@@ -112,7 +128,9 @@ class Points:
 
     @property
     def undetermined(self) -> float:
-        """Singular values below this leave a solution undetermined; smaller for long chains, as the tolerance is."""
+        """Singular values below this leave a solution undetermined; smaller for long chains, as the
+        tolerance is.
+        """
         return UNDETERMINED / max(1.0, self.aim.lines.length)
 
     def spectrum(self, J: Array) -> tuple[float, float]:
@@ -127,8 +145,8 @@ class Points:
     def spanned(self, theta: Array, far: float) -> Array:
         """Orthonormal directions (d, n) that configurations on target next to one (n,) span.
 
-        They are the null space of the Jacobian, or a part of it where roots have merged: there, the tip hardly moves at
-        first order, but it moves.
+        They are the null space of the Jacobian, or a part of it where roots have merged: there, the
+        tip hardly moves at first order, but it moves.
         """
         free = self.null_space(self.linear(theta)[1])
         if len(free) == 1:
@@ -145,7 +163,9 @@ class Points:
         return Vt[: min(len(free), int((s > SPANNED * s[0]).sum()))]
 
     def at_distance(self, centre: Array, starts: Array, far: float) -> Array:
-        """Configurations (N, n) on target so far from `centre` (n,), from starts (N, n); NaN where none is found."""
+        """Configurations (N, n) on target so far from `centre` (n,), from starts (N, n); NaN where
+        none is found.
+        """
 
         def both(theta: Array, _: np.ndarray) -> tuple[Array, Array]:
             r = theta - centre

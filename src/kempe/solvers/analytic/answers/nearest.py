@@ -36,8 +36,10 @@ SMALL_SINE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """What one target asks of a chain: `lines`, `rows` of the task that count, `target` (4, 4) scaled as the lines,
-    and the joints `moves` that may move. Errors are [linear; angular] in the frame of the tip."""
+    """What one target asks of a chain: `lines`, `rows` of the task that count, `target` (4, 4)
+    scaled as the lines, and the joints `moves` that may move. Errors are [linear; angular] in the
+    frame of the tip.
+    """
 
     lines: Lines
     rows: np.ndarray
@@ -51,7 +53,8 @@ class Aim:
 
     @cached_property
     def _parts(self) -> tuple[Array, Array]:
-        """Matrices (n, 4, 16) of which 1, sine, cosine and value of a variable make its motion; the lines (n, 4, 2).
+        """Matrices (n, 4, 16) of which 1, sine, cosine and value of a variable make its motion; the
+        lines (n, 4, 2).
 
         A turn is 1 + sin K + (1 - cos) K^2 (Rodrigues, 1840).
         """
@@ -72,7 +75,9 @@ class Aim:
         return C.reshape(len(lines), 4, 16), axes
 
     def sweep(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the lines there."""
+        """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the
+        lines there.
+        """
         (N, n) = theta.shape
         (parts, axes) = self._parts
         terms = np.ones((N, n, 1, 4))
@@ -107,7 +112,9 @@ class Aim:
         return out
 
     def at(self, theta: Array) -> tuple[Array, Array]:
-        """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at theta (N, n)."""
+        """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at
+        theta (N, n).
+        """
         R, p, h, o = self.sweep(theta)
         h = h[:, self.moves]
         o = o[:, self.moves]
@@ -118,13 +125,17 @@ class Aim:
         return self.errors(R, p)[:, self.rows], J[:, self.rows]
 
     def energy(self, theta: Array) -> tuple[float, Array]:
-        """Half the square of the error, and its gradient by the joints that may move, at theta (n,)."""
+        """Half the square of the error, and its gradient by the joints that may move, at theta
+        (n,).
+        """
         e, J = (x[0] for x in self.at(theta[None]))
         return 0.5 * float(e @ e), -(e @ J)
 
 
 def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
-    """What target number `index` asks; with `spare`, joints that were locked only since they are spare may move."""
+    """What target number `index` asks; with `spare`, joints that were locked only since they are
+    spare may move.
+    """
     question = solutions.question
     plan = solutions.plan
     target = np.array(question.targets[index])
@@ -137,7 +148,9 @@ def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
 
 
 def fixed_joints(plan: ChainPlan) -> tuple[int, ...]:
-    """Joints that the caller wants held; others may be locked because the chain has more than the task needs."""
+    """Joints that the caller wants held; others may be locked because the chain has more than the
+    task needs.
+    """
     return tuple(getattr(plan, "fixed", ()))
 
 
@@ -156,9 +169,13 @@ def _pointing(z: Array) -> Array:
 
 def _rotation_vector(D: Array) -> Array:
     """Rotation vectors (N, 3) of rotations."""
-    v = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
+    v = 0.5 * np.stack(
+        [D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1
+    )
     sine = np.sqrt((v * v).sum(axis=1))
-    if sine.max(initial=0.0) < SMALL_SINE and np.trace(D, axis1=1, axis2=2).min(initial=3.0) > 1.0:  # no half turns
+    if (
+        sine.max(initial=0.0) < SMALL_SINE and np.trace(D, axis1=1, axis2=2).min(initial=3.0) > 1.0
+    ):  # no half turns
         return v * np.where(sine < 1e-8, 1.0, np.arcsin(sine) / np.maximum(sine, 1e-300))[:, None]
     return spatial.log_so3(D)
 
@@ -168,12 +185,14 @@ def _rotation_vector(D: Array) -> Array:
 
 @quiet
 def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
-    """The configuration (nq,) inside the limits that comes closest to target number `index`, and what it misses.
+    """The configuration (nq,) inside the limits that comes closest to target number `index`, and
+    what it misses.
 
-    The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task does not ask for it.
-    Position and orientation are weighed by the length of the chain. Poses and positions are left to `ik`; other tasks,
-    and chains with joints held, to descents from several starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995).
-    What is found is a local minimum: seldom, another one is closer. NaN for targets that are no poses.
+    The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task
+    does not ask for it. Position and orientation are weighed by the length of the chain. Poses and
+    positions are left to `ik`; other tasks, and chains with joints held, to descents from several
+    starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995). What is found is a local minimum:
+    seldom, another one is closer. NaN for targets that are no poses.
     """
     question = solutions.question
     plan = solutions.plan
@@ -194,13 +213,19 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
 
 
 def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
-    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at `start` (nq,)."""
+    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
+    `start` (nq,).
+    """
     system = question.system
     task = (question.task, Z_AXIS)
     goal = target if question.task == "pose" else target[:3, 3]
     targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
     solver, _ = chosen(system, question.frame, task, "numeric", False)
-    return solver.run(Problem(system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead))
+    return solver.run(
+        Problem(
+            system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
+        )
+    )
 
 
 def held_coordinates(solutions: Solutions, index: int) -> Array:
@@ -212,7 +237,11 @@ def held_coordinates(solutions: Solutions, index: int) -> Array:
     if at:
         locked = getattr(solutions, "_locked", None)
         low, high = lines.limits[:, at]
-        q[at] = np.clip(q[at], low, high) if locked is None else locked[index if len(locked) > 1 else 0, at]
+        q[at] = (
+            np.clip(q[at], low, high)
+            if locked is None
+            else locked[index if len(locked) > 1 else 0, at]
+        )
     return q
 
 
@@ -233,7 +262,9 @@ def _closest(aim: Aim, first: Array) -> Array:
     left = np.where(np.isfinite(low), low, -wide)
     right = np.where(np.isfinite(high), high, wide)
     theta = np.tile(first, (STARTS, 1))
-    theta[1:, aim.moves] = rng.uniform(np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k))
+    theta[1:, aim.moves] = rng.uniform(
+        np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k)
+    )
     theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
     theta = descend(aim, theta, low, high)
     e, _ = aim.at(theta)
@@ -249,8 +280,9 @@ def _closest(aim: Aim, first: Array) -> Array:
 
         options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
         bounds = list(zip(low, high, strict=True))
-        found = cast(Any, optimize).minimize(energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds,
-                                             options=options)  # fmt: skip
+        found = cast(Any, optimize).minimize(
+            energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        )
         if found.fun < least:
             best = start.copy()
             least = float(found.fun)
@@ -259,7 +291,8 @@ def _closest(aim: Aim, first: Array) -> Array:
 
 
 def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
-    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a limit stay there.
+    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a
+    limit stay there.
 
     first: damping of the first step.
     """

@@ -40,7 +40,8 @@ class SolutionsRow(Row):
     nearest: Callable[[Any, int], tuple[Array, float, float]]
     """What comes nearest to one target."""
     families: Callable[[Any, int], tuple[list[Any], np.ndarray]]
-    """The self-motions of one target, a list of `Family`, and for each solution the number of its own."""
+    """The self-motions of one target, a list of `Family`, and for each solution the number of its
+    own."""
 
 
 class Bound(Protocol):
@@ -57,20 +58,30 @@ class Bound(Protocol):
 class Solutions(ConfigurationList, Answer):
     """All configurations that reach a target, or each of a batch of targets.
 
-    For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `start`. For a batch:
-    `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a branch keeps its row. Of each solution:
-    `residual` the norm of position error [m] and orientation error [rad] by the forward model, `inside` whether it
-    respects the limits, `multiplicity` how many roots of the equations have merged in it (0: it is one of infinitely
-    many, see `families`), `branch` the number of its branch (-1 where branches have no numbers), `names` its name
-    ("" where there is none), `condition` the condition number of the Jacobian of the task. `complete` says that there
-    are no other isolated solutions.
+    For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to
+    `start`. For a batch: `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a
+    branch keeps its row. Of each solution: `residual` the norm of position error [m] and
+    orientation error [rad] by the forward model, `inside` whether it respects the limits,
+    `multiplicity` how many roots of the equations have merged in it (0: it is one of infinitely
+    many, see `families`), `branch` the number of its branch (-1 where branches have no numbers),
+    `names` its name ("" where there is none), `condition` the condition number of the Jacobian of
+    the task. `complete` says that there are no other isolated solutions.
     """
 
     def __init__(
-        self, question: Question | tuple[Bound, Array], plan: ChainPlan, base: Array, rows: Array,
-        counts: np.ndarray, lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
-        first: Array | None = None, tried: np.ndarray | None = None, late: tuple[float, np.ndarray] | None = None,
-    ):  # fmt: skip
+        self,
+        question: Question | tuple[Bound, Array],
+        plan: ChainPlan,
+        base: Array,
+        rows: Array,
+        counts: np.ndarray,
+        lead: tuple[int, ...] | None,
+        used: int | None = None,
+        locked: Array | None = None,
+        first: Array | None = None,
+        tried: np.ndarray | None = None,
+        late: tuple[float, np.ndarray] | None = None,
+    ):
         self._question = question
         self.plan = plan
         self._base = base
@@ -82,8 +93,12 @@ class Solutions(ConfigurationList, Answer):
         self._first = first
         self._tried = tried
         self._ended = late
-        self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
-        self._left_out: np.ndarray | None = None  # and what is said besides (N,) of those that were left out
+        self._whole: Solutions | None = (
+            None  # the answer before some of it was chosen: what is said is about that
+        )
+        self._left_out: np.ndarray | None = (
+            None  # and what is said besides (N,) of those that were left out
+        )
 
     @cached_property
     def question(self) -> Question:
@@ -96,7 +111,9 @@ class Solutions(ConfigurationList, Answer):
     @property
     def system(self) -> System:
         """The system of the problem."""
-        return self._question[0].system if isinstance(self._question, tuple) else self._question.system
+        return (
+            self._question[0].system if isinstance(self._question, tuple) else self._question.system
+        )
 
     @property
     def single(self) -> bool:
@@ -105,7 +122,9 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def _code(self) -> np.ndarray:
-        """Codes of all rows (N, K), see `kempe.kernels.closed_form.analytic_layout`; 0 for rows not in use."""
+        """Codes of all rows (N, K), see `kempe.kernels.closed_form.analytic_layout`; 0 for rows not
+        in use.
+        """
         code = self._rows[..., len(self.plan.lines) + A.CODE]
         return np.where(code >= 0.0, code, 0.0).astype(np.int64)
 
@@ -171,7 +190,9 @@ class Solutions(ConfigurationList, Answer):
         return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns for a file: a row a solution, of a batch with the number of its target before it."""
+        """Names and columns for a file: a row a solution, of a batch with the number of its target
+        before it.
+        """
         names = list(self.system.coordinate_names)
         mask = self.mask
         if self.single:
@@ -189,23 +210,31 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def spare(self) -> tuple[str, ...]:
-        """Names of the joints that are held since the chain has more than the task needs, not by the caller."""
+        """Names of the joints that are held since the chain has more than the task needs, not by
+        the caller.
+        """
         plan = self.plan
         return tuple(plan.lines.names[i] for i in plan.locked if i not in plan.fixed)
 
     @cached_property
     def held(self) -> dict[str, Any]:
-        """Where joints are held, by name: a number, or an array (...) with one for each target of a batch."""
+        """Where joints are held, by name: a number, or an array (...) with one for each target of a
+        batch.
+        """
         out: dict[str, Any] = {}
         locked = self._base[:, self.plan.lines.q_index] if self._locked is None else self._locked
         for i in self.plan.locked:
             values = np.broadcast_to(locked[:, i], len(self._rows))
-            out[self.plan.lines.names[i]] = float(values[0]) if self._lead is None else values.reshape(self._lead)
+            out[self.plan.lines.names[i]] = (
+                float(values[0]) if self._lead is None else values.reshape(self._lead)
+            )
         return out
 
     @property
     def tried(self) -> Any:
-        """At how many values of the `spare` joints solutions were requested: an int, or an array (...) of a batch."""
+        """At how many values of the `spare` joints solutions were requested: an int, or an array
+        (...) of a batch.
+        """
         tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
         return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
 
@@ -220,12 +249,14 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def names(self) -> np.ndarray:
-        """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no flip".
+        """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no
+        flip".
 
-        A name depends on the configuration alone, and says "singular" on the border of two branches. It is "" where
-        there is none: for other chains than planar arms, SCARAs, those of six turns, the second and third about
-        parallel axes, with a wrist of three axes that meet in a point, or with a fourth axis parallel to the second
-        and axes 5 and 6 that meet, Stanford arms, and seven turns with a spherical shoulder and wrist ("elbow +").
+        A name depends on the configuration alone, and says "singular" on the border of two
+        branches. It is "" where there is none: for other chains than planar arms, SCARAs, those of
+        six turns, the second and third about parallel axes, with a wrist of three axes that meet in
+        a point, or with a fourth axis parallel to the second and axes 5 and 6 that meet, Stanford
+        arms, and seven turns with a spherical shoulder and wrist ("elbow +").
         """
         lines = self.plan.lines
         out = np.full(self._used.shape, "", dtype=object)
@@ -236,9 +267,11 @@ class Solutions(ConfigurationList, Answer):
         return self._pick(out)
 
     def named(self, words: str | Iterable[str]) -> np.ndarray:
-        """Which solutions have these words in their names, (k,) or (..., K): ``a.q[a.named("elbow up, no flip")]``.
+        """Which solutions have these words in their names, (k,) or (..., K):
+        ``a.q[a.named("elbow up, no flip")]``.
 
-        Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for other words.
+        Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for
+        other words.
         """
         return named(self._kind, self.names, words)
 
@@ -246,9 +279,11 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def jacobian(self) -> Array:
-        """Jacobians (k, 6, n) or (..., K, 6, n) of the chain's joints at the solutions, rows in the frame of the tip.
+        """Jacobians (k, 6, n) or (..., K, 6, n) of the chain's joints at the solutions, rows in the
+        frame of the tip.
 
-        Rows that the task does not read and columns of joints that are held are zero; in metres and radians.
+        Rows that the task does not read and columns of joints that are held are zero; in metres and
+        radians.
         """
         question = self.question
         plan = self.plan
@@ -265,7 +300,9 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def condition(self) -> Array:
-        """Condition numbers (k,) or (..., K) of the Jacobian, lengths measured by the chain's; infinite if singular."""
+        """Condition numbers (k,) or (..., K) of the Jacobian, lengths measured by the chain's;
+        infinite if singular.
+        """
         plan = self.plan
         J = np.nan_to_num(self.jacobian)
         scale = np.array([1.0 / plan.lines.length] * 3 + [1.0] * 3)[:, None]
@@ -277,18 +314,26 @@ class Solutions(ConfigurationList, Answer):
             rank = min(rank, 2 if plan.task == "position" else 3)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = values[..., 0] / values[..., rank - 1]
-        return ratio if self.single else np.where(self.mask, np.where(np.isnan(ratio), np.inf, ratio), np.nan)
+        return (
+            ratio
+            if self.single
+            else np.where(self.mask, np.where(np.isnan(ratio), np.inf, ratio), np.nan)
+        )
 
     @cached_property
     def derivative(self) -> Array:
-        """dq (k, nv, 6) or (..., K, nv, 6) for a twist [linear; angular] of the target, ground axes, at its origin.
+        """dq (k, nv, 6) or (..., K, nv, 6) for a twist [linear; angular] of the target, ground
+        axes, at its origin.
 
-        The pseudoinverse of the Jacobian where the task asks for less than a pose, or the chain has fewer joints.
+        The pseudoinverse of the Jacobian where the task asks for less than a pose, or the chain has
+        fewer joints.
         """
         J = self.jacobian
         used = self.mask[..., None, None]
         inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
-        R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[..., :3, :3]
+        R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[
+            ..., :3, :3
+        ]
         if self.question.axis != Z_AXIS:
             R = R @ frame_of(np.array(self.question.axis))
         R = np.swapaxes(R, -1, -2)
@@ -306,7 +351,9 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def late(self) -> Any:
-        """Whether the time limit ended the work, so that there may be other solutions: bool, or (...) of a batch."""
+        """Whether the time limit ended the work, so that there may be other solutions: bool, or
+        (...) of a batch.
+        """
         if self._ended is None:
             return False if self._lead is None else np.zeros(self._lead, dtype=bool)
         return bool(self._ended[1][0]) if self._lead is None else self._ended[1].reshape(self._lead)
@@ -321,7 +368,9 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def families(self) -> Any:
-        """Self-motions, curves of solutions: a list of `Family`; of a batch an array (...) of lists."""
+        """Self-motions, curves of solutions: a list of `Family`; of a batch an array (...) of
+        lists.
+        """
         if self._lead is None:
             return self._families[0][0]
         out = np.empty(len(self._families), dtype=object)
@@ -331,7 +380,9 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def family(self) -> np.ndarray:
-        """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated solutions."""
+        """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated
+        solutions.
+        """
         return self._pick(np.array([rows for _, rows in self._families]).reshape(self._used.shape))
 
     @property
@@ -348,7 +399,9 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def code(self) -> Any:
-        """The outcome (...): solved where a solution is inside the limits, failures proven where it is `complete`."""
+        """The outcome (...): solved where a solution is inside the limits, failures proven where it
+        is `complete`.
+        """
         code = codes(self)
         return member(code[0]) if self._lead is None else code.reshape(self._lead)
 
@@ -359,16 +412,21 @@ class Solutions(ConfigurationList, Answer):
         return self.mask
 
     def nearest(self, index: int = 0) -> tuple[Array, float, float]:
-        """The configuration (nq,) inside the limits that comes closest to a target, and how far it is off: [m], [rad].
+        """The configuration (nq,) inside the limits that comes closest to a target, and how far it
+        is off: [m], [rad].
 
         index: number of the target in a batch, counted along all its axes.
         """
         if not 0 <= index < len(self._rows):
-            raise InputError(f"index is {index}; there are {counted(len(self._rows), 'target')}, from 0")
+            raise InputError(
+                f"index is {index}; there are {counted(len(self._rows), 'target')}, from 0"
+            )
         return self._row.nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
-        """The same answer with every turn inside the limits listed, or without what is outside them."""
+        """The same answer with every turn inside the limits listed, or without what is outside
+        them.
+        """
         from kempe.solvers.analytic.answers.turns import expanded, inside_rows
 
         rows = self._rows
@@ -379,10 +437,12 @@ class Solutions(ConfigurationList, Answer):
         return self._with(rows, self)
 
     def along(self) -> Solutions:
-        """The same batch with its rows in the order in which branches continue along the last axis of the targets.
+        """The same batch with its rows in the order in which branches continue along the last axis
+        of the targets.
 
-        Where branches have names (`branch`), rows do so already; others are matched by the smallest change of the
-        joints from one target to the next. A branch that ends leaves its row to the next one that begins.
+        Where branches have names (`branch`), rows do so already; others are matched by the smallest
+        change of the joints from one target to the next. A branch that ends leaves its row to the
+        next one that begins.
         """
         from kempe.solvers.analytic.answers.turns import followed
 
@@ -391,10 +451,23 @@ class Solutions(ConfigurationList, Answer):
         rows = followed(self._rows, self.plan.lines, self._lead[-1])
         return self._with(rows, self._whole, self._left_out)
 
-    def _with(self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None) -> Solutions:
-        """The same answer with other rows; what is said is about the `whole`, and what was left out."""
-        out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where,
-                        late=self._ended)  # fmt: skip
+    def _with(
+        self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None
+    ) -> Solutions:
+        """The same answer with other rows; what is said is about the `whole`, and what was left
+        out.
+        """
+        out = Solutions(
+            self._question,
+            self.plan,
+            self._base,
+            rows,
+            self._counts,
+            self._lead,
+            None,
+            *self._where,
+            late=self._ended,
+        )
         out._whole = whole
         out._left_out = left_out
         return out
@@ -406,10 +479,22 @@ class Solutions(ConfigurationList, Answer):
 
     row = "answers of ik_all"
     what = "targets reached"
-    also = ("complete", "late", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
+    also = (
+        "complete",
+        "late",
+        "inside",
+        "multiplicity",
+        "branch",
+        "names",
+        "held",
+        "spare",
+        "tried",
+    )
 
     def _headline(self) -> str:
-        text = super()._headline() + ("" if self.single else f", {counted(int(self._used.sum()), 'solution')}")
+        text = super()._headline() + (
+            "" if self.single else f", {counted(int(self._used.sum()), 'solution')}"
+        )
         return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 
     def _cells(self) -> Cells:
@@ -419,10 +504,16 @@ class Solutions(ConfigurationList, Answer):
         names = self.system.coordinate_names
         at = self.plan.lines.q_index
         rows: list[list[str]] = []
-        for q, name, inside, m in zip(self.q, self.names, self.inside, self.multiplicity, strict=True):
+        for q, name, inside, m in zip(
+            self.q, self.names, self.inside, self.multiplicity, strict=True
+        ):
             notes = [name] if name else []
             notes += [] if inside else ["outside limits"]
             notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
             rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
         heads = [*(names[int(i)] for i in at), "note"]
-        return (heads, rows) if any(row[-1] != "-" for row in rows) else (heads[:-1], [row[:-1] for row in rows])
+        return (
+            (heads, rows)
+            if any(row[-1] != "-" for row in rows)
+            else (heads[:-1], [row[:-1] for row in rows])
+        )

@@ -1,4 +1,6 @@
-"""Rows of an answer chosen or ordered: every turn inside the limits, only what is inside, branches that continue."""
+"""Rows of an answer chosen or ordered: every turn inside the limits, only what is inside, branches
+that continue.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ MOST_ROWS = 20_000
 
 
 def inside_rows(rows: Array, single: bool) -> Array:
-    """The rows (N, K, n + 2) with those outside the limits not in use; of a single target these come last."""
+    """The rows (N, K, n + 2) with those outside the limits not in use; of a single target these
+    come last.
+    """
     code = rows[..., -A.INFO + A.CODE]
     out = rows.copy()
     out[(code >= 0.0) & (code.astype(np.int64) % 2 == 0), -A.INFO + A.CODE] = A.UNUSED
@@ -36,7 +40,8 @@ def packed(rows: Array) -> Array:
 
 
 def expanded(rows: Array, lines: Lines) -> Array:
-    """The rows (N, K, n + 2) with every turn of each angle that is inside the limits; what is outside stays as it is.
+    """The rows (N, K, n + 2) with every turn of each angle that is inside the limits; what is
+    outside stays as it is.
 
     Errors: `InputError` where one target would have more than MOST_ROWS.
     """
@@ -52,11 +57,17 @@ def expanded(rows: Array, lines: Lines) -> Array:
         last = np.where(fits, np.floor((high - q) / period + 1e-12), 0.0)
         count = int(np.nanmax(last - first, initial=0.0)) + 1
         if rows.shape[1] * count > MOST_ROWS:
-            raise InputError(f"more than {MOST_ROWS} solutions: joint {lines.names[i]!r} alone has {count} turns")
+            raise InputError(
+                f"more than {MOST_ROWS} solutions: joint {lines.names[i]!r} alone has {count} turns"
+            )
         turns = first[..., None] + np.arange(count)
         more = np.repeat(rows[:, :, None], count, axis=2)
-        more[..., i] = np.where(fits[..., None], np.clip(q[..., None] + turns * period, low, high), q[..., None])
-        more[..., -A.INFO + A.CODE] = np.where(turns <= last[..., None], more[..., -A.INFO + A.CODE], A.UNUSED)
+        more[..., i] = np.where(
+            fits[..., None], np.clip(q[..., None] + turns * period, low, high), q[..., None]
+        )
+        more[..., -A.INFO + A.CODE] = np.where(
+            turns <= last[..., None], more[..., -A.INFO + A.CODE], A.UNUSED
+        )
         rows = packed(more.reshape(len(rows), -1, rows.shape[2]))
         used = rows[..., -A.INFO + A.CODE] >= 0.0
         rows = rows[:, : max(int(used.sum(axis=1).max(initial=0)), 1)]
@@ -64,7 +75,9 @@ def expanded(rows: Array, lines: Lines) -> Array:
 
 
 def followed(rows: Array, lines: Lines, length: int) -> Array:
-    """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that it continues."""
+    """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that
+    it continues.
+    """
     from scipy import optimize
 
     out = rows.copy()

@@ -1,4 +1,6 @@
-"""What arms in space have in common whose first turn is about z: joints in the plane that it turns to the target."""
+"""What arms in space have in common whose first turn is about z: joints in the plane that it turns
+to the target.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,18 @@ from kempe.solvers.analytic.describe.plane_arms import PlaneJoint, in_plane
 
 SMALL = 1e-9
 """Sine of an angle, and a cosine, below which directions are parallel or at right angles."""
-OWN = ("rho", "theta", "phi", *(f"m_{k}" for k in (1, 2, 3)), *(f"n_{k}" for k in (2, 3)), "h_x", "h_z", "shoulder",
-       "elbow", "wrist")  # fmt: skip
+OWN = (
+    "rho",
+    "theta",
+    "phi",
+    *(f"m_{k}" for k in (1, 2, 3)),
+    *(f"n_{k}" for k in (2, 3)),
+    "h_x",
+    "h_z",
+    "shoulder",
+    "elbow",
+    "wrist",
+)
 """Names of what is computed, and of the signs."""
 Z: Any = sympy.Matrix([0, 0, 1])
 BEND = "the bend, +1 in the sense of the first turn in the plane"
@@ -24,7 +36,8 @@ PLACES = ("first", "second", "third", "fourth")
 
 @dataclass(frozen=True)
 class ArmPlane:
-    """The lines of an arm at q = 0: the plane of the joints after the first has the `normal`, and `out` is in it.
+    """The lines of an arm at q = 0: the plane of the joints after the first has the `normal`, and
+    `out` is in it.
 
     `end` is the point that they place.
     """
@@ -40,11 +53,15 @@ class ArmPlane:
         return Z.cross(self.normal)
 
     def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
-        """The steps to a place `to` (3,) of the end, and to the orientation R (3, 3) of the tip if it has a wrist."""
+        """The steps to a place `to` (3,) of the end, and to the orientation R (3, 3) of the tip if
+        it has a wrist.
+        """
         raise NotImplementedError
 
     def turned_to(self, to: list[Any], names: dict[str, Any]) -> list[FormulaStep]:
-        """The distance in the plane of the arm, and the first coordinate, which turns that plane to the target."""
+        """The distance in the plane of the arm, and the first coordinate, which turns that plane to
+        the target.
+        """
         first = self.joints[0]
         rho = names["rho"]
         shoulder = names["shoulder"]
@@ -63,29 +80,47 @@ class ArmPlane:
             angle = sympy.atan2(y, x) + sympy.atan2(aside, rho)
             some = ""
         turn = first.along[2] * (angle - zero)
-        steps.append(FormulaStep(sympy.Symbol(first.coordinate), turn, "turns the plane to the target", some))
+        steps.append(
+            FormulaStep(sympy.Symbol(first.coordinate), turn, "turns the plane to the target", some)
+        )
         return steps
 
-    def placed(self, count: int, height: Any, angle: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
-        """The coordinates of the `count` joints after the first: the end at a distance `rho` from axis 1, and a height.
+    def placed(
+        self, count: int, height: Any, angle: Any, names: dict[str, Any], n: Names
+    ) -> list[FormulaStep]:
+        """The coordinates of the `count` joints after the first: the end at a distance `rho` from
+        axis 1, and a height.
 
         Three of them turn their last body by an angle, too.
         """
         joints = self.joints[1 : 1 + count]
-        arm = [PlaneJoint(j.coordinate, self.flat(j.point - self.joints[0].point, j.point), j.turns,
-                          -1 if j.turns and float(j.along.dot(self.normal)) < 0.0 else 1, self.flat(j.along, j.along))
-               for j in joints]  # fmt: skip
+        arm = [
+            PlaneJoint(
+                j.coordinate,
+                self.flat(j.point - self.joints[0].point, j.point),
+                j.turns,
+                -1 if j.turns and float(j.along.dot(self.normal)) < 0.0 else 1,
+                self.flat(j.along, j.along),
+            )
+            for j in joints
+        ]
         end = self.flat(self.end - self.joints[0].point, self.end)
-        steps, found = in_plane(n, arm, (names["rho"], height), end, angle, [names["h_x"], names["h_z"]], BEND)
-        return steps + [FormulaStep(sympy.Symbol(j.coordinate), x, f"the {place} coordinate")
-                        for j, x, place in zip(joints, found, PLACES[1:], strict=False)]  # fmt: skip
+        steps, found = in_plane(
+            n, arm, (names["rho"], height), end, angle, [names["h_x"], names["h_z"]], BEND
+        )
+        return steps + [
+            FormulaStep(sympy.Symbol(j.coordinate), x, f"the {place} coordinate")
+            for j, x, place in zip(joints, found, PLACES[1:], strict=False)
+        ]
 
     def wrist(
         self, S: Any, a: Any, called: str, turn: tuple[Any, str], R: Any, names: dict[str, Any]
     ) -> list[FormulaStep]:
-        """The last two coordinates, and the turn about the direction `a` before them, by the orientation R of the tip.
+        """The last two coordinates, and the turn about the direction `a` before them, by the
+        orientation R of the tip.
 
-        S (3, 3) is how that is turned which `a`, `called` so, turns in; `turn` is the symbol of the turn, and in words.
+        S (3, 3) is how that is turned which `a`, `called` so, turns in; `turn` is the symbol of the
+        turn, and in words.
         """
         five, six = self.joints[-2:]
         b = five.along
@@ -94,20 +129,36 @@ class ArmPlane:
         m = [names[f"m_{i}"] for i in (1, 2, 3)]
         k = [names[f"n_{i}"] for i in (2, 3)]
         wrist = names["wrist"]
-        own = ((a, f"part of axis 6 along {called}"), (b, "along axis 5 at zero"), (tidy(a.cross(b)), "across both"))
-        far = ((b, f"part of {called} along axis 5 at zero, seen by the tip"), (tidy(c.cross(b)), "across both"))
+        own = (
+            (a, f"part of axis 6 along {called}"),
+            (b, "along axis 5 at zero"),
+            (tidy(a.cross(b)), "across both"),
+        )
+        far = (
+            (b, f"part of {called} along axis 5 at zero, seen by the tip"),
+            (tidy(c.cross(b)), "across both"),
+        )
         seen = R * tidy(tip.T * c)
-        steps = [FormulaStep(s, short((S * e).dot(seen)), says) for s, (e, says) in zip(m, own, strict=True)]
-        steps += [FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
-                  for s, (e, says) in zip(k, far, strict=True)]  # fmt: skip
+        steps = [
+            FormulaStep(s, short((S * e).dot(seen)), says)
+            for s, (e, says) in zip(m, own, strict=True)
+        ]
+        steps += [
+            FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
+            for s, (e, says) in zip(k, far, strict=True)
+        ]
         some = f"{m[1]} != 0 or {m[2]} != 0"
         bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0]) - angle_about(a, c, b)
         return steps + [
             FormulaStep(sympy.Symbol(five.coordinate), bend, "+1 is no flip, -1 flip"),
             FormulaStep(turn[0], sympy.atan2(wrist * m[1], -wrist * m[2]), turn[1], some),
-            FormulaStep(sympy.Symbol(six.coordinate), sympy.atan2(wrist * k[0], wrist * k[1]), "the sixth coordinate",
-                        some),
-        ]  # fmt: skip
+            FormulaStep(
+                sympy.Symbol(six.coordinate),
+                sympy.atan2(wrist * k[0], wrist * k[1]),
+                "the sixth coordinate",
+                some,
+            ),
+        ]
 
     def flat(self, across: Any, up: Any) -> Vector:
         """Parts of a vector along `out`, and of another along z."""
@@ -119,7 +170,9 @@ class ArmPlane:
 
 
 def normal_of(joints: list[JointLine]) -> Any:
-    """The horizontal normal (3,) of the plane in which joints turn and slide; None if there is no one plane."""
+    """The horizontal normal (3,) of the plane in which joints turn and slide; None if there is no
+    one plane.
+    """
     turns = [j.along for j in joints if j.turns]
     across = turns or [Z.cross(j.along) for j in joints if not parallel(j.along, Z)]
     if not across:
@@ -147,7 +200,9 @@ def meeting(a: JointLine, b: JointLine) -> Any:
     """The point (3,) in which two axes at right angles meet; None for others."""
     if not (a.turns and b.turns and upright(a.along, b.along)):
         return None
-    end = tidy(a.point + a.along * (b.point - a.point).dot(a.along))  # where they would be nearest to each other
+    end = tidy(
+        a.point + a.along * (b.point - a.point).dot(a.along)
+    )  # where they would be nearest to each other
     return end if is_on(end, b) else None
 
 

@@ -31,11 +31,12 @@ WIDTH = 110
 class Recognised(Report):
     """What is known about the inverse geometric model of a `frame` for a `task`.
 
-    `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or "slides".
-    `relations` are facts about consecutive axes, those that a structure misses by little among them. `path` says step
-    by step how all configurations are found, `method` is "closed form", "elimination" or "search". `most` is the
-    largest number of isolated configurations that a target can have, turns by 2 pi not counted; `held` are the joints
-    that stay at their values because the chain has more than the task needs, or because the caller said so.
+    `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
+    "slides". `relations` are facts about consecutive axes, those that a structure misses by little
+    among them. `path` says step by step how all configurations are found, `method` is "closed
+    form", "elimination" or "search". `most` is the largest number of isolated configurations that a
+    target can have, turns by 2 pi not counted; `held` are the joints that stay at their values
+    because the chain has more than the task needs, or because the caller said so.
     """
 
     system: str
@@ -58,14 +59,19 @@ class Recognised(Report):
         return f"inverse model of {self.frame} of {self.system}, task {self.task}"
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
-        """The inverse model as formulas; see `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
+        """The inverse model as formulas; see
+        `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
 
         Errors: `UnsupportedError` where there are no short ones, with the reason.
         """
         from kempe.solvers.analytic.describe.symbolic_ik import symbolic_ik
 
         if self.of is None or self.held:
-            why = f"with {', '.join(self.held)} held; lock them in the mechanism" if self.held else "without the system"
+            why = (
+                f"with {', '.join(self.held)} held; lock them in the mechanism"
+                if self.held
+                else "without the system"
+            )
             raise UnsupportedError(f"there are no formulas {why}")
         return symbolic_ik(self.of, self.frame, self.task, symbols=symbols)
 
@@ -80,10 +86,13 @@ class Recognised(Report):
         count = "configuration" if self.most == 1 else "configurations"
         each = " for each value of what is held" if self.held else ""
         return [
-            *([("task", (self.note,))] if self.note else []), ("joints", (joints,)), ("axes", self.relations),
-            ("path", self.path), ("method", (self.method,)),
+            *([("task", (self.note,))] if self.note else []),
+            ("joints", (joints,)),
+            ("axes", self.relations),
+            ("path", self.path),
+            ("method", (self.method,)),
             ("solutions", (f"{self.most} isolated {count} at most{each}",)),
-        ]  # fmt: skip
+        ]
 
     def __str__(self) -> str:
         return by_topic(self.status, self.topics(), 11, WIDTH)
@@ -91,14 +100,17 @@ class Recognised(Report):
 
 @explained
 def ik_plan(
-    system: System, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None,
+    system: System,
+    frame: FrameLike,
+    task: str | tuple[str, ArrayLike] | None = None,
     fixed: Iterable[str] = (),
-) -> Recognised:  # fmt: skip
+) -> Recognised:
     """What is recognised in the chain that moves `frame`, and how `ik_all` solves it.
 
-    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose, or of a position
-    where the chain has no more joints than that has equations. `fixed` are the names of joints that are held. Errors:
-    `UnsupportedError` for chains with loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
+    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose,
+    or of a position where the chain has no more joints than that has equations. `fixed` are the
+    names of joints that are held. Errors: `UnsupportedError` for chains with loops, quaternions or
+    shared coordinates, `InputError`, `UnknownNameError`.
 
     >>> import kempe
     >>> from kempe.solvers.analytic.describe.describe import ik_plan
@@ -115,11 +127,24 @@ def ik_plan(
         n = 3 * (system.dim - 1)
         count = counted(len(lines), "joint")
         what = "position"
-        note = f"a pose has {n} equations, more than the chain has joints ({count}): the position is planned"
+        note = (
+            f"a pose has {n} equations, more than the chain has joints ({count}): the position is "
+            "planned"
+        )
     given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))
     plan = plan_for(system, name, lines, what, direction, tuple(given))
     kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)
     return Recognised(
-        system.name, name, what, lines.names, kinds, relations(lines), path(plan, frozenset(given), system.dim == 2),
-        most(plan), METHODS[plan.method], tuple(lines.names[i] for i in plan.locked), note, system,
-    )  # fmt: skip
+        system.name,
+        name,
+        what,
+        lines.names,
+        kinds,
+        relations(lines),
+        path(plan, frozenset(given), system.dim == 2),
+        most(plan),
+        METHODS[plan.method],
+        tuple(lines.names[i] for i in plan.locked),
+        note,
+        system,
+    )

@@ -1,4 +1,6 @@
-"""What consecutive axes of a chain have in common, in words: the facts by which its inverse model is solved."""
+"""What consecutive axes of a chain have in common, in words: the facts by which its inverse model
+is solved.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,20 @@ import numpy as np
 
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic.plans.chain_lines import Lines
-from kempe.solvers.analytic.plans.structure import EXACT, Axes, apart, keeps_point, meeting, parallel
+from kempe.solvers.analytic.plans.structure import (
+    EXACT,
+    Axes,
+    apart,
+    keeps_point,
+    meeting,
+    parallel,
+)
 from kempe.spatial import Array
 from kempe.words import joined
 
 NEAR = 1e-2
-"""Sine of an angle, or distance in lengths of the chain, below which a structure that is not there counts as missed."""
+"""Sine of an angle, or distance in lengths of the chain, below which a structure that is not there
+counts as missed."""
 
 AS_IT_IS = "solved as what they are"
 
@@ -21,7 +31,8 @@ AS_IT_IS = "solved as what they are"
 def relations(lines: Lines) -> tuple[str, ...]:
     """Facts about consecutive axes of a chain, in its order; they hold in every configuration.
 
-    Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is reported with its size.
+    Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is
+    reported with its size.
     """
     axes = Axes(lines.kinds, lines.h, lines.o)
     n = len(lines)
@@ -95,7 +106,9 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
 def _ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
     names = joined([lines.names[i] for i in range(first, last + 1)])
     right = all(abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT for i in range(first, last))
-    return f"the axes of {names} meet in one point" + (", neighbours at right angles" if right else "")
+    return f"the axes of {names} meet in one point" + (
+        ", neighbours at right angles" if right else ""
+    )
 
 
 def _pair(lines: Lines, axes: Axes, i: int) -> str:
@@ -103,7 +116,11 @@ def _pair(lines: Lines, axes: Axes, i: int) -> str:
     a = lines.names[i]
     b = lines.names[i + 1]
     angle, sine = _angle(axes.h[i], axes.h[i + 1])
-    at = "right angles" if abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT else f"{math.degrees(angle):.4g} degrees"
+    at = (
+        "right angles"
+        if abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT
+        else f"{math.degrees(angle):.4g} degrees"
+    )
     sliding = axes.kinds[i] == SLIDE, axes.kinds[i + 1] == SLIDE
     if sine <= NEAR:
         what = "the directions" if any(sliding) else "the axes"
@@ -117,7 +134,9 @@ def _pair(lines: Lines, axes: Axes, i: int) -> str:
     if gap <= EXACT:
         return f"the axes of {a} and {b} meet at {at}"
     if gap <= NEAR:
-        return f"the axes of {a} and {b} miss each other by {_metres(lines, gap)}, at {at}: {AS_IT_IS}"
+        return (
+            f"the axes of {a} and {b} miss each other by {_metres(lines, gap)}, at {at}: {AS_IT_IS}"
+        )
     return f"the axes of {a} and {b} pass each other at {at}, {_metres(lines, gap)} apart"
 
 
@@ -130,7 +149,11 @@ def _missed_ball(lines: Lines, axes: Axes, i: int) -> str:
         if _angle(axes.h[j], axes.h[j + 1])[1] <= NEAR or apart(axes, j, j + 1) > NEAR:
             return ""
         points.append(_foot(axes, j + 1 if j == i else j, j if j == i else j + 1))
-    gap = max(float(np.linalg.norm(points[1] - points[0])), apart(axes, i, i + 1), apart(axes, i + 1, i + 2))
+    gap = max(
+        float(np.linalg.norm(points[1] - points[0])),
+        apart(axes, i, i + 1),
+        apart(axes, i + 1, i + 2),
+    )
     if not EXACT < gap <= NEAR:
         return ""
     names = joined(lines.names[i : i + 3])

@@ -1,9 +1,11 @@
-"""Arms in space as formulas that end in two turns after three joints in one plane, such as those of Universal Robots.
+"""Arms in space as formulas that end in two turns after three joints in one plane, such as those of
+Universal Robots.
 
-Axis 5 lies in the plane of the joints before it, and meets axis 6 at right angles in a point, which turns of neither
-move: it gives the first coordinate. How axis 6 stands to the plane gives the fifth, how the tip sees the normal of the
-plane the sixth, and axis 6 in the plane the turn of the fourth body, with which three joints in a plane are left
-(Hawkins 2013, "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", does so in DH parameters).
+Axis 5 lies in the plane of the joints before it, and meets axis 6 at right angles in a point, which
+turns of neither move: it gives the first coordinate. How axis 6 stands to the plane gives the
+fifth, how the tip sees the normal of the plane the sixth, and axis 6 in the plane the turn of the
+fourth body, with which three joints in a plane are left (Hawkins 2013, "Analytic inverse kinematics
+for the Universal Robots UR-5/UR-10 arms", does so in DH parameters).
 """
 
 from __future__ import annotations
@@ -40,6 +42,12 @@ class ParallelArm(ArmPlane):
     def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
         """The first coordinate, the last two, and those between."""
         lift = names["phi"]
-        hand = self.wrist(self.first_turn(), self.normal, "the normal of the plane",
-                          (lift, "turn of the fourth body in the plane"), R, names)  # fmt: skip
+        hand = self.wrist(
+            self.first_turn(),
+            self.normal,
+            "the normal of the plane",
+            (lift, "turn of the fourth body in the plane"),
+            R,
+            names,
+        )
         return [*self.turned_to(to, names), *hand, *self.placed(3, to[2], lift, names, n)]

@@ -1,4 +1,6 @@
-"""Arms of two or three joints in a plane as formulas: the triangle that joints and target make, solved step by step."""
+"""Arms of two or three joints in a plane as formulas: the triangle that joints and target make,
+solved step by step.
+"""
 
 from __future__ import annotations
 
@@ -36,19 +38,35 @@ class PlaneJoint(NamedTuple):
     def of(cls, joint: Any) -> PlaneJoint:
         """The joint as it lies in the plane."""
         sense = int(joint.along[2]) if joint.turns else 1
-        return cls(joint.coordinate, (joint.point[0], joint.point[1]), joint.turns, sense,
-                   (joint.along[0], joint.along[1]))  # fmt: skip
+        return cls(
+            joint.coordinate,
+            (joint.point[0], joint.point[1]),
+            joint.turns,
+            sense,
+            (joint.along[0], joint.along[1]),
+        )
 
 
 def in_plane(
-    n: Names, arm: list[PlaneJoint], to: Vector, end: Vector, angle: Any, names: list[Any], elbow: str = ELBOW
+    n: Names,
+    arm: list[PlaneJoint],
+    to: Vector,
+    end: Vector,
+    angle: Any,
+    names: list[Any],
+    elbow: str = ELBOW,
 ) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates as `solved`; of a pose from the place of a last joint that turns, called `names`."""
+    """Steps and coordinates as `solved`; of a pose from the place of a last joint that turns,
+    called `names`.
+    """
     steps = list[FormulaStep]()
     if angle is not None and arm[-1].turns:
         place = minus(to, turned(minus(end, arm[-1].at), angle))
         if place != to:
-            steps = [FormulaStep(s, x, "the target, less the last link") for s, x in zip(names, place, strict=True)]
+            steps = [
+                FormulaStep(s, x, "the target, less the last link")
+                for s, x in zip(names, place, strict=True)
+            ]
             to = (steps[0].symbol, steps[1].symbol)
         end = arm[-1].at
     more, found = solved(n, arm, to, end, angle, elbow)
@@ -58,15 +76,20 @@ def in_plane(
 def solved(
     n: Names, arm: list[PlaneJoint], to: Vector, end: Vector, angle: Any, elbow: str
 ) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by `angle`.
+    """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by
+    `angle`.
 
     `elbow` says what the sign of two turns is.
     """
     kinds = "".join("RP"[not j.turns] for j in arm)
     one = arm[0]
     two = arm[1]
-    if any(one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)):
-        raise UnsupportedError("two turns are about one axis, which leaves a joint to spare; ik_all gives families")
+    if any(
+        one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)
+    ):
+        raise UnsupportedError(
+            "two turns are about one axis, which leaves a joint to spare; ik_all gives families"
+        )
     if kinds in ("RR", "RRR"):
         (l1, at1) = polar(minus(two.at, one.at))
         (l2, at2) = polar(minus(end, two.at))
@@ -79,12 +102,20 @@ def solved(
         ahead, aside = _parts(gap, two.along)
         steps, u, rail = turning_slide(n, minus(to, one.at), aside)
         turn = rail - at
-        return steps, [one.sense * turn, u - ahead, *([arm[2].sense * (angle - turn)] if kinds == "RPR" else [])]
+        return steps, [
+            one.sense * turn,
+            u - ahead,
+            *([arm[2].sense * (angle - turn)] if kinds == "RPR" else []),
+        ]
     if kinds in ("PR", "PRR"):
         length, at = polar(minus(end, two.at))
         steps, u, bar = line_and_circle(n, minus(to, two.at), one.along, length)
         turn = bar - at
-        return steps, [u, two.sense * turn, *([arm[2].sense * (angle - turn)] if kinds == "PRR" else [])]
+        return steps, [
+            u,
+            two.sense * turn,
+            *([arm[2].sense * (angle - turn)] if kinds == "PRR" else []),
+        ]
     if kinds == "RRP":  # the orientation is that of the second body
         length, at = polar(minus(two.at, one.at))
         rest = minus(minus(to, one.at), turned(minus(end, two.at), angle))
@@ -102,7 +133,9 @@ def solved(
         rest = minus(to, plus(two.at, turned(minus(end, two.at), angle)))
         steps, u1, u3 = two_lines(n, rest, one.along, turned(arm[2].along, angle))
         return steps, [u1, two.sense * angle, u3]
-    raise UnsupportedError("formulas need a joint that turns where an angle is wanted; ik_all gives numbers")
+    raise UnsupportedError(
+        "formulas need a joint that turns where an angle is wanted; ik_all gives numbers"
+    )
 
 
 def _turns(arm: list[PlaneJoint], turns: list[Any], angle: Any) -> list[Any]:

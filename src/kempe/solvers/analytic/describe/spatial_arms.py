@@ -1,7 +1,8 @@
-"""Arms in space as formulas: a first turn about z, two joints in the plane that it turns, perhaps a wrist.
+"""Arms in space as formulas: a first turn about z, two joints in the plane that it turns, perhaps a
+wrist.
 
-The wrist has three axes that meet in a point, which the first three joints place; the orientation is left to the last
-three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12).
+The wrist has three axes that meet in a point, which the first three joints place; the orientation
+is left to the last three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12).
 """
 
 from __future__ import annotations
@@ -47,12 +48,22 @@ class SpatialArm(ArmPlane):
 
     def _third(self) -> Any:
         """How the third body is turned (3, 3) against q = 0."""
-        lift = sum((int(round(float(j.along.dot(self.normal)))) * sympy.Symbol(j.coordinate)
-                    for j in self.joints[1:3] if j.turns), sympy.Integer(0))  # fmt: skip
+        lift = sum(
+            (
+                int(round(float(j.along.dot(self.normal)))) * sympy.Symbol(j.coordinate)
+                for j in self.joints[1:3]
+                if j.turns
+            ),
+            sympy.Integer(0),
+        )
         return self.first_turn() * turn_about(self.normal, lift)
 
 
 def _centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
-    """The point (3,) in which the axes of a wrist meet, the middle one at right angles to both; None for others."""
+    """The point (3,) in which the axes of a wrist meet, the middle one at right angles to both;
+    None for others.
+    """
     end = meeting(a, b)
-    return end if end is not None and c.turns and upright(b.along, c.along) and is_on(end, c) else None
+    return (
+        end if end is not None and c.turns and upright(b.along, c.along) and is_on(end, c) else None
+    )

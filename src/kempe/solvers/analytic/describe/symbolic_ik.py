@@ -1,4 +1,6 @@
-"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms in space."""
+"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms
+in space.
+"""
 
 from __future__ import annotations
 
@@ -40,24 +42,29 @@ TURNED = tuple(f"r_{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 
 @dataclass(frozen=True, eq=False)
 class InverseFormulas(Derivation):
-    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down, as `ik_all` names them.
+    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down, as
+    `ik_all` names them.
 
-    Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides have one solution.
-    An arm in space has up to three: `shoulder`, `elbow` (or its slide) and `wrist`, +1 without a flip.
+    Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides
+    have one solution. An arm in space has up to three: `shoulder`, `elbow` (or its slide) and
+    `wrist`, +1 without a flip.
     """
 
     @property
     def target(self) -> tuple[Any, ...]:
-        """Symbols of the wanted position, p_x and p_y, in space p_z, and of a pose phi, or r_11 to r_33."""
+        """Symbols of the wanted position, p_x and p_y, in space p_z, and of a pose phi, or r_11 to
+        r_33.
+        """
         return self.given
 
     def __call__(self, p: ArrayLike, sign: Any = 1) -> Array:
-        """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle (..., 3).
+        """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle
+        (..., 3).
 
-        Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle (..., 4). The angle
-        is that of the frame's x axis. Of an arm in space targets are positions (..., 3), and `sign` has one -1 or 1 for
-        each of its signs, or is one for all. Poses (..., 4, 4) say all of it. They are nan where the target is out of
-        reach.
+        Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle
+        (..., 4). The angle is that of the frame's x axis. Of an arm in space targets are positions
+        (..., 3), and `sign` has one -1 or 1 for each of its signs, or is one for all. Poses (...,
+        4, 4) say all of it. They are nan where the target is out of reach.
         """
         if len(self.given) > len(TURNED):
             X = numbers(p, "p", 4, 4)
@@ -71,15 +78,23 @@ class InverseFormulas(Derivation):
             elbows = (" (elbow up)", " (elbow down)") if len(self.signs) < 2 else ("", "")
             raise InputError(f"sign is {shown(sign)}; it must be -1{elbows[0]} or 1{elbows[1]}")
         if len(signs) != most:
-            raise InputError(f"sign is {shown(sign)}; it must be one number, or {len(self.signs)}: "
-                             f"{', '.join(map(str, self.signs))}")  # fmt: skip
+            raise InputError(
+                f"sign is {shown(sign)}; it must be one number, or {len(self.signs)}: "
+                f"{', '.join(map(str, self.signs))}"
+            )
         signs = signs[: len(self.signs)]
-        return self.evaluate(at, np.broadcast_to(np.array(signs, dtype=float), at.shape[:-1] + (len(signs),)))
+        return self.evaluate(
+            at, np.broadcast_to(np.array(signs, dtype=float), at.shape[:-1] + (len(signs),))
+        )
 
     def _of_poses(self, p: ArrayLike) -> ArrayLike:
         """The numbers that the formulas take of poses (..., 4, 4); what is none, as it is."""
         X = np.asarray(p)
-        if X.shape[-2:] != (4, 4) or X.dtype.kind not in "fi" or not np.all(X[..., 3, :] == (0.0, 0.0, 0.0, 1.0)):
+        if (
+            X.shape[-2:] != (4, 4)
+            or X.dtype.kind not in "fi"
+            or not np.all(X[..., 3, :] == (0.0, 0.0, 0.0, 1.0))
+        ):
             return p
         angle = np.arctan2(X[..., 1, 0], X[..., 0, 0])
         place = X[..., : len(self.given) - ("phi" in str(self.given[-1])), 3]
@@ -88,28 +103,35 @@ class InverseFormulas(Derivation):
 
 @explained
 def symbolic_ik(
-    system: System, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None,
+    system: System,
+    frame: FrameLike,
+    task: str | None = None,
+    *,
+    symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
-) -> InverseFormulas:  # fmt: skip
-    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space with a wrist or three parallel axes.
+) -> InverseFormulas:
+    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space with a wrist or
+    three parallel axes.
 
-    In the plane two joints reach a "position", three a "pose" x, y, angle: they turn about z or -z of the ground, or
-    slide across it. One more may slide along it, at any place, as of a SCARA, which then reaches a height, too. Of two
-    turns, the position is squared and summed, which leaves the second angle; its sine has two signs, the two elbows;
-    the first is the difference of two angles (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make
-    lines of circles. A pose fixes where the last joint is, from which on it is the same.
+    In the plane two joints reach a "position", three a "pose" x, y, angle: they turn about z or -z
+    of the ground, or slide across it. One more may slide along it, at any place, as of a SCARA,
+    which then reaches a height, too. Of two turns, the position is squared and summed, which leaves
+    the second angle; its sine has two signs, the two elbows; the first is the difference of two
+    angles (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make lines of
+    circles. A pose fixes where the last joint is, from which on it is the same.
 
-    In space three joints reach a "position": the first turns about z or -z, the others turn about or slide across one
-    horizontal direction, as of the Puma, of a Stanford arm, or of a cylindrical one. Six reach a "pose" if the axes of
-    the last three, turns about directions at right angles, meet in a point; or if three joints turn about or slide
-    across that direction, and the axes of the last two, turns, meet at right angles, the first of them at right angles
-    to that direction, as of the arms of Universal Robots.
+    In space three joints reach a "position": the first turns about z or -z, the others turn about
+    or slide across one horizontal direction, as of the Puma, of a Stanford arm, or of a cylindrical
+    one. Six reach a "pose" if the axes of the last three, turns about directions at right angles,
+    meet in a point; or if three joints turn about or slide across that direction, and the axes of
+    the last two, turns, meet at right angles, the first of them at right angles to that direction,
+    as of the arms of Universal Robots.
 
-    Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and `snap` are those of
-    `symbolic_fk`.
+    Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and
+    `snap` are those of `symbolic_fk`.
 
-    Errors: those of `kempe.kinematics.formulas.symbolic.symbolic_fk`; `UnsupportedError` for other chains and for
-    systems with constraints.
+    Errors: those of `kempe.kinematics.formulas.symbolic.symbolic_fk`; `UnsupportedError` for other
+    chains and for systems with constraints.
 
     >>> import kempe
     >>> print(symbolic_ik(kempe.load("two_link"), "e").steps[1].formula)
@@ -119,21 +141,27 @@ def symbolic_ik(
     if of_system(system):
         raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
     leaves = SymbolLeaves(system, symbols or {}, snap)
-    joints, tip = joint_lines(system, name, leaves, f"formulas for {name!r} need two or three joints that move it")
+    joints, tip = joint_lines(
+        system, name, leaves, f"formulas for {name!r} need two or three joints that move it"
+    )
     taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
     taken = taken.union(*(j.point.free_symbols for j in joints))
     words = (*Names._fields, *OWN, *TURNED, *arm_plane.OWN)
-    free = {word: next(s for e in endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken) for word in words}
+    free = {
+        word: next(s for e in endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken)
+        for word in words
+    }
     if _is_planar(joints, tip, task):
         return _of_plane(system, joints, tip, task, free)
     arm = SpatialArm.of(joints, tip) or ParallelArm.of(joints, tip)
     if arm is None or task not in (None, SPATIAL[len(joints)]):
         raise UnsupportedError(
-            f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
-            "or slide across it, and at most one that slides along it; or in space a first turn about z, and two "
-            "joints that turn about or slide across one horizontal direction, to a position, or to a pose with a wrist "
-            "of three axes at right angles that meet, or three such joints and two turns about axes at right angles "
-            "that meet, the first at right angles to that direction; ik_all gives numbers"
+            f"formulas for {name!r} need two joints to a position, or three to a pose, that turn "
+            "about z of the ground or slide across it, and at most one that slides along it; or "
+            "in space a first turn about z, and two joints that turn about or slide across one "
+            "horizontal direction, to a position, or to a pose with a wrist of three axes at "
+            "right angles that meet, or three such joints and two turns about axes at right "
+            "angles that meet, the first at right angles to that direction; ik_all gives numbers"
         )
     return _of_space(system, arm, free)
 
@@ -142,15 +170,19 @@ def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
     """Whether two or three joints move the frame in a plane across z, and at most one along z."""
     arm = [j for j in joints if not _lifts(j)]
     what = task or TASKS.get(len(arm), "position")
-    planar = all(bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm)
+    planar = all(
+        bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm
+    )
     upright = what != "pose" or tip[2, 0] == 0 == tip[2, 1]
     return TASKS.get(len(arm)) == what and planar and len(joints) <= len(arm) + 1 and bool(upright)
 
 
 def _of_plane(
     system: System, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
-) -> InverseFormulas:  # fmt: skip
-    """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their words."""
+) -> InverseFormulas:
+    """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their
+    words.
+    """
     arm = [j for j in joints if not _lifts(j)]
     lifts = [j for j in joints if _lifts(j)]
     what = task or TASKS[len(arm)]
@@ -161,7 +193,9 @@ def _of_plane(
     flat = [PlaneJoint.of(j) for j in arm]
     steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
     found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
-    found |= {j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts}  # no other joint changes the height
+    found |= {
+        j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts
+    }  # no other joint changes the height
     for j, place in zip(joints, PLACES, strict=False):
         says = f"the {place} coordinate" + ", from the height" * _lifts(j)
         steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))
@@ -180,19 +214,33 @@ def _of_space(system: System, arm: ArmPlane, names: dict[str, Any]) -> InverseFo
         inputs += list(R)
         hand = tidy(arm.tip[:3, :3].T * (arm.end - arm.tip[:3, 3]))
         if not hand.is_zero_matrix:
-            steps = [FormulaStep(s, w, "the wrist: the target, less the hand")
-                     for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)]  # fmt: skip
+            steps = [
+                FormulaStep(s, w, "the wrist: the target, less the hand")
+                for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)
+            ]
             to = place
     steps += arm.steps(to, R, names, Names.among(names)._replace(sign=names["elbow"]))
-    return _formulas(system, steps, inputs, [names[word] for word in ("shoulder", "elbow", "wrist")], list(arm.joints))
+    return _formulas(
+        system,
+        steps,
+        inputs,
+        [names[word] for word in ("shoulder", "elbow", "wrist")],
+        list(arm.joints),
+    )
 
 
 def _formulas(
-    system: System, steps: list[FormulaStep], inputs: list[Any], signs: list[Any], joints: list[JointLine]
-) -> InverseFormulas:  # fmt: skip
+    system: System,
+    steps: list[FormulaStep],
+    inputs: list[Any],
+    signs: list[Any],
+    joints: list[JointLine],
+) -> InverseFormulas:
     """The formulas, with those of the signs that they have."""
     signs = [sign for sign in signs if any(s.formula.has(sign) for s in steps)]
-    return InverseFormulas(system, tuple(steps), tuple(inputs), tuple(signs), tuple(j.coordinate for j in joints))
+    return InverseFormulas(
+        system, tuple(steps), tuple(inputs), tuple(signs), tuple(j.coordinate for j in joints)
+    )
 
 
 def _lifts(joint: JointLine) -> bool:

@@ -1,4 +1,6 @@
-"""Which joints of a redundant chain are held: those without which the rest is solved best, and most often."""
+"""Which joints of a redundant chain are held: those without which the rest is solved best, and most
+often.
+"""
 
 from __future__ import annotations
 
@@ -28,27 +30,31 @@ from kempe.spatial import Array
 
 MOST_CHOICES = 60
 ELIMINATED = 12
-"""Choices of joints that are looked at for a closed form, and for an elimination where none has a closed form."""
+"""Choices of joints that are looked at for a closed form, and for an elimination where none has a
+closed form."""
 
 SAMPLES = 32
 STEP = 0.1
-"""Random poses that measure how often a choice has a solution, and the difference in that which counts."""
+"""Random poses that measure how often a choice has a solution, and the difference in that which
+counts."""
 
 TOLERANCE = 1e-9
 
 ASIDE = 0.4
-"""Angle, or length of the chain, from zero at which joints are held first where at zero axes of the rest line up."""
+"""Angle, or length of the chain, from zero at which joints are held first where at zero axes of the
+rest line up."""
 
 NEARLY = 1e-3
-"""Sine of an angle, or distance in lengths of the chain, below which an elimination has trouble with two axes."""
+"""Sine of an angle, or distance in lengths of the chain, below which an elimination has trouble
+with two axes."""
 
 
 def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> ChainPlan:
     """The plan with as many joints locked, beside those `fixed`, as the chain has too many.
 
-    Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the rest is solved (side
-    by side, in closed form, by elimination), and how many random poses have a solution inside the limits with the
-    joints held where they are held first.
+    Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the
+    rest is solved (side by side, in closed form, by elimination), and how many random poses have a
+    solution inside the limits with the joints held where they are held first.
     """
     free = free_lines(lines, task, planar)
     unknown = [i for i in range(len(lines)) if i not in fixed]
@@ -58,10 +64,20 @@ def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) 
         return make(lines, task, fixed, planar)
     best: tuple[tuple[float, ...], ChainPlan] | None = None
     choices = list(_able(lines, task, free, unknown, extra, rank))
-    for carried, some in itertools.groupby(choices, lambda choice: _carries(lines, unknown, choice)):
+    for carried, some in itertools.groupby(
+        choices, lambda choice: _carries(lines, unknown, choice)
+    ):
         group = [tuple(sorted((*fixed, *choice))) for choice in some]
-        plans = [p for p in (in_closed_form(lines, task, locked, planar) for locked in group) if p is not None]
-        plans = plans or [p for p in (make(lines, task, x, planar) for x in group[:ELIMINATED]) if p.method != "search"]
+        plans = [
+            p
+            for p in (in_closed_form(lines, task, locked, planar) for locked in group)
+            if p is not None
+        ]
+        plans = plans or [
+            p
+            for p in (make(lines, task, x, planar) for x in group[:ELIMINATED])
+            if p.method != "search"
+        ]
         for k, bare in enumerate(plans):
             look()
             plan = replace(bare, first=_first(bare, fixed))
@@ -75,11 +91,15 @@ def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) 
     return make(lines, task, tuple(sorted((*fixed, *choices[0]))) if choices else fixed, planar)
 
 
-def _able(lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int) -> Iterator[tuple[int, ...]]:
-    """Choices that leave the chain all of its freedoms, those that carry an arm of turns first, the last joints first.
+def _able(
+    lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int
+) -> Iterator[tuple[int, ...]]:
+    """Choices that leave the chain all of its freedoms, those that carry an arm of turns first, the
+    last joints first.
 
-    Where the task asks for an orientation alone the first joints come first, since the last are those that turn the
-    tip. Of many spare joints, the choices come first that leave joints in a row.
+    Where the task asks for an orientation alone the first joints come first, since the last are
+    those that turn the tip. Of many spare joints, the choices come first that leave joints in a
+    row.
     """
     order = unknown if task in ("orientation", "direction") else unknown[::-1]
     count = len(unknown) - extra
@@ -87,7 +107,9 @@ def _able(lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, 
     turns = [i for i in order if lines.kinds[i] != SLIDE]
     rows = (tuple(i for i in order if i not in order[k : k + count]) for k in range(extra + 1))
     more = extra - len(slides)
-    carrying = ((*c, *slides) for c in itertools.combinations(turns, more)) if slides and more >= 0 else ()
+    carrying = (
+        ((*c, *slides) for c in itertools.combinations(turns, more)) if slides and more >= 0 else ()
+    )
     seen: set[frozenset[int]] = set()
     every = itertools.chain(
         itertools.islice(carrying, MOST_CHOICES),
@@ -118,9 +140,11 @@ def _rank(plan: ChainPlan) -> float:
 
 
 def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
-    """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the limits.
+    """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the
+    limits.
 
-    An elimination takes long where axes line up that do not otherwise; there they are held aside of zero.
+    An elimination takes long where axes line up that do not otherwise; there they are held aside of
+    zero.
     """
     lines = plan.lines
     n = len(plan.lines)
@@ -138,7 +162,9 @@ def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
 
 
 def _aligned(plan: ChainPlan, theta: Array) -> int:
-    """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting it, at theta (n,)."""
+    """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting
+    it, at theta (n,).
+    """
     axes, _ = carried_lines(plan.lines, plan.locked, plan.extra, theta)
     moving = [i for i in range(len(plan.lines)) if i not in plan.locked]
     count = 0
@@ -150,7 +176,9 @@ def _aligned(plan: ChainPlan, theta: Array) -> int:
 
 
 def _share(plan: ChainPlan) -> float:
-    """The share of random poses that have a solution inside the limits with the locked joints where they are first."""
+    """The share of random poses that have a solution inside the limits with the locked joints where
+    they are first.
+    """
     lines = plan.lines
     n = len(plan.lines)
     q = within_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))
@@ -158,23 +186,40 @@ def _share(plan: ChainPlan) -> float:
     out = np.empty((SAMPLES, A.SLOTS, n + A.INFO))
     counts = np.empty((SAMPLES, 2), dtype=np.int64)
     tolerance = 1e-9 * max(lines.length, 1.0)
-    kernel_of(plan)(plan.ints, plan.floats, targets_at(lines, plan.extra, q), held, held, tolerance, TOLERANCE, 0,
-                    np.arange(SAMPLES), out, counts)  # fmt: skip
+    kernel_of(plan)(
+        plan.ints,
+        plan.floats,
+        targets_at(lines, plan.extra, q),
+        held,
+        held,
+        tolerance,
+        TOLERANCE,
+        0,
+        np.arange(SAMPLES),
+        out,
+        counts,
+    )
     code = out[..., n + A.CODE]
     return float(((code >= 0.0) & (code.astype(np.int64) % 2 == 1)).any(axis=1).mean())
 
 
 def domains(lines: Lines) -> Array:
-    """Values (2, n) between which joints are looked at: limits; else a turn, or two lengths of the chain each way."""
+    """Values (2, n) between which joints are looked at: limits; else a turn, or two lengths of the
+    chain each way.
+    """
     half = np.where(lines.kinds == SLIDE, 2.0, np.pi) / np.abs(lines.multiplier)
     low, high = lines.limits
     with np.errstate(invalid="ignore"):
-        first = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - 2.0 * half, -half))
+        first = np.where(
+            np.isfinite(low), low, np.where(np.isfinite(high), high - 2.0 * half, -half)
+        )
         last = np.where(np.isfinite(high), high, first + 2.0 * half)
     return np.stack([first, last])
 
 
 def within_domains(lines: Lines, shares: Array) -> Array:
-    """Coordinates (m, n) at these shares (m, n) of the ways from the first to the last values of `domains`."""
+    """Coordinates (m, n) at these shares (m, n) of the ways from the first to the last values of
+    `domains`.
+    """
     first, last = domains(lines)
     return first + shares * (last - first)

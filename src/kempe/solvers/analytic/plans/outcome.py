@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 def codes(solutions: Solutions) -> np.ndarray:
     """The `Status` numbers (N,): that there is no solution is proven where the answer is complete.
 
-    Solutions that were left out, of a whole answer, are outside of limits or of one-sided constraints. What is known of
-    curves of solutions is no proof.
+    Solutions that were left out, of a whole answer, are outside of limits or of one-sided
+    constraints. What is known of curves of solutions is no proof.
     """
     whole = solutions if solutions._whole is None else solutions._whole
     used = whole._used
     multiplicity = whole._code // int(A.MULTIPLICITY_UNIT)
     curves = (used & (multiplicity == 0)).any(axis=1)
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
-    complete = np.ravel(whole.complete) & np.ravel(solutions.complete)  # of the whole, and of what is left
+    complete = np.ravel(whole.complete) & np.ravel(
+        solutions.complete
+    )  # of the whole, and of what is left
     none = np.where(complete & ~curves, none, Status.NOT_FOUND)
     none = np.where(np.ravel(whole.late), Status.OUT_OF_TIME, none)
     none = np.where(whole._counts[:, 0] < 0, Status.BAD_INPUT, none)

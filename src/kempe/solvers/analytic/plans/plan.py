@@ -1,4 +1,6 @@
-"""The plan of an analytical inverse model: what is unknown, what completes it to six joints, how it is solved."""
+"""The plan of an analytical inverse model: what is unknown, what completes it to six joints, how it
+is solved.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ EIGHT = 8
 
 RANK = 1e-7
 AGAIN = 1e-6
-"""Singular values below this fraction of the largest are zero when freedoms are counted; how near is found again."""
+"""Singular values below this fraction of the largest are zero when freedoms are counted; how near
+is found again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +51,13 @@ class Extra:
 
 @dataclass(frozen=True, eq=False)
 class ChainPlan:
-    """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to know.
+    """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to
+    know.
 
-    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those `fixed` by whoever
-    asks, and others where the chain has more than the task needs, which are at `first` (n,) where nobody says where.
-    `extra` are the lines that complete the rest to six. `blurred`: lengths leave so few digits that roots may be lost.
+    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those
+    `fixed` by whoever asks, and others where the chain has more than the task needs, which are at
+    `first` (n,) where nobody says where. `extra` are the lines that complete the rest to six.
+    `blurred`: lengths leave so few digits that roots may be lost.
     """
 
     lines: Lines
@@ -70,7 +75,9 @@ class ChainPlan:
 
     @property
     def rests(self) -> bool:
-        """Whether the chain has fewer joints than the task equations: lines that must stay at rest stand in."""
+        """Whether the chain has fewer joints than the task equations: lines that must stay at rest
+        stand in.
+        """
         return bool(np.any(self.extra.roles == A.REST)) and not self.planar
 
     @cached_property
@@ -81,12 +88,18 @@ class ChainPlan:
 
     @cached_property
     def side_by_side(self) -> bool:
-        """Whether many targets are solved side by side: six turning joints, an equation in one unknown."""
+        """Whether many targets are solved side by side: six turning joints, an equation in one
+        unknown.
+        """
         way = self.way
         lines = self.lines
         if way is None or self.task != "pose" or way.mode not in (X_FIRST, Z_FIRST):
             return False
-        if tuple(sorted(way.order)) != way.order or way.order[-1] >= len(lines) or np.any(lines.kinds == SLIDE):
+        if (
+            tuple(sorted(way.order)) != way.order
+            or way.order[-1] >= len(lines)
+            or np.any(lines.kinds == SLIDE)
+        ):
             return False
         return (way.inner, way.option) not in ((1, 0), (2, 1))
 
@@ -113,7 +126,9 @@ def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
     s = np.sin(theta)[..., None, None]
     c = np.cos(theta)[..., None, None]
     E = np.where(turns, np.eye(3) + s * K + (1.0 - c) * (K @ K), np.eye(3))
-    shift = np.where(turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h)
+    shift = np.where(
+        turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h
+    )
     for i in range(n):
         h[:, i], o[:, i] = R @ lines.h[i], R @ lines.o[i] + p
         p = p + np.einsum("mij,mj->mi", R, shift[:, i])
@@ -124,16 +139,20 @@ def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
 
 
 def targets_at(lines: Lines, extra: Extra, q: Array) -> Array:
-    """Targets (m, 4, 4) in the ground frame, in metres, that coordinates q (m, n) reach, random in what is free."""
+    """Targets (m, 4, 4) in the ground frame, in metres, that coordinates q (m, n) reach, random in
+    what is free.
+    """
     T = sweep(lines, lines.theta(q))[0] @ freed(lines, extra, len(q))
     T[:, :3, 3] = T[:, :3, 3] * lines.length + lines.origin
     return T
 
 
 def freed(lines: Lines, extra: Extra, count: int) -> Array:
-    """Random motions (count, 4, 4) in the tip's frame that the task allows: those of the free lines.
+    """Random motions (count, 4, 4) in the tip's frame that the task allows: those of the free
+    lines.
 
-    A target says nothing of what its task does not ask: its rotation or position there is any, not that of the chain.
+    A target says nothing of what its task does not ask: its rotation or position there is any, not
+    that of the chain.
     """
     rng = np.random.default_rng(13)
     M = lines.tip
@@ -179,8 +198,11 @@ def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
     h = [R[:, i] for i in (*turns, *slides)]
     k = len(kinds)
     return Extra(
-        np.array(kinds, dtype=np.int64), np.array(h).reshape(k, 3), np.tile(p, (k, 1)), np.full(k, A.FREE)
-    )  # fmt: skip
+        np.array(kinds, dtype=np.int64),
+        np.array(h).reshape(k, 3),
+        np.tile(p, (k, 1)),
+        np.full(k, A.FREE),
+    )
 
 
 def screws(extra: Extra, tip: Array) -> Array:
@@ -200,14 +222,20 @@ def screws(extra: Extra, tip: Array) -> Array:
 def spread(lines: Lines, rng: np.random.Generator, count: int) -> Array:
     """Random theta (count, n): any angle, slides of the size of the chain."""
     shape = (count, len(lines))
-    return np.where(lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, shape), rng.uniform(-np.pi, np.pi, shape))
+    return np.where(
+        lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, shape), rng.uniform(-np.pi, np.pi, shape)
+    )
 
 
 def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iterator[Extra]:
-    """Sets of lines that complete the unknown joints and the free lines to six, the best conditioned first."""
+    """Sets of lines that complete the unknown joints and the free lines to six, the best
+    conditioned first.
+    """
     count = 6 - len(unknown) - len(free.kinds)
     if count == 0:
-        yield Extra(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
+        yield Extra(
+            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64)
+        )
         return
     kinds, h, o = _pool(lines, unknown, planar)
     rng = np.random.default_rng(5)
@@ -229,7 +257,9 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
 
 
 def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, Array, Array]:
-    """Lines to choose from: turns through a point of the last axis, slides, turns through another point."""
+    """Lines to choose from: turns through a point of the last axis, slides, turns through another
+    point.
+    """
     if planar:
         R = np.eye(3)
         at = np.zeros((6, 3))
@@ -252,20 +282,27 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     if not unknown:
         return len(free.kinds)
     if lines.even is not None:
-        lines, free = lines.even, replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1)))
+        lines, free = (
+            lines.even,
+            replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1))),
+        )
     T, h, o = sweep(lines, spread(lines, np.random.default_rng(7), 4))
     X = T @ spatial.inverse(lines.tip)
     turns = np.concatenate([lines.kinds[unknown], free.kinds]) != SLIDE
     h = np.concatenate([h[:, unknown], np.einsum("mij,kj->mki", X[:, :3, :3], free.h)], axis=1)
     moved = np.einsum("mij,kj->mki", X[:, :3, :3], free.o) + X[:, None, :3, 3]
     o = np.concatenate([o[:, unknown], moved], axis=1)
-    J = np.concatenate([np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2)
+    J = np.concatenate(
+        [np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2
+    )
     J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
     values = svd(J, compute_uv=False)
     return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 
-def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None) -> ChainPlan:
+def make(
+    lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
+) -> ChainPlan:
     """The plan for a chain of which so many joints are locked that the others are not redundant.
 
     but: lines that complete it in a plan that is known; then another one is made.
@@ -285,10 +322,14 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Ex
 def in_closed_form(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
 ) -> ChainPlan | None:
-    """The plan that solves the joints that are not locked in closed form, None where there is none; see `make`."""
+    """The plan that solves the joints that are not locked in closed form, None where there is none;
+    see `make`.
+    """
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
-        raise UnsupportedError("no joint is left to move: all of the chain are held, or do nothing for this task")
+        raise UnsupportedError(
+            "no joint is left to move: all of the chain are held, or do nothing for this task"
+        )
     for extra in _completions(lines, task, unknown, planar, but):
         look()
         for way in _ways(lines, unknown, locked, extra):
@@ -298,11 +339,17 @@ def in_closed_form(
     return None
 
 
-def _completions(lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None) -> Iterator[Extra]:
-    """Lines that complete the unknown joints to six: free ones for what the task does not ask, others at rest."""
+def _completions(
+    lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None
+) -> Iterator[Extra]:
+    """Lines that complete the unknown joints to six: free ones for what the task does not ask,
+    others at rest.
+    """
     free = free_lines(lines, task, planar)
     for rest in resting(lines, free, unknown, planar):
-        extra = Extra(*(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True)))
+        extra = Extra(
+            *(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True))
+        )
         if but is None or not (np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o)):
             yield extra
 
@@ -318,7 +365,9 @@ def _by_elimination(
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     axes, _ = carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
-    elimination_score.score(axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores)
+    elimination_score.score(
+        axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores
+    )
     best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
     if not best:
         return None
@@ -350,7 +399,9 @@ def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
     return extra.kinds, extra.h, extra.o, extra.roles
 
 
-def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Strategy]:
+def _ways(
+    lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra
+) -> list[Strategy]:
     """Ways for the six lines, as they are common to two positions of the locked joints."""
     rng = np.random.default_rng(11)
     variants = list[Axes]()
@@ -364,7 +415,9 @@ def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extr
         T = sweep(lines, theta[1:])[0] @ freed(lines, extra, len(theta) - 1)
         G = T @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
         goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
-    at_rest = {i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST}
+    at_rest = {
+        i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST
+    }
     found = ways(variants, goals, at_rest)
     return [Strategy(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
 
@@ -373,7 +426,9 @@ def _tail(w: Strategy) -> tuple[int, int, int, int, int]:
     return w.inner, w.what, w.mode, w.measure, w.option
 
 
-def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array) -> tuple[Axes, Array]:
+def carried_lines(
+    lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array
+) -> tuple[Axes, Array]:
     """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
     X = np.eye(4)
     kinds = np.concatenate([lines.kinds, extra.kinds])
@@ -388,10 +443,16 @@ def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Ar
 
 
 def pack(
-    lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Strategy | None,
+    lines: Lines,
+    task: str,
+    locked: tuple[int, ...],
+    extra: Extra,
+    way: Strategy | None,
     forms: tuple[tuple[int, ...], list[int]] | None = None,
-) -> ChainPlan:  # fmt: skip
-    """The plan and its arrays (`kempe.kernels.closed_form.analytic_layout`); forms: orders and ways to eliminate."""
+) -> ChainPlan:
+    """The plan and its arrays (`kempe.kernels.closed_form.analytic_layout`); forms: orders and ways
+    to eliminate.
+    """
     n = len(lines)
     k = len(extra.kinds)
     ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
@@ -433,6 +494,20 @@ def _error(plan: ChainPlan) -> float:
         kernel(plan.ints, floats, targets_at(lines, plan.extra, q), q, q[:1], 0, out, numbers)
     else:
         counts = np.empty((TRIALS, 2), dtype=np.int64)
-        kernel_of(plan)(plan.ints, floats, targets_at(lines, plan.extra, q), q, q, 1e-9, 1e-9, 0, numbers, out, counts)
-    off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
+        kernel_of(plan)(
+            plan.ints,
+            floats,
+            targets_at(lines, plan.extra, q),
+            q,
+            q,
+            1e-9,
+            1e-9,
+            0,
+            numbers,
+            out,
+            counts,
+        )
+    off = np.where(
+        out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf
+    )
     return float(np.sort(off.min(axis=1))[int(0.8 * TRIALS)])

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 FARTHEST = 1e5
-"""Largest coordinate of `start`: beyond, an angle with its turns has lost the digits that solutions have."""
+"""Largest coordinate of `start`: beyond, an angle with its turns has lost the digits that solutions
+have."""
 
 ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
@@ -41,7 +42,9 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Targets (N, 4, 4) for a frame, with `lead` their leading shape (None for one target), and the task."""
+    """Targets (N, 4, 4) for a frame, with `lead` their leading shape (None for one target), and the
+    task.
+    """
 
     system: System
     frame: str
@@ -55,10 +58,13 @@ class Question:
     watch: Watch | None = field(default=None, repr=False, compare=False)
     """What ends the work early; None where nothing does."""
     numbers: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """Numbers of the targets in the question that these were taken from; None where it is this one."""
+    """Numbers of the targets in the question that these were taken from; None where it is this
+    one."""
 
     def stopped(self, which: Any) -> bool:
-        """Whether the time is up, which is noted of the targets `which`: a number, a slice, or an array of numbers."""
+        """Whether the time is up, which is noted of the targets `which`: a number, a slice, or an
+        array of numbers.
+        """
         if self.watch is None or not self.watch.over:
             return False
         self.watch.late[which if self.numbers is None else self.numbers[which]] = True
@@ -80,24 +86,34 @@ def within(tolerance: Any) -> float:
     number: Any = tolerance
     if isinstance(tolerance, (int, float, np.number)) and 0.0 < number < math.inf:
         return float(number)
-    raise InputError(f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians")
+    raise InputError(
+        f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians"
+    )
 
 
 def held_by(fixed: Any) -> Mapping[str, Any]:
-    """Values of held joints by name, unchecked; empty for None. Errors: `InputError` for what is no mapping."""
+    """Values of held joints by name, unchecked; empty for None. Errors: `InputError` for what is no
+    mapping.
+    """
     names: Any = fixed
     if fixed is not None and not isinstance(fixed, Mapping):
-        raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")
+        raise InputError(
+            f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name"
+        )
     return names or {}
 
 
 def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
-    """Values of joints of the chain that are held, by name. Errors: `InputError`, `UnknownNameError`."""
+    """Values of joints of the chain that are held, by name. Errors: `InputError`,
+    `UnknownNameError`.
+    """
     out: dict[str, Array] = {}
     for name, value in held_by(fixed).items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
-        out[name] = reals(value, f"the value of {name!r}, which is held,", "a number, or one for each target")
+        out[name] = reals(
+            value, f"the value of {name!r}, which is held,", "a number, or one for each target"
+        )
     return out
 
 

@@ -8,19 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST, Z_FIRST
+from kempe.kernels.closed_form.analytic_layout import (
+    AT_REST,
+    COUPLED,
+    PLANE,
+    POINT,
+    X_FIRST,
+    Z_FIRST,
+)
 from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
 EXACT = 1e-9
-"""Sine of an angle, or distance in lengths of the chain, below which axes count as parallel, or as meeting.
+"""Sine of an angle, or distance in lengths of the chain, below which axes count as parallel, or as
+meeting.
 
-Chains that are farther from a structure than this, calibrated ones say, are solved as what they are."""
+Chains that are farther from a structure than this, calibrated ones say, are solved as what they
+are."""
 
 NO_POINT = 1e-15
-"""Least part across all of some axes, squared, below which rounding leaves open in which point these meet."""
+"""Least part across all of some axes, squared, below which rounding leaves open in which point
+these meet."""
 
 TURNED_OVER = 40
 """Orders of slides among turns along their direction that are looked at."""
@@ -49,8 +59,9 @@ class Axes:
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to solve six lines in closed form: their `order`, the place `inner` of the three joints that leave `what`
-    (POINT or PLANE) in place, and how the outer three are solved: `mode`, `measure`, `option`.
+    """A way to solve six lines in closed form: their `order`, the place `inner` of the three joints
+    that leave `what` (POINT or PLANE) in place, and how the outer three are solved: `mode`,
+    `measure`, `option`.
 
     See `kempe.kernels.closed_form.arm_part`.
     """
@@ -99,7 +110,9 @@ def keeps_point(axes: Axes, k: int) -> bool:
     """Whether turns k, k + 1, k + 2 meet in a point, and can give any rotation near most positions."""
     if np.any(axes.kinds[k : k + 3] == SLIDE) or parallel(axes.h[k], axes.h[k + 1]):
         return False
-    return not parallel(axes.h[k + 1], axes.h[k + 2]) and meeting(axes, (k, k + 1, k + 2)) is not None
+    return (
+        not parallel(axes.h[k + 1], axes.h[k + 2]) and meeting(axes, (k, k + 1, k + 2)) is not None
+    )
 
 
 def keeps_plane(axes: Axes, k: int) -> bool:
@@ -110,13 +123,19 @@ def keeps_plane(axes: Axes, k: int) -> bool:
         return False
     if any(abs(float(axes.h[i] @ axes.h[turns[0]])) > EXACT for i in slides):
         return False
-    if len(slides) == 2 and axes.kinds[k + 1] == SLIDE and parallel(axes.h[slides[0]], axes.h[slides[1]]):
+    if (
+        len(slides) == 2
+        and axes.kinds[k + 1] == SLIDE
+        and parallel(axes.h[slides[0]], axes.h[slides[1]])
+    ):
         return False
     return not any(i + 1 in turns and apart(axes, i, i + 1) <= EXACT for i in turns)
 
 
 def swaps(axes: Axes, i: int) -> bool:
-    """Whether lines i and i + 1 can change places: two slides, or a slide and a turn along its direction."""
+    """Whether lines i and i + 1 can change places: two slides, or a slide and a turn along its
+    direction.
+    """
     a = axes.kinds[i]
     b = axes.kinds[i + 1]
     if a == SLIDE and b == SLIDE:
@@ -133,15 +152,20 @@ def orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
         now = [axes.ordered(order) for axes in variants]
         for i in range(n - 1):
             other = (*order[:i], order[i + 1], order[i], *order[i + 2 :])
-            if other not in seen and len(seen) < TURNED_OVER and all(swaps(axes, i) for axes in now):
+            if (
+                other not in seen
+                and len(seen) < TURNED_OVER
+                and all(swaps(axes, i) for axes in now)
+            ):
                 seen.append(other)
 
 
 def ways(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Strategy]:
     """All ways to solve six lines in closed form, the best first.
 
-    variants: the lines for several positions of locked joints, of which the structure must be common; goals: for each
-    some goals (m, 12) that can be reached; at_rest: lines that stand for no joint and must stay at zero.
+    variants: the lines for several positions of locked joints, of which the structure must be
+    common; goals: for each some goals (m, 12) that can be reached; at_rest: lines that stand for no
+    joint and must stay at zero.
     """
     found: list[tuple[int, Strategy]] = []
     for order in orders(variants):
@@ -153,12 +177,20 @@ def ways(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Stra
                     continue
                 if outer <= at_rest:
                     found.append((-1, Strategy(order, k, what, AT_REST, 0, 0)))
-                elif what == POINT or sum(now[0].kinds[(k + 3 + i) % 6] == SLIDE for i in range(3)) < 2:
-                    found += [(rank, Strategy(order, k, what, *how)) for rank, how in _outer(now, goals, k, what)]
+                elif (
+                    what == POINT
+                    or sum(now[0].kinds[(k + 3 + i) % 6] == SLIDE for i in range(3)) < 2
+                ):
+                    found += [
+                        (rank, Strategy(order, k, what, *how))
+                        for rank, how in _outer(now, goals, k, what)
+                    ]
     return [way for _, way in sorted(found, key=lambda pair: pair[0])]
 
 
-def _outer(now: list[Axes], goals: list[Array], k: int, what: int) -> Iterator[tuple[int, tuple[int, int, int]]]:
+def _outer(
+    now: list[Axes], goals: list[Array], k: int, what: int
+) -> Iterator[tuple[int, tuple[int, int, int]]]:
     """How the outer joints can be solved: (rank, (mode, measure, option)), rank 0 the best."""
     for option in (0, 1):
         size = np.zeros((2, 2, 2))  # joint x or z, measure, largest or smallest over the goals

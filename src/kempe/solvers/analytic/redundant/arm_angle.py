@@ -1,22 +1,26 @@
-"""Arms with a shoulder and a wrist: all their configurations for a pose, over the angle of the arm's plane.
+"""Arms with a shoulder and a wrist: all their configurations for a pose, over the angle of the
+arm's plane.
 
-Seven turns: three axes that meet in the shoulder point S, the elbow axis, three axes that meet in the wrist point W.
-A pose fixes W, and |SW| the elbow's angle; the arm can still turn about the line SW. The *arm angle* says how far:
+Seven turns: three axes that meet in the shoulder point S, the elbow axis, three axes that meet in
+the wrist point W. A pose fixes W, and |SW| the elbow's angle; the arm can still turn about the line
+SW. The *arm angle* says how far:
 
     E    the elbow point: the point of the elbow axis that is nearest to S
     v    the direction from S to W
     psi  the angle about v that brings the half plane through SW and `reference` to the half plane through SW and E
 
-`reference` is a direction in ground axes: that of the first joint's axis, where no other is named. For arms whose first
-axis is vertical, psi = 0 has the elbow straight above the line SW, in the vertical plane, where q3 = 0 in the usual
-designs (Kreutz-Delgado, Long and Seraji, IJRR 11(5), 1992). Singular cases: where v lies along `reference`, the x axis
-of the ground stands for it (the y axis where that lies along v too), so that psi jumps there; where the arm is
-stretched, E lies on SW, and psi is the limit that is reached from the elbow's branch "+".
+`reference` is a direction in ground axes: that of the first joint's axis, where no other is named.
+For arms whose first axis is vertical, psi = 0 has the elbow straight above the line SW, in the
+vertical plane, where q3 = 0 in the usual designs (Kreutz-Delgado, Long and Seraji, IJRR 11(5),
+1992). Singular cases: where v lies along `reference`, the x axis of the ground stands for it (the y
+axis where that lies along v too), so that psi jumps there; where the arm is stretched, E lies on
+SW, and psi is the limit that is reached from the elbow's branch "+".
 
-Shoulder and wrist are rotations that depend on psi as M0 + Mc cos(psi) + Ms sin(psi). So a joint is at a limit where a
-sum of constant, cosine and sine of psi vanishes: a quadratic equation in tan(psi/2), as Shimizu, Kakuya, Yoon, Kitagaki
-and Kosuge ("Analytical inverse kinematic computation for 7-DOF redundant manipulators with joint limits", IEEE T-RO
-24(5), 2008) found for axes at right angles. Here they may meet at any angles, and the elbow may be offset.
+Shoulder and wrist are rotations that depend on psi as M0 + Mc cos(psi) + Ms sin(psi). So a joint is
+at a limit where a sum of constant, cosine and sine of psi vanishes: a quadratic equation in
+tan(psi/2), as Shimizu, Kakuya, Yoon, Kitagaki and Kosuge ("Analytical inverse kinematic computation
+for 7-DOF redundant manipulators with joint limits", IEEE T-RO 24(5), 2008) found for axes at right
+angles. Here they may meet at any angles, and the elbow may be offset.
 """
 
 from __future__ import annotations
@@ -52,12 +56,14 @@ WRIST = (4, 5, 6)
 """Places of the joints."""
 
 BRANCHES = tuple((e, s, w) for e in (0, 1) for s in (0, 1) for w in (0, 1))
-"""Branches of elbow, shoulder and wrist: 0 where the middle joint is turned in its positive sense, counted from where
-its neighbours are closest to each other (for the elbow: the arm is longest), 1 where in its negative sense."""
+"""Branches of elbow, shoulder and wrist: 0 where the middle joint is turned in its positive sense,
+counted from where its neighbours are closest to each other (for the elbow: the arm is longest), 1
+where in its negative sense."""
 
 ALONG = 1e-9
 STRETCHED = 1e-9
-"""Sine between v and the reference, distance of E from SW in lengths of the arm, below which these are singular."""
+"""Sine between v and the reference, distance of E from SW in lengths of the arm, below which these
+are singular."""
 
 MERGED = 1e-13
 """Discriminants down to minus this are taken as zero: the two branches have merged."""
@@ -69,14 +75,17 @@ ROUNDING = 1e-14
 """Sine below which a direction lies along an axis."""
 
 AT_REACH = 4e-15
-"""Fraction of its reach by which an arm that counts as stretched, or folded, may fall short of it."""
+"""Fraction of its reach by which an arm that counts as stretched, or folded, may fall short of
+it."""
 
 TWO_PI = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm: its lines, the points S, E and W at theta = 0, the reference, and |SW|^2 = size + cosine c4 + sine s4."""
+    """An arm: its lines, the points S, E and W at theta = 0, the reference, and |SW|^2 = size +
+    cosine c4 + sine s4.
+    """
 
     lines: Lines
     shoulder: Array
@@ -100,7 +109,9 @@ class Arm:
 
 
 def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
-    """The arm that a chain is, or a sentence that says why it is none. Errors: `InputError` for the reference."""
+    """The arm that a chain is, or a sentence that says why it is none. Errors: `InputError` for the
+    reference.
+    """
     if len(lines) != 7:
         return f"it has {counted(len(lines), 'joint')}, not seven"
     if np.any(lines.kinds != TURN):
@@ -123,7 +134,16 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
     sine = 2.0 * up @ np.cross(h, out)
     if math.hypot(cosine, sine) < 1e-6:
         return "its fourth joint does not change the distance between shoulder and wrist"
-    return Arm(lines, S, E, W, _reference(lines, reference), float(up @ up + out @ out), float(cosine), float(sine))
+    return Arm(
+        lines,
+        S,
+        E,
+        W,
+        _reference(lines, reference),
+        float(up @ up + out @ out),
+        float(cosine),
+        float(sine),
+    )
 
 
 def _reference(lines: Lines, given: ArrayLike | None) -> Array:
@@ -132,7 +152,9 @@ def _reference(lines: Lines, given: ArrayLike | None) -> Array:
     z = reals(given, "reference")
     size = float(np.linalg.norm(z)) if z.shape == (3,) else math.nan
     if not (math.isfinite(size) and size > 0.0):
-        raise InputError(f"reference is {given!r}; it must be a direction, three numbers that are not all zero")
+        raise InputError(
+            f"reference is {given!r}; it must be a direction, three numbers that are not all zero"
+        )
     return z / size
 
 
@@ -164,10 +186,12 @@ def no_arm(system: System, frame: str, why: str) -> str:
 
 @explained
 def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-    """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module for what it is.
+    """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module
+    for what it is.
 
-    reference: a direction (3,) in ground axes, by default that of the first joint's axis. Errors: `UnsupportedError`
-    for chains that are not shoulder, elbow and wrist of seven joints, `InputError`.
+    reference: a direction (3,) in ground axes, by default that of the first joint's axis. Errors:
+    `UnsupportedError` for chains that are not shoulder, elbow and wrist of seven joints,
+    `InputError`.
     """
     arm = required_arm(system, system.structure.frame_name(frame), reference)
     theta = arm.lines.theta(as_q(system, q)[..., arm.lines.q_index])
@@ -187,7 +211,9 @@ def _applied(R: Array, x: Array) -> Array:
 
 
 def _directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
-    """Unit vectors (..., 3) from S to W, and across that to E, with the elbow at theta and the shoulder at rest."""
+    """Unit vectors (..., 3) from S to W, and across that to E, with the elbow at theta and the
+    shoulder at rest.
+    """
     u, e = arm.upper(theta)
     u = u / np.linalg.norm(u, axis=-1, keepdims=True)
     out = e - u * np.sum(u * e, axis=-1, keepdims=True)
@@ -202,7 +228,9 @@ def _directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
 
 
 def reference_plane(z: Array, v: Array) -> Array:
-    """The unit vector (..., 3) across v (..., 3) towards z (3,), or the ground's x or y where v lies along z."""
+    """The unit vector (..., 3) across v (..., 3) towards z (3,), or the ground's x or y where v
+    lies along z.
+    """
     out = np.zeros_like(v)
     left = np.ones(v.shape[:-1], dtype=bool)
     for other in (z, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])):
@@ -225,11 +253,13 @@ def turns(h: Array, theta: Any) -> Array:
 
 
 def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
-    """Angles (..., 2, 3) with E_a E_b E_c = R, and the discriminant (...) of the two solutions, negative for none.
+    """Angles (..., 2, 3) with E_a E_b E_c = R, and the discriminant (...) of the two solutions,
+    negative for none.
 
-    h (3, 3): the axes; R (..., 3, 3). The first has the middle angle turned in its positive sense. Where the outer axes
-    fall together the first angle is zero. Source: the problems 1 and 4 of Elias and Wen ("IK-Geo", 2022), with the
-    discriminant as Heron's formula on the sphere, which keeps its digits where the outer axes nearly fall together.
+    h (3, 3): the axes; R (..., 3, 3). The first has the middle angle turned in its positive sense.
+    Where the outer axes fall together the first angle is zero. Source: the problems 1 and 4 of
+    Elias and Wen ("IK-Geo", 2022), with the discriminant as Heron's formula on the sphere, which
+    keeps its digits where the outer axes nearly fall together.
     """
     a, b, c = h
     w = R @ c
@@ -254,7 +284,9 @@ def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
 
 
 def _onto(h: Array, u: Array, v: Array) -> Array:
-    """The angle (...) about h (3,) that brings u into the half plane of v; 0 where one of them lies along h."""
+    """The angle (...) about h (3,) that brings u into the half plane of v; 0 where one of them lies
+    along h.
+    """
     # now no digits are lost where they come close to h
     u = u - (u @ h)[..., None] * h
     v = v - (v @ h)[..., None] * h
@@ -265,7 +297,9 @@ def _onto(h: Array, u: Array, v: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """A rotation that depends on the arm angle: constant + cosine cos(psi) + sine sin(psi), each (3, 3)."""
+    """A rotation that depends on the arm angle: constant + cosine cos(psi) + sine sin(psi), each
+    (3, 3).
+    """
 
     constant: Array
     cosine: Array
@@ -290,7 +324,8 @@ class Turning:
 
 
 def events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]:
-    """Arm angles at which three joints a, b, c with E_a E_b E_c = R(psi) reach limits, or their branches merge.
+    """Arm angles at which three joints a, b, c with E_a E_b E_c = R(psi) reach limits, or their
+    branches merge.
 
     h (3, 3): the axes; limits: (joint 0 to 2, angle).
     """
@@ -323,8 +358,8 @@ class Half:
 class Posed:
     """An arm whose tip is held at a pose (4, 4): its configurations are functions of the arm angle.
 
-    `halves` has the ways to bend the elbow, with their place 0 or 1: two, one where the arm is stretched or folded, or
-    none where the pose is out of reach.
+    `halves` has the ways to bend the elbow, with their place 0 or 1: two, one where the arm is
+    stretched or folded, or none where the pose is out of reach.
     """
 
     def __init__(self, arm: Arm, target: Array):
@@ -345,7 +380,9 @@ class Posed:
             v = to / self.distance
             across = reference_plane(arm.reference, v)
             frame = np.stack([v, across, np.cross(v, across)], axis=1)
-            self.halves = [(i, _half(arm, goal, frame, arm.stretched + s * half)) for i, s in enumerate(signs)]
+            self.halves = [
+                (i, _half(arm, goal, frame, arm.stretched + s * half)) for i, s in enumerate(signs)
+            ]
 
     def theta(self, psi: Array) -> tuple[Array, np.ndarray]:
         """Variables (m, 8, 7) of the branches at arm angles psi (m,), and which are there (m, 8)."""
@@ -365,7 +402,8 @@ class Posed:
         return out, found
 
     def intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
-        """For each branch, intervals of the arm angle in which it exists, and is inside the limits if `limited`.
+        """For each branch, intervals of the arm angle in which it exists, and is inside the limits
+        if `limited`.
 
         low is in [-pi, pi), high may be beyond pi; (-pi, pi) is the whole circle.
         """
@@ -387,14 +425,20 @@ class Posed:
         for places, R in ((SHOULDER, half.shoulder), (WRIST, half.wrist)):
             limits: list[tuple[int, float]] = []
             for j, i in enumerate(places):
-                ends = lines.theta(np.broadcast_to(lines.limits[:, i, None], (2, 7)))[:, i] if limited else ()
+                ends = (
+                    lines.theta(np.broadcast_to(lines.limits[:, i, None], (2, 7)))[:, i]
+                    if limited
+                    else ()
+                )
                 limits += [(j, float(x)) for x in ends if math.isfinite(x)]
             found += events(lines.h[list(places)], R, limits)
         return arcs(found)
 
 
 def _half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
-    """What shoulder and wrist have to be, with the elbow at theta; columns of frame: v, the reference, the third."""
+    """What shoulder and wrist have to be, with the elbow at theta; columns of frame: v, the
+    reference, the third.
+    """
     u, e = _directions(arm, np.array(theta))
     back = np.stack([u, e, np.cross(u, e)])  # rows: the transposed frame of the upper arm
     v, x, y = frame.T
@@ -409,12 +453,16 @@ def inside(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
     q = (theta - lines.offset) / lines.multiplier
     low, high = lines.limits
     period = TWO_PI / np.abs(lines.multiplier)
-    turned = low + np.mod(q - low, period) if np.isfinite(low).all() else _lifted(q, low, high, period)
+    turned = (
+        low + np.mod(q - low, period) if np.isfinite(low).all() else _lifted(q, low, high, period)
+    )
     return np.all((turned <= high + slack) | (turned - period >= low - slack), axis=-1)
 
 
 def _lifted(q: Array, low: Array, high: Array, period: Array) -> Array:
-    """q with whole turns added to be just above the lower limit, or just below the upper where there is no lower."""
+    """q with whole turns added to be just above the lower limit, or just below the upper where
+    there is no lower.
+    """
     with np.errstate(invalid="ignore"):
         above = low + np.mod(q - low, period)
         below = high - np.mod(high - q, period)

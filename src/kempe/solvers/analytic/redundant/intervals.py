@@ -13,7 +13,9 @@ TWO_PI = 2.0 * math.pi
 
 
 def arcs(angles: list[float]) -> list[tuple[float, float]]:
-    """Arcs (low, high) between angles on the circle, low in [-pi, pi); the whole circle where there are none."""
+    """Arcs (low, high) between angles on the circle, low in [-pi, pi); the whole circle where there
+    are none.
+    """
     at: list[float] = []
     for x in sorted(math.remainder(a, TWO_PI) for a in angles):
         if not at or x - at[-1] > SAME_ANGLE:

@@ -1,4 +1,6 @@
-"""The inverse model of a chain with one freedom to spare: its solutions as functions of a parameter."""
+"""The inverse model of a chain with one freedom to spare: its solutions as functions of a
+parameter.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.choice import domains
 from kempe.solvers.analytic.plans.question import held, near_of
-from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
+from kempe.solvers.analytic.redundant.arm_angle import (
+    BRANCHES,
+    ELBOW,
+    Arm,
+    Posed,
+    find_arm,
+    no_arm,
+    required_arm,
+)
 from kempe.solvers.analytic.redundant.sweep import Sweep
 from kempe.solvers.analytic.redundant.sweep_curves import ChainMotion, CurvePiece
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
@@ -47,29 +57,41 @@ ARM_ANGLE = "arm_angle"
 
 SAMPLES = 256
 MOST_SAMPLES = 10_000_000
-"""Values of a joint at which all solutions are requested, as starts of the curves between: usually, and at most."""
+"""Values of a joint at which all solutions are requested, as starts of the curves between: usually,
+and at most."""
 USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
 
 
 @explained
 @time_limited(USUAL)
 def ik_sweep(
-    system: System, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
-    n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
-    fixed: Mapping[str, Any] | None = None, budget: Budget | None = None,
-) -> Sweep:  # fmt: skip
-    """The solutions of a redundant chain for one target, over a parameter, and where they are inside the limits.
+    system: System,
+    target: ArrayLike,
+    frame: FrameLike,
+    parameter: str | tuple[str, ArrayLike] | None = None,
+    *,
+    n: int | None = None,
+    task: str | tuple[str, ArrayLike] | None = None,
+    start: Any = None,
+    fixed: Mapping[str, Any] | None = None,
+    budget: Budget | None = None,
+) -> Sweep:
+    """The solutions of a redundant chain for one target, over a parameter, and where they are
+    inside the limits.
 
-    `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first three axes meet, and
-    the last three (`kempe.solvers.analytic.redundant.arm_angle` says what it is; a pair ("arm_angle", reference) names
-    its reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`.
-    Where there is more than one freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,),
-    which also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n`
-    asks for samples at so many values. Of the `budget` are read: points (256), the values of a joint at which curves
-    are looked for, and time_limit (30 s): where it ends the work, `late` is true, and the branches are those found.
+    `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first
+    three axes meet, and the last three (`kempe.solvers.analytic.redundant.arm_angle` says what it
+    is; a pair ("arm_angle", reference) names its reference); by default that, and else the joint
+    that `ik_all` holds. `target` and `task` are as in `ik_all`. Where there is more than one
+    freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which
+    also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the
+    limits. `n` asks for samples at so many values. Of the `budget` are read: points (256), the
+    values of a joint at which curves are looked for, and time_limit (30 s): where it ends the work,
+    `late` is true, and the branches are those found.
 
-    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is requested,
-    `InputError`, `UnknownNameError`, `TimeLimitError` where no branch could be looked for by then.
+    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where
+    that is requested, `InputError`, `UnknownNameError`, `TimeLimitError` where no branch could be
+    looked for by then.
 
     >>> import kempe
     >>> robot = kempe.load("iiwa14")
@@ -84,7 +106,9 @@ def ik_sweep(
     said, axis = task_and_axis(task)
     with_reference = isinstance(parameter, (tuple, list))
     if with_reference and len(parameter) != 2:
-        raise InputError(f"the parameter is {shown(parameter)}; it must be a name, or a name and a direction")
+        raise InputError(
+            f"the parameter is {shown(parameter)}; it must be a name, or a name and a direction"
+        )
     parameter, reference = parameter if with_reference else (parameter, None)
     _count(USUAL.of(budget).points)
     direction = axis_for(axis, said)
@@ -99,16 +123,32 @@ def ik_sweep(
     near = system.neutral[None] if given_near is None else given_near
     lines = chain_lines(system, name, Z_AXIS)
     base = inside(system, near.copy())[0]
-    base[lines.q_index] = near[0, lines.q_index]  # which chooses among turns, also from outside the limits
+    base[lines.q_index] = near[
+        0, lines.q_index
+    ]  # which chooses among turns, also from outside the limits
     if task != "position" and system.dim == 3:
         _refuse_no_rotation(targets[0, :3, :3])
     given = held(name, lines.names, fixed)
     if any(v.ndim for v in given.values()):
         raise InputError("a sweep holds joints at single numbers")
-    options = {"parameter": parameter, "reference": reference, "base": base,
-               "n": None if n is None else _count(n), "given": reals(target, "target")}  # fmt: skip
-    problem = Problem(system, "set", given, start, budget=budget, options=options, frame=name, task=(task, direction),
-                      targets=targets)  # fmt: skip
+    options = {
+        "parameter": parameter,
+        "reference": reference,
+        "base": base,
+        "n": None if n is None else _count(n),
+        "given": reals(target, "target"),
+    }
+    problem = Problem(
+        system,
+        "set",
+        given,
+        start,
+        budget=budget,
+        options=options,
+        frame=name,
+        task=(task, direction),
+        targets=targets,
+    )
     solver, choice = choose(SOLVERS, system, name, task, tuple(given), parameter, reference)
     return chosen_by(solver.run(problem), choice)
 
@@ -118,7 +158,7 @@ def ik_sweep(
 
 def _no_arm(
     system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
-) -> str | None:  # fmt: skip
+) -> str | None:
     joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
     if parameter not in (None, ARM_ANGLE):
         return f"joint {parameter!r} is named as the parameter"
@@ -130,7 +170,7 @@ def _no_arm(
 
 def _no_joint(
     system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
-) -> str | None:  # fmt: skip
+) -> str | None:
     return "the arm angle is requested" if parameter == ARM_ANGLE else None
 
 
@@ -145,14 +185,25 @@ def by_joint(problem: Problem) -> Sweep:
     """The branches over a joint, from solutions at many of its values."""
     over = _sweep_problem(problem)
     points = _count(USUAL.of(problem.budget).points)
-    return _sweep(over, _joint_curves(over, problem.options["parameter"], points), problem.options["n"])
+    return _sweep(
+        over, _joint_curves(over, problem.options["parameter"], points), problem.options["n"]
+    )
 
 
 SOLVERS = (
-    Solver("arm angle", "both sides of shoulder, elbow and wrist over the angle of the arm's plane", _no_arm,
-           by_arm_angle),
-    Solver("joint", "all solutions at many values of a joint, and the curves through them", _no_joint, by_joint),
-)  # fmt: skip
+    Solver(
+        "arm angle",
+        "both sides of shoulder, elbow and wrist over the angle of the arm's plane",
+        _no_arm,
+        by_arm_angle,
+    ),
+    Solver(
+        "joint",
+        "all solutions at many values of a joint, and the curves through them",
+        _no_joint,
+        by_joint,
+    ),
+)
 """Who answers for the solutions over a parameter."""
 
 
@@ -160,8 +211,19 @@ def _sweep_problem(problem: Problem) -> SweepProblem:
     (task, axis) = problem.task
     given = problem.options["given"]
     lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
-    return SweepProblem(problem.system, str(problem.frame), lines, task, axis, problem.targets[0], given,
-                 problem.options["base"], dict(problem.known), problem.start is None, time_of(USUAL))  # fmt: skip
+    return SweepProblem(
+        problem.system,
+        str(problem.frame),
+        lines,
+        task,
+        axis,
+        problem.targets[0],
+        given,
+        problem.options["base"],
+        dict(problem.known),
+        problem.start is None,
+        time_of(USUAL),
+    )
 
 
 def _refuse_no_rotation(R: Array) -> None:
@@ -170,7 +232,9 @@ def _refuse_no_rotation(R: Array) -> None:
 
 def _count(n: object) -> int:
     if not is_whole(n) or not 2 <= n <= MOST_SAMPLES:
-        raise InputError(f"the number of samples is {n!r}; it must be a whole number from 2 to {MOST_SAMPLES}")
+        raise InputError(
+            f"the number of samples is {n!r}; it must be a whole number from 2 to {MOST_SAMPLES}"
+        )
     return int(n)
 
 
@@ -196,9 +260,13 @@ class SweepProblem:
         return plan_for(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
 
     def place(self) -> Array:
-        """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or on target."""
+        """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or
+        on target.
+        """
         if self.anywhere:
-            found = ik_all(self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed)
+            found = ik_all(
+                self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed
+            )
             if found:
                 return found.q[0]
         q = self.near.copy()
@@ -206,14 +274,23 @@ class SweepProblem:
         q[at] = np.clip(q[at], *self.lines.limits)
         return q
 
-    def all_at(self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None) -> Any:
+    def all_at(
+        self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None
+    ) -> Any:
         """`ik_all` with a joint held at values () or (m,), in the `time` that is left."""
         budget = None if time is None or time.left is None else Budget(time_limit=SHARE * time.left)
         m = (len(values),) if values.ndim else ()
         target = np.broadcast_to(self.given, (*m, *self.given.shape))
         near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
-        return ik_all(self.system, target, self.frame, near, task=(self.task, self.axis),
-                      fixed={**fixed, name: values}, budget=budget)  # fmt: skip
+        return ik_all(
+            self.system,
+            target,
+            self.frame,
+            near,
+            task=(self.task, self.axis),
+            fixed={**fixed, name: values},
+            budget=budget,
+        )
 
 
 def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
@@ -221,10 +298,25 @@ def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -
     rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
     none = np.zeros((0, len(curves.labels)), dtype=bool)
     sweep = Sweep(
-        over.system, over.frame, curves.parameter, over.task, over.target, curves.held, curves.domain,
-        curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, over.system.nq)), none, none,
-        curves, curves.base, None if curves.exact else partial(over.all_at, curves.parameter, fixed=curves.held),
-    )  # fmt: skip
+        over.system,
+        over.frame,
+        curves.parameter,
+        over.task,
+        over.target,
+        curves.held,
+        curves.domain,
+        curves.labels,
+        rows,
+        spans,
+        curves.exact,
+        np.zeros(0),
+        np.zeros((*none.shape, over.system.nq)),
+        none,
+        none,
+        curves,
+        curves.base,
+        None if curves.exact else partial(over.all_at, curves.parameter, fixed=curves.held),
+    )
     if n is None:
         return sweep
     values = np.linspace(*curves.domain, n)
@@ -256,16 +348,22 @@ class ArmCurves:
         self.held: dict[str, float] = {}
         names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
         self.labels = tuple(
-            " ".join(n + ("+", "-")[side] for n, side in zip(names, (s, e, w), strict=True)) for e, s, w in BRANCHES
+            " ".join(n + ("+", "-")[side] for n, side in zip(names, (s, e, w), strict=True))
+            for e, s, w in BRANCHES
         )
-        self.reason = f"the wrist would have to be {self.posed.distance * arm.lines.length:.6g} m from the shoulder"
+        self.reason = (
+            f"the wrist would have to be {self.posed.distance * arm.lines.length:.6g} m from the "
+            "shoulder"
+        )
 
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
         return self.posed.intervals(limited)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
-        """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one branch."""
+        """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one
+        branch.
+        """
         theta, found = self.posed.theta(values)
         if branch is not None:
             theta = theta[:, [branch]]
@@ -279,8 +377,16 @@ class JointCurves:
     exact = False
     circular = False
 
-    def __init__(self, motion: ChainMotion, arcs: list[CurvePiece], name: str, domain: tuple[float, float],
-                 fixed: dict[str, float], samples: int, late: bool):  # fmt: skip
+    def __init__(
+        self,
+        motion: ChainMotion,
+        arcs: list[CurvePiece],
+        name: str,
+        domain: tuple[float, float],
+        fixed: dict[str, float],
+        samples: int,
+        late: bool,
+    ):
         self.late = late
         self.motion = motion
         self.arcs = arcs
@@ -291,11 +397,16 @@ class JointCurves:
         self.base = motion.base
         self.unit = float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
-        self.reason = f"none of {counted(samples, 'value')} has one; it may be that the target alone decides it"
+        self.reason = (
+            f"none of {counted(samples, 'value')} has one; it may be that the target alone decides "
+            "it"
+        )
 
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
-        return [[(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs]
+        return [
+            [(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs
+        ]
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, K, n), and which branches are there (m, K); of one branch K = 1."""
@@ -311,16 +422,21 @@ class JointCurves:
 
 
 def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
-    """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to spare."""
+    """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to
+    spare.
+    """
     lines = over.lines
     if parameter is not None and parameter not in lines.names:
-        raise UnknownNameError("joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {over.frame!r}")
+        raise UnknownNameError(
+            "joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {over.frame!r}"
+        )
     if parameter in over.fixed:
         raise InputError(f"{parameter} is fixed; the parameter must be free")
     locked = _locked(over, parameter)
     if not locked:
         raise UnsupportedError(
-            f"the chain of {over.frame!r} has no freedom to spare for {_article(over.task)}: ask `ik_all`"
+            f"the chain of {over.frame!r} has no freedom to spare for {_article(over.task)}: ask "
+            "`ik_all`"
         )
     name = locked[0] if parameter is None else parameter
     others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
@@ -340,9 +456,13 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
     base = over.near.copy()
     for other, value in others.items():
         base[lines.q_index[lines.names.index(other)]] = value
-    motion = ChainMotion(over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i))
+    motion = ChainMotion(
+        over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i)
+    )
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
-    arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level, over.time)
+    arcs = arcs_through(
+        motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level, over.time
+    )
     late = missed > 0 or over.time.spent
     return JointCurves(motion, arcs, name, domain, others, len(values) - missed, late)
 
@@ -352,7 +472,9 @@ def _article(task: str) -> str:
 
 
 def _locked(over: SweepProblem, parameter: str | None) -> list[str]:
-    """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no freedom to spare."""
+    """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no
+    freedom to spare.
+    """
     fixed = dict(over.fixed)
     if parameter is not None:
         fixed[parameter] = np.zeros(())

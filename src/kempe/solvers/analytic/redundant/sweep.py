@@ -1,4 +1,6 @@
-"""`Sweep`: the answer of `ik_sweep`, the solutions of a redundant chain as functions of a parameter."""
+"""`Sweep`: the answer of `ik_sweep`, the solutions of a redundant chain as functions of a
+parameter.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,8 @@ SAME = 1e-6
 
 TRIES = 201
 REFINED = 4
-"""Configurations of each interval that are compared, and how many of the best of these are refined."""
+"""Configurations of each interval that are compared, and how many of the best of these are
+refined."""
 
 LATE = "the time limit ended the search: there may be more"
 """What is added where branches may be missing."""
@@ -69,7 +72,9 @@ class Curves(Protocol):
         ...
 
     def rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
-        """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one branch K = 1."""
+        """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one
+        branch K = 1.
+        """
         ...
 
 
@@ -87,9 +92,9 @@ class Best(NamedTuple):
 class Slice(ConfigurationList, Answer):
     """All solutions at one value of the parameter of a `sweep`, or at each of many.
 
-    For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position error [m] and
-    orientation error [rad] by the forward model) and `branch` (k,). For values (m,): `q` (m, K, nq) with a row for each
-    branch, NaN where `mask` (m, K) is False, the others (m, K).
+    For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position
+    error [m] and orientation error [rad] by the forward model) and `branch` (k,). For values (m,):
+    `q` (m, K, nq) with a row for each branch, NaN where `mask` (m, K) is False, the others (m, K).
     """
 
     __repr__ = brief
@@ -128,27 +133,44 @@ class Slice(ConfigurationList, Answer):
         count = int(self.mask[index].sum())
         good = int(self.inside[index].sum())
         value = float(np.asarray(self.value)[index])
-        return f"{counted(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} inside limits"
+        return (
+            f"{counted(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} inside "
+            "limits"
+        )
 
 
 @explained_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Answer):
-    """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or "arm_angle".
+    """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or
+    "arm_angle".
 
-    `intervals` has, for each branch, the intervals (low, high) of the parameter in which its solution is inside the
-    limits; `spans` those in which it exists at all; `feasible` is the union of `intervals`. Arm angles: low is in
-    [-pi, pi), and high is beyond pi where the interval passes it. `exact`: the intervals are in closed form and
-    complete; else they are found from solutions at many values, their ends to 1e-10, and pieces between two of these
-    values may be missing. `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
+    `intervals` has, for each branch, the intervals (low, high) of the parameter in which its
+    solution is inside the limits; `spans` those in which it exists at all; `feasible` is the union
+    of `intervals`. Arm angles: low is in [-pi, pi), and high is beyond pi where the interval passes
+    it. `exact`: the intervals are in closed form and complete; else they are found from solutions
+    at many values, their ends to 1e-10, and pieces between two of these values may be missing.
+    `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
 
-    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were requested: each row is one
-    branch, continuous inside its intervals, NaN where `mask` is False. `at` gives all solutions at any value, `best`
-    the best.
+    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were requested:
+    each row is one branch, continuous inside its intervals, NaN where `mask` is False. `at` gives
+    all solutions at any value, `best` the best.
     """
 
-    also = ("frame", "parameter", "task", "held", "domain", "labels", "intervals", "spans", "feasible", "exact",
-            "values", "inside")  # fmt: skip
+    also = (
+        "frame",
+        "parameter",
+        "task",
+        "held",
+        "domain",
+        "labels",
+        "intervals",
+        "spans",
+        "feasible",
+        "exact",
+        "values",
+        "inside",
+    )
 
     system: System
     frame: str
@@ -170,10 +192,14 @@ class Sweep(Answer):
     ask: Callable[[Array], Any] | None
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns for a file: a row a sample and branch inside the limits, with the parameter's value."""
+        """Names and columns for a file: a row a sample and branch inside the limits, with the
+        parameter's value.
+        """
         row, branch = np.nonzero(self.inside)
         first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]
-        return ["value", "branch", *self.system.coordinate_names], np.column_stack([*first, self.q[row, branch]])
+        return ["value", "branch", *self.system.coordinate_names], np.column_stack(
+            [*first, self.q[row, branch]]
+        )
 
     @property
     def feasible(self) -> Intervals:
@@ -181,20 +207,25 @@ class Sweep(Answer):
         return union([i for rows in self.intervals for i in rows], self.curves.circular)
 
     def at(self, value: ArrayLike) -> Any:
-        """All solutions at a value of the parameter, a `Slice`, or for joints `Solutions` of `ik_all`; (m,) for many.
+        """All solutions at a value of the parameter, a `Slice`, or for joints `Solutions` of
+        `ik_all`; (m,) for many.
 
         Errors: `InputError` for values that are not finite.
         """
         x = reals(value, "value", "a finite number, or an array (m,) of them")
         if x.ndim > 1 or not np.isfinite(x).all():
-            raise InputError(f"value is {value!r}; it must be a finite number, or an array (m,) of them")
+            raise InputError(
+                f"value is {value!r}; it must be a finite number, or an array (m,) of them"
+            )
         return self.ask(x) if self.ask is not None else self._slice(x)
 
     def _slice(self, x: Array) -> Slice:
         q, mask, fits = self._sampled(np.atleast_1d(x), False)
         X = fk(self.system, np.where(mask[..., None], q, self.near), self.frame)
         turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.target[:3, :3])
-        error = np.linalg.norm(np.concatenate([X[..., :3, 3] - self.target[:3, 3], turn], axis=-1), axis=-1)
+        error = np.linalg.norm(
+            np.concatenate([X[..., :3, 3] - self.target[:3, 3], turn], axis=-1), axis=-1
+        )
         error = np.where(mask, error, np.nan)
         branch = np.where(mask, np.arange(mask.shape[1], dtype=np.int64), -1)
         if x.ndim:
@@ -202,10 +233,22 @@ class Sweep(Answer):
         keep = distinct(self.curves.lines, self.system, q[0], mask[0])
         score = np.linalg.norm((q[0] - self.near)[keep], axis=-1)
         keep = keep[np.lexsort((score, ~fits[0, keep]))]
-        return Slice(self, float(x), q[0, keep], mask[0, keep], fits[0, keep], error[0, keep], branch[0, keep])
+        return Slice(
+            self,
+            float(x),
+            q[0, keep],
+            mask[0, keep],
+            fits[0, keep],
+            error[0, keep],
+            branch[0, keep],
+        )
 
-    def _sampled(self, values: Array, along: bool, branch: int | None = None) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one branch K = 1."""
+    def _sampled(
+        self, values: Array, along: bool, branch: int | None = None
+    ) -> tuple[Array, np.ndarray, np.ndarray]:
+        """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one
+        branch K = 1.
+        """
         lines = self.curves.lines
         rows: list[tuple[Array, np.ndarray]] = []
         for k in range(0, max(len(values), 1), PIECE):
@@ -223,9 +266,10 @@ class Sweep(Answer):
     def best(self, objective: str | Callable[[Array], Array] = "limits") -> Best | None:
         """The best configuration inside the limits, over all branches; None where there is none.
 
-        objective: "limits" (the share of its range by which the joint nearest to a limit is away from it, at most 1),
-        "near" (minus the distance to `near`), or a function of configurations (m, nq) that gives numbers (m,), the
-        larger the better. Method: many values in each interval, the best refined by smaller and smaller steps.
+        objective: "limits" (the share of its range by which the joint nearest to a limit is away
+        from it, at most 1), "near" (minus the distance to `near`), or a function of configurations
+        (m, nq) that gives numbers (m,), the larger the better. Method: many values in each
+        interval, the best refined by smaller and smaller steps.
         """
         score = self._objective(objective)
         found: list[Best] = []
@@ -239,7 +283,9 @@ class Sweep(Answer):
         found = sorted(found, key=lambda b: -b.score)[:REFINED]
         return max((self._refined(score, b) for b in found), key=lambda b: b.score)
 
-    def _best_of(self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None) -> Best | None:
+    def _best_of(
+        self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None
+    ) -> Best | None:
         """The best of one branch at these values, or `best` where that is better."""
         q, mask, fits = self._sampled(values, False, branch)
         rows = np.flatnonzero((mask & fits)[:, 0])
@@ -247,7 +293,10 @@ class Sweep(Answer):
             return best
         scores = reals(score(q[rows, 0]), "the score")
         if scores.shape != rows.shape:
-            raise InputError(f"the objective gives an array {scores.shape} for {counted(len(rows), 'configuration')}")
+            raise InputError(
+                f"the objective gives an array {scores.shape} for "
+                f"{counted(len(rows), 'configuration')}"
+            )
         k = int(np.argmax(scores))
         if best is not None and scores[k] <= best.score:
             return best
@@ -269,7 +318,10 @@ class Sweep(Answer):
         if objective == "near":
             return lambda q: -np.linalg.norm(q - self.near, axis=-1)
         if objective != "limits":
-            raise InputError(f"objective is {objective!r}; it must be 'limits', 'near' or a function of configurations")
+            raise InputError(
+                f"objective is {objective!r}; it must be 'limits', 'near' or a function of "
+                "configurations"
+            )
         (low, high) = lines.limits
         at = lines.q_index
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
@@ -289,7 +341,9 @@ class Sweep(Answer):
 
     @property
     def late(self) -> bool:
-        """Whether the time limit ended the search for branches, of which there may be more, or the sampling."""
+        """Whether the time limit ended the search for branches, of which there may be more, or the
+        sampling.
+        """
         return self.curves.late
 
     @property
@@ -299,10 +353,18 @@ class Sweep(Answer):
             return Status.SOLVED
         if self.late and not self.exact:
             return Status.OUT_OF_TIME
-        return Status.NOT_FOUND if not self.exact else Status.OUTSIDE_LIMITS if any(self.spans) else Status.NONE_EXISTS
+        return (
+            Status.NOT_FOUND
+            if not self.exact
+            else Status.OUTSIDE_LIMITS
+            if any(self.spans)
+            else Status.NONE_EXISTS
+        )
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        made = () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
+        made = (
+            () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
+        )
         return [(task_of(c, self.system.dim), None, HOLDS) for c in made]
 
     def _claimed(self) -> np.ndarray:
@@ -321,7 +383,10 @@ class Sweep(Answer):
         return f"no solution for any {self.parameter}: {self.curves.reason}"
 
     def __repr__(self) -> str:
-        return f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, feasible=[{spelled(self.feasible)}])"
+        return (
+            f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, "
+            f"feasible=[{spelled(self.feasible)}])"
+        )
 
     def _headline(self) -> str:
         return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"
@@ -338,14 +403,19 @@ class Sweep(Answer):
         for label, rows in zip(self.labels, self.intervals, strict=True):
             if rows:
                 lines.append(f"{label}: {spelled(rows)}")
-        outside = sum(1 for rows, spans in zip(self.intervals, self.spans, strict=True) if spans and not rows)
+        outside = sum(
+            1 for rows, spans in zip(self.intervals, self.spans, strict=True) if spans and not rows
+        )
         if outside and self:
             lines.append(f"{outside} more branch{'' if outside == 1 else 'es'} outside the limits")
         return lines
 
 
-def turned(lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool) -> tuple[Array, np.ndarray]:
-    """Coordinates (m, K, n) with turns chosen, inside the limits and nearest to `near` (n,), and whether they fit.
+def turned(
+    lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool
+) -> tuple[Array, np.ndarray]:
+    """Coordinates (m, K, n) with turns chosen, inside the limits and nearest to `near` (n,), and
+    whether they fit.
 
     `along`: nearest to the row before, where there is one.
     """
@@ -369,7 +439,9 @@ def _turned(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, 
         best = np.where(np.isfinite(period), q + period * np.round((near - q) / period), q)
         over = np.where(np.isfinite(period), period * np.ceil((best - high - EDGE) / period), 0.0)
         under = np.where(np.isfinite(period), period * np.ceil((low - EDGE - best) / period), 0.0)
-        other = np.where(best > high + EDGE, best - over, np.where(best < low - EDGE, best + under, best))
+        other = np.where(
+            best > high + EDGE, best - over, np.where(best < low - EDGE, best + under, best)
+        )
         fits = (other >= low - EDGE) & (other <= high + EDGE)
         return np.where(fits, np.clip(other, low, high), best), fits.all(axis=-1)
 

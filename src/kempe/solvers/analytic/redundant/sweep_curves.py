@@ -1,9 +1,11 @@
-"""The motions of a chain that leave its task as it is, where one freedom is left: curves, cut into arcs over a joint.
+"""The motions of a chain that leave its task as it is, where one freedom is left: curves, cut into
+arcs over a joint.
 
-Each curve is followed by predictor and corrector from solutions at many values of the parameter, so that its *folds*,
-where the parameter turns back and two solutions merge, and the places where joints reach limits, are found on the curve
-itself (Burdick, "On the inverse kinematics of redundant manipulators: characterization of the self-motion manifolds",
-ICRA 1989). A curve that lives between two of the values is missed: hence "not exact", however small the errors are.
+Each curve is followed by predictor and corrector from solutions at many values of the parameter, so
+that its *folds*, where the parameter turns back and two solutions merge, and the places where
+joints reach limits, are found on the curve itself (Burdick, "On the inverse kinematics of redundant
+manipulators: characterization of the self-motion manifolds", ICRA 1989). A curve that lives between
+two of the values is missed: hence "not exact", however small the errors are.
 """
 
 from __future__ import annotations
@@ -37,15 +39,18 @@ HELD = 1e-11
 """Error of a configuration that is corrected no further, and of one that is taken for good."""
 
 CHECKS = np.linspace(0.0, 1.0, 6)
-"""Places in a step where folds and limits are looked for: a pair of them closer than that is missed."""
+"""Places in a step where folds and limits are looked for: a pair of them closer than that is
+missed."""
 
 TWO_PI = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
 class ChainMotion(Curve):
-    """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move, that at `p` of these
-    is the parameter, the others stay as in `base` (nq,). x are the free coordinates, slides in lengths of the chain."""
+    """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move,
+    that at `p` of these is the parameter, the others stay as in `base` (nq,). x are the free
+    coordinates, slides in lengths of the chain.
+    """
 
     system: System
     frame: str
@@ -72,7 +77,9 @@ class ChainMotion(Curve):
     def period(self) -> Array:
         """After how much of x (nf,) a joint is as before; infinite for slides."""
         free = list(self.free)
-        return np.where(self.lines.kinds[free] == SLIDE, np.inf, TWO_PI / np.abs(self.lines.multiplier[free]))
+        return np.where(
+            self.lines.kinds[free] == SLIDE, np.inf, TWO_PI / np.abs(self.lines.multiplier[free])
+        )
 
     @property
     def limits(self) -> Array:
@@ -91,7 +98,9 @@ class ChainMotion(Curve):
 
     @property
     def tool(self) -> Array:
-        """The rotation (3, 3) from the frame to one whose z axis is the tool's axis, where the task reads that."""
+        """The rotation (3, 3) from the frame to one whose z axis is the tool's axis, where the task
+        reads that.
+        """
         return frame_of(np.array(self.axis)) if points_along(self.task) else np.eye(3)
 
     @property
@@ -101,17 +110,23 @@ class ChainMotion(Curve):
         return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
 
     def missing(self, q: Array) -> Array:
-        """The twist (..., 6) from the tip to the target, in the tip's frame, lengths in those of the chain.
+        """The twist (..., 6) from the tip to the target, in the tip's frame, lengths in those of
+        the chain.
 
         What the task does not ask for is zero.
         """
         X = fk(self.system, q, self.frame)
         turn = self.tool
         back = np.swapaxes(X[..., :3, :3] @ turn, -1, -2)
-        away = np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3]) / self.lines.length
+        away = (
+            np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3])
+            / self.lines.length
+        )
         left = back @ (self.target[:3, :3] @ turn)
         if points_along(self.task):
-            angular = np.stack([-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1)
+            angular = np.stack(
+                [-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1
+            )
         else:
             angular = rotation_vector(left)
         return self.rows * np.concatenate([away, angular], axis=-1)
@@ -120,7 +135,9 @@ class ChainMotion(Curve):
         """The twist (..., 6, nf) of the tip by x, as in `missing`."""
         J = jacobian(self.system, self.q(x), self.frame, "body")
         J = J[..., self.lines.v_index[list(self.free)]] * self.unit
-        J = np.concatenate([self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2)
+        J = np.concatenate(
+            [self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2
+        )
         return self.rows[:, None] * J
 
     def both(self, x: Array) -> tuple[Array, Array]:
@@ -136,7 +153,9 @@ class ChainMotion(Curve):
         return HELD
 
     def closed(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
-        """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and whether found (m,)."""
+        """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and
+        whether found (m,).
+        """
         at = np.sum(across * x, axis=-1)
 
         def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
@@ -156,7 +175,9 @@ class ChainMotion(Curve):
             return np.where(np.isfinite(period), d - period * np.round(d / period), d)
 
     def inside(self, x: Array) -> np.ndarray:
-        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked at."""
+        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked
+        at.
+        """
         (low, high) = self.limits
         period = self.period
         with np.errstate(invalid="ignore"):
@@ -170,7 +191,9 @@ class ChainMotion(Curve):
 
 @dataclass(frozen=True, eq=False)
 class CurvePiece:
-    """A piece of a curve over which the parameter rises: nodes x (k, nf) and unit tangents t (k, nf)."""
+    """A piece of a curve over which the parameter rises: nodes x (k, nf) and unit tangents t (k,
+    nf).
+    """
 
     motion: ChainMotion
     x: Array
@@ -224,7 +247,9 @@ class CurvePiece:
         return out, there
 
     def intervals(self, limited: bool = True) -> list[tuple[float, float]]:
-        """Intervals of the parameter in which the arc is inside the limits; all of it where not `limited`."""
+        """Intervals of the parameter in which the arc is inside the limits; all of it where not
+        `limited`.
+        """
         if not limited:
             return [(float(self.values[0]), float(self.values[-1]))]
         last = len(self.x) - 1
@@ -242,7 +267,9 @@ class CurvePiece:
         return out
 
     def _crossings(self) -> Iterator[tuple[float, float]]:
-        """Places (step and fraction of it) where a joint other than the parameter passes a limit, and the parameter."""
+        """Places (step and fraction of it) where a joint other than the parameter passes a limit,
+        and the parameter.
+        """
         m = self.motion
         steps = len(self.x) - 1
         k = np.repeat(np.arange(steps), len(CHECKS))
@@ -256,7 +283,9 @@ class CurvePiece:
                 lap = np.floor((some[..., j] - limit) / period)
                 for k, i in zip(*np.nonzero(lap[:, 1:] != lap[:, :-1]), strict=True):
                     lifted = max(lap[k, i], lap[k, i + 1])
-                    found.append((int(k), int(i), j, float(limit + period * lifted if lifted else limit)))
+                    found.append(
+                        (int(k), int(i), j, float(limit + period * lifted if lifted else limit))
+                    )
         if not found:
             return
         at, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
@@ -285,12 +314,18 @@ class CurvePiece:
                     continue
                 low[r] = high[r] = s
                 x[r] = self.points(at[[r]], np.array([s]))[0]
-            yield float(at[r] + 0.5 * (low[r] + high[r])), float(np.clip(x[r, m.p], self.values[0], self.values[-1]))
+            yield (
+                float(at[r] + 0.5 * (low[r] + high[r])),
+                float(np.clip(x[r, m.p], self.values[0], self.values[-1])),
+            )
 
 
 def rotation_vector(R: Array) -> Array:
     """2 tan(angle / 2) times the axis (..., 3) of rotations: the rotation vector where it is small."""
-    v = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    v = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
+        axis=-1,
+    )
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
     return v * (2.0 / np.maximum(1.0 + trace, 1e-9))[..., None]
 
@@ -300,7 +335,9 @@ def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
     size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
     s = s[:, None]
     d = x1 - x0
-    return x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
+    return (
+        x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
+    )
 
 
 # ---- following a curve between two values
@@ -309,7 +346,8 @@ def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
 def follow(
     motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
 ) -> tuple[list[Array], list[Array]]:
-    """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the last is on its end.
+    """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the
+    last is on its end.
 
     Where the curve has no tangent, or is too long, the last node is inside.
     """
@@ -362,7 +400,9 @@ def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[
     return [(np.array(nodes[a : b + 1]), np.array(tangents[a : b + 1])) for a, b in spans]
 
 
-def _folds(motion: ChainMotion, x: Array, t: Array, y: Array, u: Array) -> Iterator[tuple[Array, Array]]:
+def _folds(
+    motion: ChainMotion, x: Array, t: Array, y: Array, u: Array
+) -> Iterator[tuple[Array, Array]]:
     """Points and tangents in a step where the parameter turns back."""
     p = motion.p
     piece = CurvePiece(motion, np.array([x, y]), np.array([t, u]))
@@ -374,7 +414,9 @@ def _folds(motion: ChainMotion, x: Array, t: Array, y: Array, u: Array) -> Itera
     size = float(np.linalg.norm(y - x))
     s = CHECKS
     d = (y - x)[p]
-    rates = 6.0 * s * (1.0 - s) * d + size * ((1.0 - s) * (1.0 - 3.0 * s) * t[p] - s * (2.0 - 3.0 * s) * u[p])
+    rates = 6.0 * s * (1.0 - s) * d + size * (
+        (1.0 - s) * (1.0 - 3.0 * s) * t[p] - s * (2.0 - 3.0 * s) * u[p]
+    )
     rates[0] = t[p]
     rates[-1] = u[p]
     if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):

@@ -8,7 +8,13 @@ import numpy as np
 
 from kempe.budget import TimeUp, look
 from kempe.singular_values import svd
-from kempe.solvers.analytic.redundant.sweep_curves import LONGEST, ChainMotion, CurvePiece, follow, pieces
+from kempe.solvers.analytic.redundant.sweep_curves import (
+    LONGEST,
+    ChainMotion,
+    CurvePiece,
+    follow,
+    pieces,
+)
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.tracing import BEND
 from kempe.spatial import Array
@@ -25,9 +31,10 @@ Piece = tuple[Array, Array]
 class Net:
     """Solutions at rising values of the parameter, and the pieces of curve that join them.
 
-    x, t (M, nf): solutions and unit tangents along which the parameter rises; level (M,): which value. `up[a]` is the
-    next node above a with the piece from a to it, both inclusive; `head[a]` and `foot[a]` are pieces that end in a fold
-    above a, or begin in one below; `loose` are arcs that no value meets.
+    x, t (M, nf): solutions and unit tangents along which the parameter rises; level (M,): which
+    value. `up[a]` is the next node above a with the piece from a to it, both inclusive; `head[a]`
+    and `foot[a]` are pieces that end in a fold above a, or begin in one below; `loose` are arcs
+    that no value meets.
     """
 
     def __init__(self, motion: ChainMotion, values: Array, x: Array, level: np.ndarray):
@@ -64,7 +71,10 @@ class Net:
         size = np.linalg.norm(d, axis=-1)
         straight = np.linalg.norm(d - 0.5 * size[..., None] * (t + u), axis=-1) <= STRAIGHT * size
         fits = straight & (np.sum(t * u, axis=-1) >= math.cos(BEND)) & (size < 2.0 * LONGEST)
-        for j, k in zip(*np.nonzero(fits & (fits.sum(axis=0) == 1) & (fits.sum(axis=1) == 1)[:, None]), strict=True):
+        for j, k in zip(
+            *np.nonzero(fits & (fits.sum(axis=0) == 1) & (fits.sum(axis=1) == 1)[:, None]),
+            strict=True,
+        ):
             a = int(low[j])
             b = int(high[k])
             x = np.array([self.x[a], self.x[a] + d[j, k]])
@@ -75,7 +85,8 @@ class Net:
         self.below.add(b)
 
     def _follow(self, a: int, sense: float) -> None:
-        """Follow the curve from node a up (sense 1) or down (-1) to the next value of the parameter, or back.
+        """Follow the curve from node a up (sense 1) or down (-1) to the next value of the
+        parameter, or back.
 
         Its pieces are kept in `up`, `head`, `foot` and `loose`.
         """
@@ -83,17 +94,26 @@ class Net:
         motion = self.motion
         i = int(self.level[a])
         j = i + int(sense)
-        between = (float(min(self.values[i], self.values[j])), float(max(self.values[i], self.values[j])))
+        between = (
+            float(min(self.values[i], self.values[j])),
+            float(max(self.values[i], self.values[j])),
+        )
         xs, ts = follow(motion, self.x[a], sense * self.t[a], between)
         parts = pieces(motion, xs, ts)
-        arrived = i if abs(xs[-1][motion.p] - self.values[i]) < abs(xs[-1][motion.p] - self.values[j]) else j
+        arrived = (
+            i
+            if abs(xs[-1][motion.p] - self.values[i]) < abs(xs[-1][motion.p] - self.values[j])
+            else j
+        )
         b = self._node(xs[-1], arrived)
         if len(parts) == 1:
             x, t = parts[0]
             if b is not None and b not in (self.below if sense > 0.0 else self.up):
                 self._link(*((a, b, (x, t)) if sense > 0.0 else (b, a, (x[::-1], -t[::-1]))))
             else:
-                (self.head if sense > 0.0 else self.foot)[a] = (x, t) if sense > 0.0 else (x[::-1], -t[::-1])
+                (self.head if sense > 0.0 else self.foot)[a] = (
+                    (x, t) if sense > 0.0 else (x[::-1], -t[::-1])
+                )
             return
         self._hang(a, sense, parts[0])
         if b is not None:
@@ -111,7 +131,9 @@ class Net:
             self.foot[a] = x[::-1], -t[::-1]
 
     def _node(self, x: Array, level: int) -> int | None:
-        """The node at a level that equals x (nf,), where a path has arrived; None where there is none."""
+        """The node at a level that equals x (nf,), where a path has arrived; None where there is
+        none.
+        """
         some = self.at[level]
         if not some.size:
             return None
@@ -157,10 +179,12 @@ class Net:
 
 def arcs_through(
     motion: ChainMotion, values: Array, x: Array, level: np.ndarray, time: TimeLimit
-) -> list[CurvePiece]:  # fmt: skip
-    """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at which.
+) -> list[CurvePiece]:
+    """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at
+    which.
 
-    Solutions at the values are joined to curves; from those that find no partner curves are followed.
+    Solutions at the values are joined to curves; from those that find no partner curves are
+    followed.
     """
     x = x.copy()
     x[:, motion.p] = values[level]
