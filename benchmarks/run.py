@@ -17,8 +17,8 @@ from pathlib import Path
 
 from kempe_bench import SECTIONS, Table, benchmark, page, peers, shown
 
+from kempe.cli import report
 from kempe.errors import UnknownNameError
-from kempe.views import report
 
 RESULTS = Path(__file__).with_name("results.md")
 

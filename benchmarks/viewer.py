@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import kempe
-from kempe.views.viewer.live import Viewer
-from kempe.views.viewer.live_page import Page
+from kempe.views.viewer.live import Page, Viewer
 from kempe.views.viewer.session import Session
 
 EVENTS = 200

@@ -33,7 +33,7 @@ from elf import sizes
 from numba.core import compiler
 
 from kempe.kernels.base import _jit
-from kempe.kernels.base._link import CodeOnly
+from kempe.kernels.base._jit import CodeOnly
 from kempe.kernels.base.declare import Entry
 
 OUTSIDE = {

@@ -17,8 +17,8 @@ import numpy as np
 import reference
 
 import kempe
-from kempe.description.dh.dh import from_dh
-from kempe.placement import placement_of_pose
+from kempe.description.dh import from_dh
+from kempe.poses import placement_of_pose
 
 PI = math.pi
 H = math.pi / 2

@@ -17,7 +17,7 @@ from own_joints import random_product, random_type, variants
 
 from kempe import Mechanism, System
 from kempe.joints import TYPES, JointType, P, Primitive, Q, R, joint_type
-from kempe.placement import placement_of_pose
+from kempe.poses import placement_of_pose
 
 ELEMENTARY = ("revolute", "prismatic", "spherical")
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

@@ -8,6 +8,8 @@ import os
 import types
 from collections.abc import Callable, Iterator
 
+from kempe import arguments
+
 os.environ.setdefault("KEMPE_QUIET", "1")
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
@@ -97,8 +99,8 @@ def usual_time_limits_are_far() -> Iterator[None]:
     """Limits that are for people, of half a minute and more, never end a test: it may run on a busy
     machine.
     """
-    from kempe.solvers.common import arguments, clock
-    from kempe.solvers.one_frame import inverse
+    from kempe.inverse import numeric
+    from kempe.numerics import clock
 
     def far(limit: float | None) -> float:
         return arguments.deadline(limit) + (
@@ -106,7 +108,7 @@ def usual_time_limits_are_far() -> Iterator[None]:
         )
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (clock, inverse):
+        for module in (clock, numeric):
             patch.setattr(module, "deadline", far)
         yield
 
@@ -116,12 +118,11 @@ def solved_as_marked() -> Iterator[None]:
     """Solvers close loops where they are marked `cut`: for tests of how each type of joint closes
     one.
     """
-    from kempe.kinematics import closure_rows
-    from kempe.kinematics.tasks import packed
-    from kempe.solvers.assembly import assembler
+    from kempe.assemble import bound
+    from kempe.equations import closure_rows, packed_tasks
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (assembler, closure_rows, packed):
+        for module in (bound, closure_rows, packed_tasks):
             patch.setattr(module, "own_tree", lambda system: system)
         yield
 
@@ -131,9 +132,9 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], itertools.count[in
     """A clock whose time is up at look number n, counted from 0: ``looks(n)``, which gives what
     counts them.
     """
-    from kempe.solvers.analytic.plans import question
-    from kempe.solvers.common import clock
-    from kempe.solvers.one_frame import multi_start
+    from kempe.inverse import multi_start
+    from kempe.inverse.closed_forms import question
+    from kempe.numerics import clock
 
     def at(n: int) -> itertools.count[int]:
         count = itertools.count()

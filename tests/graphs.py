@@ -11,7 +11,7 @@ from own_joints import PRODUCTS, variants
 
 from kempe import Mechanism, System
 from kempe.joints import TYPES, P, joint_type
-from kempe.model.closures.implicit_form import slides_along_z
+from kempe.model.implicit_form import slides_along_z
 
 KINDS: list[tuple[str, dict]] = [(name, o) for name, t in TYPES.items() for o in variants(t, 0.3)]
 PLANAR_KINDS: list[tuple[str, dict]] = [(name, {}) for name, t in TYPES.items() if t.planar]

@@ -60,8 +60,8 @@ TEXTS = [
     "*explain*",
     "*words*",
     "*/__init__.py",
-    "model/system.py",
-    "model/namespaces.py",
+    "system.py",
+    "namespaces.py",
 ]
 """Modules that make sentences, or only delegate."""
 MEMORY = 8 << 30
@@ -180,7 +180,7 @@ class Recorder:
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         from kempe._hits import HITS  # type: ignore
 
-        from kempe.model.system import System
+        from kempe.system import System
 
         self.keys = dict.fromkeys(HITS, 0)
         self.write("import " + " ".join(session.config.args))

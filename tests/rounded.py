@@ -13,7 +13,7 @@ import numpy as np
 
 import kempe
 from kempe import Mechanism, System
-from kempe.placement import Placement, place, placement_of_pose
+from kempe.poses import Placement, place, placement_of_pose
 from kempe.spatial import rot_x, rot_y, rot_z, xyz_rpy_from_pose
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from kempe.constraints import KINDS
 from kempe.description.formats import FORMATS
 from kempe.joints import TYPES
-from kempe.solvers.table import TABLE
+from kempe.solvers import TABLE
 
 
 @contextmanager
@@ -23,7 +23,7 @@ def restored() -> Iterator[None]:
     modules = [
         m
         for name, m in list(sys.modules.items())
-        if name.startswith("kempe.solvers") and "SOLVERS" in vars(m)
+        if name.startswith("kempe.") and "SOLVERS" in vars(m)
     ]
     rows = [m.SOLVERS for m in modules]
     assert {id(r) for r in TABLE.values()} <= {id(r) for r in rows}

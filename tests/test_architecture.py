@@ -98,26 +98,26 @@ lies in no folder.
 Each may import itself and what stands to the left; folders in one set do not import one another."""
 
 LATER = {
-    "solvers.one_frame.inverse": {"tasks", "analytic"},
-    "solvers.one_frame.sharpen": {"analytic"},
-    "solvers.one_frame.shut_out": {"analytic"},
-    "solvers.one_frame.explain_ik": {"tasks"},
-    "solvers.tasks.explain_tasks": {"velocity"},
-    "analysis.mobility.mobility": {"motion"},
-    "solvers.analytic.answers.explain_ik_all": {"."},
-    "solvers.paths.following": {"analytic"},
+    "inverse.ik": {"tasks", "analytic"},
+    "inverse.refine": {"analytic"},
+    "inverse.limit_proof": {"analytic"},
+    "inverse.explain": {"tasks"},
+    "inverse.explain_tasks": {"velocity"},
+    "mobility.mobility": {"motion"},
+    "inverse.explain_all": {"."},
+    "inverse.path": {"analytic"},
 }
 """Modules that import to the right inside functions: another solver answers, or what is required of
 an answer later."""
 
-UPWARD = {"model/system.py", "model/namespaces.py", "model/pictured.py"}
+UPWARD = {"system.py", "namespaces.py", "system.py"}
 """The map of the library, which imports upwards inside functions. All else that points upwards are
 rows of `late`."""
 
 BELOW = {
-    "solvers/assembly/idle.py": "kempe.analysis.mobility",
-    "solvers/assembly/shaky.py": "kempe.analysis.mobility",
-    "solvers/modes/modes_search.py": "kempe.analysis.first_order",
+    "mobility/idle_spins.py": "kempe.analysis.mobility",
+    "mobility/independent.py": "kempe.analysis.mobility",
+    "assemble/modes.py": "kempe.analysis.first_order",
 }
 """Modules that import from a folder in which tools/layout.toml puts them, or which it puts below
 them."""
@@ -371,28 +371,22 @@ SOLVERS = {
 """Calls by which a step of Gauss, Newton or least squares is made in numpy."""
 
 OWN_LOOPS = {
-    "kinematics/common/gauss_newton.py gauss_newton": "the one for one start",
-    "kinematics/common/gauss_newton.py gauss_newton_of_many": "the one for many starts",
-    "analysis/local/leading_forms.py _regular_zero": (
+    "numerics/newton.py gauss_newton": "the one for one start",
+    "numerics/newton.py gauss_newton_of_many": "the one for many starts",
+    "mobility/dof_proofs.py _regular_zero": (
         "of quadratic forms, on a sphere, judged after each step"
     ),
-    "analysis/first_order/idle_freedoms.py _spins": "a basis that grows",
-    "analysis/mobility/reachable.py moved_place": "motions integrated one after the other",
-    "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
-    "analysis/first_order/null_space.py null_space_from": (
-        "inverse iteration: the matrix is factored once"
-    ),
-    "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
-    "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows",
-    "solvers/tasks/default_start.py near_target": "one move for the first task that has one",
-    "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
-    "solvers/velocity/servo_closed.py closed": (
-        "bounded by limits of velocity, which move with the point"
-    ),
-    "solvers/velocity/least_squares.py least_in_box": "an active set: the problem is quadratic",
-    "solvers/assembly/dimensions.py _fit": (
-        "over dimensions, the configurations solved for in each step"
-    ),
+    "first_order/idle_freedoms.py _spins": "a basis that grows",
+    "mobility/reachable.py moved_place": "motions integrated one after the other",
+    "first_order/redundant_constraints.py _choose": "a basis that grows",
+    "numerics/rank.py null_space_from": ("inverse iteration: the matrix is factored once"),
+    "motion/transmission.py mechanical_advantage": "one kernel after the other",
+    "inverse/closed_forms/nearest.py descend": "bounded in each lane, with damping that grows",
+    "inverse/tasks/search.py near_target": "one move for the first task that has one",
+    "numerics/least_squares.py bounded": "an active set: the problem is linear",
+    "inverse/servo.py closed": ("bounded by limits of velocity, which move with the point"),
+    "numerics/least_squares.py least_in_box": "an active set: the problem is quadratic",
+    "assemble/fit.py _fit": ("over dimensions, the configurations solved for in each step"),
 }
 """Functions outside the kernels whose loops solve linear equations for what their next round begins
 with, and why."""
@@ -484,9 +478,9 @@ PLACES = set(
 them."""
 
 UNPACKED = {
-    "analysis/local/local_equations.py": {"N_ROWS", "N_OUT"},
-    "solvers/dyads/decompose.py": {"HEADER"},
-    "solvers/tasks/effort.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
+    "mobility/local_equations.py": {"N_ROWS", "N_OUT"},
+    "assemble/dyad_decomposition.py": {"HEADER"},
+    "inverse/tasks/search.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
 }
 """Modules outside of kernels and model that know such places: they pack arrays of their own, or
 walk such programs."""

@@ -17,8 +17,8 @@ from hunts import some
 from robots import BROKEN, good_urdf_files, urdf_files
 
 from kempe.description.read import check, read
-from kempe.description.toml.toml import read_toml
-from kempe.description.urdf.urdf import read_urdf
+from kempe.description.toml_reader import read_toml
+from kempe.description.urdf_reader import read_urdf
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, KempeError
 
 PAGE = Path(__file__).parent.parent / "docs" / "bad_files.md"

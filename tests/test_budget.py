@@ -23,14 +23,15 @@ import pytest
 from rounded import exact, rounded
 
 import kempe
-from kempe import Budget
+from kempe import Budget, arguments
+from kempe.answers import targets
 from kempe.budget import TimeUp, Usual, checks, look
 from kempe.errors import CallError, InputError, NoSolutionError
-from kempe.solvers.analytic.plans import question
-from kempe.solvers.common import arguments, clock
-from kempe.solvers.common.clock import TimeLimit
-from kempe.solvers.one_frame import inverse, multi_start
-from kempe.solvers.tasks import effort
+from kempe.inverse import ik, multi_start
+from kempe.inverse.closed_forms import question
+from kempe.inverse.tasks import search
+from kempe.numerics import clock
+from kempe.numerics.clock import TimeLimit
 
 ROOT = Path(__file__).parent.parent
 
@@ -381,9 +382,9 @@ def test_time_limits_hold_while_the_work_is_prepared(verb, monkeypatch):
     system = chain(100) if verb.startswith("chain") else ladder(40)
     calls = collections.Counter[str]()
     counted = types.SimpleNamespace(monotonic=lambda: float(calls["call"]))
-    for module in (arguments, clock, multi_start, question, effort):
+    for module in (targets, clock, multi_start, question, search):
         monkeypatch.setattr(module, "time", counted)
-    for module in (clock, inverse):
+    for module in (clock, ik):
         monkeypatch.setattr(module, "deadline", arguments.deadline)
     sys.setprofile(lambda frame, event, argument: calls.update((event,)))
     try:
@@ -595,7 +596,7 @@ def test_an_interrupt_while_a_kernel_looks_at_the_clock_is_not_lost(ask, at, mon
 
 def test_what_a_verb_inside_another_did_is_no_answer(monkeypatch):
     """The samples of a linkage are taken along traced curves: an interrupted curve is no sample."""
-    monkeypatch.setattr("kempe.analysis.motion.motion.home", lambda *_: Ends()())
+    monkeypatch.setattr("kempe.motion.trace.home", lambda *_: Ends()())
     with pytest.raises(kempe.Interrupted) as stop:
         LINKAGE.configuration_space.sample(9)
     assert stop.value.answer is None

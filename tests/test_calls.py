@@ -22,7 +22,7 @@ import wrong_calls
 from hunts import Hunt
 
 import kempe
-from kempe import calls, tasks
+from kempe import arguments, namespaces, tasks
 from kempe.errors import (
     CallError,
     DescriptionError,
@@ -31,7 +31,6 @@ from kempe.errors import (
     RoundedWarning,
     UnknownNameError,
 )
-from kempe.model import namespaces
 
 PUMA = kempe.load("puma560")
 FOUR_BAR = kempe.load("four_bar")
@@ -240,7 +239,7 @@ def test_what_the_map_of_the_library_calls_is_explained():
 
 def test_what_is_missing_is_named():
     with pytest.raises(CallError, match="ik_all: missing a required argument: 'frame'|ik_all"):
-        kempe.solvers.analytic.ik_all.ik_all(PUMA, X)
+        kempe.inverse.ik_all.ik_all(PUMA, X)
     with pytest.raises(CallError, match="revolute: too many positional arguments"):
         PUMA.mechanism.revolute("q7", "link6", "hand", (0, 0, 1))
 
@@ -274,7 +273,7 @@ def test_errors_within_functions_of_the_caller_are_left_alone():
 
 
 def test_what_fails_with_right_arguments_is_raised_as_it_is():
-    @calls.explained
+    @arguments.explained
     def broken(system: str, starts: int = 3) -> int:
         return [][starts]
 

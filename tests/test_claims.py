@@ -18,8 +18,8 @@ from typer.main import get_command
 import kempe
 from kempe import errors
 from kempe.cli import app
-from kempe.description.read import library_models
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_writer import write_toml
+from kempe.library import names as library_models
 
 ARMS = (
     "panda",

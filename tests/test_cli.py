@@ -19,10 +19,10 @@ from typer.main import get_command
 
 import kempe
 from kempe.cli import app
+from kempe.cli.report import in_options
+from kempe.cli.terminal import at_home
 from kempe.kernels.compiled import VARIANT
 from kempe.library import names as library_models
-from kempe.views.report import in_options
-from kempe.views.terminal import at_home
 
 ARM = """\
 <robot name="arm">

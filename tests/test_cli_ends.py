@@ -18,10 +18,9 @@ from command import Result
 from hunts import some
 
 import kempe
-from kempe import calls
-from kempe.description.read import check, read
-from kempe.description.urdf.xacro import expand_xacro
-from kempe.description.write import write
+from kempe import arguments
+from kempe.description.read import check, read, write
+from kempe.description.xacro import expand_xacro
 from kempe.errors import DescriptionError, InputError
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals, FIFOs")
@@ -81,7 +80,7 @@ def test_targets_of_a_file(tmp_path, targets):
         targets,
         "-o",
         out,
-        before=at_call("kempe.solvers.one_frame.inverse.run", 2),
+        before=at_call("kempe.inverse.multi_start.run", 2),
     )
     done = run(words)
     assert done.returncode == 130 and "interrupted: 4904 targets were not solved" in done.stdout, (
@@ -110,7 +109,7 @@ def test_a_path_of_targets(tmp_path):
         out,
         "--seed",
         ",".join(map(str, q[0])),
-        before=at_call("kempe.solvers.paths.path_steps.inside", 12),
+        before=at_call("kempe.inverse.path.inside", 12),
     )
     done = run(words)
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
@@ -121,9 +120,9 @@ def test_a_path_of_targets(tmp_path):
     "where",
     some(
         [
-            "kempe.analysis.motion.motion.home",
-            "kempe.analysis.motion.motion.extreme",
-            "kempe.analysis.continuation.path.gauss_newton_of_many",
+            "kempe.motion.trace.home",
+            "kempe.motion.trace.extreme",
+            "kempe.motion.path.gauss_newton_of_many",
         ],
         3,
     ),
@@ -155,15 +154,15 @@ def test_assembly_modes(tmp_path):
             "--modes",
             "-o",
             out,
-            before=at_call("kempe.solvers.modes.modes_search.share_found", 1)
-            + at_call("kempe.solvers.modes.modes_search.mixed", 1),
+            before=at_call("kempe.assemble.modes.share_found", 1)
+            + at_call("kempe.assemble.modes.mixed", 1),
         )
     )
     assert done.returncode == 130 and "interrupted" in done.stdout, (done.stdout, done.stderr)
 
 
 COUNTED = """
-import itertools, math, types, kempe.solvers.common.clock, kempe.analysis.continuation.path as module
+import itertools, math, types, kempe.numerics.clock, kempe.motion.path as module
 own, count = module.gauss_newton_of_many, itertools.count(1)
 def counted(*given, **more):
     n = next(count)
@@ -178,8 +177,7 @@ SAYS = COUNTED.format(
 """The process says when some are done, and soon after that it waits for the signal."""
 LATE = COUNTED.format(
     then=(
-        "if n == 10: kempe.solvers.common.clock.time = types.SimpleNamespace(monotonic=lambda: "
-        "math.inf)"
+        "if n == 10: kempe.numerics.clock.time = types.SimpleNamespace(monotonic=lambda: math.inf)"
     )
 )
 """The time is up when some are done."""
@@ -452,7 +450,7 @@ def test_lists_of_names_and_budgets_are_read_to_an_end(tmp_path, monkeypatch):
     """A list of names that is made while it is read took all memory; a time of 10**400 s raised
     OverflowError.
     """
-    monkeypatch.setattr(calls, "MOST_NAMES", 100)
+    monkeypatch.setattr(arguments, "MOST_NAMES", 100)
     robot = kempe.load("two_link")
     np.save(tmp_path / "q.npy", np.zeros((3, 2)))
     with pytest.raises(InputError, match="columns has more than 100 names"):

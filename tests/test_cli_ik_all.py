@@ -14,7 +14,7 @@ from command import Result
 from rich.console import Console
 
 import kempe
-from kempe.views import ik_report
+from kempe.cli import ik_report
 
 L1 = 0.5
 L2 = 0.4

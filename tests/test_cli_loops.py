@@ -17,7 +17,7 @@ import pytest
 from command import Result
 
 import kempe
-from kempe.views import loop_report, report
+from kempe.cli import loop_report, report
 
 CRANK_SLIDER = """\
 # A crank of 1 m and a rod of 2 m that push a slider along x; a wheel is geared to the crank.

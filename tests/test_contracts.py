@@ -17,11 +17,11 @@ from hunts import some
 
 import kempe
 from kempe import Budget, library
-from kempe.calls import until_interrupt
+from kempe.answers.answer import Answer
+from kempe.arguments import until_interrupt
 from kempe.errors import InputError, KempeError
-from kempe.kinematics.common.result import Report, Result
-from kempe.model.namespaces import Inverse, Loops, ReachStudies
-from kempe.solvers.common.answer import Answer
+from kempe.namespaces import Inverse, Loops, ReachStudies
+from kempe.report import Report, Result
 from kempe.status import Status
 
 
@@ -635,7 +635,7 @@ def test_a_single_question_that_is_no_number_is_refused(call):
 
 
 def test_degrees_change_the_angles_of_data_only():
-    from kempe.views.facts import answer_facts
+    from kempe.cli.as_json import answer_facts
 
     answer = LINKAGE.assemble({CRANK: 0.3})
     rad = answer_facts(answer)

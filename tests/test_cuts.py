@@ -19,8 +19,8 @@ from shipped import with_loops
 
 import kempe
 from kempe import System
-from kempe.kinematics.closure_rows import jacobian, residual
-from kempe.model.tree.own_tree import own_tree
+from kempe.equations.closure_rows import jacobian, residual
+from kempe.model.own_tree import own_tree
 
 CLOSED = with_loops()
 FAR = 3.0

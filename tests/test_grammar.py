@@ -16,9 +16,9 @@ from closed_graphs import random_closed
 from hunts import some
 
 import kempe
+from kempe.cli import report
 from kempe.errors import KempeError
 from kempe.library import names as library_models
-from kempe.views import report
 from kempe.words import counted, in_words, of_many, plural, verb
 
 SOURCE = Path(kempe.__file__).parent

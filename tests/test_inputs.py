@@ -18,11 +18,10 @@ import pytest
 from hunts import some
 
 import kempe
-from kempe import spatial, tasks
-from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
+from kempe import namespaces, spatial, tasks
 from kempe.errors import InputError, KempeError
-from kempe.model import namespaces
-from kempe.model.compiled_system import Structure
+from kempe.model.model import Structure
+from kempe.spaces.configuration_space import ConfigurationSpace
 
 FAMILIES: dict[str, type] = {
     "structure": Structure,
@@ -226,13 +225,13 @@ NOT_REQUIRED = {
     "System.structure.coordinates_of_joint",  # no numbers
     "kempe.views.viewer.live.show",
     "kempe.views.viewer.pages.save_html",  # serve, write: see test_viewer.py
-    "kempe.analysis.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
+    "kempe.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre",
     "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
-    "kempe.analysis.manoeuvre.manoeuvre.manoeuvre",
-    "kempe.analysis.simulation.simulate.simulate",
+    "kempe.motion.manoeuvre.manoeuvre",
+    "kempe.motion.simulate.simulate",
     # of thousands of poses, see test_reach.py
-    "kempe.analysis.spaces.reach.capability.capability_map",
+    "kempe.workspace.capability.capability_map",
     "kempe.tasks.error",
     "kempe.tasks.jacobian",
     "kempe.tasks.count",

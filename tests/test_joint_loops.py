@@ -31,8 +31,9 @@ from own_joints import (
 )
 
 from kempe import Mechanism, System, convert, tasks
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.equations import closure_rows
 from kempe.errors import DescriptionError, InputError, UnknownNameError, UnsupportedError
 from kempe.joints import (
     TYPES,
@@ -47,8 +48,7 @@ from kempe.joints import (
     Revolute,
     joint_type,
 )
-from kempe.kinematics import closure_rows
-from kempe.model.closures.implicit_form import implicit_form
+from kempe.model.implicit_form import implicit_form
 from kempe.views.drawing import symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids

@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import Mechanism
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
-from kempe.description.urdf.urdf_writer import write_urdf
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.description.urdf_writer import write_urdf
+from kempe.equations.judge import joint_pose
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import (
     TYPES,
@@ -35,7 +36,6 @@ from kempe.joints import (
     in_zoo,
     joint_type,
 )
-from kempe.kinematics.closure_errors import joint_pose
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism, System, spatial
+from kempe.forward.maximal import maximal_q
 from kempe.joints import TYPES, Spherical, joint_type
-from kempe.kinematics.maximal import maximal_q
 from kempe.library import lecture
-from kempe.model.tree.structural_order import natural
+from kempe.model.structural_order import natural
 
 
 def dof_by_counting(system: System) -> int:

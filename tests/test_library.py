@@ -15,8 +15,8 @@ from mechanisms_spatial import SPATIAL
 
 import kempe
 from kempe import library
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
 from kempe.errors import UnknownNameError
 from kempe.joints import TYPES
 

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 import kempe
 from kempe import System, library
-from kempe.kinematics import closure_rows
+from kempe.equations import closure_rows
 
 CASES = [*PLANAR, *SINGULAR]
 MOVING = [case for case in CASES if case.branches and branches(case.name)]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import System
-from kempe.kinematics.closure_rows import jacobian, residual
+from kempe.equations.closure_rows import jacobian, residual
 
 every_mechanism = pytest.mark.parametrize("row", SPATIAL, ids=lambda row: row.name)
 NOT_DRIVEN = "seven_bodies_loop"

@@ -10,8 +10,8 @@ from robots import good_urdf_files, mimics, mujoco_text
 
 import kempe
 from kempe import System
-from kempe.kinematics.closure_errors import coordinate_value
-from kempe.placement import place
+from kempe.equations.judge import coordinate_value
+from kempe.poses import place
 
 pin = pytest.importorskip("pinocchio")
 mujoco = pytest.importorskip("mujoco")

@@ -43,7 +43,7 @@ def test_all_that_is_public_is_documented(path):
     for node in public(tree):
         text = ast.get_docstring(node)
         assert text, f"{node.name} has no docstring"
-        first = text.splitlines()[0]
+        first = " ".join(text.split("\n\n")[0].split())
         assert first.strip() and first.rstrip()[-1] in ".:;,?)`…" or len(first) > 60, (
             f"{node.name}: {first!r}"
         )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.placement import Placement, check_step, place, placement_of_pose, steps_from_data
+from kempe.poses import Placement, check_step, place, placement_of_pose, steps_from_data
 from kempe.values import FUNCTIONS, Expression, evaluate, negate, value, values
 
 PARAMETERS = {"a": 0.3, "b": -1.7, "l1": 2.5}

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 import kempe
-from kempe import Mechanism, System, placement, spatial, tasks
-from kempe.description.dh import dh
-from kempe.kinematics import closure_rows
+from kempe import Mechanism, System, poses, spatial, tasks
+from kempe.description import dh
+from kempe.equations import closure_rows
 
 SYSTEMS = (
     "puma560",
@@ -548,7 +548,7 @@ def functions() -> list[tuple[str, Callable[..., Any], System | None]]:
             kempe.read,
             dh.from_dh,
             dh.from_screws,
-            placement.place,
+            poses.place,
             Mechanism,
             closure_rows.of_system,
         )

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Iterator
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from kempe.cli import report
 from kempe.errors import UnknownNameError
-from kempe.views import report
 from kempe_bench import (
     analytic,
     cranks,

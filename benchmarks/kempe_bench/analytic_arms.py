@@ -16,12 +16,12 @@ import numpy as np
 import kempe
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
-from kempe.placement import placement_of_pose
+from kempe.poses import placement_of_pose
 from kempe.spatial import Array
 from kempe_bench import peers
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 FRAME = "tool"
 TOLERANCE = 1e-6

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 import kempe
-from kempe.description.urdf.urdf_writer import write_urdf
+from kempe.description.urdf_writer import write_urdf
 from kempe_bench import peers
 
 

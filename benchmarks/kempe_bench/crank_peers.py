@@ -13,7 +13,7 @@ from kempe.spatial import Array
 from kempe_bench import peers
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 Spot = tuple[str, str]
 """A point of a mechanism: 'joint' and its name, or 'frame' and its name."""

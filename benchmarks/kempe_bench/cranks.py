@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kempe.description.mechanism import Mechanism
-from kempe.model.system import System
+from kempe.system import System
 from kempe_bench.bench import Bench
 from kempe_bench.crank_peers import DRIVES, Drive, angles, linkage
 from kempe_bench.loop_solvers import SparseMujoco

@@ -49,7 +49,7 @@ PUBLISHED = "published"
 def dof(bench: Bench) -> Grid:
     """Degrees of freedom, with regular, overconstrained, shaky and bifurcating mechanisms."""
     import kempe
-    from kempe.analysis.mobility.mobility import mobility
+    from kempe.mobility.mobility import mobility
 
     table = Grid("Degrees of freedom: who is right", "freedoms")
     for name, truth in TRUTH.items():
@@ -93,7 +93,7 @@ def _rank_by_hand(tree: Tree, q: np.ndarray) -> int | None:
 def mobility(bench: Bench) -> Grid:
     """Time of the report on the degrees of freedom."""
     import kempe
-    from kempe.analysis.mobility import mobility as module
+    from kempe.mobility import mobility as module
 
     table = Grid("Report on the degrees of freedom: time, by joints", "ms")
     for name in TIMED:

@@ -15,12 +15,12 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
-from kempe.model.closures.implicit_form import implicit_form
-from kempe.model.closures.packed_loops import characteristic_length
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.implicit_form import implicit_form
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
-    from kempe.model.system import System
+    from kempe.system import System
 
 
 @dataclass(frozen=True)

@@ -250,7 +250,7 @@ def success(bench: Bench) -> Grid:
 
 
 def _starts() -> int:
-    from kempe.solvers.assembly.assembler import STARTS
+    from kempe.assemble.bound import STARTS
 
     return STARTS
 

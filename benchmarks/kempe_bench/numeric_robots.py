@@ -13,7 +13,7 @@ import numpy as np
 
 import kempe
 from kempe import spatial
-from kempe.description.urdf.urdf_writer import write_urdf
+from kempe.description.urdf_writer import write_urdf
 from kempe_bench import peers
 from kempe_bench.peers import Link
 

@@ -18,7 +18,7 @@ from kempe import spatial
 from kempe.errors import UnknownNameError
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 PEERS = {
     "pin": "pinocchio",
@@ -75,7 +75,7 @@ def machine() -> str:
     that measures.
     """
     from kempe.kernels.compiled import VARIANT
-    from kempe.kinematics.common.parallel import processors
+    from kempe.numerics.pool import processors
 
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from kempe.views.facts import significant
+from kempe.cli.as_json import significant
 
 ROUNDS = 9
 """How often each statement has its turn."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kempe.description.mechanism import Mechanism
-from kempe.model.system import System
+from kempe.system import System
 from kempe_bench import peers
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Row, Table, cases, measure

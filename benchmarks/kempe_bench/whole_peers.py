@@ -13,7 +13,7 @@ import numpy as np
 
 import kempe
 from kempe import tasks
-from kempe.solvers.tasks.demands import STARTS
+from kempe.inverse.tasks.demands import STARTS
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.whole_robots import BASE, Body, mujoco_body, pinocchio_body

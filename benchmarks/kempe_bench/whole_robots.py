@@ -18,7 +18,7 @@ from kempe.spatial import Array
 from kempe_bench import peers
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 GROUND = "world"
 FLOATING = "floating_base"

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.description.urdf.urdf_writer import write_urdf
+from kempe.description.urdf_writer import write_urdf
 from kempe_bench import peers
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Table, measure
@@ -24,9 +24,8 @@ TORCH = "pytorch-kinematics"
 def binned(bench: Bench) -> Table:
     """Nanoseconds a sample, drawn, placed and counted in 256^3 cells."""
     import kempe
-    from kempe.analysis.spaces.workspace.counting_runs import Threads
-    from kempe.analysis.spaces.workspace.recipe import recipe_of
-    from kempe.solvers.common.clock import TimeLimit
+    from kempe.numerics.clock import TimeLimit
+    from kempe.workspace.sampling_job import Threads, recipe_of
 
     table = Table("Maps of workspaces: drawn, placed and counted, by samples", "ns", ratios=True)
     for name, frame in ARMS.items():

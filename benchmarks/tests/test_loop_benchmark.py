@@ -191,7 +191,7 @@ def test_exudyn_gets_the_same_mechanism(name):
     pytest.importorskip("exudyn")
     from kempe_bench.loop_peers import Exudyn
 
-    from kempe.kinematics.closure_rows import jacobian
+    from kempe.equations.closure_rows import jacobian
 
     s = kempe.load(name)
     tree = Tree(s)

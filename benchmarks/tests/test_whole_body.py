@@ -12,7 +12,7 @@ from kempe_bench.whole_robots import BASE, HUMANOIDS, Body
 
 import kempe
 from kempe import tasks
-from kempe.solvers.tasks.reached import Reached
+from kempe.inverse.answer import Reached
 
 pytest.importorskip("pinocchio")
 

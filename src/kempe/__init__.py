@@ -12,21 +12,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from kempe import errors, spatial
-from kempe.calls import explained
+from kempe.arguments import explained
 from kempe.description.mechanism import Mechanism
 from kempe.errors import Interrupted, KempeError
-from kempe.model.system import System
+from kempe.system import System
 from kempe.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from kempe import constraints, convert, tasks
-    from kempe.analysis.maps.file_map import map_file
-    from kempe.analysis.spaces.workspace.workspace import open_workspace
     from kempe.budget import Budget, Tolerance
-    from kempe.description.dh.dh import from_dh, from_screws
+    from kempe.description.dh import from_dh, from_screws
     from kempe.status import Status
+    from kempe.workspace.answer import open_workspace
+    from kempe.workspace.map_file import map_file
 
 __all__ = [
     "Budget",
@@ -113,15 +113,15 @@ def read(
 
 def __getattr__(name: str) -> Any:
     if name in ("from_dh", "from_screws"):
-        from kempe.description.dh import dh
+        from kempe.description import dh
 
         return getattr(dh, name)
     if name == "map_file":
-        from kempe.analysis.maps.file_map import map_file
+        from kempe.workspace.map_file import map_file
 
         return map_file
     if name == "open_workspace":
-        from kempe.analysis.spaces.workspace.workspace import open_workspace
+        from kempe.workspace.answer import open_workspace
 
         return open_workspace
     if name in ("Budget", "Tolerance"):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kempe.calls import explained_making
+from kempe.arguments import explained_making
 from kempe.errors import InputError, shown
 
 

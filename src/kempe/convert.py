@@ -10,8 +10,8 @@ True
 'two_link, maximal'
 """
 
-from kempe.kinematics.expanded import expanded
-from kempe.kinematics.maximal import maximal, maximal_q, to_maximal
-from kempe.solvers.assembly.poses import from_maximal
+from kempe.assemble.from_poses import from_maximal
+from kempe.forward.expanded import expanded
+from kempe.forward.maximal import maximal, maximal_q, to_maximal
 
 __all__ = ["expanded", "from_maximal", "maximal", "maximal_q", "to_maximal"]

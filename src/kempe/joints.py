@@ -19,9 +19,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from kempe import spatial
+from kempe.arrays import is_real
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
-from kempe.reals import is_real
 from kempe.words import paragraphs
 
 R = TURN

@@ -11,7 +11,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kempe.calls import numbers, quiet, together
+from kempe.arguments import numbers, quiet, together
 from kempe.errors import InputError
 from kempe.singular_values import svd
 

@@ -10,7 +10,7 @@ make a batch. `error`, `jacobian` and `miss` say what one of them is at a config
 from kempe.constraints import *  # noqa: F403
 from kempe.constraints import KINDS as _KINDS
 from kempe.constraints.base import Constraint as Task
-from kempe.kinematics.tasks.packed import count, error, jacobian, miss
+from kempe.equations.packed_tasks import count, error, jacobian, miss
 
 __all__ = [k.__name__ for k in _KINDS.values() if k.__module__.startswith("kempe.")]
 __all__ += ["Task", "count", "error", "jacobian", "miss"]

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from kempe.calls import is_list
+from kempe.arguments import is_list
+from kempe.arrays import is_real
 from kempe.errors import InputError, UnknownNameError, shown
-from kempe.reals import is_real
 from kempe.words import counted
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe import Mechanism, System
-from kempe.placement import placement_of_pose
+from kempe.poses import placement_of_pose
 
 SWAPPABLE = {"revolute", "prismatic", "spherical", "cylindrical"}
 

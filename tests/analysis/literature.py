@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from world_mechanisms import World, X, Y, Z, framework, loop, on_rods, unit
 
-from kempe.analysis.mobility.mobility import Mobility, mobility
+from kempe.mobility.answer import Mobility
+from kempe.mobility.mobility import mobility
 from kempe.spatial import exp_se3
 
 FAR = exp_se3(np.array([3.0, -1.0, 2.0, 0.4, -0.7, 0.5]))

@@ -11,8 +11,8 @@ import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
 from kempe.constraints.text import from_text
-from kempe.kinematics.velocity.velocity_rows import RowName, VelocityRows
-from kempe.model.tree.coordinate_layout import Layout
+from kempe.equations.velocity import RowName, VelocityRows
+from kempe.model.coordinates import Layout
 
 EMPTY = np.zeros(0, dtype=np.int64)
 

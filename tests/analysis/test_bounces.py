@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from kempe.analysis.simulation.bounces import Flight, Plane, first_zero, nearest_in_cone
+from kempe.motion.bounces import Flight, Plane, first_zero, nearest_in_cone
 
 G = 9.81
 

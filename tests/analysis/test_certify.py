@@ -17,13 +17,14 @@ from world_mechanisms import World
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.first_order.counting import fills_group, group_basis
-from kempe.analysis.local import leading_forms
-from kempe.analysis.local.local import local_dimension
-from kempe.analysis.mobility.mobility import Mobility, mobility
-from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.closure_rows import residual
-from kempe.kinematics.common.newton_certificate import certify
+from kempe.equations.closure_rows import residual
+from kempe.first_order.counting import fills_group, group_basis
+from kempe.mobility import dof_proofs
+from kempe.mobility.answer import Mobility
+from kempe.mobility.local_dimension import local_dimension
+from kempe.mobility.mobility import mobility
+from kempe.model.ball_angles import regular_chart
+from kempe.numerics.newton import certify
 from kempe.spatial import matrix_to_quat_wxyz, rot_x, rot_y, rot_z
 
 # ---- certain is never wrong
@@ -341,14 +342,12 @@ def test_common_zeros_of_quadratic_forms(dim):
     x = np.eye(3)
     pairs = [np.outer(x[i], x[k]) + np.outer(x[k], x[i]) for i, k in ((0, 1), (1, 2), (0, 2))]
     rng = np.random.default_rng(0)
-    assert leading_forms._no_zero(np.array(pairs), dim, rng) == (dim < 3)
-    assert leading_forms._no_zero(np.array([*pairs, np.diag([1.0, 2.0, 3.0])]), dim, rng)
+    assert dof_proofs._no_zero(np.array(pairs), dim, rng) == (dim < 3)
+    assert dof_proofs._no_zero(np.array([*pairs, np.diag([1.0, 2.0, 3.0])]), dim, rng)
     sphere = np.array([np.eye(3), np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 4.0, 9.0])])
-    assert leading_forms._no_zero(sphere, dim, rng)
-    assert not leading_forms._no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
-    assert leading_forms._definite(sphere[:2], rng) and not leading_forms._definite(
-        np.array(pairs), rng
-    )
+    assert dof_proofs._no_zero(sphere, dim, rng)
+    assert not dof_proofs._no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
+    assert dof_proofs._definite(sphere[:2], rng) and not dof_proofs._definite(np.array(pairs), rng)
 
 
 def test_groups_are_filled_or_not():

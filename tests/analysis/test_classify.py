@@ -16,13 +16,13 @@ from pfaffian import SYSTEMS, Pfaffian, growth_by_symbols
 from wheeled import KNOWN, close_by, on_plane, steered_car, trailers, two_axles
 
 from kempe import Mechanism, constraints
-from kempe.analysis.mobility.growth_vectors import distribution
-from kempe.analysis.mobility.reachable import EvaluationPoint, moved_place
+from kempe.equations.closure_rows import evaluate
+from kempe.equations.velocity import rates, tangent_rows
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.closure_rows import evaluate
-from kempe.kinematics.velocity.velocity import rates, tangent_rows
-from kempe.model.system import System
+from kempe.mobility.growth_vectors import distribution
+from kempe.mobility.reachable import EvaluationPoint, moved_place
 from kempe.spatial import Array
+from kempe.system import System
 
 
 def sliding(names: tuple[str, ...], rows: Any, b: Any = 0, time: bool = False) -> System:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cones import Exact, null_space
 
-from kempe.analysis.mobility.cone import ConeDirections, tangent_cone
+from kempe.mobility.one_sided import ConeDirections, tangent_cone
 
 
 def rows_of(rng, k, n, size):

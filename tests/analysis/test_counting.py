@@ -13,12 +13,12 @@ from reference import twist_between
 import kempe
 from kempe import Mechanism, System
 from kempe import constraints as c
-from kempe.analysis.first_order.constraint_graph import structure
-from kempe.analysis.first_order.screws import Screws, screws
 from kempe.constraints import OnSurface
+from kempe.equations import closure_rows
+from kempe.first_order.constraint_graph import structure
+from kempe.first_order.screws import Screws, screws
+from kempe.forward.maximal import maximal_q
 from kempe.joints import TYPES, JointType, P, joint_type
-from kempe.kinematics import closure_rows
-from kempe.kinematics.maximal import maximal_q
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, *map(joint_type, PRODUCTS), *(kind() for kind in OWN)]

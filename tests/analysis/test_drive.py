@@ -10,10 +10,10 @@ from hunts import some
 from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle, slider_crank
 
 import kempe
-from kempe.analysis.motion.drive import drive
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
+from kempe.equations.closure_rows import residual
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.closure_rows import residual
+from kempe.motion.drive import drive
 
 STEPS = [5, 7, 36, 50, 101, 360, 997, 1000]
 

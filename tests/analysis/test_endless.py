@@ -13,9 +13,9 @@ from hunts import some
 
 import kempe
 from kempe import Mechanism
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.errors import InputError
-from kempe.kinematics.common.gauss_newton import least_squares
+from kempe.numerics.newton import least_squares
 
 
 def two_slides(tilt: float) -> kempe.System:
@@ -291,7 +291,7 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
     s = kempe.load("four_bar")
     name = "home" if phase == "walk" else "extreme"
     count = itertools.count()
-    own = getattr(kempe.analysis.motion.motion, name)
+    own = getattr(kempe.motion.trace, name)
 
     def broken(*given):
         if next(count) == (30 if phase == "walk" else 3):
@@ -299,7 +299,7 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
         return own(*given)
 
     whole = s.trace()
-    monkeypatch.setattr(f"kempe.analysis.motion.motion.{name}", broken)
+    monkeypatch.setattr(f"kempe.motion.trace.{name}", broken)
     path = until_interrupt(s.trace)
     assert path.interrupted and not path and not path.late and "interrupted" in path.status
     assert len(path) == len(whole) if phase == "order" else 20 < len(path) < len(whole)
@@ -338,9 +338,9 @@ def test_points_are_closed_many_at_once(monkeypatch):
     """The equations are requested slices of points, not for points."""
     path = kempe.load("four_bar").trace()
     calls = []
-    equations = kempe.kinematics.closure_rows.evaluate
+    equations = kempe.equations.closure_rows.evaluate
     monkeypatch.setattr(
-        "kempe.kinematics.closure_rows.evaluate",
+        "kempe.equations.closure_rows.evaluate",
         lambda *g, **o: calls.append(1) or equations(*g, **o),
     )
     assert len(path.resample(20_000)) == 20_000 and len(calls) <= 3 * 20

@@ -10,8 +10,8 @@ from scipy.integrate import quad, solve_ivp
 
 import kempe
 from kempe import constraints as C
+from kempe.equations.judge import judge
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.measure import judge
 
 
 def chain(n: int, loop: bool = False) -> kempe.Mechanism:
@@ -192,7 +192,7 @@ def test_functions_without_series():
     with pytest.raises(
         UnsupportedError, match="'law' is a Python function that cannot be recorded"
     ):
-        from kempe.analysis.local.local import local_dimension
+        from kempe.mobility.local_dimension import local_dimension
 
         local_dimension(s, np.zeros(2))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from literature import KNOWN, four_upu, look
 
-from kempe.analysis.first_order.rank import rank_at
-from kempe.kinematics.closure_rows import jacobian
+from kempe.equations.closure_rows import jacobian
+from kempe.first_order.rank import rank_at
 
 PROVEN = {
     "K33 on a conic: shaky",

@@ -18,11 +18,11 @@ from world_mechanisms import World, X, Y, Z, on_rods
 
 import kempe
 from kempe import Mechanism, System, constraints
-from kempe.analysis.local import reduction
-from kempe.analysis.local.local import LocalDimension, local_dimension, sampled_dimension
-from kempe.analysis.local.local_equations import Equations
+from kempe.equations import closure_rows
 from kempe.errors import InputError
-from kempe.kinematics import closure_rows
+from kempe.mobility import lyapunov_schmidt
+from kempe.mobility.local_dimension import LocalDimension, local_dimension, sampled_dimension
+from kempe.mobility.local_equations import Equations
 
 # ---- small mechanisms, drawn at a scale, mirrored or not, cut anywhere
 
@@ -231,8 +231,10 @@ def test_leading_coefficient_of_stretched_bars():
     b = 1.6
     system, q = flat([a, b, a + b], [1, 1])
     equations = Equations(system)
-    at = reduction.split(equations, q)
-    g = reduction._solve(equations, at, reduction.lines(np.ones((1, 1)), 4), None)[0][0]
+    at = lyapunov_schmidt.split(equations, q)
+    g = lyapunov_schmidt._solve(equations, at, lyapunov_schmidt.lines(np.ones((1, 1)), 4), None)[0][
+        0
+    ]
     turn = at.null_space[list(system.structure.velocity_names).index("j0"), 0]  # of the first bar
     assert abs(g[2, 0]) == pytest.approx(
         0.5 * (a * turn) ** 2 * (1 / a + 1 / b) / equations.length, rel=1e-12
@@ -430,7 +432,7 @@ def test_an_overconstrained_loop_away_from_its_library_posture(name):
     """Assembled anew elsewhere on the same motion it is the same."""
     system = kempe.load(name)
     first = local_dimension(system, system.q("closed"))
-    at = reduction.split(Equations(system), first.q)
+    at = lyapunov_schmidt.split(Equations(system), first.q)
     equations = Equations(system)
     found = equations.project(equations.move(first.q, 0.3 * at.null_space[:, 0]), first.q)
     assert found.residual[0] < 1e-12 and found.distance[0] > 0.2
@@ -482,7 +484,7 @@ def test_equations_say_the_same_as_the_loops(name):
     value, J = equations.linearise(q)
     assert np.abs(value).max() < 1e-12
     other = closure_rows.jacobian(system, q) * equations.scale
-    at = reduction.split_matrix(q, J[0])
+    at = lyapunov_schmidt.split_matrix(q, J[0])
     assert J[0].shape == other.shape and at.rank == np.linalg.matrix_rank(other, tol=1e-7)
     assert np.abs(other @ at.null_space).max() < 1e-12 * max(1.0, equations.length)
 
@@ -504,7 +506,7 @@ def test_declared_constraints_and_relations_count():
     assert (
         sampled_dimension(
             Equations(system),
-            reduction.split(Equations(system), system.neutral),
+            lyapunov_schmidt.split(Equations(system), system.neutral),
             np.random.default_rng(0),
         )
         == 1

@@ -18,15 +18,16 @@ from world_mechanisms import World, Z, loop, unit
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.first_order.generic_configurations import nearby
-from kempe.analysis.first_order.rank import decide, rank_at
-from kempe.analysis.local.local import local_dimension
-from kempe.analysis.mobility.mobility import Mobility, mobility
+from kempe.assemble.generic_configurations import nearby
+from kempe.equations.closure_rows import residual
+from kempe.equations.judge import closure_error
 from kempe.errors import InputError, UnknownNameError
+from kempe.first_order.rank import decide, rank_at
 from kempe.joints import Universal
-from kempe.kinematics.closure_errors import closure_error
-from kempe.kinematics.closure_rows import residual
-from kempe.placement import Placement
+from kempe.mobility.answer import Mobility
+from kempe.mobility.local_dimension import local_dimension
+from kempe.mobility.mobility import mobility
+from kempe.poses import Placement
 
 # ---- published values
 

@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.first_order.counting import group_of
-from kempe.analysis.first_order.rank import decide, rank_at
-from kempe.analysis.first_order.redundant_constraints import count_words, pair_name
-from kempe.analysis.mobility.mobility import Mobility, mobility
-from kempe.kinematics.closure_rows import jacobian
-from kempe.placement import placement_of_pose
+from kempe.equations.closure_rows import jacobian
+from kempe.first_order.counting import group_of
+from kempe.first_order.rank import decide, rank_at
+from kempe.first_order.redundant_constraints import count_words, pair_name
+from kempe.mobility.answer import Mobility
+from kempe.mobility.mobility import mobility
+from kempe.poses import placement_of_pose
 from kempe.spatial import adjoint, exp_se3
 
 NAMES = [

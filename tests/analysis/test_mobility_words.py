@@ -12,8 +12,8 @@ from literature import look, trammel
 from world_mechanisms import World
 
 import kempe
-from kempe.analysis.local import branches
-from kempe.analysis.mobility.mobility import mobility
+from kempe.mobility import local_dimension
+from kempe.mobility.mobility import mobility
 
 LIBRARY = sorted(p.stem for p in (Path(kempe.__file__).parent / "library").glob("*.toml"))
 
@@ -126,7 +126,7 @@ def test_the_numbers_of_a_sentence_add_up(name):
 
 def test_a_proven_number_ends_in_no_doubt(monkeypatch):
     """What is not known of branches is said of them."""
-    monkeypatch.setattr(branches, "MOST_STARTS", 32)
+    monkeypatch.setattr(local_dimension, "MOST_STARTS", 32)
     m = mobility(kempe.load("wunderlich"))
     assert m.certain and m.data()["how"].endswith("dimensions") and not m.local.doubts
     assert m.local.more and m.kind.endswith("so there may be more branches")

@@ -31,11 +31,11 @@ from test_local import double_watt
 
 import kempe
 from kempe import Mechanism
-from kempe.analysis.continuation import one_sided_ends
-from kempe.analysis.motion.motion import branches, trace
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
+from kempe.equations.closure_rows import residual
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.closure_rows import residual
+from kempe.motion import events
+from kempe.motion.trace import branches, trace
 
 
 def pins(a, d, A, D, c):
@@ -631,8 +631,8 @@ def test_bounds_that_are_not_approached_cost_no_search(monkeypatch):
     in between.
     """
     counted = []
-    whole = one_sided_ends.root
-    monkeypatch.setattr(one_sided_ends, "root", lambda *given: counted.append(1) or whole(*given))
+    whole = events.root
+    monkeypatch.setattr(events, "root", lambda *given: counted.append(1) or whole(*given))
     m = kempe.Mechanism("slot", dim=2)
     m.revolute("A", m.ground, m.body("crank"))
     m.revolute("B", m.ground, m.body("link"), at=(0.5, 0))

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import linprog
 
 import kempe
-from kempe.analysis.mobility.one_sided_report import one_sided
-from kempe.kinematics.closure_rows import evaluate
+from kempe.equations.closure_rows import evaluate
+from kempe.mobility.one_sided import one_sided
 
 
 def lowest(c, E, G):

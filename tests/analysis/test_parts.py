@@ -12,22 +12,27 @@ import pytest
 
 import kempe
 from kempe import Mechanism
-from kempe.analysis.first_order.constraint_graph import structure
-from kempe.analysis.first_order.ends import BallEnd, Pair, _grow, _Meeting, _one_of_many
-from kempe.analysis.first_order.generic_configurations import nearby
-from kempe.analysis.first_order.idle_freedoms import _freedom
-from kempe.analysis.first_order.rank import rank_at
-from kempe.analysis.first_order.redundant_constraints import REACTIONS, _choose, _JointReaction
-from kempe.analysis.first_order.series_joints import stars
-from kempe.analysis.local import known_motions, leading_forms
-from kempe.analysis.local.branches import RADII, Spot, _apart
-from kempe.analysis.local.leading_forms import split_of
-from kempe.analysis.local.local import local_dimension
-from kempe.analysis.local.local_equations import FLAT, Equations
-from kempe.analysis.mobility.growth_vectors import _null_space
-from kempe.analysis.mobility.mobility import mobility
-from kempe.analysis.mobility.reachable import EvaluationPoint, random_place
-from kempe.kinematics.velocity.velocity import tangent_rows
+from kempe.assemble.generic_configurations import nearby
+from kempe.equations.velocity import tangent_rows
+from kempe.first_order.constraint_graph import structure
+from kempe.first_order.idle_freedoms import (
+    BallEnd,
+    Pair,
+    _freedom,
+    _grow,
+    _Meeting,
+    _one_of_many,
+    stars,
+)
+from kempe.first_order.rank import rank_at
+from kempe.first_order.redundant_constraints import REACTIONS, _choose, _JointReaction
+from kempe.mobility import dof_proofs
+from kempe.mobility.dof_proofs import split_of
+from kempe.mobility.growth_vectors import _null_space
+from kempe.mobility.local_dimension import RADII, Spot, _apart, local_dimension
+from kempe.mobility.local_equations import FLAT, Equations
+from kempe.mobility.mobility import mobility
+from kempe.mobility.reachable import EvaluationPoint, random_place
 
 EYE = np.eye(3)
 
@@ -133,9 +138,9 @@ def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
     stays closed.
     """
     calls = []
-    whole = known_motions.half_angles
+    whole = dof_proofs.half_angles
     monkeypatch.setattr(
-        known_motions, "half_angles", lambda *given: calls.append(given) or whole(*given)
+        dof_proofs, "half_angles", lambda *given: calls.append(given) or whole(*given)
     )
     system = kempe.load("bennett")
     local_dimension(system, system.q("closed"))
@@ -185,9 +190,9 @@ def test_branches_of_one_equation(law, ends):
 def test_a_quadratic_form_counts_branches_only_where_no_direction_is_lost(monkeypatch):
     """Nor do forms that are far below rounding count any."""
     found = []
-    whole = leading_forms.decide
+    whole = dof_proofs.decide
     monkeypatch.setattr(
-        leading_forms, "decide", lambda *given: found.append(whole(*given)) or found[-1]
+        dof_proofs, "decide", lambda *given: found.append(whole(*given)) or found[-1]
     )
     for law in ("y^2 - x^3", "y^2 - x^2*(1 + x)", "x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", "x^2 + y^2"):
         local_dimension(slides(law), [0.0, 0.0])

@@ -16,9 +16,9 @@ from world_mechanisms import World
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.first_order.idle_freedoms import IdleFreedom
-from kempe.analysis.mobility.mobility import mobility
-from kempe.kinematics.closure_rows import residual
+from kempe.equations.closure_rows import residual
+from kempe.first_order.idle_freedoms import IdleFreedom
+from kempe.mobility.mobility import mobility
 from kempe.spatial import exp_so3
 
 ANGLE = 0.02

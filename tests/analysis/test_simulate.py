@@ -14,9 +14,9 @@ from scipy.integrate import solve_ivp
 
 import kempe
 from kempe import Mechanism, constraints
-from kempe.analysis.simulation import bounces
 from kempe.budget import TimeUp
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.motion import bounces
 
 G = 9.81
 

@@ -13,10 +13,10 @@ from rods import Rods, engine, strut, tied
 from world_mechanisms import World, axes_with, unit
 
 import kempe
-from kempe.analysis.continuation.spins import spins_held
-from kempe.analysis.motion.motion import Path
+from kempe.equations import closure_rows
 from kempe.errors import UnsupportedError
-from kempe.kinematics import closure_rows
+from kempe.motion.held_spins import spins_held
+from kempe.motion.path import Path
 
 LEGS = tuple(f"leg{i}" for i in range(1, 7))
 

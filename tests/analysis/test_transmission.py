@@ -12,18 +12,18 @@ from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
 
 import kempe
 from kempe import Mechanism, spatial
-from kempe.analysis.first_order.null_space import null_space, null_space_from
-from kempe.analysis.motion import transmission
-from kempe.analysis.motion.drive import drive
-from kempe.analysis.motion.motion import trace
-from kempe.analysis.motion.transmission import (
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.motion import transmission
+from kempe.motion.drive import drive
+from kempe.motion.trace import trace
+from kempe.motion.transmission import (
     dead_points,
     loop_jacobian,
     mechanical_advantage,
     pressure_angle,
     transmission_angle,
 )
-from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.numerics.rank import null_space, null_space_from
 
 
 def five_bar():
@@ -130,7 +130,7 @@ def test_space_and_quaternions_by_differences():
     m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
     idle = m.build()
     assembled = idle.q({"A": system.q_dict(x)["A"], "D": system.q_dict(x)["D"]})
-    from kempe.analysis.continuation.continuation import Closure, close
+    from kempe.equations.closure import Closure, close
 
     y = close(Closure(idle, [0, 1], assembled), assembled)
     spinning = loop_jacobian(idle, y, ["D"], ["A", "rocker"])

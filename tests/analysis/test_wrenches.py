@@ -14,11 +14,11 @@ from shipped import with_loops
 import kempe
 from kempe import Mechanism, System
 from kempe import constraints as c
-from kempe.analysis.first_order.wrenches import Wrenches
+from kempe.equations import closure_rows
+from kempe.equations.judge import Poses
+from kempe.equations.velocity import rates
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics import closure_rows
-from kempe.kinematics.measure import Poses
-from kempe.kinematics.velocity.velocity import rates
+from kempe.first_order.wrenches import Wrenches
 
 H = 1e-6
 

@@ -11,9 +11,9 @@ import numpy as np
 from kempe import Mechanism
 from kempe.constraints import Constraint, NoSideslip, Op, Row, kind
 from kempe.constraints.base import KINDS, Frame, Number
-from kempe.constraints.contacts import POSE, TWIST
+from kempe.constraints.tape import POSE, TWIST
 from kempe.constraints.text import from_text
-from kempe.model.system import System
+from kempe.system import System
 
 ON_BALL = from_text(["sqrt(x^2 + y^2 + z^2) - a - b"], (*POSE, "a", "b"), {})
 SLIPS = from_text(

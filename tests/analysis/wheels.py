@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe import Mechanism
-from kempe.model.system import System
+from kempe.system import System
 
 
 def knife(at=(0.0, 0.0), angle: float = 0.0, limits: dict | None = None) -> System:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe import Mechanism, System
-from kempe.placement import placement_of_pose
+from kempe.poses import placement_of_pose
 
 X, Y, Z = np.eye(3)
 

@@ -11,10 +11,10 @@ import numpy as np
 from kempe import Mechanism, System, tasks
 from kempe import constraints as c
 from kempe.constraints.base import position_rows
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.equations import closure_rows
 from kempe.errors import DescriptionError
-from kempe.kinematics import closure_rows
 
 X = np.array(
     [[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]]

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 import kempe
 from kempe import constraints as c
 from kempe.constraints.base import Bounded
-from kempe.constraints.placed import Measured
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
+from kempe.constraints.kinds import Measured
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
 from kempe.errors import CallError, InputError
 
 BOUNDED = [name for name in EXAMPLES if issubclass(c.KINDS[name], Bounded)]

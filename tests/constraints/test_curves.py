@@ -14,11 +14,11 @@ import kempe
 from kempe import constraints as c
 from kempe.constraints.curves import spline, table_of
 from kempe.constraints.tape import Tape
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError
 from kempe.kernels.compiled import tape_evaluation as kernel
-from kempe.model.closures.constraint_program import recorded
+from kempe.model.constraint_program import recorded
 
 ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
 RING = np.stack([1.5 * np.cos(ROUND), 0.8 * np.sin(ROUND), 0.3 * np.sin(2.0 * ROUND)], axis=1)

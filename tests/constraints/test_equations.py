@@ -14,8 +14,8 @@ from linkages import two_bars
 import kempe
 from kempe.constraints import Equation, Inequality, VelocityEquation
 from kempe.constraints.text import from_text
+from kempe.equations import closure_rows
 from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError
-from kempe.kinematics import closure_rows
 
 
 def branching(x):
@@ -150,14 +150,14 @@ def test_attached_with_a_prefix():
     np.testing.assert_allclose(
         closure_rows.residual(s, q), closure_rows.residual(alone, q), atol=1e-15
     )
-    from kempe.kinematics.velocity.velocity import rates
+    from kempe.equations.velocity import rates
 
     for found, expected in zip(rates(s, q), rates(alone, q), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
 def test_velocity_rows():
-    from kempe.kinematics.velocity.velocity import rates, row_names
+    from kempe.equations.velocity import rates, row_names
 
     m = two_bars()
     m.couple("B", {"A": 2.0}, 0.1)

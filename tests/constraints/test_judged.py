@@ -10,9 +10,9 @@ from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 from kempe import System, tasks
 from kempe.constraints.base import position_rows
-from kempe.kinematics import closure_rows
-from kempe.kinematics.measure import judge
-from kempe.kinematics.one_sided import one_sided_rows
+from kempe.equations import closure_rows
+from kempe.equations.judge import judge
+from kempe.equations.one_sided import one_sided_rows
 
 HELD = [n for n in EXAMPLES if n not in TASKS_ONLY]
 

@@ -24,7 +24,7 @@ from kempe.errors import InputError
 HERE = Path(__file__).parent
 SOURCE = HERE.parents[1] / "src" / "kempe"
 ALLOWED = {p.relative_to(SOURCE).as_posix() for p in (SOURCE / "constraints").rglob("*.py")}
-ALLOWED |= {"description/constrain.py", "description/constraint_methods.py"}
+ALLOWED |= {"description/mechanism.py"}
 """The kinds themselves, and where the builder's sugar names them."""
 
 

@@ -10,7 +10,7 @@ from linkages import two_bars
 from on_ellipse import OnEllipse
 
 import kempe
-from kempe.analysis.mobility.classify import classify
+from kempe.mobility.classify import classify
 
 A = 1.5
 B = 1.0

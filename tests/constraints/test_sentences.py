@@ -10,7 +10,7 @@ from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 import kempe
 from kempe import constraints as c
-from kempe.views import facts, report
+from kempe.cli import as_json, report
 
 
 def info(system: kempe.System) -> str:
@@ -24,7 +24,7 @@ def info(system: kempe.System) -> str:
 def test_each_kind_is_said(name, dim):
     m = two_bodies(dim)
     m.constrain(made := EXAMPLES[name](dim), "it")
-    said = facts.system_facts(system := m.build())["constraints"][0]["says"]
+    said = as_json.system_facts(system := m.build())["constraints"][0]["says"]
     assert said == made.sentence and f" {said}\n" in info(system)
     assert not {*"{}[]"} & {*said} and "None" not in said and "array" not in said
     frames = [
@@ -60,4 +60,4 @@ def test_sentences(made, said):
     m = two_bodies(3)
     m.parameter("l", 0.5)
     m.constrain(made, "it")
-    assert facts.system_facts(m.build())["constraints"][0]["says"] == said
+    assert as_json.system_facts(m.build())["constraints"][0]["says"] == said

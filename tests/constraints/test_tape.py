@@ -14,7 +14,7 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from kempe.constraints.builder import Builder
-from kempe.constraints.recording import _UFUNCS, _UFUNCS_2, NotRecorded, probe, record
+from kempe.constraints.equations import _UFUNCS, _UFUNCS_2, NotRecorded, probe, record
 from kempe.constraints.tape import NAMES, Tape, is_plain
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, KempeError, UnknownNameError

@@ -9,7 +9,7 @@ import io
 
 import numpy as np
 
-from kempe.description.dh.dh import from_dh
+from kempe.description.dh import from_dh
 from kempe.description.formats import Format
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, decode

@@ -6,9 +6,8 @@ import math
 
 from hypothesis import strategies as st
 
-from kempe.description.constrain import between
-from kempe.description.mechanism import Mechanism
-from kempe.placement import Placement, place, steps_from_data
+from kempe.description.mechanism import Mechanism, between
+from kempe.poses import Placement, place, steps_from_data
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism, System, constraints
-from kempe.description.constrain import between
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
-from kempe.description.urdf.urdf_writer import write_urdf
+from kempe.description.mechanism import between
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.description.urdf_writer import write_urdf
 from kempe.errors import DescriptionError, InputError
 from kempe.values import Expression
 

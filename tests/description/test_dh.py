@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from kempe.description.dh.dh import DHRow, ScrewRow, from_dh, from_screws
+from kempe.description.dh import DHRow, ScrewRow, from_dh, from_screws
 from kempe.errors import InputError
 
 ANGLE = st.floats(-3.2, 3.2)

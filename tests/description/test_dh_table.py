@@ -14,9 +14,8 @@ import reference
 
 import kempe
 from kempe import spatial
-from kempe.description.dh.dh import DHRow, from_dh
-from kempe.description.dh.dh_table import ORDER
-from kempe.description.toml.toml import read_toml
+from kempe.description.dh import ORDER, DHRow, from_dh
+from kempe.description.toml_reader import read_toml
 from kempe.errors import DescriptionError, InputError
 
 Row = namedtuple("Row", ("theta", "d", "a", "alpha"))

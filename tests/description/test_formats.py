@@ -15,7 +15,7 @@ from own_format import ROWS
 from shipped import shipped
 
 import kempe
-from kempe.description.dh.dh import from_dh
+from kempe.description.dh import from_dh
 from kempe.description.formats import DEFAULT, FORMATS, Format, named, read_by
 from kempe.description.mechanism import Mechanism
 from kempe.description.read import check, read

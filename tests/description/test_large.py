@@ -17,11 +17,11 @@ from hunts import some
 
 import kempe
 from kempe import Mechanism
+from kempe.description import toml_document
 from kempe.description.read import read
 from kempe.description.source import Source, collecting_later
-from kempe.description.toml import toml_fast
-from kempe.description.toml.toml_places import Places
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_document import Places
+from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError
 from kempe.library import names as models
 from kempe.library import path as model_path
@@ -282,7 +282,7 @@ def alike(a: object, b: object) -> bool:
 
 def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
     """Data, errors, and the places of tables."""
-    monkeypatch.setattr(toml_fast, "MANY", 0)
+    monkeypatch.setattr(toml_document, "MANY", 0)
     rng = hunt.rng()
     fast = 0
     good = 0
@@ -293,7 +293,7 @@ def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
         except ValueError as error:
             expected = str(error)
         try:
-            found, places = toml_fast.loads(text)
+            found, places = toml_document.loads(text)
         except ValueError as error:
             assert str(error) == expected, text
             continue
@@ -313,8 +313,8 @@ def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
 @pytest.mark.parametrize("name", sorted(models()))
 def test_models_of_the_library_are_read_line_by_line(name, monkeypatch):
     text = model_path(name).read_text(encoding="utf-8")
-    monkeypatch.setattr(toml_fast, "MANY", 0)
-    found, _ = toml_fast.loads(text)
+    monkeypatch.setattr(toml_document, "MANY", 0)
+    found, _ = toml_document.loads(text)
     assert alike(found, tomllib.loads(text))
 
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe import Mechanism, System
-from kempe.description.toml.toml import read_toml
+from kempe.description.toml_reader import read_toml
 from kempe.errors import DescriptionError, Fault, InputError, KempeError, UnknownNameError, Where
-from kempe.placement import Placement, place
+from kempe.poses import Placement, place
 
 
 def arm(name: str = "arm", links: int = 2, length: float = 1.0) -> Mechanism:

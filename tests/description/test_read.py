@@ -17,13 +17,14 @@ from bad_file_cases import LIMIT, SHOULDER, TOML_CASES, URDF_CASES, WRIST, joint
 from robots import urdf_files
 
 from kempe import library
+from kempe.description import xacro as xacro_module
 from kempe.description.formats import OTHER_KINDS, other_kind
-from kempe.description.meshes import resolve_mesh
-from kempe.description.read import check, library_models, read
-from kempe.description.toml.toml_writer import write_toml
-from kempe.description.urdf import xacro as xacro_module
-from kempe.description.urdf.xacro import expand_xacro
+from kempe.description.read import check, read
+from kempe.description.toml_writer import write_toml
+from kempe.description.xacro import expand_xacro
 from kempe.errors import DescriptionError, InputError, MissingExtraError, UnsupportedError
+from kempe.library import names as library_models
+from kempe.views.viewer.mesh_files import resolve_mesh
 
 URDF = robot(SHOULDER, WRIST)
 TOML = write_toml(read(URDF))

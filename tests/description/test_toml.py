@@ -13,13 +13,12 @@ from random_mechanisms import mechanisms
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Source
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_document import KEYS
-from kempe.description.toml.toml_places import Places
-from kempe.description.toml.toml_writer import write_toml
+from kempe.description.toml_document import KEYS, Places
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError
 from kempe.joints import Revolute
-from kempe.placement import COUNTS
+from kempe.poses import COUNTS
 from kempe.values import Expression
 
 FOUR_BAR = """\
@@ -313,9 +312,11 @@ def test_the_page_names_every_key():
 )
 def test_long_dotted_keys_are_refused_before_they_take_long(text, monkeypatch):
     """The time of `tomllib` grows as the square of their names: it does not get them."""
-    from kempe.description.toml import toml_fast
+    from kempe.description import toml_document
 
-    monkeypatch.setattr(toml_fast.tomllib, "loads", lambda text: pytest.fail("given to tomllib"))
+    monkeypatch.setattr(
+        toml_document.tomllib, "loads", lambda text: pytest.fail("given to tomllib")
+    )
     for names in (65, 100_000):
         with pytest.raises(
             DescriptionError, match="<text>:2: .*a dotted key of more than 64 names"
@@ -336,14 +337,14 @@ def test_long_dotted_keys_are_refused_before_they_take_long(text, monkeypatch):
     ],
 )
 def test_strings_and_comments_may_look_like_long_keys(text):
-    from kempe.description.toml import toml_fast
+    from kempe.description import toml_document
 
     whole = text.format(".".join("a" * 100)) + "\n"
-    assert toml_fast.loads(whole)[0] == toml_fast.tomllib.loads(whole)
+    assert toml_document.loads(whole)[0] == toml_document.tomllib.loads(whole)
 
 
 def test_places_of_deep_keys_are_those_of_what_encloses_them():
-    from kempe.description.toml.toml_places import DEEPEST
+    from kempe.description.toml_document import DEEPEST
 
     deep = tuple("abcdefghijklmnopqrstuvwxyz")
     places = Places(Source("x", f"x = 1\n[{'.'.join(deep)}]\ny = 2\n"))

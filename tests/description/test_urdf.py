@@ -10,7 +10,7 @@ from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from scipy.spatial.transform import Rotation
 
 import kempe
-from kempe.description.urdf.urdf import read_urdf
+from kempe.description.urdf_reader import read_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 
 

@@ -15,8 +15,8 @@ from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from robots import good_urdf_files
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.urdf.urdf import read_urdf
-from kempe.description.urdf.urdf_unknown import MOTION, check_known
+from kempe.description.urdf_elements import MOTION, check_known
+from kempe.description.urdf_reader import read_urdf
 from kempe.errors import DescriptionError
 
 REST = joint("rest", "", "fixed", "arm", "hand")
@@ -371,7 +371,7 @@ def test_nothing_that_matters_vanishes_silently_in_many_files(hunt):
 
 def test_the_check_of_names_takes_long_names():
     from kempe.description.source import Findings
-    from kempe.description.urdf.xml import parse_xml
+    from kempe.description.xml import parse_xml
 
     findings = Findings()
     check_known("element", "x" * 5000, ("link",), findings, "", parse_xml(f"<{'x' * 5000}/>", "t"))

@@ -12,12 +12,12 @@ from hypothesis import given, reject, settings
 from random_mechanisms import mechanisms
 from robots import good_urdf_files
 
-from kempe.description.dh.dh import from_dh
+from kempe.description.dh import from_dh
 from kempe.description.mechanism import Mechanism
-from kempe.description.urdf.urdf import read_urdf
-from kempe.description.urdf.urdf_writer import write_urdf
+from kempe.description.urdf_reader import read_urdf
+from kempe.description.urdf_writer import write_urdf
 from kempe.errors import DescriptionError
-from kempe.placement import place
+from kempe.poses import place
 
 
 @pytest.mark.parametrize("path", some(good_urdf_files().values(), 4), ids=list(good_urdf_files()))

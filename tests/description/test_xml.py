@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kempe.description.source import MANY_PROBLEMS, SIZE_LIMIT, Findings, Source
-from kempe.description.urdf.xml import DEPTH_LIMIT, ELEMENT_LIMIT, parse_xml
+from kempe.description.xml import DEPTH_LIMIT, ELEMENT_LIMIT, parse_xml
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Where
 
 TEXT = (

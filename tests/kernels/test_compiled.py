@@ -566,7 +566,7 @@ def test_guards_end_a_process_that_reads_out_of_bounds():
 TOO_SMALL = """
 import numpy as np, kempe
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.closures.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import loops_of, must_be_explicit
 system = kempe.load("four_bar")
 loops = loops_of(system, must_be_explicit(system))
 plan, q, pins = loops.plan.copy(), system.mid[None].copy(), np.zeros((1, 0))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from dyad_chains import random_chain
 
+from kempe.assemble.dyad_decomposition import Code
+from kempe.assemble.dyads import Plan, closed_form
 from kempe.kernels.compiled import dyads_program
 from kempe.kernels.dyads import dyads_layout as K
-from kempe.solvers.dyads.decompose import Code
-from kempe.solvers.dyads.dyads import Plan, closed_form
 
 SIZES = (0, 1, 7, 8, 9, 63, 64, 65)
 IDENTITY = (1.0, 0.0, 0.0, 0.0)

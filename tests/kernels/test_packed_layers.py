@@ -22,7 +22,7 @@ from plain_kernels import Pointer, plain, pointer, room
 import kempe
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.closures.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import loops_of, must_be_explicit
 
 SEEDS = st.integers(0, 2**32 - 1)
 TIED = ["four_bar", "stewart", "delta_ss", "row_of_four_bars", "bennett"]

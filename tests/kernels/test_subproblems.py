@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kempe import spatial
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import raw
-from kempe.kernels.closed_form import arm_part, quartic, subproblems, wrist_part
+from kempe.kernels.closed_form import arm_part, candidates, subproblems, wrist_part
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 
 ANGLE = st.floats(-math.pi, math.pi)
@@ -43,7 +43,7 @@ def parabola_roots(a, b, k):
 
 @numba.njit
 def quartic_roots(p, out):
-    return quartic.quartic_roots(raw(p), raw(out))
+    return candidates.quartic_roots(raw(p), raw(out))
 
 
 @numba.njit
@@ -53,7 +53,7 @@ def one_unknown(slides, a, b, k, wide, out):
 
 @numba.njit
 def coupled(x_slides, z_slides, terms, work, x, z):
-    return quartic.coupled_pairs(
+    return candidates.coupled_pairs(
         x_slides, z_slides, raw(terms), beyond(raw(terms), 6), raw(work), raw(x), raw(z)
     )
 
@@ -266,7 +266,7 @@ def test_coupled_equations_have_the_pair_that_they_were_made_of(seed, x_slides, 
     right[:, 0] += left @ factors(x_slides, x) - right @ factors(z_slides, z)
     xs = np.empty(4 * arm_part.MOST)
     zs = np.empty(4 * arm_part.MOST)
-    count = coupled(x_slides, z_slides, terms, np.empty(quartic.WORK), xs, zs)
+    count = coupled(x_slides, z_slides, terms, np.empty(candidates.WORK), xs, zs)
     pairs = [(xs[4 * i + 2], zs[4 * i + 2]) for i in range(count)]
     assert count <= 4
     assert min(max(abs(p - x), abs(q - z)) for p, q in pairs) < 1e-5

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import circles
+from kempe.model.configurations import circles
 
 
 def system(**joints) -> System:

@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError, UnknownNameError
+from kempe.forward.fk import SERIAL_BELOW
 from kempe.kernels.compiled import bound
 from kempe.kernels.forward.table_layout import fuse
-from kempe.kinematics.forward import SERIAL_BELOW
-from kempe.model.tree.primitive_table import local_chain
+from kempe.model.primitive_table import local_chain
 
 FRAMES = ("world_aligned", "world", "body")
 

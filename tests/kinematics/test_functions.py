@@ -14,8 +14,8 @@ from test_loops import closure_of, loop, tree
 import kempe
 from kempe import System
 from kempe import constraints as c
+from kempe.equations.task_functions import Whole
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.tasks.functions import Whole
 
 STEP = 1e-6
 NONE: Any = "7"

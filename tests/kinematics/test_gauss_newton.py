@@ -11,8 +11,8 @@ import pytest
 from scipy.linalg import null_space
 from scipy.optimize import least_squares as scipy_least_squares
 
-from kempe.kinematics.common import gauss_newton as g
-from kempe.kinematics.common.gauss_newton import (
+from kempe.numerics import newton as g
+from kempe.numerics.newton import (
     damped_least_squares,
     gauss_newton,
     gauss_newton_of_many,

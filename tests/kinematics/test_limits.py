@@ -18,7 +18,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, KempeError, UnknownNameError
-from kempe.model.compiled_system import Structure
+from kempe.model.model import Structure
 
 MODELS = (
     "panda",

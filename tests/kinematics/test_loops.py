@@ -18,10 +18,10 @@ from oracles.declared import declared
 
 from kempe import Mechanism, System, load, spatial
 from kempe import constraints as c
+from kempe.equations import closure_rows
 from kempe.errors import InputError
 from kempe.joints import joint_type
-from kempe.kinematics import closure_rows
-from kempe.model.closures.implicit_form import implicit_form
+from kempe.model.implicit_form import implicit_form
 
 STEP = 1e-6
 

@@ -21,16 +21,16 @@ from own_joints import OWN
 from robots import good_urdf_files
 
 from kempe import Mechanism, System, convert, load, spatial
-from kempe.analysis.first_order.counting import counting
-from kempe.description.toml.toml import read_toml
-from kempe.description.toml.toml_writer import write_toml
+from kempe.assemble.from_poses import from_maximal
+from kempe.description.toml_reader import read_toml
+from kempe.description.toml_writer import write_toml
+from kempe.equations import closure_rows
+from kempe.equations.judge import coordinate_value, joint_pose
 from kempe.errors import InputError
+from kempe.first_order.counting import counting
+from kempe.forward.maximal import maximal_q, to_maximal
 from kempe.joints import Free, Revolute, Spherical
-from kempe.kinematics import closure_rows
-from kempe.kinematics.closure_errors import coordinate_value, joint_pose
-from kempe.kinematics.maximal import maximal_q, to_maximal
-from kempe.placement import placement_of_pose
-from kempe.solvers.assembly.poses import from_maximal
+from kempe.poses import placement_of_pose
 
 
 def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:

@@ -14,11 +14,11 @@ import reference
 
 import kempe
 from kempe import Mechanism, library
+from kempe.assemble import bound
+from kempe.cli import as_json, loop_report, report
+from kempe.equations.judge import Poses, judge, motion
 from kempe.joints import TYPES, joint_type
-from kempe.kinematics.measure import Poses, judge, motion
-from kempe.solvers.assembly import assembler
 from kempe.status import Status
-from kempe.views import facts, loop_report, report
 
 
 def text(renderable) -> str:
@@ -102,7 +102,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
         info[:] = (Status.SOLVED, 1, 1)
         return 0
 
-    monkeypatch.setattr(assembler.kernel, "assemble", blind)
+    monkeypatch.setattr(bound.kernel, "assemble", blind)
     answer = system.assemble({"A": 0.3}, start=system.neutral)
     assert answer.success and answer.residual == 0.0 and not answer.judged.holds
     said = "success is contradicted, judged by poses multiplied out in numpy: 'C' is missed by"
@@ -112,7 +112,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
         text(loop_report.assembly(answer)),
     ):
         assert said in shown
-    data = facts.answer_facts(answer)["judged"]
+    data = as_json.answer_facts(answer)["judged"]
     assert data["holds"] is False and max(data["errors"]["C"]) > 1e-3
     many = system.assemble({"A": [0.3, 0.5]}, start=system.neutral)
     assert "2 are contradicted by poses" in text(loop_report.assembly(many))
@@ -132,7 +132,7 @@ def test_a_forward_model_that_is_wrong_is_exposed(monkeypatch):
     assert "success is contradicted" in str(moved) and "success is contradicted" in text(
         report.solution(system, moved)
     )
-    assert facts.answer_facts(moved)["judged"]["holds"] is False
+    assert as_json.answer_facts(moved)["judged"]["holds"] is False
 
 
 def test_what_is_open_is_not_said_to_be_contradicted():

@@ -11,7 +11,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError
-from kempe.kinematics.common.parallel import over_chunks
+from kempe.numerics.pool import over_chunks
 
 
 @pytest.mark.parametrize("threads", [None, 1, 2, 3, 8])

@@ -23,8 +23,7 @@ from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 sympy = pytest.importorskip("sympy")
-from kempe.kinematics.formulas.symbolic import symbolic_fk  # noqa: E402
-from kempe.kinematics.formulas.symbolic_turns import TURN_LIMIT  # noqa: E402
+from kempe.forward.symbolic import TURN_LIMIT, symbolic_fk  # noqa: E402
 
 
 def numbers(formula, system: System, q, **parameters) -> np.ndarray:

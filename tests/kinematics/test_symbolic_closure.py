@@ -11,8 +11,8 @@ from shipped import shipped
 
 import kempe
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.configuration import has_loops
-from kempe.model.closures.packed_loops import must_be_explicit
+from kempe.model.configurations import has_loops
+from kempe.model.packed_loops import must_be_explicit
 
 sympy = pytest.importorskip("sympy")
 

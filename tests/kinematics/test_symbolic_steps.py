@@ -13,7 +13,7 @@ from kempe import Mechanism, spatial
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 sympy = pytest.importorskip("sympy")
-from kempe.kinematics.formulas.symbolic_steps import short_form  # noqa: E402
+from kempe.forward.symbolic_steps import short_form  # noqa: E402
 
 ARM = kempe.load("two_link")
 SYSTEMS = [

@@ -14,9 +14,9 @@ import pytest
 from command import Result
 
 import kempe
+from kempe.answers.tables import Tabular
 from kempe.errors import InputError
-from kempe.kinematics.common.tabular import Tabular
-from kempe.model.system import System
+from kempe.system import System
 
 
 def bar() -> System:

@@ -18,8 +18,8 @@ from robots import urdf_files
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
+from kempe.equations.packed_tasks import Packed
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.tasks.packed import Packed
 
 STEP = 1e-6
 

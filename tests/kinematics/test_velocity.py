@@ -11,9 +11,9 @@ from hunts import Hunt
 from kempe import Mechanism
 from kempe.constraints import NoSideslip, Rolls
 from kempe.constraints.base import with_numbers
-from kempe.kinematics.velocity.velocity import rates, row_names
-from kempe.model.system import System
+from kempe.equations.velocity import rates, row_names
 from kempe.spatial import Array, inverse
+from kempe.system import System
 
 TURNING = [
     "revolute",

@@ -16,12 +16,9 @@ from kempe.constraints import Constraint, Op, Row
 from kempe.constraints.base import Frame, Number
 from kempe.constraints.tape import POSE
 from kempe.constraints.text import from_text
+from kempe.equations.tasks import Centred, CoordinateTask, PlacedTask, Written, task_of
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.tasks.task import Centred, PlacedTask
-from kempe.kinematics.tasks.task_classes import task_of
-from kempe.kinematics.tasks.tasks_whole import CoordinateTask
-from kempe.kinematics.tasks.written import Written
-from kempe.solvers.tasks.levels import packed_for
+from kempe.inverse.tasks.search import packed_for
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 import kempe
-from kempe.model.closures.callback import Callback
-from kempe.model.closures.frame_constraints import Tie
-from kempe.model.closures.packed_loops import _by_level
+from kempe.model.constraint_program import Callback, Tie
+from kempe.model.packed_loops import _by_level
 
 NOWHERE = (-1, np.eye(4), False)
 

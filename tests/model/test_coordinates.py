@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kempe import Mechanism
+from kempe.equations.judge import coordinate_value
 from kempe.errors import DescriptionError, KempeError
 from kempe.joints import P, Q, R, joint_type
 from kempe.kernels.compiled import table_sweep
-from kempe.kinematics.closure_errors import coordinate_value
-from kempe.model.tree.coordinates import Follower, relation_text
+from kempe.model.coordinates import Follower, relation_text
 
 
 @given(graph=graphs(loops=4))

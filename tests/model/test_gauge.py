@@ -16,7 +16,7 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
 )
-from kempe.model.tree.gauge import regauge, split_turns
+from kempe.model.gauge import regauge, split_turns
 
 
 def forms(ints):

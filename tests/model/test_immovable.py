@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.description.urdf.urdf import read_urdf
-from kempe.model.immovable import immovable
+from kempe.answers.wording import immovable
+from kempe.description.urdf_reader import read_urdf
 
 EFFORT = '<limit effort="1" velocity="1"/>'
 

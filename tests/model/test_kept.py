@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.model.kept import MOST, keep, kept
+from kempe.model.model import MOST, keep, kept
 
 
 def test_once_for_each_system_and_keys():

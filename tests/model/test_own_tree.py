@@ -9,8 +9,8 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
-from kempe.model.tree.characteristic_length import characteristic_length
-from kempe.model.tree.own_tree import own_tree
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.own_tree import own_tree
 
 
 def four_bar(*cut: str, **more) -> System:

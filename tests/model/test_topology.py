@@ -16,9 +16,9 @@ from shipped import shipped, with_loops
 from kempe import Mechanism, System
 from kempe.errors import DescriptionError
 from kempe.joints import joint_type
-from kempe.model.tree.characteristic_length import origin_of
-from kempe.model.tree.structural_order import natural
-from kempe.model.tree.topology import Topology, spanning_tree
+from kempe.model.characteristic_length import origin_of
+from kempe.model.structural_order import natural
+from kempe.model.topology import Topology, spanning_tree
 
 
 def tree_by_name(system: System) -> dict:

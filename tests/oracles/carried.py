@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.kinematics.closure_errors import coordinate_value
-from kempe.kinematics.configuration import as_q
+from kempe.equations.judge import coordinate_value
+from kempe.model.configurations import as_q
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.frames import Pair
 from oracles.motion import FLAT, Motion
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 
 def coordinate_row(system: System, name: str) -> np.ndarray:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from kempe import System
+from kempe.equations.judge import coordinate_value
 from kempe.errors import UnknownNameError
-from kempe.kinematics.closure_errors import coordinate_value
-from kempe.kinematics.configuration import as_q
-from kempe.model.closures.implicit_form import slides_along_z
+from kempe.model.configurations import as_q
+from kempe.model.implicit_form import slides_along_z
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.carried import Carried, coordinate_row

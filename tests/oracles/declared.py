@@ -10,7 +10,7 @@ import numpy as np
 from kempe import System
 from kempe.constraints.base import position_rows
 from kempe.description.parts import Declared
-from kempe.model.closures.implicit_form import flat_frame
+from kempe.model.implicit_form import flat_frame
 from kempe.spatial import Array
 from oracles.frames import Pair
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.kinematics.configuration import as_q
-from kempe.kinematics.forward import fk
-from kempe.kinematics.forward import jacobian as frame_jacobian
+from kempe.forward.fk import fk
+from kempe.forward.fk import jacobian as frame_jacobian
+from kempe.model.configurations import as_q
 from kempe.spatial import Array
 from oracles import pairs
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 _EYE = np.eye(4)
 

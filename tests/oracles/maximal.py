@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import System, spatial
+from kempe.arrays import reals
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_start
-from kempe.kinematics.maximal import as_poses
-from kempe.reals import reals
+from kempe.forward.maximal import as_poses
+from kempe.model.configurations import as_start
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.maximal_form import (

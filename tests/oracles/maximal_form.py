@@ -12,10 +12,10 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Joint
+from kempe.equations.judge import coordinate_value
 from kempe.joints import Q
-from kempe.kinematics.closure_errors import coordinate_value
-from kempe.kinematics.configuration import as_start
-from kempe.model.kept import kept
+from kempe.model.configurations import as_start
+from kempe.model.model import kept
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.carried import Carried
@@ -24,7 +24,7 @@ from oracles.declared import declared
 from oracles.frames import Pair
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 TURNS = (0, 32, 6, 2, 1)
 """Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them

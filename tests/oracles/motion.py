@@ -16,7 +16,7 @@ from kempe.spatial import Array
 from oracles import pairs
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 STARTS = 16
 STEPS = 60

@@ -16,7 +16,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.joints import JointType
-from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
+from kempe.model.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.spatial import Array
 
 Rows = tuple[Array, Array]

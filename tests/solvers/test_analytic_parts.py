@@ -15,15 +15,15 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 import kempe
+from kempe.inverse import families, solve_all
+from kempe.inverse.all_answer import Solutions
+from kempe.inverse.arm_angle import reference_plane
+from kempe.inverse.closed_forms import nearest
+from kempe.inverse.closed_forms import plan as choice
+from kempe.inverse.closed_forms.plan import spread
+from kempe.inverse.explain_all import ROW
+from kempe.inverse.families import Samples, TolerantMotion
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.solvers.analytic import further
-from kempe.solvers.analytic.answers import families, nearest
-from kempe.solvers.analytic.answers.explain_ik_all import ROW
-from kempe.solvers.analytic.answers.family_curves import Samples, TolerantMotion
-from kempe.solvers.analytic.answers.solutions import Solutions
-from kempe.solvers.analytic.plans import choice
-from kempe.solvers.analytic.plans.plan import spread
-from kempe.solvers.analytic.redundant.arm_angle import reference_plane
 
 AXES = ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, -2.0, 0.5], [-0.3, 0.2, 0.9])
 
@@ -81,7 +81,7 @@ def test_a_configuration_is_polished_onto_its_target():
     answer = arm.ik_all(arm.fk(q, "tool"), "tool")
     assert np.abs(answer.plan.lines.origin).max() > 0.1
     none: Any = None
-    target = further._Targets(
+    target = solve_all._Targets(
         answer.question, answer.plan, none, none, none, none, none, none, None
     )
     found, error = target._polished(0, q + 1e-3, True)
@@ -172,7 +172,7 @@ def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
 def test_nothing_is_left_out_where_there_was_room():
     arm = kempe.load("puma560")
     answer = arm.ik_all(arm.fk([0.3, -0.7, 0.4, 0.5, 0.0, -0.2], "tool"), "tool")
-    assert families._left_out(answer, 0, nearest.aim_of(answer, 0, spare=True)).shape == (0, 6)
+    assert families._left_out(answer, 0, families.aim_of(answer, 0, spare=True)).shape == (0, 6)
 
 
 def test_curves_cross_where_the_second_singular_value_vanishes():

@@ -17,12 +17,11 @@ from linkages import four_bar
 
 import kempe
 from kempe import Mechanism, constraints
+from kempe.assemble import bound as assembler_module
+from kempe.assemble.bound import LONG, Assembler, OneSidedAssembly
+from kempe.assemble.dyads import Plan
+from kempe.equations import closure_rows
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
-from kempe.kinematics import closure_rows
-from kempe.solvers.assembly import assembler as assembler_module
-from kempe.solvers.assembly.assembler import LONG, Assembler
-from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
-from kempe.solvers.dyads.dyads import Plan
 from kempe.status import Status
 
 MECHANISMS = [
@@ -387,7 +386,7 @@ def test_continuous_rows_follow_each_other(n):
 @given(st.integers(0, 10**6))
 def test_what_is_left_open_is_nearest(seed):
     """The answer is stationary: the way to `near` is normal to the closed set."""
-    from kempe.solvers.assembly.charts import tangent_space
+    from kempe.mobility.independent import tangent_space
 
     s = kempe.load("stewart")
     near = s.configuration_space.integrate(

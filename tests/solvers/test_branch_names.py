@@ -10,7 +10,7 @@ import pytest
 import kempe
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers.analytic.plans.branch_names import NEITHER, SEVEN, SLIDING, SPATIAL, branch_names
+from kempe.inverse.closed_forms.branch_names import NEITHER, SEVEN, SLIDING, SPATIAL, branch_names
 
 WORDS = [word for choice in SPATIAL for word in choice[:2]]
 LINKS = [f"link{k}" for k in range(1, 6)]

@@ -16,16 +16,17 @@ from test_tasks import inside, two_arms
 
 import kempe
 from kempe import Mechanism, spatial, tasks
+from kempe.answers import targets as arguments
 from kempe.budget import watched_by
 from kempe.errors import InputError, NoSolutionError
+from kempe.inverse import explain_tasks, ik_all, multi_start, solve_all
+from kempe.inverse.chain import problem
+from kempe.inverse.closed_forms import question, start_search
+from kempe.inverse.tasks import search as effort
+from kempe.inverse.tasks import search as ik_tasks
 from kempe.kernels.compiled import fallback
-from kempe.kinematics.common import gauss_newton, parallel
-from kempe.kinematics.common.gauss_newton import least_squares_of_many
-from kempe.solvers.analytic import ik_all, start_search, through_loops
-from kempe.solvers.analytic.plans import question
-from kempe.solvers.common import arguments, clock
-from kempe.solvers.one_frame import multi_start
-from kempe.solvers.tasks import effort, explain_tasks, ik_tasks
+from kempe.numerics import clock, newton, pool
+from kempe.numerics.newton import least_squares_of_many
 from kempe.status import Status
 
 ROUNDING = 1e-12
@@ -194,7 +195,7 @@ def test_a_limit_that_does_not_bite_changes_nothing():
     X = s.fk(q, HAND)
     free = s.ik(X, HAND)
     limited = s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6))
-    same = free.starts <= multi_start.ROUND
+    same = free.starts <= problem.ROUND
     assert limited.success.all() and same.mean() > 0.9
     np.testing.assert_array_equal(limited.q[same], free.q[same])
     np.testing.assert_array_equal(
@@ -389,7 +390,9 @@ def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
 
 
 def test_the_time_limit_of_one_target():
-    assert ik_all.USUAL.of(None).time_limit == 30.0 and ik_all.BATCH.of(None).time_limit is None
+    assert (
+        solve_all.USUAL.of(None).time_limit == 30.0 and solve_all.BATCH.of(None).time_limit is None
+    )
 
 
 @pytest.mark.parametrize("most", range(6))
@@ -455,14 +458,14 @@ def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_va
 def test_the_time_limit_of_a_frame_that_moves_with_loops(monkeypatch):
     """It is that of the assembly modes that answer."""
     given = []
-    before = through_loops.assembly_modes
+    before = solve_all.assembly_modes
 
     def modes(*args, budget):
         given.append(budget.time_limit)
         return before(*args, limits=False, budget=budget)
 
     monkeypatch.setattr(
-        through_loops, "assembly_modes", lambda *a, limits, budget: modes(*a, budget=budget)
+        solve_all, "assembly_modes", lambda *a, limits, budget: modes(*a, budget=budget)
     )
     s = kempe.load("four_bar")
     q = s.assemble({"A": 0.9}).q
@@ -592,7 +595,7 @@ def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
     A = rng.normal(size=(9, 80, 90))
     b = rng.normal(size=(9, 80))
     whole = least_squares_of_many(A, b)
-    monkeypatch.setattr(gauss_newton, "WORK", 2.0 * 80 * 90 * 80)
+    monkeypatch.setattr(newton, "WORK", 2.0 * 80 * 90 * 80)
     with watched_by(lambda: looks.append(1)):
         parts = least_squares_of_many(A, b)
     np.testing.assert_array_equal(parts, whole)
@@ -705,9 +708,9 @@ def test_the_work_of_a_thread_that_was_told_to_stop_ends_at_the_next_piece():
     s = kempe.load("puma560")
     X = far_away(s, "tool", 1500)
     sign = threading.Event()
-    work = parallel.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
+    work = pool.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
     assert np.isfinite(work().q).all()
     sign.set()
-    with pytest.raises(parallel.Stopped):
+    with pytest.raises(pool.Stopped):
         work()
     assert s.ik(X[0], "tool")  # the sign was for that work alone

@@ -10,10 +10,10 @@ from hunts import some
 
 import kempe
 from kempe import library
+from kempe.equations import closure_rows
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import TYPES
-from kempe.kinematics import closure_rows
-from kempe.solvers.assembly.charts import WORST, Chart, tangent_space
+from kempe.mobility.independent import WORST, Chart, tangent_space
 
 SYSTEMS = {
     "four_bar": 1,

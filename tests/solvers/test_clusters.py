@@ -8,7 +8,7 @@ from hunts import Hunt
 
 import kempe
 from kempe import Mechanism, System
-from kempe.solvers.modes.same_configuration import Clusters
+from kempe.assemble.same_configuration import Clusters
 
 TURN = 2.0 * np.pi
 

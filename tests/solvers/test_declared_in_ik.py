@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.kinematics.measure import judge
+from kempe.equations.judge import judge
 
 
 def rod() -> kempe.Mechanism:

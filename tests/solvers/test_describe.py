@@ -13,7 +13,7 @@ import pytest
 
 import kempe
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.solvers.analytic.describe.describe import ik_plan
+from kempe.inverse.describe import ik_plan
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import arms

@@ -8,10 +8,9 @@ from hunts import some
 from shipped import shipped, with_loops
 
 import kempe
-from kempe.kinematics.closure_rows import evaluate
-from kempe.model.closures.packed_loops import loops_of
-from kempe.solvers.assembly.dimensions import Dimensions
-from kempe.solvers.assembly.relations import Relations
+from kempe.assemble.fit import Dimensions, Relations
+from kempe.equations.closure_rows import evaluate
+from kempe.model.packed_loops import loops_of
 
 LOOPS = [name for name in with_loops() if shipped()[name].nv <= 20]
 STEP = 1e-5

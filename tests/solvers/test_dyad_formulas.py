@@ -12,8 +12,8 @@ import pytest
 from hunts import some
 
 import kempe
+from kempe.equations.judge import judge
 from kempe.errors import UnsupportedError
-from kempe.kinematics.measure import judge
 
 sympy = pytest.importorskip("sympy")
 

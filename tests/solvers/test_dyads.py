@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism
+from kempe.assemble.dyads import Incomplete, Plan, closed_form, on_branch
+from kempe.equations import closure_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics import closure_rows
-from kempe.solvers.dyads.dyads import Incomplete, Plan, closed_form, on_branch
 
 seeds = st.integers(0, 2**32)
 

@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 
 import kempe
 from kempe import Mechanism, tasks
-from kempe.analysis.local.local import local_dimension
 from kempe.errors import InputError
+from kempe.mobility.local_dimension import local_dimension
 
 RANK_LOST = "to first order only (the Jacobian loses rank here)"
 

@@ -22,12 +22,12 @@ from rounded import FAMILIES, NAMES, exact, in_place, perturbed, rounded, spheri
 
 import kempe
 from kempe import Mechanism, System
+from kempe.assemble import nearest_exact
 from kempe.budget import look
 from kempe.errors import InputError, TimeLimitError
-from kempe.kinematics.closure_rows import characteristic_length
-from kempe.placement import Placement
-from kempe.solvers.assembly import ideal
-from kempe.solvers.common import clock
+from kempe.model.characteristic_length import characteristic_length
+from kempe.numerics import clock
+from kempe.poses import Placement
 from kempe.spatial import rot_x, rot_y, rot_z
 
 ENOUGH = 20
@@ -280,7 +280,7 @@ def test_hunt_families_of_the_literature_move_when_rounded(family, hunt):
         count += 1
         digits = int(rng.integers(3, 7))
         given = rounded(system, digits, rng)
-        if 10.0**-digits > 0.4 * ideal.WIDEST * characteristic_length(system):
+        if 10.0**-digits > 0.4 * nearest_exact.WIDEST * characteristic_length(system):
             continue  # the largest tolerance may be smaller than what rounding has changed
         found: Any = given.idealised()
         assert (
@@ -352,7 +352,12 @@ def test_what_assemble_calls_closed_is_traced_and_driven_where_no_ideal_is_searc
         joints += [("", f"crank{i}", p, None), (f"crank{i}", "coupler", p + [0.25, 0.31], None)]
     given = perturbed(in_place("cranks", joints, 2), off, rng)
     answer = given.assemble()
-    assert given.nv > ideal.MOST and answer and answer.within is None and answer.residual > 1e-13
+    assert (
+        given.nv > nearest_exact.MOST
+        and answer
+        and answer.within is None
+        and answer.residual > 1e-13
+    )
     assert given.mobility(answer.q, local=False).closed
     path = given.trace("q0", start=answer.q, budget=kempe.Budget(points=5))
     assert len(path) > 3 and "do not close" not in path.status
@@ -408,7 +413,7 @@ def hanging(count: int, digits: int, rng: np.random.Generator) -> System:
         m.revolute(f"A{k}", base, a, at=(0.1 * k, 0, 0), **turn)
         m.revolute(f"B{k}", a, b, at=(0.1, 0, 0))
         m.revolute(f"C{k}", b, c, at=(0.5, 0, 0), child_at=(0.4, 0, 0))
-        far = kempe.placement.place((0.1 * k, 0, 0), **turn) @ kempe.placement.place((0.4, 0, 0))
+        far = kempe.poses.place((0.1 * k, 0, 0), **turn) @ kempe.poses.place((0.4, 0, 0))
         m.joints[f"D{k}"] = replace(m.revolute(f"D{k}", base, c), X_PF=far)
     return rounded(m.build(), digits, rng)
 
@@ -416,13 +421,15 @@ def hanging(count: int, digits: int, rng: np.random.Generator) -> System:
 def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
     """So a robot of many loops costs as much as its loops, and may have any number of coordinates."""
     sizes: list[int] = []
-    before = ideal.Dimensions.__init__
+    before = nearest_exact.Dimensions.__init__
     monkeypatch.setattr(
-        ideal.Dimensions, "__init__", lambda self, s: (sizes.append(s.nv), before(self, s))[1]
+        nearest_exact.Dimensions,
+        "__init__",
+        lambda self, s: (sizes.append(s.nv), before(self, s))[1],
     )
-    monkeypatch.setattr(ideal, "MOST", 20)
+    monkeypatch.setattr(nearest_exact, "MOST", 20)
     given = hanging(5, 6, hunt.rng())
-    assert given.nv == 26 > ideal.MOST
+    assert given.nv == 26 > nearest_exact.MOST
     answer = given.assemble()
     assert (
         answer
@@ -515,7 +522,7 @@ def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hu
         look()
         raise AssertionError("the time was up")
 
-    monkeypatch.setattr(ideal, "_searched", search)
+    monkeypatch.setattr(nearest_exact, "_searched", search)
     monkeypatch.setattr(
         clock, "time", SimpleNamespace(monotonic=lambda: math.inf if searched else -math.inf)
     )
@@ -532,7 +539,7 @@ def test_loops_that_close_with_any_dimensions_are_not_searched(monkeypatch):
     def search(*_: Any) -> None:
         raise AssertionError("it is searched")
 
-    monkeypatch.setattr(ideal, "_starts", search)
+    monkeypatch.setattr(nearest_exact, "_starts", search)
     m = Mechanism("four-bar", dim=2)
     a, b, c = (m.body(x) for x in "abc")
     m.revolute("A", m.ground, a)

@@ -15,8 +15,8 @@ from ik_all_checks import ask, same_sets
 import kempe
 from kempe import spatial
 from kempe.errors import InputError
+from kempe.inverse.closed_forms.held import solve_held
 from kempe.kernels.forward.table_layout import TURN
-from kempe.solvers.analytic.ik_all import solve_held
 
 ARMS = arms.arms()
 

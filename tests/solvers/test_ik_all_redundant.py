@@ -13,8 +13,8 @@ from hunts import some
 from robots import urdf_files
 
 import kempe
-from kempe.solvers.analytic.ik_all import ik_all
-from kempe.solvers.analytic.redundant.redundancy import ik_sweep
+from kempe.inverse.ik_all import ik_all
+from kempe.inverse.sweep import ik_sweep
 
 PI = math.pi
 H = math.pi / 2

@@ -16,9 +16,8 @@ from linkages import planar_arm
 
 import kempe
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers.analytic.answers.explain_ik_all import status
-from kempe.solvers.analytic.answers.families import families_of
-from kempe.solvers.analytic.answers.nearest import nearest
+from kempe.inverse.explain_all import nearest, status
+from kempe.inverse.families import families_of
 
 TURN = 2.0 * math.pi
 

@@ -9,7 +9,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System, tasks
-from kempe.solvers.common.serial_chain import chain_of
+from kempe.inverse.chain.serial_chain import chain_of
 
 ARMS = ("puma560", "ur5", "stanford", "irb6640", "crx10ia", "xarm6", "hc10", "jaco2", "ur10e")
 

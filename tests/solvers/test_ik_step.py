@@ -12,8 +12,8 @@ from scipy.optimize import linprog, lsq_linear
 
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
-from kempe.solvers.velocity.least_squares import SHIFT, bounded
-from kempe.solvers.velocity.servo import Servo
+from kempe.inverse.servo import Servo
+from kempe.numerics.least_squares import SHIFT, bounded
 
 HAND = "panda_link7"
 DT = 0.01

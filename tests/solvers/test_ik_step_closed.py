@@ -13,8 +13,8 @@ from scipy.optimize import linprog, minimize
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
+from kempe.equations.closure_rows import evaluate, residual
 from kempe.errors import InputError
-from kempe.kinematics.closure_rows import evaluate, residual
 
 DT = 0.01
 PLANE = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, NoSolutionError, UnknownNameError, UnsupportedError
-from kempe.solvers.common.serial_chain import chain_of
+from kempe.inverse.chain.serial_chain import chain_of
 from kempe.status import Status
 
 

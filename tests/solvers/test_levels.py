@@ -11,7 +11,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System, tasks
-from kempe.solvers.tasks.reached import Reached
+from kempe.inverse.answer import Reached
 
 HAND = "panda_hand_tcp"
 NAMES = ("panda", "ur5", "xarm6", "iiwa14")

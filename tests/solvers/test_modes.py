@@ -15,13 +15,20 @@ from linkages import four_bar
 
 import kempe
 from kempe import Mechanism, System
+from kempe.answers.problem import Problem
+from kempe.assemble.dyads import closed_form
+from kempe.assemble.modes import (
+    SOLVERS,
+    Modes,
+    assembly_modes,
+    by_dyads,
+    by_starts,
+    estimates,
+    no_dyads,
+)
+from kempe.assemble.same_configuration import metric_of
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers.common import clock
-from kempe.solvers.common.problem import Problem
-from kempe.solvers.dyads.dyads import closed_form
-from kempe.solvers.modes.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
-from kempe.solvers.modes.modes_search import estimates
-from kempe.solvers.modes.same_configuration import metric_of
+from kempe.numerics import clock
 
 
 def inputs(system: System, *names: str) -> dict[str, float]:

@@ -13,10 +13,9 @@ from own_joints import registered
 
 import kempe
 from kempe import Mechanism, System
+from kempe.assemble.modes import assembly_modes, estimates, must_be_even, search
 from kempe.joints import JointType, P, Primitive
-from kempe.placement import placement_of_pose
-from kempe.solvers.modes.modes import assembly_modes
-from kempe.solvers.modes.modes_search import estimates, must_be_even, search
+from kempe.poses import placement_of_pose
 from kempe.spatial import exp_se3
 
 
@@ -201,7 +200,7 @@ def test_an_odd_number_is_called_incomplete(monkeypatch):
     """With too few starts to find the last one and no look at images, the answer says that it is
     there.
     """
-    import kempe.solvers.modes.modes_search as many
+    from kempe.assemble import modes as many
 
     f = k33(np.random.default_rng([1, 0]))
     monkeypatch.setattr(many.ModesSearch, "complete", lambda self: False)

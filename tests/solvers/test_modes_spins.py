@@ -11,7 +11,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
-from kempe.analysis.first_order.generic_configurations import idle_at
+from kempe.assemble.generic_configurations import idle_at
 from kempe.joints import joint_type
 from kempe.spatial import exp_so3
 

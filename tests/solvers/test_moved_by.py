@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kempe import Mechanism
-from kempe.solvers.common.serial_chain import chain_of, moved_by
+from kempe.inverse.chain.serial_chain import chain_of, moved_by
 
 
 def test_a_screw_turns_and_slides():

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import kempe
-from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import characteristic_length
 
 FRAMES = {"two_link": "e", "ur5": "tool", "puma560": "tool", "panda": "panda_hand_tcp"}
 

@@ -13,11 +13,11 @@ from linkages import planar_arm
 
 import kempe
 from kempe import spatial
-from kempe.description.dh.dh import from_dh
+from kempe.description.dh import from_dh
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.solvers.analytic.redundant.arm_angle import arm_angle, three_turns, turns
-from kempe.solvers.analytic.redundant.intervals import arcs, joined, union
-from kempe.solvers.analytic.redundant.redundancy import ik_sweep
+from kempe.inverse.arm_angle import arm_angle, three_turns, turns
+from kempe.inverse.sweep import ik_sweep
+from kempe.numerics.intervals import arcs, joined, union
 
 H = math.pi / 2
 PI = math.pi

@@ -11,7 +11,7 @@ import pytest
 from hunts import some
 
 import kempe
-from kempe.solvers.analytic.redundant.redundancy import ik_sweep
+from kempe.inverse.sweep import ik_sweep
 
 AXIS = (0.6, 0.0, 0.8)
 CASES = {

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import kempe
+from kempe.answers.problem import Problem
+from kempe.answers.targets import Z_AXIS
+from kempe.assemble import modes
 from kempe.errors import UnsupportedError
-from kempe.model.namespaces import Inverse
-from kempe.solvers.common.problem import Problem
-from kempe.solvers.common.targets import Z_AXIS
-from kempe.solvers.modes import modes
-from kempe.solvers.one_frame import inverse
-from kempe.solvers.table import TABLE
+from kempe.inverse import numeric
+from kempe.namespaces import Inverse
+from kempe.solvers import TABLE
 
 PUMA, SEVEN, SMALL, ANYHOW = (kempe.load(n) for n in ("puma560", "iiwa14", "so101", "gen3_lite"))
 LINKAGE, PLATFORM, SPATIAL = (kempe.load(n) for n in ("four_bar", "three_rrr", "rssr"))
@@ -138,7 +138,7 @@ def test_all_who_can_reach_the_same(name, hunt):
     refused = set[str]()
     for _ in range(hunt.cases(5)):
         target = robot.fk(robot.random(rng), frame)
-        for row in inverse.SOLVERS:
+        for row in numeric.SOLVERS:
             method = "analytic" if row.name == "closed form" else "numeric"
             task = ("pose", Z_AXIS)
             if row.refuses(robot, frame, task, method, False) is not None:
@@ -149,7 +149,7 @@ def test_all_who_can_reach_the_same(name, hunt):
             )
             answer = row.run(problem)
             assert answer.success and answer.judged.holds, row.name
-    assert len(refused) < len(inverse.SOLVERS) - 1, refused
+    assert len(refused) < len(numeric.SOLVERS) - 1, refused
 
 
 @pytest.mark.parametrize("name", ["four_bar", "slider_crank", "five_bar"])

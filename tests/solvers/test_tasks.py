@@ -15,12 +15,11 @@ from scipy.optimize import minimize
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
+from kempe.equations.closure_rows import residual
+from kempe.equations.packed_tasks import Packed
+from kempe.equations.tasks import task_of
 from kempe.errors import InputError, NoSolutionError
-from kempe.kinematics.closure_rows import residual
-from kempe.kinematics.tasks.packed import Packed
-from kempe.kinematics.tasks.task_classes import task_of
-from kempe.solvers.one_frame.solution import Solution
-from kempe.solvers.tasks.reached import Reached
+from kempe.inverse.answer import Reached, Solution
 
 HAND = "panda_link7"
 

@@ -12,7 +12,7 @@ import pytest
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError
-from kempe.solvers.tasks.levels import packed_for
+from kempe.inverse.tasks.search import packed_for
 from kempe.status import Status
 
 HAND = "panda_link7"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
-from kempe.solvers.tasks.reached import Reached
+from kempe.inverse.answer import Reached
 
 HAND = "panda_hand_tcp"
 

@@ -9,8 +9,8 @@ import pytest
 from hunts import some
 from scipy.special import ellipe
 
-from kempe.solvers.common import tracing
-from kempe.solvers.common.tracing import (
+from kempe.numerics import curves
+from kempe.numerics.curves import (
     BEND,
     Curve,
     Node,
@@ -125,7 +125,7 @@ def test_the_walk_ends_where_a_curve_is_not_smooth():
     """y^2 = x^3 has a cusp at the origin: the walk ends where rounding says so, and does not turn
     round.
     """
-    near = tracing.CLOSED ** (
+    near = curves.CLOSED ** (
         1.0 / 3.0
     )  # points at which less is missing count as points of the curve
     curve = Implicit(
@@ -143,7 +143,7 @@ def test_steps_that_are_too_long_are_none():
         # the corrector lands in the plane across the tangent, at the height h: the bend is asin(h)
         b = step(ellipse(1.0, 1.0), a, float(h))
         allowed = (
-            h <= 1.0 and math.asin(h) <= BEND and 1.0 - math.sqrt(1.0 - h * h) <= tracing.ACROSS * h
+            h <= 1.0 and math.asin(h) <= BEND and 1.0 - math.sqrt(1.0 - h * h) <= curves.ACROSS * h
         )
         assert (b is not None) == allowed
         assert b is None or bend(a, b) == pytest.approx(math.asin(h), abs=1e-10)
@@ -165,11 +165,11 @@ def test_the_walk_comes_as_near_to_a_limit_as_its_least_step(limit):
     """Steps beyond a limit are refused: halved until none is left, so that the last was refused
     below twice that.
     """
-    a = Node(np.zeros(1), np.ones(1), 1.0, 1, tracing.NONE, tracing.NONE)
+    a = Node(np.zeros(1), np.ones(1), 1.0, 1, curves.NONE, curves.NONE)
 
     def taken(a, h):
         x = a.x + h
-        return [Node(x, a.t, 1.0, 1, tracing.NONE, tracing.NONE)] if x[0] <= limit else None
+        return [Node(x, a.t, 1.0, 1, curves.NONE, curves.NONE)] if x[0] <= limit else None
 
     nodes = list(walk(a, taken, 0.05, 0.05, least=1e-4, ideal=math.inf))
     assert limit - 2e-4 <= nodes[-1].x[0] <= limit

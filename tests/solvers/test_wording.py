@@ -11,8 +11,8 @@ import pytest
 import sources
 
 import kempe
-from kempe.solvers.common import wording
-from kempe.solvers.common.proofs import Evidence, evidence, lengths, outside_limits
+from kempe.answers import wording
+from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
 
 SOLVERS = Path(kempe.__file__).parent / "solvers"
 ARM = kempe.load("puma560")

@@ -7,7 +7,7 @@ import queue
 import pytest
 
 from kempe.errors import InputError
-from kempe.views.viewer.beside import Beside
+from kempe.views.viewer.live import Beside
 
 
 def raising(error):

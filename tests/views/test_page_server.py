@@ -33,9 +33,8 @@ from websockets.http11 import Request
 from websockets.sync.client import connect
 
 import kempe
-from kempe.views.viewer import live_page, mesh_files
-from kempe.views.viewer.live import Viewer
-from kempe.views.viewer.live_page import Page
+from kempe.views.viewer import live, mesh_files
+from kempe.views.viewer.live import Page, Viewer
 from kempe.views.viewer.mesh_files import meshes_of, read_meshes
 from kempe.views.viewer.scene_nodes import Drawn
 from kempe.views.viewer.server import Guard, PageServer
@@ -579,6 +578,6 @@ def test_a_dae_mesh_without_its_reader_names_the_package(tmp_path, monkeypatch):
 
 
 def test_sentences_are_html_letter_by_letter():
-    assert Tags(live_page.as_html(EVIL.format(site="host"))).tags == [("p", "")]
+    assert Tags(live.as_html(EVIL.format(site="host"))).tags == [("p", "")]
     drawn = types.SimpleNamespace(lost=["a", "b", "c", "d", "e"])
     assert Drawn.lost_sentence.fget(drawn) == "5 meshes not drawn: a; b; c; and 2 more"

@@ -14,13 +14,13 @@ from hunts import some
 
 import kempe
 from kempe import Mechanism, constraints, library
+from kempe.equations.judge import judge
 from kempe.errors import CallError, InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.configuration import home_of
-from kempe.kinematics.measure import judge
+from kempe.model.configurations import home_of
 
 pytest.importorskip("matplotlib")
 from kempe.views import plots
-from kempe.views.drawing import labels, measured, page, shapes, symbols
+from kempe.views.drawing import dimensions, labels, page, shapes, symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids, flat_hull
 
@@ -980,7 +980,7 @@ def test_an_arrow_for_each_freedom(name):
     scene = look(system, start(system))
     solids = Solids()
     (joint,) = scene.joints
-    lines = measured.freedoms(solids, joint, 1.0)
+    lines = dimensions.freedoms_in_space(solids, joint, 1.0)
     (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
     assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(
         lines
@@ -1024,7 +1024,7 @@ def test_joints_show_both_bodies():
 def test_options_are_written_out():
     import inspect
 
-    from kempe.model.plot_options import PlotOptions
+    from kempe.views.plot_options import PlotOptions
 
     names = list(inspect.signature(kempe.System.plot).parameters)
     assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism
+from kempe.cli import as_json, report
 from kempe.errors import DescriptionError, Fault, UnknownNameError, Where
-from kempe.views import facts, report
 from kempe.words import json_text, jsonable
 
 
@@ -47,7 +47,7 @@ def zoo() -> Mechanism:
 
 
 def test_units_of_every_coordinate():
-    unit = facts.units(zoo().build())
+    unit = as_json.units(zoo().build())
     assert {n for n, u in unit.items() if u == "m"} == {
         "sleeve.z",
         "flight.x",
@@ -60,7 +60,9 @@ def test_units_of_every_coordinate():
 
 def test_degrees_touch_angles_only():
     system = zoo().build()
-    shown = facts.in_degrees(np.ones(system.nq), system.coordinate_names, facts.units(system), True)
+    shown = as_json.in_degrees(
+        np.ones(system.nq), system.coordinate_names, as_json.units(system), True
+    )
     by_name = dict(zip(system.coordinate_names, shown, strict=True))
     assert (
         by_name["screw"] == pytest.approx(180.0 / np.pi)
@@ -88,7 +90,7 @@ def test_info_says_everything():
 
 
 def test_facts_are_json():
-    data = facts.system_facts(zoo().build())
+    data = as_json.system_facts(zoo().build())
     assert json.loads(json_text(data)) == data
     assert data["dof_of_tree"] == data["nv"] == 8
     assert [c["index"] for c in data["coordinates"]] == list(range(data["nq"]))
@@ -151,15 +153,15 @@ def test_problems_have_carets():
 
 
 def test_errors_carry_their_data():
-    data = facts.error_facts(UnknownNameError("frame", "x", ["a", "b"], "arm"))
+    data = as_json.error_facts(UnknownNameError("frame", "x", ["a", "b"], "arm"))
     assert data == {
         "error": "arm has no frame 'x'; there are: 'a', 'b'",
         "type": "UnknownNameError",
         "allowed": ["a", "b"],
     }
-    problem = facts.error_facts(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))[
-        "problems"
-    ][0]
+    problem = as_json.error_facts(
+        DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x")))
+    )["problems"][0]
     assert (problem["file"], problem["line"], problem["column"], problem["message"]) == (
         "f",
         3,

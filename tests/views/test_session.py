@@ -7,13 +7,12 @@ import pytest
 from hunts import some
 
 import kempe
+from kempe.equations.judge import judge
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.measure import judge
 from kempe.views.drawing.labels import fitting
-from kempe.views.viewer.motions import possible
 from kempe.views.viewer.overlays import Overlay, offered, rounds
-from kempe.views.viewer.rigid_parts import RigidParts
-from kempe.views.viewer.session import Session
+from kempe.views.viewer.scene_nodes import RigidParts
+from kempe.views.viewer.session import Session, possible
 
 NAMES = (
     "panda",

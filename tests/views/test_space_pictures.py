@@ -18,12 +18,12 @@ from two_freedoms_in_space import (
 
 import kempe
 from kempe import Budget
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.errors import InputError, TimeLimitError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
-from kempe.analysis.spaces.configuration import two_freedoms as spaces
 from kempe.constraints.flat_tasks import FlatTask
+from kempe.spaces import two_freedoms as spaces
 from kempe.views.space_pictures import nearest
 
 ARM = kempe.load("two_link")

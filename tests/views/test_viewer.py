@@ -21,12 +21,11 @@ from hunts import some
 from robots import DATA
 
 import kempe
+from kempe.equations.judge import judge
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.measure import judge
 from kempe.views.drawing.scene import look
 from kempe.views.viewer.mesh_files import meshes_of
-from kempe.views.viewer.rigid_parts import RigidParts
-from kempe.views.viewer.scene_nodes import Nodes
+from kempe.views.viewer.scene_nodes import Nodes, RigidParts
 from kempe.views.viewer.session import Session
 
 WIDE = 960

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from kempe.answers.wording import immovable
+from kempe.cli.terminal import COMPLETE, Commands, UsageError, print_json, refuse
 from kempe.description.formats import named, read_by
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, KernelsError
-from kempe.model.immovable import immovable
 from kempe.version import __version__
-from kempe.views.terminal import COMPLETE, Commands, UsageError, print_json, refuse
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.system import System
 
 app = typer.Typer(
     cls=Commands,
@@ -237,14 +237,18 @@ def results(path: Path | None, *read: object) -> None:
 
     Nor are they written over a file of rows that the command reads.
     """
-    from kempe.views import rows
+    from kempe.cli import table_files
 
-    rows.output(path)
+    table_files.output(path)
     writable(path)
     if path is None or not path.exists():
         return
     for given in read:
-        if isinstance(given, (str, Path)) and rows.is_file(str(given)) and expanded(given).exists():
+        if (
+            isinstance(given, (str, Path))
+            and table_files.is_file(str(given))
+            and expanded(given).exists()
+        ):
             if path.samefile(expanded(given)):
                 raise InputError(
                     f"{path}: the command reads this file; write the results to another one"
@@ -253,7 +257,7 @@ def results(path: Path | None, *read: object) -> None:
 
 def remark(text: str) -> None:
     """Say something beside the answer, on standard error."""
-    from kempe.views.report import in_options
+    from kempe.cli.report import in_options
 
     print(f"kempe: {in_options(text)}", file=sys.stderr, flush=True)
 

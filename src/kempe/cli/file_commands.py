@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Axis,
@@ -31,8 +31,8 @@ from kempe.cli.app import (
     load,
     option,
 )
+from kempe.cli.terminal import guarded, leave, print_json, show
 from kempe.errors import InputError
-from kempe.views.terminal import guarded, leave, print_json, show
 
 
 @app.command(rich_help_panel=OPEN)
@@ -88,9 +88,9 @@ def map(
     """
     import kempe
     from kempe.budget import Budget
+    from kempe.cli import progress
+    from kempe.cli import table_files as read
     from kempe.cli.inverse_commands import task_argument
-    from kempe.views import rows as read
-    from kempe.views import slices
 
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     given: dict[str, Any] = {
@@ -107,7 +107,7 @@ def map(
             raise InputError(f"--tolerance is {tolerance!r}; of {verb} it is one number")
         given["tolerance"] = errors if verb == "ik" else errors[0]
     names = None if columns is None else [name.strip() for name in columns.split(",")]
-    with slices.paced(sys.stderr, "rows") as said:
+    with progress.paced(sys.stderr, "rows") as said:
         answer = until_interrupt(
             kempe.map_file,
             system,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.calls import until_interrupt
 from kempe.cli.app import (
     OPEN,
     All,
@@ -48,13 +48,13 @@ from kempe.cli.app import (
     results,
     say_written,
 )
+from kempe.cli.terminal import INCOMPLETE, UsageError, guarded, leave, print_json, show
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, UsageError, guarded, leave, print_json, show
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
-    from kempe.solvers.modes.modes import Modes
-    from kempe.views.input.task_file import FileTasks
+    from kempe.assemble.modes import Modes
+    from kempe.cli.arguments import FileTasks
+    from kempe.system import System
 
 SLICE = 4096
 TASK_SLICE = 256
@@ -115,18 +115,22 @@ def ik(
             "--prefer is for --tasks: it says what is made least in what they leave free"
         )
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import rows
+    from kempe.cli import table_files
 
     results(out, target)
     drawable(plot, gif, html)
-    errors = (0.0, 0.0) if all else rows.tolerance("1e-6" if tolerance is None else tolerance)
+    errors = (
+        (0.0, 0.0) if all else table_files.tolerance("1e-6" if tolerance is None else tolerance)
+    )
 
     def draw(answer: Any) -> list[Path]:
         return drawn(system, answer, plot, gif, html)
 
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
-        start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
+        start = (
+            None if seed is None else table_files.configuration(system, seed, None, deg, start=True)
+        )
         _answer(
             system,
             read.count,
@@ -145,8 +149,8 @@ def ik(
         )
         return
     system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
-    X, position = rows.target(system, target, deg)
-    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
+    X, position = table_files.target(system, target, deg)
+    start = None if seed is None else table_files.configuration(system, seed, None, deg, start=True)
     position = position or position_only
     task = _task(task, position)
     if all:
@@ -184,10 +188,10 @@ def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -
 
 
 def _read_tasks(system: System, path: Path | None, deg: bool) -> FileTasks:
-    from kempe.views.input import task_file
+    from kempe.cli import arguments
 
     assert path is not None
-    return task_file.read(system, path, deg)
+    return arguments.read(system, path, deg)
 
 
 def _part(seed: Any, i: int, j: int | None) -> Any:
@@ -206,18 +210,18 @@ def _answer(
     json: bool,
 ) -> None:
     """Solve, for one target or `count` of them, and print or write the answer."""
-    from kempe.views import facts, report, rows, slices
+    from kempe.cli import as_json, progress, report, table_files
 
     if count is None or count <= size:
         answer = solve(0, count)
     else:
-        with slices.progress(sys.stderr, count) as said:
-            answer = slices.in_slices(system, count, size, solve, said)
+        with progress.progress(sys.stderr, count) as said:
+            answer = progress.in_slices(system, count, size, solve, said)
     if out is not None:
-        rows.write_configurations(out, system, answer.q, deg)
+        table_files.write_configurations(out, system, answer.q, deg)
     pictures = draw(answer)
     if json:
-        print_json(facts.answer_facts(answer, deg))
+        print_json(as_json.answer_facts(answer, deg))
     else:
         show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
         _say_all(out, pictures)
@@ -270,11 +274,11 @@ def path(
     """
     _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import facts, ik_report, rows, slices
+    from kempe.cli import as_json, ik_report, progress, table_files
 
     results(out, target)
     drawable(plot, gif, html)
-    start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
+    start = None if seed is None else table_files.configuration(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
@@ -282,23 +286,25 @@ def path(
         count = read.count
     else:
         system.structure.frame_name(frame)
-        wanted, position = rows.target(system, target, deg)
+        wanted, position = table_files.target(system, target, deg)
         count = len(wanted) if wanted.ndim > 2 else None
         wanted = wanted[..., :3, 3] if position or position_only else wanted
     if count is None:
         raise InputError("a path needs a .csv or .npy file of targets, one a row")
     options: dict[str, Any] = {"restart": restart, "branches": branches}
     options |= {} if max_step is None else {"max_step": max_step}
-    options |= {} if tolerance is None else {"tolerance": rows.tolerance(tolerance)}
-    with slices.progress(sys.stderr, count) as said:
+    options |= {} if tolerance is None else {"tolerance": table_files.tolerance(tolerance)}
+    with progress.progress(sys.stderr, count) as said:
         spend = Budget(rng=rng, time_limit=time_limit, progress=said)
         answer = until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)
     if out is not None:
-        rows.write_configurations(out, system, answer.q, deg)
+        table_files.write_configurations(out, system, answer.q, deg)
     pictures = drawn(system, answer, plot, gif, html, frames=[] if frame is None else [frame])
     if json:
         written = ([] if out is None else [out]) + pictures
-        print_json({**facts.answer_facts(answer, deg), "written": [str(path) for path in written]})
+        print_json(
+            {**as_json.answer_facts(answer, deg), "written": [str(path) for path in written]}
+        )
     else:
         show(ik_report.path(answer, deg))
         _say_all(out, pictures)
@@ -307,7 +313,7 @@ def path(
 
 def _task(task: str | None, position: bool) -> str | None:
     """The task, for which a target that is a position may be enough."""
-    from kempe.solvers.common.targets import task_of
+    from kempe.answers.targets import task_of
 
     task_of(task, position, False)  # a wrong name is reported first
     if position and task not in (None, "position"):
@@ -330,8 +336,8 @@ def _all(
     json: bool,
 ) -> None:
     """Print, write or draw all solutions."""
-    from kempe.solvers.modes.modes import Modes
-    from kempe.views import ik_report
+    from kempe.assemble.modes import Modes
+    from kempe.cli import ik_report
 
     answer = system.ik_all(
         X,
@@ -358,12 +364,12 @@ def _all(
 
 def _modes(answer: Modes, deg: bool, out: Path | None, pictures: list[Path], json: bool) -> None:
     """Print or write the configurations found for a frame of a mechanism with loops."""
-    from kempe.views import facts, loop_report, rows
+    from kempe.cli import as_json, loop_report, table_files
 
     if out is not None:
-        rows.write_configurations(out, answer.system, answer.q, deg)
+        table_files.write_configurations(out, answer.system, answer.q, deg)
     if json:
-        print_json(facts.answer_facts(answer, deg))
+        print_json(as_json.answer_facts(answer, deg))
     else:
         show(loop_report.modes(answer, deg))
         _say_all(out, pictures)
@@ -373,14 +379,14 @@ def _modes(answer: Modes, deg: bool, out: Path | None, pictures: list[Path], jso
 
 def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
     """Values of joints that are held, by name."""
-    from kempe.views.input import given
+    from kempe.cli import arguments
 
-    return given.known(system, hold or [], deg, frames=False)
+    return arguments.known(system, hold or [], deg, frames=False)
 
 
 def task_argument(task: str | None, axis: str | None) -> Any:
     """What of the target counts: a task, or a task with the axis of the tool that it points."""
-    from kempe.views import ik_report
+    from kempe.cli import ik_report
 
     if axis is None:
         return task
@@ -412,8 +418,8 @@ def plan(
     Example: kempe plan panda.urdf --frame panda_hand_tcp
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.solvers.analytic.describe.describe import ik_plan
-    from kempe.views import ik_report
+    from kempe.cli import ik_report
+    from kempe.inverse.describe import ik_plan
 
     system.structure.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]

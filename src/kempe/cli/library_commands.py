@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from kempe.cli.app import MODELS, Json, Picture, app, drawable, option, save_picture, say_written
+from kempe.cli.terminal import guarded, print_json, show
 from kempe.errors import InputError
-from kempe.views.terminal import guarded, print_json, show
 
 
 @app.command(rich_help_panel=MODELS)
@@ -25,13 +25,13 @@ def library(
 
     Example: kempe library puma560
     """
-    from kempe.views import facts, report
+    from kempe.cli import as_json, report
 
     if name is not None:
-        text = facts.model_text(name)
+        text = as_json.model_text(name)
         print_json({"name": name, "toml": text}) if json else print(text, end="")
         return
-    found = facts.models()
+    found = as_json.models()
     if json:
         print_json([{"name": n, "description": d} for n, d in found.items()])
     else:
@@ -46,7 +46,8 @@ def joints(plot: Picture = None, json: Json = False) -> None:
 
     Example: kempe joints --plot joints.png
     """
-    from kempe.views import overviews, report
+    from kempe.cli import report
+    from kempe.views import overviews
 
     drawable(plot)
     found = overviews.joint_rows()

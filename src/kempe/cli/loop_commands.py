@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import numpy as np
 import typer
 
+from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.calls import until_interrupt
 from kempe.cli.app import (
     CLOSED,
     Base,
@@ -42,13 +42,13 @@ from kempe.cli.app import (
     say_written,
     written_to,
 )
+from kempe.cli.terminal import INCOMPLETE, guarded, leave, print_json, show
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 
 if TYPE_CHECKING:
-    from kempe.analysis.continuation.path import Path as Motion
-    from kempe.model.system import System
-    from kempe.solvers.assembly.assembled import Assembly
+    from kempe.assemble.answer import Assembly
+    from kempe.motion.path import Path as Motion
+    from kempe.system import System
 
 BESIDE = 6
 """Assembly modes up to which each is drawn beside the others."""
@@ -132,14 +132,13 @@ def dof(
     Example: kempe dof bennett
     """
     system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
-    from kempe.views import loop_report
-    from kempe.views.input import given
+    from kempe.cli import arguments, loop_report
 
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
     if driven == []:
         raise InputError(f"--actuated names no joint; there are: {', '.join(system.joint_names)}")
     drawable(plot, None, html)
-    at, closing = given.configuration(system, q, posture, deg)
+    at, closing = arguments.configuration(system, q, posture, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.mobility(at, driven, local=not fast)
@@ -155,7 +154,7 @@ def _within(system: System, tolerance: str | None) -> System:
     """The system with this tolerance. Errors: `InputError`."""
     if tolerance is None:
         return system
-    from kempe.solvers.assembly.ideal import MEASURED, tolerance_of
+    from kempe.assemble.nearest_exact import MEASURED, tolerance_of
 
     mechanism = system.mechanism
     try:
@@ -205,11 +204,10 @@ def classify(
     Example: kempe classify car
     """
     system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
-    from kempe.views import loop_report
-    from kempe.views.input import given
+    from kempe.cli import arguments, loop_report
 
     drawable(plot, None, html)
-    at, closing = given.configuration(system, q, posture, deg)
+    at, closing = arguments.configuration(system, q, posture, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.classify(at, project=project)
@@ -267,13 +265,12 @@ def assemble(
     system = _under(
         _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance), where or []
     )
-    from kempe.views import facts, loop_report
-    from kempe.views.input import given
+    from kempe.cli import arguments, as_json, loop_report
 
     results(out, *known or ())
     drawable(plot, gif, html)
-    values = given.known(system, known or [], deg)
-    start = given.start(system, near, deg)
+    values = arguments.known(system, known or [], deg)
+    start = arguments.start(system, near, deg)
     answer: Any
     if modes:
         answer = until_interrupt(
@@ -289,7 +286,7 @@ def assemble(
         answer = system.assemble(
             values,
             start,
-            branch=given.branch(system, values, branch),
+            branch=arguments.branch(system, values, branch),
             limits=not no_limits,
             prefer="nearest" if nearest else "continuous" if continuous else None,
         )
@@ -301,14 +298,14 @@ def assemble(
         system, answer, plot, gif, html, side_by_side=modes and 1 < len(answer) <= BESIDE
     )
     if out is not None and (answer or np.any(getattr(answer, "success", False))):
-        from kempe.views import rows
+        from kempe.cli import table_files
 
-        rows.write_configurations(
+        table_files.write_configurations(
             out, system, answer.q if modes else loop_report.closed_only(answer), deg
         )
         written.append(out)
     if json:
-        data = facts.answer_facts(answer, deg)
+        data = as_json.answer_facts(answer, deg)
         _say(data, None, written)
     else:
         _say(
@@ -371,17 +368,16 @@ def trace(
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
     system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
-    from kempe.views import loop_report, slices
-    from kempe.views.input import given
+    from kempe.cli import arguments, loop_report, progress
 
     results(out)
     drawable(plot, gif, html)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    held = given.known(system, hold or [], deg, frames=False)
-    begin, closing = given.first(system, start, held, deg)
+    held = arguments.known(system, hold or [], deg, frames=False)
+    begin, closing = arguments.first(system, start, held, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
-    with slices.progress(sys.stderr, None, "points traced") as said:
+    with progress.progress(sys.stderr, None, "points traced") as said:
         path = until_interrupt(
             system.trace,
             driver,
@@ -396,7 +392,7 @@ def trace(
     )
     shown = path
     if points is not None:
-        with slices.progress(sys.stderr, points, "points") as said:
+        with progress.progress(sys.stderr, points, "points") as said:
             shown = _resampled(path, points, Budget(time_limit=time_limit, progress=said))
     written: list[Path] = []
     if out is not None and (path or path.interrupted or path.late):
@@ -457,11 +453,11 @@ def plot(
     """
     out = written_to(out, output)
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views.input import given
+    from kempe.cli import arguments
 
     names = [system.structure.frame_name(f) for f in frame or ()]
     drawable(out)
-    at, closing = (None, None) if tree else given.configuration(system, q, posture, deg)
+    at, closing = (None, None) if tree else arguments.configuration(system, q, posture, deg)
     save_picture(
         system.plot_tree()
         if tree
@@ -488,9 +484,9 @@ def plot(
 
 def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
     """Say that the loops do not close with what is given, and end the command."""
-    from kempe.views import facts, loop_report
+    from kempe.cli import as_json, loop_report
 
-    print_json(facts.answer_facts(closing, deg)) if json else show(
+    print_json(as_json.answer_facts(closing, deg)) if json else show(
         loop_report.assembly(closing, deg)
     )
     raise typer.Exit(INCOMPLETE)

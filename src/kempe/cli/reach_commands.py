@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.calls import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Base,
@@ -40,17 +40,17 @@ from kempe.cli.app import (
     save_picture,
     say_drawn,
 )
+from kempe.cli.terminal import INCOMPLETE, guarded, leave, print_json, show
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.analysis.spaces.reach.base_placement import BasePlacement
-    from kempe.analysis.spaces.reach.reached_poses import ReachStudy
-    from kempe.model.system import System
     from kempe.spatial import Array
+    from kempe.system import System
+    from kempe.workspace.base_placement import BasePlacement
+    from kempe.workspace.reach import ReachStudy
 
 SHOWN = 8
 """Rows that a remark lists."""
@@ -115,12 +115,11 @@ def singularities(
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
-    from kempe.solvers.common.clock import TimeLimit
+    from kempe.numerics.clock import TimeLimit
 
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     time = TimeLimit(time_limit)
-    from kempe.views import rows
-    from kempe.views.input import given
+    from kempe.cli import arguments, table_files
 
     results(out)
     drawable(plot, gif, html)
@@ -129,7 +128,7 @@ def singularities(
     )
     if driving == []:
         raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
-    q, closing = given.configuration(system, ",".join(at), None, deg) if at else (None, None)
+    q, closing = arguments.configuration(system, ",".join(at), None, deg) if at else (None, None)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
@@ -138,7 +137,7 @@ def singularities(
         )
     nearest = None if q is None else answer.nearest(q)
     if out is not None:
-        rows.write_configurations(
+        table_files.write_configurations(
             out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg
         )
     each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
@@ -201,9 +200,9 @@ def reach(
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
     if out is not None:
-        from kempe.views import rows
+        from kempe.cli import table_files
 
-        rows.write_configurations(out, system, answer.q, deg)
+        table_files.write_configurations(out, system, answer.q, deg)
         if missed := np.flatnonzero(~answer.reached).tolist():
             numbers = ", ".join(map(str, missed[:SHOWN])) + ", ..." * (len(missed) > SHOWN)
             remark(
@@ -269,9 +268,9 @@ def _paced(
     starts: int | None, rng: int | None, time_limit: float | None, of: str
 ) -> Generator[Budget]:
     """The budget of a command, which shows how many of what are done where the terminal is one."""
-    from kempe.views import slices
+    from kempe.cli import progress
 
-    with slices.paced(sys.stderr, of) as said:
+    with progress.paced(sys.stderr, of) as said:
         yield Budget(starts=starts, rng=rng, time_limit=time_limit, progress=said)
 
 
@@ -279,19 +278,19 @@ def _poses(system: System, text: str, frame: str, deg: bool) -> tuple[Array, boo
     """Poses (n, 4, 4) of a file, and whether only their position counts. Errors: `InputError`,
     `UnknownNameError`.
     """
-    from kempe.views import rows
+    from kempe.cli import table_files
 
     system.structure.frame_name(frame)  # a wrong name is reported before any work
-    if not rows.is_file(text):
+    if not table_files.is_file(text):
         raise InputError(f"POSES is {text!r}; it must be a .csv or .npy file of poses, one a row")
-    X, position = rows.target(system, text, deg)
+    X, position = table_files.target(system, text, deg)
     return X.reshape(-1, 4, 4), position
 
 
 def _box(words: list[str], deg: bool) -> dict[str, object]:
     """Ranges by name: of a number that, of two a pair. Errors: `InputError`."""
-    from kempe.views import rows
-    from kempe.views.facts import DEGREE
+    from kempe.cli import table_files
+    from kempe.cli.as_json import DEGREE
 
     out: dict[str, object] = {}
     for word in words:
@@ -301,6 +300,6 @@ def _box(words: list[str], deg: bool) -> dict[str, object]:
         if name.strip() in out:
             raise InputError(f"--box gives {name.strip()!r} twice")
         factor = DEGREE if deg and name.strip() == "yaw" else 1.0
-        numbers = [x * factor for x in rows.numbers(value, f"--box {name}")]
+        numbers = [x * factor for x in table_files.numbers(value, f"--box {name}")]
         out[name.strip()] = numbers[0] if len(numbers) == 1 else numbers
     return out

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.calls import until_interrupt
 from kempe.cli.app import (
     CLOSED,
     Base,
@@ -32,8 +32,8 @@ from kempe.cli.app import (
     save_picture,
     say_written,
 )
+from kempe.cli.terminal import INCOMPLETE, guarded, print_json
 from kempe.errors import InputError
-from kempe.views.terminal import INCOMPLETE, guarded, print_json
 
 
 @app.command(rich_help_panel=CLOSED)
@@ -96,17 +96,17 @@ def spaces(
         found["sample"] = until_interrupt(space.sample, sample, rng, budget=budget)
     written: list[Path] = []
     if plot is not None:
-        from kempe.views import slices
+        from kempe.cli import progress
 
-        with slices.paced(sys.stderr, "places") as said:
+        with progress.paced(sys.stderr, "places") as said:
             spent = Budget(time_limit=time_limit, progress=said)
             axes = until_interrupt(system.plot_spaces, frame or "", task=task, budget=spent)
             save_picture(axes[0], plot)
         written.append(plot)
     if out is not None:
-        from kempe.views import rows
+        from kempe.cli import table_files
 
-        rows.write_configurations(out, system, found["sample"].q)
+        table_files.write_configurations(out, system, found["sample"].q)
         written.append(out)
     if json:
         print_json(

@@ -38,8 +38,8 @@ from kempe.cli.app import (
     say_written,
     written_to,
 )
+from kempe.cli.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 from kempe.description.formats import endings_written, named, read_by
-from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 
 # ---- describe
 
@@ -66,11 +66,11 @@ def info(
     Example: kempe info panda.urdf
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import facts, report
+    from kempe.cli import as_json, report
 
     drawable(plot, None, html)
     if json:
-        print_json(facts.system_facts(system, deg))
+        print_json(as_json.system_facts(system, deg))
     elif tree:
         show(report.tree(system))
     else:
@@ -96,8 +96,8 @@ def check(
 
     Example: kempe check robots/*.urdf
     """
+    from kempe.cli import as_json, report
     from kempe.description.read import check as check_
-    from kempe.views import facts, report
 
     found: list[dict[str, Any]] = []
     for file in files:
@@ -106,7 +106,7 @@ def check(
             {
                 "file": file,
                 "ok": not problems,
-                "problems": [facts.problem_facts(p) for p in problems],
+                "problems": [as_json.problem_facts(p) for p in problems],
                 "notes": list(notes),
             }
         )
@@ -141,7 +141,7 @@ def convert(
     Example: kempe convert panda.urdf panda.toml
     """
     import kempe
-    from kempe.description.write import write
+    from kempe.description.read import write
 
     out = written_to(out, output)
     mechanism = kempe.read(file, **reading(base, root, package_dir, xacro, lenient_limits))
@@ -180,26 +180,26 @@ def fk(
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import facts, report, rows
+    from kempe.cli import as_json, report, table_files
 
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     results(out, q)
     drawable(plot, gif, html)
-    values = rows.configuration(system, q, posture, deg)
+    values = table_files.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
     say_drawn(drawn(system, values, plot, gif, html, frames=[] if frame is None else [frame]))
     if out is not None:
-        rows.write_poses(out, X, frame is None, deg)
+        table_files.write_poses(out, X, frame is None, deg)
         say_written(out, json)
     elif json:
-        print_json(facts.poses_facts(system, frame, X, deg))
+        print_json(as_json.poses_facts(system, frame, X, deg))
     else:
         show(report.poses(system, frame, X, deg))
-    bad = rows.not_finite(values)
+    bad = table_files.not_finite(values)
     if bad:
         remark(f"q is not finite in {report.rows_text(bad)}; poses there are NaN")
-    gap = facts.largest_gap(system, values)
+    gap = as_json.largest_gap(system, values)
     if gap:
         remark(f"loops are open here, {gap}: kempe assemble closes them")
     if bad:

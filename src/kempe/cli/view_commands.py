@@ -26,7 +26,7 @@ from kempe.cli.app import (
     remark,
     say_written,
 )
-from kempe.views.terminal import guarded, print_json
+from kempe.cli.terminal import guarded, print_json
 
 DEMO = "panda"
 """The model that `kempe demo` shows."""
@@ -66,11 +66,15 @@ def view(
     Example: kempe view panda.urdf --frame panda_hand_tcp
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import rows
+    from kempe.cli import table_files
 
     if frame is not None:
         system.structure.frame_name(frame)
-    start = None if q is None and posture is None else rows.configuration(system, q, posture, deg)
+    start = (
+        None
+        if q is None and posture is None
+        else table_files.configuration(system, q, posture, deg)
+    )
     if html is not None:
         from kempe.views.viewer.pages import write_page
 

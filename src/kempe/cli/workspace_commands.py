@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Base,
@@ -31,9 +31,9 @@ from kempe.cli.app import (
     option,
     save_picture,
 )
+from kempe.cli.as_json import DEGREE
+from kempe.cli.terminal import guarded, leave, print_json, show
 from kempe.errors import InputError
-from kempe.views.facts import DEGREE
-from kempe.views.terminal import guarded, leave, print_json, show
 from kempe.words import counted
 
 
@@ -115,7 +115,7 @@ def workspace(
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.budget import Budget
-    from kempe.views import slices
+    from kempe.cli import progress
 
     drawable(plot)
     along: Any = (
@@ -126,7 +126,7 @@ def workspace(
     ends = None if box is None else _numbers(box, "--box")
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
-    with slices.paced(sys.stderr, "samples") as said:
+    with progress.paced(sys.stderr, "samples") as said:
         answer = until_interrupt(
             system.workspace,
             frame,
@@ -173,8 +173,8 @@ def query(
 
     Example: kempe query map.zarr 0.3,0.2,0.5 0.9,0,0
     """
-    from kempe.analysis.spaces.kinds.questions import read_rotations
-    from kempe.analysis.spaces.workspace.workspace import open_workspace
+    from kempe.workspace.answer import open_workspace
+    from kempe.workspace.kinds import read_rotations
 
     space = open_workspace(path)
     turned = space.kind == "orientation"

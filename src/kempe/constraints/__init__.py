@@ -16,6 +16,12 @@ from kempe.constraints.base import Constraint, End, Op, Row
 if TYPE_CHECKING:
     from kempe.constraints.base import KINDS, kind
     from kempe.constraints.contacts import Contact, NoSideslip, Rolls
+    from kempe.constraints.coordinates_and_centres import (
+        CentreOfMass,
+        CentreOfPoints,
+        Function,
+        Posture,
+    )
     from kempe.constraints.curves import OnCurve
     from kempe.constraints.equations import Equation, Inequality, VelocityEquation
     from kempe.constraints.kinds import (
@@ -34,7 +40,6 @@ if TYPE_CHECKING:
         RelativePose,
         RelativePosition,
     )
-    from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Posture
 
 __all__ = [
     "KINDS",
@@ -69,7 +74,7 @@ __all__ = [
     "VelocityEquation",
     "kind",
 ]
-MODULES = ("contacts", "curves", "equations", "kinds", "whole")
+MODULES = ("contacts", "curves", "equations", "kinds", "coordinates_and_centres")
 """Where kinds are declared; imported when the first one is used, for most systems have none."""
 
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from kempe.calls import flag
-from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind
-from kempe.constraints.reading import positive
+from kempe.arguments import flag
+from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind, positive
 from kempe.constraints.tape import POSE, TWIST
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, UnknownNameError

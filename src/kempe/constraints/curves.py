@@ -11,15 +11,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kempe import spatial
-from kempe.calls import flag
-from kempe.constraints.base import Frame, Op, Point, Row, kind
+from kempe.arguments import flag
+from kempe.arrays import reals
+from kempe.constraints.base import Frame, Op, Point, Row, kind, points_of
 from kempe.constraints.builder import Builder, dot, on_pieces
-from kempe.constraints.placed import LEAST, ORIGIN, Measured
-from kempe.constraints.reading import points_of
+from kempe.constraints.kinds import LEAST, ORIGIN, Measured
 from kempe.constraints.tape import Tape
 from kempe.errors import InputError
 from kempe.kernels.constraints import tape_layout as L
-from kempe.reals import reals
 from kempe.spatial import Array
 
 SAME_POINT = 1e-9

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.calls import known
+from kempe.arguments import known
 from kempe.constraints.base import Constraint
 from kempe.constraints.kinds import OnLine, Pointing, Position
 from kempe.errors import UnsupportedError

@@ -2,7 +2,7 @@
 and pickle.
 
 A tape is made of text (`kempe.constraints.text`) or of a Python function
-(`kempe.constraints.recording`). Kernels run it from its arrays
+(`kempe.constraints.equations`). Kernels run it from its arrays
 (`kempe.kernels.constraints.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with
 them.
 """
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kempe.arrays import is_sequence
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
-from kempe.reals import is_sequence
 from kempe.values import CONSTANTS, FUNCTIONS
 from kempe.words import counted, verb
 

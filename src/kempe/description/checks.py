@@ -12,11 +12,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from kempe import spatial
+from kempe.arrays import is_mapping, is_real, is_sequence
 from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint, shown
 from kempe.joints import JointType, P, Q, R, joint_type
-from kempe.placement import Placement
-from kempe.reals import is_mapping, is_real, is_sequence
+from kempe.poses import Placement
 from kempe.values import Expression, value
 from kempe.words import counted, verb
 

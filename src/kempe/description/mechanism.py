@@ -3,26 +3,504 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+import math
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from kempe.calls import explained, explained_methods, flag
+import numpy as np
+
+from kempe import constraints
+from kempe.arguments import explained, explained_methods, flag
+from kempe.arrays import is_sequence
+from kempe.constraints.base import (
+    Constraint,
+    End,
+    Op,
+    Row,
+    expressions_in,
+    frames_of,
+    held,
+    numbers_in,
+    with_numbers,
+)
+from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
-from kempe.description.constraint_methods import ConstraintMethods
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint
 from kempe.description.source import collecting_later
-from kempe.errors import InputError, KempeError, UnknownNameError, Where
-from kempe.joints import JointType, joint_type
+from kempe.errors import (
+    DescriptionError,
+    Fault,
+    InputError,
+    KempeError,
+    UnknownNameError,
+    Where,
+    shown,
+)
+from kempe.joints import Fixed, JointType, joint_type
 from kempe.late import late
-from kempe.placement import Placement, place
-from kempe.values import Expression, Value, value
+from kempe.poses import AXES, Placement, place
+from kempe.values import Expression, Value, evaluate, value
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from kempe.model.system import System
+    from kempe.model.model import Model as System
+
+# ---- constrain
+
+# Constraints as parts of a mechanism: their ends found, their numbers checked.
+
+
+BETWEEN = {"distance": "distance", "point_on_line": "on_line", "point_on_plane": "on_plane"}
+"""Kinds that are placed on bodies, by their names as methods of `Mechanism` and in files of format
+1."""
+
+Placed = tuple[Any, object, Mapping[str, object]]
+"""A body or frame, a place on it, and how it is turned there."""
+
+
+def declare(mechanism: Mechanism, given: object, name: str, where: Where | None = None) -> Declared:
+    """Add a constraint to a mechanism; see `Mechanism.constrain`."""
+    if not isinstance(given, Constraint):
+        raise InputError(f"{shown(given)} is no constraint; see kempe.constraints")
+    if isinstance(name, str):
+        name = name or given.name or given.label
+    subject = f"constraint {name!r}"
+    mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
+    names = ("weight", "priority", "tolerance")
+    demands = [
+        f
+        for f in names
+        if getattr(given, f) not in (getattr(Constraint, f), getattr(type(given), f))
+    ]
+    if demands:
+        checks.refuse(
+            subject,
+            f"{demands[0]} is what ik reads of a wish",
+            where,
+            "a mechanism always holds it: leave it out",
+        )
+    made = _with_values(mechanism, given, subject, where).knowing(mechanism.parameters)
+    made = replace(made, name="") if made.name else made
+    if made.ends[1] is None:
+        record = Declared(name, made, "", "", where=where)
+    else:
+        ends = [_end(mechanism, e, subject, where) for e in made.ends]
+        record = Declared(name, made, ends[0].body, ends[1].body, ends[0].X, ends[1].X, where)
+    check(mechanism, record)
+    mechanism.constraints[name] = record
+    return record
+
+
+def between(
+    mechanism: Mechanism,
+    name: str,
+    kind: str,
+    parent: Placed,
+    child: Placed,
+    length: object,
+    where: Where | None,
+) -> Declared:
+    """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.point_on_line`."""
+    subject = f"constraint {name!r}"
+    mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
+    if kind not in BETWEEN:
+        checks.refuse(subject, str(UnknownNameError("kind of constraint", kind, BETWEEN)), where)
+    A, B = (_placed(mechanism, p, subject, where) for p in (parent, child))
+    rod = BETWEEN[kind] == "distance"
+    if A.body == B.body:
+        checks.refuse(
+            subject, f"it ties body {A.body!r} to itself", where, "it must tie two bodies"
+        )
+    if mechanism.dim == 2 and BETWEEN[kind] == "on_plane":
+        checks.refuse(
+            subject,
+            f"{kind} does not exist in the plane",
+            where,
+            "planar systems take distance and point_on_line",
+        )
+    if rod and length is None:
+        checks.refuse(subject, "it has no length", where, "give the length of the rod in metres")
+    if not rod and length is not None:
+        checks.refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
+    if rod:
+        try:
+            length = _checked(mechanism, value(length, "length"), "length", subject, where)
+        except InputError as error:
+            if isinstance(error, DescriptionError):
+                raise
+            checks.refuse(subject, str(error), where)
+        return declare(mechanism, constraints.Distance(B, A, length), name, where)
+    direction: Any = (0.0, 0.0, 1.0)
+    if mechanism.dim == 2 and kind == "point_on_line":
+        checks.axis_in_plane(subject, A.X, "its line is z of the frame, out of the plane", where)
+        A, direction = End(A.body, Placement(A.X.steps[:-1])), A.X.steps[-1][1]
+    made: Any = constraints.KINDS[BETWEEN[kind]]
+    turned = {"direction": direction} if BETWEEN[kind] == "on_line" else {}
+    return declare(mechanism, made(B, other=A, **turned), name, where)
+
+
+def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:
+    """An end of a constraint as a placement on a body; a frame stands for its placement."""
+    thing, at, turn = placed
+    frame = mechanism.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
+    if frame is None:
+        on = mechanism._body(thing, subject, where)  # type: ignore[arg-type]
+        return End(on.name, mechanism._place(at, turn, subject, where, on))
+    if isinstance(at, (Frame, str)):
+        checks.refuse(
+            subject,
+            f"its point is given twice, by frames {frame.name!r} and {str(at)!r}",
+            where,
+            "name the frame once",
+        )
+    on = mechanism.bodies[frame.body]
+    return End(on.name, frame.X_BF @ mechanism._place(at, turn, subject, where, on))
+
+
+def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
+    """An end of a constraint as a placement on a body: None is the ground, text is a frame or a
+    body.
+    """
+    if end is None:
+        return End(mechanism.ground.name)
+    if isinstance(end, End):
+        mechanism._body(end.body, subject, where)
+        return end
+    name = end.name if isinstance(end, (Body, Frame)) else end
+    frame = mechanism.frames.get(name) if isinstance(name, str) else None
+    if frame is not None:
+        return End(frame.body, frame.X_BF)
+    if isinstance(name, str) and name in mechanism.bodies:
+        return End(name)
+    known = [*mechanism.frames, *mechanism.bodies]
+    checks.refuse(
+        subject, str(UnknownNameError("frame or body", name, known, mechanism.name)), where
+    )
+
+
+def _with_values(
+    mechanism: Mechanism, given: Constraint, subject: str, where: Where | None
+) -> Constraint:
+    """The constraint with text in its fields of numbers as expressions in known parameters."""
+    changed: dict[str, Any] = {}
+    for key, x in numbers_in(given).items():
+        if isinstance(x, str) and x in AXES:
+            continue
+        read = _checked(mechanism, x, key, subject, where)
+        if read is not x:
+            changed[key] = read
+    return replace(given, **changed) if changed else given
+
+
+def _checked(mechanism: Mechanism, x: Any, what: str, subject: str, where: Where | None) -> Any:
+    """Numbers, or expressions in known parameters that are finite with their values."""
+    try:
+        read = _read(x, what)
+        for e in expressions_in(read):
+            for name in e.names:
+                if name not in mechanism.parameters:
+                    raise UnknownNameError("parameter", name, mechanism.parameters)
+            number = e.evaluate(mechanism.parameters)
+            if not math.isfinite(number):
+                raise InputError(f"{what} is {float(number)} ({what} = {e}); it must be finite")
+    except (InputError, UnknownNameError) as error:
+        text = str(error) if isinstance(error, InputError) else f"{what} is {x!s}: {error}"
+        checks.refuse(subject, text, where)
+    return read
+
+
+def _read(x: Any, what: str) -> Any:
+    """Numbers, lists of numbers or expressions as values."""
+    given: Any = x
+    if isinstance(x, (np.ndarray, np.generic)):
+        given = given.tolist()
+    if is_sequence(given):
+        items = tuple(_read(item, what) for item in given)
+        return given if all(a is b for a, b in zip(items, given, strict=True)) else items
+    return value(given, what) if isinstance(given, (str, Expression)) else given
+
+
+def check(mechanism: Mechanism, made: Declared) -> None:
+    """Refuse ends, frames and numbers that the constraint cannot have."""
+    subject = f"constraint {made.name!r}"
+    where = made.where
+    dim = mechanism.dim
+    if made.parent and made.parent == made.child:
+        checks.refuse(
+            subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies"
+        )
+    numbers = resolved(made, mechanism.parameters, dim)
+    rows = numbers.rows(dim)
+    tool = numbers.tool(dim)
+    if not made.parent:
+        if not made.of.reads:
+            checks.refuse(
+                subject,
+                f"{made.of.label} is requested in one call of ik, not held always",
+                where,
+                "hold coordinates by lock, couple or equation, frames by kinds that name them",
+            )
+        return
+    a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
+    if a.particle and any(r.op is not Op.DISTANCE for r in rows):
+        checks.refuse(
+            subject,
+            f"its parent {a.name!r} is a particle, which has no axes",
+            where,
+            "make the particle the child",
+        )
+    if b.particle and (any(map(reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
+        checks.refuse(
+            subject, f"{b.name!r} is a particle, which has no axes and no extent", where, ""
+        )
+    for on, X in ((a, made.X_PF), (b, made.X_CM)):
+        if on.particle and X.steps:
+            checks.refuse(
+                subject,
+                f"a particle ({on.name!r}) has no extent: the point must sit on it",
+                where,
+                "leave out its at and its axis",
+            )
+        if dim == 2:
+            checks.flat(subject, X, where)
+
+
+def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
+    """The constraint with its expressions evaluated at the parameters, checked. Errors:
+    `DescriptionError`.
+    """
+    numbers = with_numbers(made.of, parameters)
+    try:
+        rows = numbers.rows(dim)
+        for key, x in numbers_in(numbers).items():
+            if x is not None and _not_a_number(x):
+                raise InputError(f"{key} is {shown(x)}; it must be numbers")
+        _lengths(made, numbers, rows)
+        numbers.check(dim)
+        numbers.goal(dim)
+        numbers.tool(dim)
+    except InputError as error:
+        if isinstance(error, DescriptionError):
+            raise
+        checks.refuse(f"constraint {made.name!r}", str(error), made.where)
+    return numbers
+
+
+def _not_a_number(x: Any) -> bool:
+    """Whether NaN is among numbers, or a whole number that no float holds."""
+    try:
+        return bool(np.isnan(np.asarray(x, dtype=float)).any())
+    except OverflowError:
+        return True
+    except (TypeError, ValueError):
+        return False
+
+
+def reads_axes(row: Row) -> bool:
+    """Whether a row reads how frame B is turned."""
+    if row.op in (Op.TAPE, Op.VELOCITY):
+        tape, output = row.args
+        return tape.degrees_in((*POSE[3:], *TWIST[3:]))[output] > 0
+    return row.op not in (Op.DISTANCE, Op.POINT)
+
+
+def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
+    """Refuse lengths that no rod has: points that coincide are a joint."""
+    for row in rows:
+        name = held(numbers, row) if row.op is Op.DISTANCE else ""
+        length = getattr(numbers, name) if name else 1.0
+        if not 0.0 < float(length) < math.inf:  # not a number fails, too
+            given = getattr(made.of, name)
+            text = f" (length = {given})" if isinstance(given, Expression) else ""
+            allowed = "it must be above zero" + (
+                "; points that coincide are a joint" if float(length) == 0.0 else ""
+            )
+            checks.refuse(
+                f"constraint {made.name!r}",
+                f"its length is {float(length):g}{text}",
+                made.where,
+                allowed,
+            )
+
+
+def renamed(
+    made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str
+) -> Declared:
+    """The same constraint with other names of bodies and frames, and a prefix for its own name and
+    coordinates.
+    """
+    both = {**bodies, **frames}
+
+    def other(x: Any) -> Any:
+        return replace(x, body=bodies[x.body]) if isinstance(x, End) else both.get(x, x)
+
+    of = replace(made.of, **{k: other(x) for k, x in frames_of(made.of).items()})
+    own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
+    return replace(
+        made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, "")
+    )
+
+
+# ---- constraint methods
+
+# The methods of `Mechanism` that declare constraints: what always holds besides the joints.
+
 
 BodyLike = Body | str
+
+
+class ConstraintMethods:
+    """Base of `Mechanism`: constraints that are not joints, by their kinds and by name."""
+
+    def constrain(
+        self: Any, constraint: Constraint, name: str = "", where: Where | None = None
+    ) -> Declared:
+        """A constraint of `kempe.constraints` that always holds, between frames or bodies of the
+        mechanism.
+
+        Numbers may be expressions in parameters. It is no connection: the bodies need joints
+        besides, `free` where nothing else holds them. What only `ik` reads (`weight`, `priority`,
+        `tolerance`) is refused. Errors: `DescriptionError` with what is wrong and what is allowed.
+        """
+        return declare(self, constraint, name, where)
+
+    def distance(
+        self: Any,
+        name: str,
+        a: BodyLike | Frame,
+        b: BodyLike | Frame,
+        length: Value | str,
+        at: object = (0.0, 0.0, 0.0),
+        child_at: object = (0.0, 0.0, 0.0),
+        where: Where | None = None,
+    ) -> Declared:
+        """A rod of this length, hinged in all directions, from point `at` on `a` to point
+        `child_at` on `b`.
+
+        `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on
+        them. The rod is no connection: both bodies need joints besides, `free` where nothing else
+        holds them.
+        """
+        return between(self, name, "distance", (a, at, {}), (b, child_at, {}), length, where)
+
+    def point_on_line(
+        self: Any,
+        name: str,
+        a: BodyLike | Frame,
+        b: BodyLike | Frame,
+        at: object = (0.0, 0.0, 0.0),
+        child_at: object = (0.0, 0.0, 0.0),
+        where: Where | None = None,
+        **turn: Any,
+    ) -> Declared:
+        """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`, as in
+        `joint`).
+        """
+        return between(self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where)
+
+    def point_on_plane(
+        self: Any,
+        name: str,
+        a: BodyLike | Frame,
+        b: BodyLike | Frame,
+        at: object = (0.0, 0.0, 0.0),
+        child_at: object = (0.0, 0.0, 0.0),
+        where: Where | None = None,
+        **turn: Any,
+    ) -> Declared:
+        """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`, as in
+        `joint`).
+        """
+        return between(self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where)
+
+    def no_sideslip(
+        self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0
+    ) -> Declared:
+        """The origin of a frame has no velocity along its y axis, as a wheel whose axle is y, or
+        has the `speed`.
+        """
+        return self.constrain(constraints.NoSideslip(str(frame), speed=speed), name)
+
+    def rolls(
+        self: Any,
+        name: str,
+        frame: BodyLike | Frame,
+        radius: Value | str,
+        on: BodyLike | Frame | None = None,
+        shape: str = "ball",
+        spin: bool = True,
+        one_sided: bool = False,
+    ) -> Declared:
+        """A ball or disc about a frame's origin rolls without slipping on the xy-plane of `on`
+        (default: the ground).
+
+        The axle of a disc is y of its frame. Without `spin` it does not turn about the normal
+        either; `one_sided`: it may leave the plane.
+        """
+        other = None if on is None else str(on)
+        return self.constrain(
+            constraints.Rolls(str(frame), other, radius, shape, spin, one_sided), name
+        )
+
+    def contact(
+        self: Any,
+        name: str,
+        frame: BodyLike | Frame,
+        on: BodyLike | Frame | None = None,
+        radius: Value | str = 0.0,
+        shape: str = "ball",
+    ) -> Declared:
+        """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on`
+        (default: the ground).
+        """
+        return self.constrain(
+            constraints.Contact(str(frame), None if on is None else str(on), radius, shape), name
+        )
+
+    def equation(
+        self: Any,
+        name: str,
+        expression: str | Sequence[str] | Callable[..., Any],
+        of: Sequence[str] = (),
+        time: bool = False,
+    ) -> Declared:
+        """An equation f = 0 of coordinates, or several: ``"A = 2*B"``, or a function of the
+        coordinates named in `of`.
+
+        A function is called with a mapping from these names to numbers, with `time` also with the
+        time t. Text finds its coordinates itself; other names are parameters.
+        """
+        return self.constrain(constraints.Equation(expression, of, time, name=name), name)
+
+    def inequality(
+        self: Any,
+        name: str,
+        expression: str | Sequence[str] | Callable[..., Any],
+        of: Sequence[str] = (),
+        time: bool = False,
+    ) -> Declared:
+        """An inequality f >= 0 of coordinates, or several, as `equation` takes it: ``"1.2 - A"``."""
+        return self.constrain(constraints.Inequality(expression, of, time, name=name), name)
+
+    def velocity_equation(
+        self: Any,
+        name: str,
+        matrix: Sequence[Sequence[Any]] | Callable[..., Any],
+        of: Sequence[str],
+        b: Any = 0,
+        time: bool = False,
+    ) -> Declared:
+        """Rows A(q) v = b(q, t) over the velocities of the coordinates named in `of`:
+        ``[["-y^2", 0, 1]]``.
+
+        `matrix` holds numbers and texts, or is a function that returns rows; so is `b`, one number
+        for each row.
+        """
+        return self.constrain(constraints.VelocityEquation(matrix, of, b, time, name=name), name)
 
 
 @explained_methods
@@ -61,7 +539,7 @@ class Mechanism(ConstraintMethods):
         self.roots: tuple[str, ...] = ()
         self.tolerance: float | str | None = None
         """What its dimensions may be off by: metres and radians, or "measured"; see
-        `kempe.solvers.assembly.ideal`."""
+        `kempe.assemble.nearest_exact`."""
         self._add_body(Body(checks.name(ground, "body")))
         self._ground = ground
 
@@ -344,14 +822,12 @@ class Mechanism(ConstraintMethods):
         of `to` by the joint ``<prefix><ground>_mount``. Parameters of the same name and value are
         shared.
         """
-        from kempe.description.compose import attach
 
         attach(self, _mechanism_of(other), to, prefix, placement)
         return self
 
     def subchain(self, base: BodyLike, tip: BodyLike | Frame) -> Mechanism:
         """A new mechanism: the bodies and joints between `base`, its new ground, and `tip`."""
-        from kempe.description.compose import subchain
 
         return subchain(self, str(base), str(tip))
 
@@ -488,3 +964,207 @@ def _mechanism_of(thing: Mechanism | System) -> Mechanism:
     if not isinstance(mechanism, Mechanism):
         raise InputError(f"{thing!r} is no Mechanism or System; read a file with kempe.read first")
     return mechanism
+
+
+# ---- compose
+
+# Composition of mechanisms: mount one on another, cut a chain out of one.
+
+
+def attach(
+    host: Mechanism,
+    guest: Mechanism,
+    to: Body | Frame | str | None,
+    prefix: str,
+    placement: Mapping[str, Any],
+) -> None:
+    """Copy `guest` into `host`, its ground fixed to the body or frame `to` (the ground where None)."""
+    if guest.dim != host.dim:
+        raise InputError(
+            f"{guest.name!r} has dim {guest.dim}, {host.name!r} has dim {host.dim}; they must be "
+            "equal"
+        )
+    if not isinstance(prefix, str):
+        raise InputError(f"prefix is {shown(prefix)}; it must be text")
+    _refuse_clashes(host, guest, prefix)
+    trial = host.copy()
+    name = str(to) if to is not None else host.ground.name
+    if name in host.frames:
+        if "at" in placement:
+            raise InputError(
+                "`at` cannot be given when mounting on a frame; mount on the body instead"
+            )
+        on = host.frames[name].body
+        placement = {"at": host.frames[name].X_BF, **placement}
+    elif name in host.bodies:
+        on = name
+    else:
+        raise UnknownNameError("body or frame", name, [*host.bodies, *host.frames], host.name)
+    for key, number in guest.parameters.items():
+        if trial.parameters.setdefault(key, number) != number:
+            raise InputError(
+                f"parameter {key!r} is {trial.parameters[key]:g} here and {number:g} in "
+                f"{guest.name!r}"
+            )
+    for body in guest.bodies.values():
+        trial._add_body(replace(body, name=prefix + body.name))
+    trial.joint(
+        f"{prefix}{guest.ground.name}_mount", Fixed(), on, prefix + guest.ground.name, **placement
+    )
+    for joint in guest.joints.values():
+        trial.joints[prefix + joint.name] = replace(
+            joint,
+            name=prefix + joint.name,
+            parent=prefix + joint.parent,
+            child=prefix + joint.child,
+        )
+    for frame in guest.frames.values():
+        trial.frames[prefix + frame.name] = replace(
+            frame, name=prefix + frame.name, body=prefix + frame.body
+        )
+    for coupling in guest.couplings.values():
+        sources = {prefix + k: v for k, v in coupling.sources.items()}
+        trial.couplings[prefix + coupling.of] = replace(
+            coupling, of=prefix + coupling.of, sources=sources
+        )
+    for constraint in guest.constraints.values():
+        bodies, frames = ({n: prefix + n for n in names} for names in (guest.bodies, guest.frames))
+        trial.constraints[prefix + constraint.name] = renamed(constraint, bodies, frames, prefix)
+    for key, posture in guest.postures.items():
+        trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
+    trial.locks |= {prefix + k: v for k, v in guest.locks.items()}
+    trial.notes += guest.notes
+    trial.roots = tuple(dict.fromkeys(host.roots + guest.roots))
+    host.__dict__.update(trial.__dict__)
+
+
+def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
+    """Refuse names of the guest that the host has, too; bodies and frames share names, joints and
+    constraints do.
+    """
+    taken: list[str] = []
+    for one, other in (("bodies", "frames"), ("joints", "constraints"), ("postures", "postures")):
+        here = {**getattr(host, one), **getattr(host, other)}
+        mount = [f"{guest.ground.name}_mount"] if one == "joints" else []
+        there = dict.fromkeys([*getattr(guest, one), *getattr(guest, other), *mount])
+        names = [prefix + name for name in there if prefix + name in here]
+        if names:
+            what = one if one == other else f"{one} and {other}"
+            more = f", ... ({len(names)} in all)" if len(names) > 4 else ""
+            taken.append(f"{what} {', '.join(map(repr, names[:4]))}{more}")
+    if taken:
+        better = f"{prefix}2_" if prefix else re.sub(r"\W", "_", guest.name) + "_"
+        allowed = f"give its names a prefix: attach(..., prefix={better!r})"
+        raise DescriptionError(
+            Fault(
+                f"both have {'; '.join(taken)}",
+                f"attach {guest.name!r} to {host.name!r}",
+                None,
+                allowed,
+            )
+        )
+
+
+def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
+    """The bodies and joints on the shortest path from body `base` to body or frame `tip`, as a
+    mechanism.
+
+    Frames on these bodies, constraints between them, couplings and locks among these joints come
+    along; one that follows a free coordinate outside is refused, as the chain alone would move
+    differently.
+    Errors: `UnknownNameError`, `DescriptionError`.
+    """
+    if base not in mechanism.bodies:
+        raise UnknownNameError("body", base, mechanism.bodies, mechanism.name)
+    if tip not in mechanism.bodies and tip not in mechanism.frames:
+        raise UnknownNameError(
+            "body or frame", tip, [*mechanism.bodies, *mechanism.frames], mechanism.name
+        )
+    end = mechanism.frames[tip].body if tip in mechanism.frames else tip
+    path = _path(mechanism, base, end)
+    kept = {base, end} | {b for j in path for b in (j.parent, j.child)}
+    out = Mechanism(f"{mechanism.name}: {base} to {tip}", mechanism.dim, ground=base)
+    out.parameters = dict(mechanism.parameters)
+    out.roots = mechanism.roots
+    out.bodies = {
+        n: mechanism.bodies[n]
+        for n in [base, *(b for b in mechanism.bodies if b in kept and b != base)]
+    }
+    names = {j.name for j in path}
+    out.joints = {n: j for n, j in mechanism.joints.items() if n in names}
+    out.frames = {f.name: f for f in mechanism.frames.values() if f.body in kept}
+    out.constraints = {
+        n: c for n, c in mechanism.constraints.items() if {c.parent, c.child} <= kept
+    }
+    coordinates = {
+        f"{j.name}.{c}" if c else j.name
+        for j in path
+        for c in j.type.coordinates(out.dim, mechanism.bodies[j.child].particle)
+    }
+    for coupling in mechanism.couplings.values():
+        inside = [c in coordinates for c in (coupling.of, *coupling.sources)]
+        if all(inside):
+            out.couplings[coupling.of] = coupling
+        elif inside[0]:
+            _follow_inside(mechanism, out, coupling, coordinates)
+    out.locks |= {k: v for k, v in mechanism.locks.items() if k in coordinates}
+    for name, posture in mechanism.postures.items():
+        out.postures[name] = {k: v for k, v in posture.items() if k in coordinates}
+    return out
+
+
+def _follow_inside(
+    mechanism: Mechanism, out: Mechanism, coupling: Coupling, coordinates: set[str]
+) -> None:
+    """Keep a coupling that reaches outside the chain, where it does so only through locks and other
+    couplings.
+    """
+    sources = dict(coupling.sources)
+    offset = coupling.offset
+    for _ in range(len(mechanism.couplings) + 1):
+        outside = [c for c in sources if c not in coordinates]
+        for name in outside:
+            factor = sources[name]
+            if name in mechanism.locks:
+                offset = offset + factor * mechanism.locks[name]
+            elif name in mechanism.couplings:
+                via = mechanism.couplings[name]
+                offset = offset + factor * via.offset
+                for source, number in via.sources.items():
+                    sources[source] = sources.get(source, 0.0) + factor * number
+            else:
+                problem = f"it follows {name}, outside the chain; lock that first"
+                raise DescriptionError(
+                    Fault(problem, f"coordinate {coupling.of!r}", coupling.where)
+                )
+            del sources[name]
+    if sources:
+        out.couplings[coupling.of] = replace(coupling, sources=sources, offset=offset)
+    else:
+        out.locks[coupling.of] = float(evaluate(offset, mechanism.parameters))
+
+
+def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
+    neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
+    for joint in sorted(mechanism.joints.values(), key=lambda j: (j.cut, j.name)):
+        neighbours[joint.parent].append((joint.child, joint))
+        neighbours[joint.child].append((joint.parent, joint))
+    came: dict[str, Joint | None] = {base: None}
+    queue = deque([base])
+    while queue and end not in came:
+        here = queue.popleft()
+        if mechanism.bodies[here].particle:
+            continue  # nothing can hang on a particle
+        for there, joint in neighbours[here]:
+            if there not in came:
+                came[there] = joint
+                queue.append(there)
+    if end not in came:
+        raise DescriptionError(
+            Fault(f"no joints lead from {base!r} to {end!r}", f"mechanism {mechanism.name!r}")
+        )
+    path: list[Joint] = []
+    while (joint := came[end]) is not None:
+        path.append(joint)
+        end = joint.parent if joint.child == end else joint.child
+    return path

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
 from kempe.errors import Where
 from kempe.joints import Helical, JointType, P, R, Translation
-from kempe.placement import Placement
+from kempe.poses import Placement
 from kempe.spatial import Array
 from kempe.values import Expression, Value
 from kempe.words import joined, paragraphs, verb

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kempe.calls import explained
+from kempe.arguments import explained
 from kempe.description.formats import (
     DEFAULT,
     FORMATS,
@@ -18,6 +18,7 @@ from kempe.description.formats import (
     by_contents,
     by_ending,
     decoded_head,
+    endings_written,
     joined,
     named,
     read_by,
@@ -164,7 +165,7 @@ def _is_text(source: str) -> bool:
 def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
     data = _bytes_of(path)
     if path.suffix == ".xacro" and not xacro:
-        from kempe.description.urdf.xacro import XACRO_ADVICE
+        from kempe.description.xacro import XACRO_ADVICE
 
         raise fail(
             "this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE
@@ -172,7 +173,7 @@ def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
     text = data
     name = str(path)
     if xacro:
-        from kempe.description.urdf.xacro import expand_xacro
+        from kempe.description.xacro import expand_xacro
 
         text = expand_xacro(path, package_dirs=how.folders)
         name = f"{path} (expanded)"
@@ -270,3 +271,30 @@ def _format_of(text: str | bytes, given: Format | None) -> Format:
     if given and given.read and not (found and not found.read):
         return given
     return found or given or DEFAULT
+
+
+# ---- write
+
+# Mechanism -> file, in the format that the file's ending names.
+
+
+def write(mechanism: Mechanism, path: str | Path) -> Path:
+    """The path written, in the format of `kempe.description.formats.FORMATS` that its ending names.
+
+    Errors: `InputError` for another ending, `DescriptionError` listing what the format cannot say;
+    nothing is written then.
+    """
+    path = expanded(path)
+    format = by_ending(path.name)
+    if format is None or format.write is None:
+        raise InputError(
+            f"{path}: the ending decides on the format; it must be {endings_written()}"
+        )
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; name a plain file")
+    text = format.write(mechanism)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: it cannot be written: {error.strerror or error}") from None
+    return path

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained
+from kempe.arguments import explained
 from kempe.description.source import expanded
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.configuration import has_loops, interpolate
-from kempe.model.plot_options import PlotOptions
+from kempe.model.configurations import has_loops, interpolate
 from kempe.spatial import Array
 from kempe.views.drawing import page
 from kempe.views.drawing.scene import look
+from kempe.views.plot_options import PlotOptions
 from kempe.views.plots import drawing_of, motion_of, subject_of
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.model import Model as System
 
 ENDINGS = {".gif": "pillow", ".mp4": "ffmpeg", ".html": "html"}
 """By the ending of a file who writes it, as `matplotlib.animation.writers` calls them."""

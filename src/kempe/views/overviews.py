@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import library
-from kempe.calls import explained
+from kempe.arguments import explained
 from kempe.description.read import read
+from kempe.equations.velocity import velocity_rows
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
-from kempe.kinematics.configuration import has_loops
-from kempe.kinematics.velocity.velocity import velocity_rows
+from kempe.model.configurations import has_loops
 from kempe.words import counted, cut, image_html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.analysis.mobility.mobility import Mobility
-    from kempe.model.system import System
+    from kempe.mobility.answer import Mobility
+    from kempe.model.model import Model as System
 
 MOST_LINES = 40
 MOST_DRAWN = 60
@@ -331,7 +331,7 @@ def _freedoms(system: System) -> str:
     rank.
     """
     if not has_loops(system):
-        from kempe.analysis.spaces.configuration.configuration_space import configuration_space
+        from kempe.spaces.configuration_space import configuration_space
 
         within = configuration_space(system).within
         said = f"{counted(system.nv, 'degree')} of freedom, configuration space {within}"
@@ -345,7 +345,7 @@ def _freedoms(system: System) -> str:
 def _counted(system: System) -> Mobility:
     """The mobility of a system by counting and by rank."""
     # Here, as it loads the kernels, which drawing a tree does not need.
-    from kempe.analysis.mobility.mobility import mobility
+    from kempe.mobility.mobility import mobility
 
     return mobility(system, local=False)
 

@@ -14,31 +14,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained, listed, with_options
+from kempe.arguments import explained, listed, with_options
+from kempe.arrays import is_sequence, reals
+from kempe.equations.judge import judge
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.configuration import (
+from kempe.forward.fk import fk
+from kempe.model.configurations import (
     as_q,
     distance,
     has_loops,
     home_of,
     integrate,
     q_from_dict,
+    units,
 )
-from kempe.kinematics.forward import fk
-from kempe.kinematics.measure import judge
-from kempe.model.plot_options import PlotOptions
-from kempe.model.tree.coordinates import units
-from kempe.reals import is_sequence, reals
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
+from kempe.views.drawing.plot_request import Subject
 from kempe.views.drawing.scene import look
-from kempe.views.drawing.subject import Subject
+from kempe.views.plot_options import PlotOptions
 from kempe.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.system import System
+    from kempe.model.model import Model as System
 
 FARTHEST = 1e15
 """Coordinates up to which a configuration is drawn: squares of distances must stay finite."""
@@ -73,7 +73,7 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     `.q`; the curves of the named `frames` are drawn over it (without names: those of the path's
     `.frames`, else all named frames of moving bodies), and `ghosts` earlier positions, evenly
     spread. Driven joints (`actuated`, or the path's `.driver`) are marked, and loops that are not
-    closed are shown in red. All `options` are those of `kempe.model.plot_options.PlotOptions`.
+    closed are shown in red. All `options` are those of `kempe.views.plot_options.PlotOptions`.
     Errors: `InputError` for shapes and values, `UnknownNameError` for frames, `UnsupportedError`
     for a workspace that is not drawn, `CallError` for unknown options.
     """
@@ -203,7 +203,7 @@ def _workspace(system: System, options: PlotOptions) -> Any:
         raise UnsupportedError(
             "a workspace is shaded in pictures of planar systems; in space see workspace(frame)"
         )
-    from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
+    from kempe.workspace.planar.planar_workspace import planar_workspace
 
     return planar_workspace(system, options.workspace)
 
@@ -457,7 +457,7 @@ def _usual(system: System, configurations: Array | None) -> Array:
     if configurations is None:
         if judge(system, q):
             return q
-        from kempe.solvers.assembly.assembly import assemble
+        from kempe.assemble.assemble import assemble
 
         closed = assemble(system, start=q)
         return closed.q if closed else q

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.analysis.spaces.singular.rank_questions import TYPE_1, TYPE_2, LostAndGained
-from kempe.analysis.spaces.singular.singular_sets import SingularSet, changes
 from kempe.errors import InputError
-from kempe.kinematics.forward import fk
-from kempe.solvers.common.clock import partial
+from kempe.forward.fk import fk
+from kempe.numerics.clock import partial
+from kempe.spaces.singular_types import TYPE_1, TYPE_2, LostAndGained, SingularSet, changes
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.views.drawing import page, style
@@ -23,9 +22,8 @@ from kempe.views.plots import plot
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.analysis.spaces.singular.singular_curves import SingularCurves
-    from kempe.analysis.spaces.singular.singularities import Singularities
     from kempe.budget import Budget
+    from kempe.spaces.singularities import SingularCurves, Singularities
 
 LINES: dict[tuple[str, ...], Any] = {
     (TYPE_1,): "-",

@@ -13,18 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.motion.motion import trace
-from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
+from kempe.arguments import explained, flag, numbers, until_interrupt
+from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
-from kempe.calls import explained, flag, numbers, until_interrupt
 from kempe.constraints.flat_tasks import FlatTask, flat_task
+from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
-from kempe.kinematics.closure_errors import closure_error
-from kempe.kinematics.configuration import has_loops
-from kempe.kinematics.forward import fk, jacobian
-from kempe.model.tree.coordinates import units
-from kempe.reals import is_whole
-from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, partial
+from kempe.forward.fk import fk, jacobian
+from kempe.model.configurations import has_loops, units
+from kempe.motion.trace import trace
+from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial
+from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.views.drawing import page, style
@@ -34,7 +33,8 @@ from kempe.views.singular_plot import LINES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.system import FrameLike, System
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
 
 SHADES = ("#ffffff", "#d3e3f2", "#8db8dc", "#4c7fb0", "#2f5d8a", "#1b3d63")
 """Colours of places with no, one, two, three, four and more configurations: from light to dark, to
@@ -166,7 +166,7 @@ def nearest(
     """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one:
     that which is nearest to a place (2,), where it is, and how far away.
     """
-    from kempe.solvers.one_frame.inverse import ik
+    from kempe.inverse.ik import ik
 
     start = q.reshape(-1, system.nq)[int(np.argmin(task.apart(p.reshape(-1, 2), target)))]
     found = ik(system, task.at(frame, target), start=start).q
@@ -197,7 +197,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
         if np.abs(_area(space, space.grid(COARSEST))).max() < FLAT:
             raise UnsupportedError(on_curve + hint)
         return None
-    from kempe.analysis.spaces.singular.singularities import singularities
+    from kempe.spaces.singularities import singularities
 
     kind = task.name if system.dim == 3 else "position"
     try:

@@ -13,7 +13,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import PathPatch
 from matplotlib.ticker import MaxNLocator
 
-from kempe.calls import numbers
+from kempe.arguments import numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.spatial import Array
 from kempe.views.drawing import page, shapes, space, style
@@ -22,11 +22,11 @@ from kempe.views.plots import plot
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
-    from kempe.analysis.spaces.reach.base_placement import BasePlacement
-    from kempe.analysis.spaces.reach.capability import CapabilityMap
-    from kempe.analysis.spaces.reach.reached_poses import ReachStudy
-    from kempe.analysis.spaces.workspace.workspace import Workspace
+    from kempe.workspace.answer import Workspace
+    from kempe.workspace.base_placement import BasePlacement
+    from kempe.workspace.capability import CapabilityMap
+    from kempe.workspace.planar.planar_workspace import PlanarWorkspace
+    from kempe.workspace.reach import ReachStudy
 
 COLOURS = "cividis_r"
 """Darker is more often: it reads in grey, and for those who see fewer colours."""

@@ -19,11 +19,11 @@ from interrupts import Interrupt, ended
 
 import kempe
 from kempe import Budget, Status, spatial
-from kempe.analysis.maps import file_map, part_log, row_sources, row_store, row_verbs, side_by_side
+from kempe.arguments import until_interrupt
 from kempe.budget import look
-from kempe.calls import until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
-from kempe.kinematics.common import parallel
+from kempe.numerics import pool
+from kempe.workspace import map_file, row_sources, store
 
 zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra scale)")
@@ -32,7 +32,7 @@ PUMA = kempe.load("puma560")
 BAR = kempe.load("four_bar")
 TWO = kempe.load("two_link")
 N = 1000
-MODULES = (file_map, row_store, side_by_side, part_log)
+MODULES = (map_file, map_file, pool, store)
 
 
 @pytest.fixture(autouse=True)
@@ -40,10 +40,10 @@ def small_chunks(monkeypatch):
     """Chunks and blocks of a size for tests, and a clock by which progress is reported after each
     of them.
     """
-    monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**13)
+    monkeypatch.setattr(map_file, "CHUNK_BYTES", 2**13)
     monkeypatch.setattr(row_sources, "BLOCK_ROWS", 70)
-    monkeypatch.setattr(side_by_side, "WAKE", 0.001)
-    monkeypatch.setattr(side_by_side, "time", SimpleNamespace(monotonic=itertools.count().__next__))
+    monkeypatch.setattr(pool, "WAKE", 0.001)
+    monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=itertools.count().__next__))
 
 
 @pytest.fixture
@@ -417,7 +417,7 @@ def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
         system = [PUMA, TWO, BAR, kempe.load("panda")][int(rng.integers(4))]
         n = int(rng.integers(1, 400))
         frame = system.body_names[-1]
-        monkeypatch.setattr(file_map, "CHUNK_BYTES", int(2 ** rng.integers(8, 15)))
+        monkeypatch.setattr(map_file, "CHUNK_BYTES", int(2 ** rng.integers(8, 15)))
         rows = system.random(int(rng.integers(100)), n)
         rows[rng.random(n) < 0.02, 0] = np.nan
         file = written(tmp_path, f"{k}.npy", rows)
@@ -494,11 +494,11 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
     X[20:, :3, 3] *= 2.0
     file = written(tmp_path, "x.npy", X)
     path = tmp_path / "out.zarr"
-    monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**30)
-    monkeypatch.setitem(row_verbs.VERBS, "ik", row_verbs.VERBS["ik"]._replace(rows=64))
+    monkeypatch.setattr(map_file, "CHUNK_BYTES", 2**30)
+    monkeypatch.setitem(map_file.VERBS, "ik", map_file.VERBS["ik"]._replace(rows=64))
     answered = []
     most = [3]
-    before = row_verbs.RowJob.answers
+    before = map_file.RowJob.answers
 
     def answers(job, rows):
         if len(rows):
@@ -509,15 +509,15 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
         return before(job, rows)
 
     workers = []
-    made = side_by_side.ThreadWorkers.__init__
-    monkeypatch.setattr(row_verbs.RowJob, "answers", answers)
+    made = pool.ThreadWorkers.__init__
+    monkeypatch.setattr(map_file.RowJob, "answers", answers)
 
     def noted(self, *args, **more):
         workers.insert(0, self)
         made(self, *args, **more)
 
-    monkeypatch.setattr(side_by_side.ThreadWorkers, "__init__", noted)
-    with pytest.raises(parallel.Stopped):
+    monkeypatch.setattr(pool.ThreadWorkers, "__init__", noted)
+    with pytest.raises(pool.Stopped):
         kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
     assert answered == [8, 8, 8]
     (kept,) = path.with_name("out.zarr.parts").glob("begun_*.npz")
@@ -620,7 +620,7 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, whole, monkeypatch):
         mapped(whole[0], path, budget=Budget(threads=1))
     done = (tmp_path / "out.zarr.parts" / "parts.jsonl").read_bytes().count(b"\n") - 1
     monkeypatch.undo()
-    monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**13)
+    monkeypatch.setattr(map_file, "CHUNK_BYTES", 2**13)
     seen = []
     mapped(whole[0], path, budget=Budget(progress=lambda done, *_: seen.append(done)))
     assert done >= 2 and same(arrays(path), whole[1])
@@ -645,7 +645,7 @@ def test_a_place_that_may_not_be_written(tmp_path, whole, monkeypatch):
 
 WORK = """
     import kempe
-    from kempe.analysis.maps import file_map
+    from kempe.workspace import map_file as file_map
     file_map.CHUNK_BYTES = 2**14
     kempe.map_file(kempe.load("puma560"), "ik", {file!r}, {path!r}, "tool", budget=kempe.Budget(threads=2))
 """
@@ -855,7 +855,7 @@ WRONG = [
 
 @pytest.mark.parametrize(("file", "more", "words"), WRONG, ids=[words for _, _, words in WRONG])
 def test_wrong_questions(tmp_path, monkeypatch, file, more, words):
-    from kempe.analysis.maps import cluster
+    from kempe.workspace import cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     given = {"system": PUMA, "verb": "fk", "frame": "tool", **more}
@@ -882,7 +882,7 @@ def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
 @pytest.mark.parametrize("read", ["map", "rows"])
 def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
     """Numpy reads the header of such a file as Python: any error of that may come."""
-    from kempe.views import rows
+    from kempe.cli import table_files
 
     rng = hunt.rng()
     file = tmp_path / "x.npy"
@@ -902,7 +902,7 @@ def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
             if read == "map":
                 row_sources.open_rows(file).read(0, 1)
             else:
-                rows.read(file)
+                table_files.read(file)
         except KempeError as error:
             refused.append(str(error))
     assert refused and all(str(file) in words for words in refused)

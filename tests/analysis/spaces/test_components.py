@@ -15,10 +15,10 @@ from scipy.ndimage import label
 
 import kempe
 from kempe import Budget, Status
-from kempe.analysis.spaces.configuration.polygons import polygon_of
-from kempe.analysis.spaces.curves.swept import sweep_of
-from kempe.kinematics.closure_rows import jacobian
-from kempe.solvers.common.clock import TimeLimit
+from kempe.equations.closure_rows import jacobian
+from kempe.numerics.clock import TimeLimit
+from kempe.spaces.branch_sweep import sweep_of
+from kempe.spaces.polygons import polygon_of
 
 
 def grashof(lengths: list[float]) -> int:

@@ -13,10 +13,10 @@ from polygons import polygon
 
 import kempe
 from kempe import Budget, Mechanism, Status
-from kempe.analysis.spaces.configuration.polygons import polygon_of
+from kempe.equations.judge import judge
 from kempe.errors import InputError
-from kempe.kinematics.closure_rows import characteristic_length
-from kempe.kinematics.measure import judge
+from kempe.model.characteristic_length import characteristic_length
+from kempe.spaces.polygons import polygon_of
 
 
 def connects(

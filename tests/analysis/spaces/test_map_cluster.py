@@ -18,10 +18,10 @@ import pytest
 
 import kempe
 from kempe import Budget
-from kempe.analysis.maps import cluster as maps_cluster
-from kempe.analysis.spaces.workspace import recipe, sample_parts
 from kempe.errors import InputError, KempeError, KernelsError
-from kempe.solvers.common import clock
+from kempe.numerics import clock
+from kempe.workspace import cluster as maps_cluster
+from kempe.workspace import sampling_job
 
 dask = pytest.importorskip("dask", reason="dask is not installed (extra scale)")
 distributed = pytest.importorskip(
@@ -60,7 +60,7 @@ def cluster():
 
 @pytest.fixture(autouse=True)
 def small_tasks(monkeypatch):
-    monkeypatch.setattr(recipe, "PART", 500_000)
+    monkeypatch.setattr(sampling_job, "PART", 500_000)
 
 
 def made(n, **more):
@@ -68,7 +68,7 @@ def made(n, **more):
 
 
 def checksum(n):
-    return sample_parts.checksum_of(made(n).map.counts)
+    return sampling_job.checksum_of(made(n).map.counts)
 
 
 def kill(cluster, rng):
@@ -91,12 +91,12 @@ def kill(cluster, rng):
 def test_a_cluster_makes_the_same_map(cluster):
     n = 40 * 500_000 + 17
     workspace = made(n, client=cluster[1])
-    assert workspace.samples == n and sample_parts.checksum_of(workspace.map.counts) == checksum(n)
+    assert workspace.samples == n and sampling_job.checksum_of(workspace.map.counts) == checksum(n)
 
 
 @pytest.mark.slow
 def test_with_loops_too(cluster, monkeypatch):
-    monkeypatch.setattr(recipe, "SLOW_PART", 1500)
+    monkeypatch.setattr(sampling_job, "SLOW_PART", 1500)
     bar = kempe.load("five_bar")
     one, many = (bar.workspace("tip", n=5000, cells=24, client=c) for c in (None, cluster[1]))
     assert np.array_equal(one.map.counts, many.map.counts) and one.left_out == many.left_out
@@ -118,7 +118,7 @@ def test_a_killed_worker_and_a_late_one(cluster, tmp_path):
     workspace = made(n, client=client, path=path, budget=Budget(progress=disturb))
     local.scale(2)
     assert killed and killed[0] < n == workspace.samples
-    assert sample_parts.checksum_of(kempe.open_workspace(path).map.counts) == checksum(n)
+    assert sampling_job.checksum_of(kempe.open_workspace(path).map.counts) == checksum(n)
 
 
 @pytest.mark.slow
@@ -126,12 +126,12 @@ def test_a_task_that_fails_once(cluster):
     local, client = cluster
 
     def fail_once():
-        from kempe.analysis.spaces.workspace import recipe
+        from kempe.workspace import sampling_job
 
-        class Once(recipe.Recipe):
+        class Once(sampling_job.Recipe):
             failed = False
 
-        count = recipe.Recipe.count
+        count = sampling_job.Recipe.count
 
         def failing(self, first, last, counts):
             if not Once.failed:
@@ -139,21 +139,23 @@ def test_a_task_that_fails_once(cluster):
                 raise OSError("a worker that fails once")
             count(self, first, last, counts)
 
-        recipe.Recipe.count = failing
+        sampling_job.Recipe.count = failing
 
     client.run(fail_once)
     n = 8 * 500_000
-    assert sample_parts.checksum_of(made(n, client=client, budget=Budget(rng=4)).map.counts) == (
-        sample_parts.checksum_of(made(n, budget=Budget(rng=4)).map.counts)
+    assert sampling_job.checksum_of(made(n, client=client, budget=Budget(rng=4)).map.counts) == (
+        sampling_job.checksum_of(made(n, budget=Budget(rng=4)).map.counts)
     )
 
 
 @pytest.mark.slow
 def test_a_task_that_always_fails_says_why_and_loses_nothing(cluster, tmp_path, monkeypatch):
-    said = recipe.Recipe.__reduce__
+    said = sampling_job.Recipe.__reduce__
     path = tmp_path / "map.zarr"
     monkeypatch.setattr(
-        recipe.Recipe, "__reduce__", lambda self: (said(self)[0], (*said(self)[1][:4], "v9", "0"))
+        sampling_job.Recipe,
+        "__reduce__",
+        lambda self: (said(self)[0], (*said(self)[1][:4], "v9", "0")),
     )
     with pytest.raises(KempeError, match="'v9'"):
         made(10**6, client=cluster[1], path=path, budget=Budget(rng=5))
@@ -259,7 +261,7 @@ def test_workers_killed_twenty_times(tmp_path):
         while len(kills) < 20:  # as many maps as that takes
             whole.append(tmp_path / f"map{len(whole)}.zarr")
             made(n, client=client, path=whole[-1], budget=Budget(progress=disturb))
-    assert {sample_parts.checksum_of(kempe.open_workspace(p).map.counts) for p in whole} == {
+    assert {sampling_job.checksum_of(kempe.open_workspace(p).map.counts) for p in whole} == {
         checksum(n)
     }
 
@@ -392,9 +394,9 @@ def test_workers_with_other_kernels_are_refused(tmp_path):
 def test_the_description_travels_once(cluster, monkeypatch):
     """Not in each task: the tasks of 10^12 samples would be gigabytes."""
     pickled = []
-    reduced = recipe.Recipe.__reduce__
+    reduced = sampling_job.Recipe.__reduce__
     monkeypatch.setattr(
-        recipe.Recipe, "__reduce__", lambda self: (pickled.append(1), reduced(self))[1]
+        sampling_job.Recipe, "__reduce__", lambda self: (pickled.append(1), reduced(self))[1]
     )
     made(20 * 500_000, client=cluster[1], budget=Budget(rng=8))
     assert 0 < len(pickled) <= 4

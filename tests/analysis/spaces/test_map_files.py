@@ -23,10 +23,11 @@ from reached_sets import shell, two_bars
 
 import kempe
 from kempe import Budget, Status
-from kempe.analysis.maps import part_log, side_by_side
-from kempe.analysis.spaces.workspace import counting_runs, mapping, recipe, sample_parts
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, KernelsError
+from kempe.numerics import pool as side_by_side
+from kempe.workspace import sampling_job, store
+from kempe.workspace import workspace as mapping
 
 pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 ARM = two_bars(0.5, 0.3)
@@ -39,8 +40,8 @@ def small_parts(monkeypatch):
     them.
     """
     monkeypatch.setattr(side_by_side, "time", SimpleNamespace(monotonic=itertools.count().__next__))
-    monkeypatch.setattr(recipe, "PART", 50_000)
-    monkeypatch.setattr(recipe, "PIECE", 10_000)
+    monkeypatch.setattr(sampling_job, "PART", 50_000)
+    monkeypatch.setattr(sampling_job, "PIECE", 10_000)
 
 
 def made(path=None, n=N, **more):
@@ -63,11 +64,11 @@ def test_one_thread_and_many_make_the_same_map(threads):
 
 
 def test_threads_that_share_memory_make_the_same_map(monkeypatch):
-    monkeypatch.setattr(counting_runs, "SHARED_BYTES", 1)
+    monkeypatch.setattr(sampling_job, "SHARED_BYTES", 1)
     assert np.array_equal(made(budget=Budget(threads=4)).map.counts, made().map.counts)
 
 
-MODULES = (counting_runs, mapping, sample_parts, side_by_side, part_log)
+MODULES = (sampling_job, mapping, sampling_job, side_by_side, store)
 
 
 @pytest.mark.parametrize("on_disk", [False, True])
@@ -96,7 +97,7 @@ def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
     the map.
     """
     begun = threading.Event()
-    counted = recipe.Recipe.count
+    counted = sampling_job.Recipe.count
     handed_out = []
 
     def count(*arguments):
@@ -116,7 +117,7 @@ def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
         return future
 
     whole = made(n=30_000).map.counts
-    monkeypatch.setattr(recipe.Recipe, "count", count)
+    monkeypatch.setattr(sampling_job.Recipe, "count", count)
     monkeypatch.setattr(ThreadPoolExecutor, "submit", submit)
     workspace = made(budget=Budget(threads=3))
     assert (
@@ -142,10 +143,11 @@ def test_a_map_depends_on_its_seed_only(hunt):
         n = int(rng.integers(1, 300_000))
         seed = int(rng.integers(10**6))
         cells = int(rng.integers(2, 60))
-        recipe_ = recipe.recipe_of(system, "tip", seed, cells, None)
+        recipe_ = sampling_job.recipe_of(system, "tip", seed, cells, None)
         cuts = [0, *sorted(rng.integers(0, n, 5).tolist()), n]
         parts = sum(
-            recipe.counted(recipe_, a, b).astype(np.uint64) for a, b in itertools.pairwise(cuts)
+            sampling_job.counted(recipe_, a, b).astype(np.uint64)
+            for a, b in itertools.pairwise(cuts)
         )
         budget = Budget(rng=seed, threads=int(rng.integers(1, 6)))
         whole = system.workspace("tip", n=n, cells=cells, budget=budget)
@@ -175,7 +177,7 @@ def test_a_finished_map_is_opened_and_grows(tmp_path):
 
 
 def test_parts_are_merged(tmp_path, monkeypatch):
-    monkeypatch.setattr(sample_parts, "MANY", 2)
+    monkeypatch.setattr(sampling_job, "MANY", 2)
     path = tmp_path / "map.zarr"
     made(path, budget=interrupted_after(310_000))
     files = sorted(p.name for p in (tmp_path / "map.zarr.parts").iterdir())
@@ -314,21 +316,21 @@ def test_maps_of_something_else_are_refused(tmp_path, words, other, whole):
 
 
 def test_kernels_that_round_otherwise_are_refused_by_name():
-    one = recipe.recipe_of(ARM, "tip", 0, 16, None)
-    foreign = recipe.Recipe(one.system, one.frame, 0, one.grid, "v9")
+    one = sampling_job.recipe_of(ARM, "tip", 0, 16, None)
+    foreign = sampling_job.Recipe(one.system, one.frame, 0, one.grid, "v9")
     with pytest.raises(KernelsError, match="'v9'.*KEMPE_KERNELS=v9"):
-        recipe.counted(foreign, 0, 100)
+        sampling_job.counted(foreign, 0, 100)
 
 
 def test_a_map_of_other_kernels_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "map.zarr"
     made(path, budget=interrupted_after(100_000))
-    monkeypatch.setattr(recipe.Recipe, "said", lambda self: {**SAID(self), "variant": "v9"})
+    monkeypatch.setattr(sampling_job.Recipe, "said", lambda self: {**SAID(self), "variant": "v9"})
     with pytest.raises(InputError, match="its variant is .* and here it is 'v9'"):
         made(path)
 
 
-SAID = recipe.Recipe.said
+SAID = sampling_job.Recipe.said
 
 
 def test_opened_without_kempe(tmp_path):
@@ -343,7 +345,7 @@ def test_opened_without_kempe(tmp_path):
     assert (
         made_of["system"] == system.structure.content_hash
         and made_of["seed"] == 0
-        and made_of["variant"] == recipe.VARIANT
+        and made_of["variant"] == sampling_job.VARIANT
     )
 
 
@@ -383,7 +385,7 @@ def test_what_stands_at_the_path_is_kept(tmp_path):
 
 WORK = """
     import kempe
-    from kempe.analysis.spaces.workspace import recipe
+    from kempe.workspace import sampling_job as recipe
     recipe.PART, recipe.PIECE = 200_000, 20_000
     kempe.load("puma560").workspace("tool", n=4_000_000, cells=32, path={path!r}, budget=kempe.Budget(threads=2))
 """

@@ -9,12 +9,16 @@ import pytest
 from hunts import Hunt
 
 import kempe
-from kempe.analysis.spaces.planar.coupler_curves import CouplerCurve, four_bars
-from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
-from kempe.analysis.spaces.planar.planar_platform import PlatformLeg, RegionOfPlatform
-from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
-from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece
 from kempe.errors import UnsupportedError
+from kempe.workspace.planar.planar_chain import PlanarChain, PlanarJoint
+from kempe.workspace.planar.planar_platform import (
+    CouplerCurve,
+    PlatformLeg,
+    RegionOfPlatform,
+    four_bars,
+)
+from kempe.workspace.planar.planar_workspace import planar_workspace
+from kempe.workspace.planar.plane_curves import TURN, PlanePiece
 
 
 def platform(legs, tool=(0.0, 0.0), turned=0.0):

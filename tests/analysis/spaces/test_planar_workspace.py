@@ -7,10 +7,10 @@ import pytest
 from hunts import Hunt
 
 import kempe
-from kempe.analysis.spaces.kinds.questions import question_of
-from kempe.analysis.spaces.planar.planar_workspace import planar_answer, planar_workspace
-from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 from kempe.errors import InputError, UnsupportedError
+from kempe.workspace.kinds import question_of
+from kempe.workspace.planar.planar_workspace import planar_answer, planar_workspace
+from kempe.workspace.planar.plane_curves import PlanePiece
 
 
 def arm(*joints, tool=0.4):

@@ -7,10 +7,10 @@ import pytest
 
 import kempe
 from kempe import Budget, spatial
-from kempe.analysis.spaces.reach import map_slices
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.errors import InputError, UnknownNameError
 from kempe.status import Status
+from kempe.workspace import reach
 
 PUMA = kempe.load("puma560")
 UR = kempe.load("ur5")
@@ -53,7 +53,7 @@ def test_poses_that_are_reached_and_that_are_not():
 
 
 def study_length(system) -> float:
-    from kempe.model.tree.characteristic_length import characteristic_length
+    from kempe.model.characteristic_length import characteristic_length
 
     return float(characteristic_length(system))
 
@@ -203,7 +203,7 @@ def interrupted(done: int, total: int) -> None:
     ],
 )
 def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, slices, monkeypatch):
-    monkeypatch.setattr(map_slices, "SLICE", 8)
+    monkeypatch.setattr(reach, "SLICE", 8)
     box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     part, whole = (
         until_interrupt(PUMA.reach.capability, "tool", box, 2, 4, budget=b)

@@ -9,9 +9,9 @@ from command import Result
 
 import kempe
 from kempe import Budget
-from kempe.analysis.spaces.reach import base_placement
-from kempe.calls import until_interrupt
-from kempe.views.terminal import leave
+from kempe.arguments import until_interrupt
+from kempe.cli.terminal import leave
+from kempe.workspace import base_placement
 
 
 @pytest.mark.slow

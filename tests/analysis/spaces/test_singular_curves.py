@@ -10,7 +10,7 @@ from two_freedoms_in_space import lengths_of_pointer, pointer
 
 import kempe
 from kempe import Budget, Status
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
 from kempe.errors import InputError, UnknownNameError
 
 FIVE = kempe.load("five_bar")
@@ -311,7 +311,8 @@ def test_what_is_traced_stays_where_curves_are_broken_off(after):
 
 
 def test_a_curve_that_is_broken_off_is_kept_as_far_as_it_was_followed(monkeypatch):
-    from kempe.solvers.common.clock import TimeLimit, TimeUp
+    from kempe.budget import TimeUp
+    from kempe.numerics.clock import TimeLimit
 
     count = [0]
 
@@ -359,7 +360,7 @@ def test_curves_of_a_pointer_whose_legs_spin_idly_are_whole_turns(lower):
 
 
 def test_the_far_side_of_a_turn_is_not_beside_a_place():
-    from kempe.analysis.spaces.singular.singular_curves import _beside
+    from kempe.spaces.singularities import _beside
 
     assert _beside(np.array([[-0.1, 0.0]]), np.array([[0.1, 0.0]])).all()
     assert not _beside(np.array([[-3.1, 0.2]]), np.array([[3.1, 0.2]])).any()

@@ -7,9 +7,9 @@ import pytest
 
 import kempe
 from kempe import Budget, Status
-from kempe.calls import until_interrupt
+from kempe.arguments import until_interrupt
+from kempe.equations.closure_rows import residual
 from kempe.errors import InputError, TimeLimitError, UnknownNameError
-from kempe.kinematics.closure_rows import residual
 
 PUMA = kempe.load("puma560")
 A2 = 0.4318

@@ -10,11 +10,10 @@ from polygons import polygon
 
 import kempe
 from kempe import Budget, Mechanism, Status
-from kempe.analysis.spaces.configuration.polygons import polygon_of
-from kempe.analysis.spaces.curves.dyad_branches import dyad_branches
-from kempe.analysis.spaces.curves.skew_branches import skew_branches
-from kempe.analysis.spaces.curves.swept import CurveSweep, sweep_of, swept
-from kempe.solvers.common.clock import TimeLimit
+from kempe.numerics.clock import TimeLimit
+from kempe.spaces.branch_functions import dyad_branches, skew_branches
+from kempe.spaces.branch_sweep import CurveSweep, sweep_of, swept
+from kempe.spaces.polygons import polygon_of
 
 
 def every(system: kempe.System) -> list[CurveSweep]:

@@ -13,8 +13,7 @@ from reached_sets import SHELL, TORUS, scara, shell, torus
 
 import kempe
 from kempe import spatial
-from kempe.analysis.spaces.planar.solids_of_systems import swept_solid
-from kempe.analysis.spaces.planar.swept_solids import Prism, Revolved, Turned
+from kempe.workspace.planar.swept_solids import Prism, Revolved, Turned, swept_solid
 
 
 def chain(*joints, tool, base=None, name="chain"):

@@ -20,9 +20,9 @@ from two_freedoms_in_space import (
 
 import kempe
 from kempe import Budget
-from kempe.analysis.spaces.configuration import two_freedoms as spaces
 from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.spaces import two_freedoms as spaces
 
 PLANE = FlatTask("xy", 2)
 DIRECTION = FlatTask("direction", 3)
@@ -176,7 +176,7 @@ def test_places_without_a_closed_form_are_counted_from_node_to_node(monkeypatch)
 
 
 def test_the_time_limit_ends_a_search_with_what_is_found():
-    from kempe.solvers.common.clock import TimeLimit
+    from kempe.numerics.clock import TimeLimit
 
     space = spaces.two_freedoms(
         spherical_five_bar(1.0, 1.2, 1.1, 0.9, 1.3), "tip", DIRECTION, TimeLimit(1e-9)

@@ -15,17 +15,11 @@ from reached_sets import ANNULUS, two_bars
 
 import kempe
 from kempe import Budget, Mechanism, Status, constraints
-from kempe.analysis.spaces.kinds.legs import legs_of
-from kempe.analysis.spaces.kinds.place_bounds import possible_places
-from kempe.analysis.spaces.kinds.questions import (
-    WorkspaceKind,
-    coordinates_of,
-    rotations_at,
-    spread_rotations,
-)
-from kempe.analysis.spaces.workspace.cell_map import Grid
-from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.workspace.answer import outer_measure
+from kempe.workspace.cell_map import Grid
+from kempe.workspace.kinds import WorkspaceKind, coordinates_of, rotations_at, spread_rotations
+from kempe.workspace.place_bounds import legs_of, possible_places
 
 A = 0.5
 B = 0.3

@@ -1,3 +1,2 @@
 """Arithmetic that all kernels share: the compiler's decorators, vectors, angles, random numbers,
-small matrices.
-"""
+small matrices."""

@@ -28,7 +28,6 @@ from kempe.kernels.closed_form.candidates import (
     SCRATCH,
     closed_candidates,
 )
-from kempe.kernels.closed_form.folds import split
 from kempe.kernels.closed_form.merging import (
     ERROR,
     MERGED,
@@ -39,6 +38,7 @@ from kempe.kernels.closed_form.merging import (
     UNSURE,
     WEAKEST,
     listed,
+    split,
 )
 from kempe.kernels.closed_form.one_target import (
     begin,

@@ -1,3 +1,2 @@
 """Equations of loops, and of all that holds frames and coordinates: values, Jacobians, and how they
-are solved.
-"""
+are solved."""

@@ -19,19 +19,11 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
+from kempe.kernels.base.eigen import EIGEN_SCRATCH, balance, eigenvalues, hessenberg, shifted_qr
+from kempe.kernels.base.row_reduction import total
 from kempe.kernels.base.scratch import beyond
-from kempe.kernels.elimination.elimination_accept import (
-    CLAIMED,
-    FOUND,
-    KNOWN,
-    RAW_ERROR,
-    START,
-    accept,
-    is_singular,
-    twin,
-)
-from kempe.kernels.elimination.elimination_cluster import CLUSTER_SCRATCH, MOST, postures_at
+from kempe.kernels.base.trig import sincos
+from kempe.kernels.base.vectors import LANES, load_lanes, store
 from kempe.kernels.elimination.elimination_loop import (
     EQUATIONS,
     FANS_SIZE,
@@ -39,46 +31,578 @@ from kempe.kernels.elimination.elimination_loop import (
     LINE_STRIDE,
     LOOP_SIZE,
     NUMBER,
+    PAIR,
     SAMPLE_STRIDE,
+    SOURCE,
+    TARGET,
     TRIPLE,
     arrange,
+    fan,
+    fourteen,
     hidden_of,
+    line_of,
     remove_pair,
     removed_of,
     sample,
 )
-from kempe.kernels.elimination.elimination_null import angles_of, null_vectors, split
-from kempe.kernels.elimination.elimination_pair import PAIR_SIZE, pair_of, removed_turn
 from kempe.kernels.elimination.elimination_pencil import (
+    FLOOR,
     FORMS,
     LOST,
     ROW,
     SIZE,
     STRIDE,
     WIDE,
+    angles_of,
     assemble,
+    clear,
     companion,
+    entry_of_a,
+    entry_of_b,
+    largest_entry,
     lead,
     matrix_at,
     null_at_i,
+    null_vectors,
     pivot_ratio,
+    split,
+    vector,
 )
-from kempe.kernels.elimination.elimination_polish import disturb, wrapped
-from kempe.kernels.elimination.elimination_roots import (
-    ANGLE,
-    DOUBT,
-    IMAGINARY,
-    NEARLY,
-    REAL,
-    ROOT,
-    TOGETHER,
-    at_infinity,
-    expected,
-    matched,
-    stand_for,
-    together,
-    write_roots,
+from kempe.kernels.elimination.elimination_polish import (
+    CLAIMED,
+    FOUND,
+    JACOBIAN,
+    KNOWN,
+    RAW_ERROR,
+    START,
+    TWIST,
+    accept,
+    compare,
+    disturb,
+    is_singular,
+    trace,
+    twin,
+    wrapped,
 )
+
+# ---- elimination pair
+
+# The pair and the removed joint once the triple is known.
+
+
+COLUMN = 16
+"""Stride of the pair's columns: fourteen numbers, two zeros."""
+
+NOTHING = 1e-18
+"""Square of the size of a column beside the largest below which it tells nothing."""
+
+PAIR_SIZE = 32 + 8 * COLUMN + 32
+"""Numbers of scratch that the pair needs."""
+
+
+@device
+def _carry(line, theta, here):
+    """Move the line here (l, p) by the joint's motion, in place."""
+    hx = line[0]
+    hy = line[1]
+    hz = line[2]
+    if line[IS_SLIDE] != 0.0:
+        here[3] = here[3] + theta * hx
+        here[4] = here[4] + theta * hy
+        here[5] = here[5] + theta * hz
+        return
+    s, c = sincos(theta)
+    v = 1.0 - c
+    x = here[0]
+    y = here[1]
+    z = here[2]
+    along = v * (hx * x + hy * y + hz * z)
+    here[0] = along * hx + c * x + s * (hy * z - hz * y)
+    here[1] = along * hy + c * y + s * (hz * x - hx * z)
+    here[2] = along * hz + c * z + s * (hx * y - hy * x)
+    x = here[3] - line[4]
+    y = here[4] - line[5]
+    z = here[5] - line[6]
+    along = v * (hx * x + hy * y + hz * z)
+    here[3] = line[4] + along * hx + c * x + s * (hy * z - hz * y)
+    here[4] = line[5] + along * hy + c * y + s * (hz * x - hx * z)
+    here[5] = line[6] + along * hz + c * z + s * (hx * y - hy * x)
+
+
+@device
+def _split(columns, slides, to, sign):
+    """Turn three samples in columns 5, 6, 7 into coefficients in columns `to` and `to + 1`, and the
+    constant in 4.
+    """
+    for i in range(0, COLUMN, LANES):
+        f0 = load_lanes(columns, 5 * COLUMN + i)
+        f1 = load_lanes(columns, 6 * COLUMN + i)
+        f2 = load_lanes(columns, 7 * COLUMN + i)
+        if slides:
+            a = f0
+            b = 0.5 * (f1 - f2)
+            c = 0.5 * (f1 + f2) - f0
+        else:
+            a = 0.5 * (f0 + f2)
+            b = 0.5 * (f0 - f2)
+            c = f1 - a
+        store(columns, to * COLUMN + i, sign * b)
+        store(columns, (to + 1) * COLUMN + i, sign * c)
+        store(columns, 4 * COLUMN + i, load_lanes(columns, 4 * COLUMN + i) - sign * a)
+
+
+@device
+def _dot(columns, j, k):
+    """Product of columns j and k."""
+    sum_ = load_lanes(columns, j * COLUMN) * load_lanes(columns, k * COLUMN)
+    for i in range(LANES, COLUMN, LANES):
+        sum_ = sum_ + load_lanes(columns, j * COLUMN + i) * load_lanes(columns, k * COLUMN + i)
+    return total(sum_)
+
+
+@routine
+def _four(columns, y):
+    """Least sine between a column and those before it; y: the four unknowns of columns 0 to 3
+    against column 4.
+
+    Modified Gram-Schmidt. A column that is next to nothing beside the largest counts by its size
+    instead.
+    """
+    least = 1.0
+    largest = 0.0
+    for k in range(4):
+        y[4 + k] = _dot(columns, k, k)
+        largest = max(largest, y[4 + k])
+    for k in range(4):
+        size = _dot(columns, k, k)
+        if not size > 0.0:
+            return 0.0
+        least = min(least, size / (y[4 + k] if y[4 + k] > NOTHING * largest else largest))
+        for j in range(k + 1, 5):
+            f = _dot(columns, k, j) / size
+            y[8 + 5 * k + j] = f
+            for i in range(0, COLUMN, LANES):
+                x = load_lanes(columns, j * COLUMN + i) - f * load_lanes(columns, k * COLUMN + i)
+                store(columns, j * COLUMN + i, x)
+    for back in range(4):
+        k = 3 - back
+        value = y[8 + 5 * k + 4]
+        for j in range(k + 1, 4):
+            value -= y[8 + 5 * k + j] * y[j]
+        y[k] = value
+    return math.sqrt(least)
+
+
+@routine
+def pair_of(loop, theta, work):
+    """How well the pair is determined, 0 to 1; writes its coordinates, given those of the triple.
+
+    Y_2 (X_1 X_2 X_3 source) = Y_1^-1 target: fourteen equations that are linear in cosines and
+    sines.
+    """
+    here = work
+    fans = beyond(work, 8)
+    columns = beyond(work, 32)
+    y = beyond(columns, 8 * COLUMN)
+    for i in range(8 * COLUMN):
+        columns[i] = 0.0
+    line_of(loop, SOURCE, here)
+    for i in range(3):
+        k = TRIPLE + LINE_STRIDE * (2 - i)
+        _carry(beyond(loop, k), theta[int(loop[k + NUMBER])], here)
+    for side in range(2):
+        k = PAIR + LINE_STRIDE * (1 - side)
+        if side == 1:
+            line_of(loop, TARGET, here)
+        sign = 1.0 - 2.0 * side
+        fan(beyond(loop, k), sign, here, fans)
+        for i in range(3):
+            fourteen(beyond(fans, 6 * i), beyond(columns, (5 + i) * COLUMN), 1)
+        _split(columns, loop[k + IS_SLIDE] != 0.0, 2 * side, sign)
+    quality = _four(columns, y)
+    for side in range(2):
+        k = PAIR + LINE_STRIDE * (1 - side)
+        a = y[2 * side]
+        b = y[2 * side + 1]
+        theta[int(loop[k + NUMBER])] = a if loop[k + IS_SLIDE] != 0.0 else math.atan2(b, a)
+    return quality
+
+
+@device
+def removed_turn(kinds, lines, goal, removed, theta, work):
+    """Angle of the removed turn, the others given: D = E(h, angle) where h is its axis as it
+    stands.
+    """
+    theta[removed] = 0.0
+    trace(kinds, lines, theta, work)
+    _, trace_ = compare(goal, work)
+    sine = 0.0
+    for i in range(3):
+        sine += work[JACOBIAN * i + removed] * work[JACOBIAN * i + TWIST]
+    return math.atan2(2.0 * sine, trace_ - 1.0)
+
+
+# ---- elimination cluster
+
+# Several postures that share the hidden joint's value: their null vectors, from the whole null
+# space at once.
+#
+# At a value that m roots share the null space of the 12x12 matrix has up to m dimensions, and its
+# vectors are mixtures of those of the postures. On the postures' own vectors v it holds that W v = x
+# U v, where U and W are the u and the w part of joint a (or b) and x = w/u its value there: so in the
+# null space N the matrix (U N)^+ W N has the values as eigenvalues and the postures' mixtures as
+# eigenvectors. A combination of the two joints' matrices tells postures apart that share one of the
+# values (Moeller and Stetter 1995, "Multivariate polynomial equations with multiple zeros solved by
+# matrix eigenproblems").
+
+
+MOST = 8
+"""Dimensions of a null space at most."""
+
+PLACES = 3
+"""Zeros of a joint that are tried: none of the values may be at infinity."""
+
+MIX = 0.7548776662466927
+"""What the second joint's matrix is weighed with: no special number."""
+
+CLUSTER_REAL = 1e-4
+"""Imaginary part of an eigenvalue, relative to its size, up to which the real part is tried."""
+
+_SPACE = 0
+_CLUSTER_MATRIX = MOST * ROW
+_CLUSTER_WORK = _CLUSTER_MATRIX + 2 * MOST * ROW
+_VALUES = _CLUSTER_WORK + 3 * MOST * ROW
+CLUSTER_SCRATCH = _VALUES + 2 * MOST + EIGEN_SCRATCH + ROW
+"""Numbers of scratch that `postures_at` needs."""
+
+
+@routine
+def null_space(m, count, mask, order, x):
+    """(largest entry left over, last pivot), over the first pivot; writes `count` null vectors, ROW
+    numbers each.
+
+    Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost), SIZE - count
+    steps. mask: 2 ROW numbers. order: 2 SIZE numbers.
+    """
+    for j in range(ROW):
+        mask[j] = 1.0 if j < SIZE else 0.0
+        mask[ROW + j] = 1.0
+    first = last = 0.0
+    for k in range(SIZE - count):
+        best, row, column = largest_entry(m, m, mask)
+        last = math.sqrt(max(best, 0.0))
+        if k == 0:
+            first = max(last, FLOOR)
+        if not last > 0.0:
+            return math.inf, 0.0
+        order[2 * k] = float(column)
+        order[2 * k + 1] = float(row)
+        mask[column] = 0.0
+        mask[ROW + row] = 0.0
+        clear(m, row, column)
+    best, _, _ = largest_entry(m, m, mask)
+    left = 0
+    for c in range(SIZE):
+        if mask[c] != 0.0:
+            vector(m, order, SIZE - count, c, beyond(x, ROW * left))
+            left += 1
+    return math.sqrt(max(best, 0.0)) / first, last / first
+
+
+@device
+def _entry(x, joint, i, j):
+    """(u part, w part) of the vector x for joint a (0) or b (1)."""
+    return entry_of_a(x, i, j) if joint == 0 else entry_of_b(x, i, j)
+
+
+@routine
+def _solved(a, b, n):
+    """Least over largest pivot of the matrix a (n rows of stride ROW, lost); b becomes a^-1 b.
+    Gauss-Jordan.
+    """
+    least = math.inf
+    largest = 0.0
+    for k in range(n):
+        best = -1.0
+        place = k
+        for i in range(k, n):
+            if abs(a[i * ROW + k]) > best:
+                best = abs(a[i * ROW + k])
+                place = i
+        if not best > 0.0:
+            return 0.0
+        least = min(least, best)
+        largest = max(largest, best)
+        for c in range(n):
+            a[k * ROW + c], a[place * ROW + c] = a[place * ROW + c], a[k * ROW + c]
+            b[k * ROW + c], b[place * ROW + c] = b[place * ROW + c], b[k * ROW + c]
+        over = 1.0 / a[k * ROW + k]
+        for c in range(n):
+            a[k * ROW + c] = a[k * ROW + c] * over
+            b[k * ROW + c] = b[k * ROW + c] * over
+        for i in range(n):
+            f = a[i * ROW + k]
+            for c in range(n if i != k else 0):
+                a[i * ROW + c] -= f * a[k * ROW + c]
+                b[i * ROW + c] -= f * b[k * ROW + c]
+    return least / largest
+
+
+@routine
+def _values_of(space, n, joint, half, left, right):
+    """Pivot ratio; `right` becomes the matrix of a joint's values w'/u', its zero moved by `half`:
+    n rows of ROW.
+    """
+    c = math.cos(half)
+    s = math.sin(half)
+    for p in range(n):
+        for q in range(n):
+            left[p * ROW + q] = right[p * ROW + q] = 0.0
+    for i in range(3 if joint == 0 else 4):
+        for j in range(3 if joint == 0 else 2):
+            f = 2.0 if joint == 0 and i == 1 else 1.0
+            for p in range(n):
+                u, w = _entry(beyond(space, ROW * p), joint, i, j)
+                up = f * (c * u + s * w)
+                for q in range(n):
+                    u, w = _entry(beyond(space, ROW * q), joint, i, j)
+                    left[p * ROW + q] += up * (c * u + s * w)
+                    right[p * ROW + q] += up * (c * w - s * u)
+    return _solved(left, right, n)
+
+
+@routine
+def _best_values(space, n, joint, out, work):
+    """Pivot ratio; writes the matrix of a joint's values for the zero at which these are best
+    determined.
+    """
+    best = -1.0
+    for k in range(PLACES):
+        left = work
+        right = beyond(work, MOST * ROW)
+        ratio = _values_of(space, n, joint, 0.3 + k * math.pi / PLACES, left, right)
+        if ratio > best:
+            best = ratio
+            for i in range(n * ROW):
+                out[i] = right[i]
+    return best
+
+
+@routine
+def postures_at(m, count, mask, order, x, scratch):
+    """(vectors, error, margin): writes a vector, ROW numbers, for each real posture among `count`
+    roots at one value.
+
+    The error is that of a null space of `count` dimensions; the margin is the least imaginary part
+    of a posture that is complex, relative to its size, 1 where there is none. m: the 12x12 matrix
+    there (12 rows of stride ROW, lost). x: count ROW numbers. mask, order: as of `null_space`.
+    scratch: CLUSTER_SCRATCH numbers.
+    """
+    space = beyond(scratch, _SPACE)
+    matrix = beyond(scratch, _CLUSTER_MATRIX)
+    work = beyond(scratch, _CLUSTER_WORK)
+    for i in range(CLUSTER_SCRATCH):
+        scratch[i] = 0.0
+    residue, last = null_space(m, count, mask, order, space)
+    other = beyond(matrix, MOST * ROW)
+    if not residue < last:
+        return 0, math.inf, 0.0
+    error = residue / last
+    margin = 1.0
+    if not (
+        _best_values(space, count, 0, matrix, work) > 0.0
+        and _best_values(space, count, 1, other, work) > 0.0
+    ):
+        return 0, math.inf, 0.0
+    for i in range(count * ROW):
+        matrix[i] += MIX * other[i]
+        work[i] = matrix[i]
+    re = beyond(scratch, _VALUES)
+    im = beyond(scratch, _VALUES + MOST)
+    if eigenvalues(work, count, ROW, re, im, beyond(scratch, _VALUES + 2 * MOST)) > 0:
+        return 0, math.inf, 0.0
+    vectors = 0
+    for k in range(count):
+        size = abs(im[k]) / (1.0 + abs(re[k]))
+        if not size <= CLUSTER_REAL:
+            margin = min(margin, size)
+            continue
+        for i in range(count):
+            for j in range(ROW):
+                work[i * ROW + j] = matrix[i * ROW + j] if j < count else 0.0
+            work[i * ROW + i] -= re[k]
+        _combined(work, space, count, beyond(x, ROW * vectors))
+        vectors += 1
+    return vectors, error, margin
+
+
+@device
+def _combined(a, space, n, out):
+    """Write the mixture of the space's vectors that the matrix a (n rows of stride ROW, lost) takes
+    to zero.
+    """
+    y = beyond(a, MOST * ROW)
+    order = beyond(a, MOST * ROW + ROW)
+    for j in range(n):
+        order[j] = -1.0
+    taken = 0
+    for _ in range(n - 1):
+        best = 0.0
+        row = -1
+        column = -1
+        for i in range(n):
+            for j in range(n):
+                size = abs(a[i * ROW + j])
+                if order[j] < 0.0 and taken >> i & 1 == 0 and size > best:
+                    best = size
+                    row = i
+                    column = j
+        if row < 0:
+            break
+        order[column] = float(row)
+        taken |= 1 << row
+        over = 1.0 / a[row * ROW + column]
+        for i in range(n):
+            f = a[i * ROW + column] * over
+            for j in range(n if i != row else 0):
+                a[i * ROW + j] -= f * a[row * ROW + j]
+    free = 0
+    while free < n - 1 and order[free] >= 0.0:
+        free += 1
+    for j in range(n):
+        row = int(order[j])
+        y[j] = (1.0 if j == free else 0.0) if row < 0 else -a[row * ROW + free] / a[row * ROW + j]
+    for j in range(SIZE):
+        out[j] = 0.0
+        for i in range(n):
+            out[j] += y[i] * space[ROW * i + j]
+
+
+# ---- elimination roots
+
+# The roots of the hidden joint one by one: which of them share a value, and whether each has a
+# posture of its own.
+#
+# Roots and postures are matched one to one by the hidden joint's value. So where roots are close, or
+# the same, their number counts, and it does not matter from which of them Newton's steps came to a
+# posture.
+
+
+ROOT = 3
+ANGLE = 0
+IMAGINARY = 1
+STANDS_FOR = 2
+"""Numbers of a root: value of the hidden joint, imaginary part (an angle each), what it stands
+for."""
+
+NONE = 0.0
+OPTIONAL = 1.0
+EXPECTED = 2.0
+"""What a root stands for: no posture, at most one, one."""
+
+REAL = 1e-7
+DOUBT = 1e-3
+NEARLY = 1e-2
+"""Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures
+that are about to merge may hide behind it; up to the third it is tried, and a root belongs to a
+posture whose value is so near."""
+
+TOGETHER = 1e-6
+"""Difference of roots, in radians, up to which three or more share a null space; and imaginary part
+up to which a root must have a posture: the larger ones of ill-conditioned roots leave it open."""
+
+
+FAR = 1e-5
+"""Angle from pi at which a slide, whose angle is 2 atan d, is at infinity, where roots belong to no
+posture."""
+
+
+@device
+def at_infinity(slides, angle):
+    """Whether a joint's value is that of a slide at infinity."""
+    return slides and abs(wrapped(angle - math.pi)) < FAR
+
+
+@device
+def write_roots(re, im, n, half, narrower, slides, roots):
+    """Write n roots, with what they stand for by their imaginary parts, over `narrower`.
+
+    re, im: the roots as the tangent of half their angle, zero at twice the angle `half`; NaN for
+    one that is not known.
+    """
+    for i in range(n):
+        t = re[i]
+        root = beyond(roots, ROOT * i)
+        root[IMAGINARY] = 2.0 * im[i] / (1.0 + t * t) / narrower
+        size = abs(root[IMAGINARY])
+        root[STANDS_FOR] = EXPECTED if size < TOGETHER else OPTIONAL if size < NEARLY else NONE
+        root[ANGLE] = 2.0 * (half + math.atan2(t, 1.0)) if size < NEARLY else 0.0
+        if at_infinity(slides, root[ANGLE]):
+            root[STANDS_FOR] = NONE
+
+
+@device
+def is_with(roots, j, i):
+    """Whether root j shares the value of root i, which is real."""
+    d = roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE]
+    return abs(roots[ROOT * j + IMAGINARY]) < TOGETHER and abs(wrapped(d)) < TOGETHER
+
+
+@device
+def together(roots, n, i):
+    """(number of roots that share the value of root i; whether one comes before it; mean difference
+    from its value).
+    """
+    count = 0
+    mean = 0.0
+    met = False
+    for j in range(n):
+        if is_with(roots, j, i):
+            count = count + 1
+            mean = mean + wrapped(roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE])
+            met = met or j < i
+    return count, met, mean / max(count, 1)
+
+
+@device
+def stand_for(roots, n, i, postures):
+    """Mark the first `postures` of the roots that share the value of root i as EXPECTED, the others
+    of them as NONE.
+    """
+    left = postures
+    for j in range(n):
+        if is_with(roots, j, i):
+            roots[ROOT * j + STANDS_FOR] = EXPECTED if left > 0 else NONE
+            left -= 1
+
+
+@device
+def expected(roots, n):
+    """How many roots are expected to have a posture."""
+    count = 0
+    for i in range(n):
+        count += int(roots[ROOT * i + STANDS_FOR] == EXPECTED)
+    return count
+
+
+@device
+def matched(roots, n, angle):
+    """Whether a root is left for a posture with this value of the hidden joint; the nearest is
+    marked as used.
+    """
+    best = 0.0
+    at = -1
+    for i in range(n):
+        what = roots[ROOT * i + STANDS_FOR]
+        d = abs(wrapped(roots[ROOT * i + ANGLE] - angle))
+        if what != NONE and d < NEARLY and what - d > best:
+            best = what - d
+            at = i
+    if at < 0:
+        return False
+    roots[ROOT * at + STANDS_FOR] = NONE
+    return True
+
 
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""

@@ -18,9 +18,15 @@ from kempe.kernels.elimination.elimination import (
     FOUNDLINGS,
     eliminate,
 )
-from kempe.kernels.elimination.elimination_accept import FOUND, RAW_ERROR
 from kempe.kernels.elimination.elimination_loop import LINE_STRIDE, hidden_of, removed_of
-from kempe.kernels.elimination.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
+from kempe.kernels.elimination.elimination_polish import (
+    FOUND,
+    POLISH_SIZE,
+    POSE,
+    RAW_ERROR,
+    trace,
+    wrapped,
+)
 from kempe.kernels.forward.table_layout import SLIDE
 
 FIRST = 5

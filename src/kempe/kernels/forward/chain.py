@@ -2,7 +2,7 @@
 
 What a row costs depends on the form of its placement: GENERAL is any, RX is [Rx(alpha) | p], and
 RX_FLAT moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986);
-`model.tree.gauge` makes such rows. The pose stays in twelve registers, one for each entry, named as
+`model.gauge` makes such rows. The pose stays in twelve registers, one for each entry, named as
 three matrix rows (x, y, z, p).
 """
 

@@ -11,19 +11,34 @@ the earlier stages hold, to the tolerance and not only to first order.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from kempe.kernels.base._jit import kernel, routine
+from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import FLAG, INT, OUT, OUTI, F, I
-from kempe.kernels.base.random import mix
+from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.rotations import turn_ball
 from kempe.kernels.base.scratch import beyond, copy
-from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, NOTHING, SOLVED
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.search_layout import (
+    AHEAD,
+    BAD_INPUT,
+    LARGEST,
+    LATE,
+    NOT_FOUND,
+    NOTHING,
+    SOLVED,
+)
+from kempe.kernels.base.vectors import entry, keep, raw
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.constraint_rows import LoopScratch
-from kempe.kernels.constraints.goals import is_late, number_of
+from kempe.kernels.constraints.constraint_rows import LoopScratch, back, ends_of, matrix
+from kempe.kernels.constraints.envelope import add_product, factor, normal, product
+from kempe.kernels.constraints.envelope import solve as solve_envelope
+from kempe.kernels.constraints.goals import call, fill, is_late, number_of
 from kempe.kernels.constraints.loop_coordinates import (
+    distance,
+    draw,
+    is_held,
     nearest_turn,
     number,
     place_of,
@@ -31,26 +46,1163 @@ from kempe.kernels.constraints.loop_coordinates import (
     sort_of,
     sound,
 )
-from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
-from kempe.kernels.forward.table_layout import NQ, NV
-from kempe.kernels.forward.table_rows import poses_at, scratch_size
-from kempe.kernels.tasks import restarts
-from kempe.kernels.tasks.active_set import ActiveSetScratch
-from kempe.kernels.tasks.level_rows import (
-    Ask,
-    assess,
-    freeze,
-    harden,
-    hold_ahead,
-    is_hard,
-    missed,
-    restore,
-    rigid,
-    square_of,
-    unbind,
+from kempe.kernels.forward.table_layout import (
+    HEADER,
+    MULTIPLIER,
+    NQ,
+    NV,
+    OUTPUT_FLOATS,
+    OUTPUT_INTS,
+    PARENT,
+    Q_INDEX,
+    ROW_FLOATS,
+    ROW_INTS,
+    V_INDEX,
 )
-from kempe.kernels.tasks.lexicographic import ROUNDING, TIGHT, descend, lower
-from kempe.kernels.tasks.restarts import begin, begin_at, to_middle
+from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
+from kempe.kernels.forward.table_rows import placement, poses_at, row_poses, scratch_size
+
+# ---- active set
+
+# One step under held rows, rows to be lowered and bounds: a small quadratic programme by an active
+# set.
+#
+# The step d minimises |d - t|^2 / 2 + sum (J_i d + e_i)^2 / (2 D_i), t being a wished step: rows with
+# a D next to nothing hold, those with a larger one are damped least squares. With the set of
+# coordinates that stop at their limits, d = t - J^T y for the others and (J J^T + D) y = e + J d of
+# those that stop and of t. Rows between bounds count where they are violated or the step would
+# violate them (Nocedal and Wright, 2006, section 16.5).
+
+
+OFF = 1e30
+"""The D of a row that does not count."""
+LEAST = 1e-14
+"""The D of a row that holds, and the least pivot: it stands in where rows depend on each other."""
+LONGEST = 0.7
+"""Longest turn of a coordinate in a step, in radians, where nothing says that the way is
+straight."""
+SLIP = 1e-9
+"""Multipliers and violations below this are rounding."""
+
+
+class ActiveSetScratch(NamedTuple):
+    """Pointers to the scratch of a solver of tasks. Of velocities, scaled: the step, where it
+    stops, the wish.
+    """
+
+    step: object
+    stop: object
+    """Where a coordinate stops at a limit its step, NaN for free ones."""
+    wish: object
+    mark: object
+    way: object
+    """A step that is kept."""
+    value: object
+    """Of rows, from here on: the equations before their bounds."""
+    low: object
+    high: object
+    weak: object
+    """The D of each row where it counts."""
+    damp: object
+    """The D of each row now."""
+    y: object
+    ahead: object
+    """What the step makes of each row."""
+    column: object
+    a: object
+    home: object
+    """Configurations: where the search starts, six to keep, and where the last stage leads."""
+    kept: object
+    best: object
+    trial: object
+    rest: object
+    aside: object
+    goal: object
+    held: object
+
+
+@device
+def room(loops, v, end):
+    """The scaled step of coordinate v to its lower (1) or upper (2) limit."""
+    return (number(loops, end, v) - loops.q[place_of(loops, v)]) / number(loops, 0, v)
+
+
+@routine
+def mark_pushed(loops, work):
+    """Stop, for a step of least squares, the coordinates at a limit that the gradient pushes
+    outwards.
+    """
+    for i in range(loops.plan[L.N_ROWS]):
+        work.y[i] = loops.error[i] if work.damp[i] < OFF else 0.0
+    for v in range(loops.nv):
+        work.stop[v] = np.nan
+        if sort_of(loops, v) < L.BALL_FIRST:
+            x = loops.q[place_of(loops, v)]
+            if x <= number(loops, 1, v) or x >= number(loops, 2, v):
+                push = -product(loops, v, work.y)
+                if (x <= number(loops, 1, v) and push <= 0.0) or (
+                    x >= number(loops, 2, v) and push >= 0.0
+                ):
+                    work.stop[v] = 0.0
+
+
+@routine
+def free_all(loops, work):
+    """Stop no coordinate."""
+    for v in range(loops.nv):
+        work.stop[v] = np.nan
+
+
+@routine
+def solve_once(loops, work):
+    """Write y and the step for the coordinates that stop and the rows that count now."""
+    plan = loops.plan
+    m = plan[L.N_ROWS]
+    for i in range(m):
+        work.y[i] = loops.error[i] if work.damp[i] < OFF else 0.0
+    for v in range(loops.nv):
+        x = work.stop[v]
+        work.mark[v] = np.nan if x == x else 0.0
+        if x != x:
+            x = work.wish[v]
+        if x != 0.0:
+            add_product(loops, v, x, work.y, 1)
+    normal(loops, work.mark, 0.0, work.a, work.column)
+    for i in range(m):
+        if work.damp[i] >= OFF:
+            work.y[i] = 0.0
+        k = plan[L.AT_ROWS] + L.ENVELOPE_INTS * i
+        work.a[plan[k + 1] + i - plan[k]] += work.damp[i]
+    factor(loops, work.a, LEAST)
+    solve_envelope(loops, work.a, work.y)
+    for v in range(loops.nv):
+        x = work.stop[v]
+        work.step[v] = x if x == x else work.wish[v] - product(loops, v, work.y)
+
+
+@routine
+def stop_at_limits(loops, work):
+    """Whether the step leads out of limits; stops the coordinates that it leads out."""
+    changed = False
+    for v in range(loops.nv):
+        if work.stop[v] == work.stop[v] or sort_of(loops, v) >= L.BALL_FIRST:
+            continue
+        low = room(loops, v, 1)
+        high = room(loops, v, 2)
+        if work.step[v] < low:
+            work.stop[v] = low
+            changed = True
+        elif work.step[v] > high:
+            work.stop[v] = high
+            changed = True
+    return changed
+
+
+@routine
+def count_rows(loops, work, release):
+    """Whether rows between bounds that did not count must, or with `release` the other way round;
+    changes that.
+    """
+    m = loops.plan[L.N_ROWS]
+    changed = False
+    for i in range(m):
+        work.ahead[i] = 0.0
+    for v in range(loops.nv):
+        if work.step[v] != 0.0:
+            add_product(loops, v, work.step[v], work.ahead, 1)
+    for i in range(m):
+        low = work.low[i]
+        high = work.high[i]
+        if low == high or work.weak[i] >= OFF:
+            continue
+        x = work.value[i] + work.ahead[i]
+        if work.damp[i] >= OFF:
+            if x < low - SLIP or x > high + SLIP:
+                work.damp[i] = work.weak[i]
+                loops.error[i] = work.value[i] - (low if x < low else high)
+                changed = True
+        elif release:
+            to = work.value[i] - loops.error[i]  # the bound that it is led to
+            if work.y[i] > SLIP if abs(to - low) < abs(to - high) else work.y[i] < -SLIP:
+                work.damp[i] = OFF
+                changed = True
+    return changed
+
+
+@routine
+def let_go(loops, work):
+    """Whether a coordinate stops though it would rather go back inside; lets the one go that wants
+    to most.
+    """
+    worst = SLIP
+    which = -1
+    for v in range(loops.nv):
+        x = work.stop[v]
+        if x == x:
+            slope = x - work.wish[v] + product(loops, v, work.y)
+            low = room(loops, v, 1)
+            high = room(loops, v, 2)
+            pull = -slope if x <= low else slope
+            if low < high and pull > worst:
+                worst = pull
+                which = v
+    if which >= 0:
+        work.stop[which] = np.nan
+    return which >= 0
+
+
+@routine
+def step_to(loops, work, passes, between, exact):
+    """Write the step; `between`: there are rows between bounds; `exact`: also let go of what stops
+    without need.
+    """
+    for _ in range(passes):
+        solve_once(loops, work)
+        changed = stop_at_limits(loops, work)
+        if between and not changed:
+            changed = count_rows(loops, work, exact)
+        if exact and not changed:
+            changed = let_go(loops, work)
+        if not changed:
+            break
+
+
+@routine
+def take(loops, work, longest):
+    """Size of the step, in radians and characteristic lengths, and which part of it is taken: turns
+    up to `longest`.
+    """
+    size = 0.0
+    turn = 0.0
+    for v in range(loops.nv):
+        size = max(size, abs(work.step[v]))
+        if sort_of(loops, v) != L.SLIDE:
+            turn = max(turn, abs(work.step[v]))
+    part = min(1.0, longest / max(turn, 1e-300))
+    q = loops.q
+    for v in range(loops.nv):
+        work.step[v] *= part
+    for v in range(loops.nv):
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
+        if sort == L.BALL_FIRST:
+            turn_ball(q, i, work.step[v], work.step[v + 1], work.step[v + 2])
+        elif sort != L.BALL_MORE:
+            x = q[i] + work.step[v] * number(loops, 0, v)
+            q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+    return size, part
+
+
+# ---- level rows
+
+# What is required of ties, and how far it is missed: the rows of the solver of tasks
+# (`task_search`).
+
+
+RIGID = 1e-6
+"""How far a rotation may be from one."""
+
+
+class Ask(NamedTuple):
+    """What is required of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two
+    tolerances.
+    """
+
+    given: object
+    """Stages as they are given, then whether hard."""
+    stage: object
+    """The same now: a stage may be held before its turn, a soft one tried as a hard one."""
+    hard: object
+    weight: object
+    tolerance: object
+    stages: int
+    between: bool
+    """Whether rows between bounds are requested."""
+    loose: bool
+    """Whether the first start, too, may be moved as a whole: nobody requested it."""
+
+
+@routine
+def assess(loops, work):
+    """Write the equations, how far they are out of their bounds, and the Jacobian's blocks."""
+    row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
+    fill(loops, True)
+    for i in range(loops.plan[L.N_ROWS]):
+        g = loops.error[i]
+        work.value[i] = g
+        if not abs(g) < LARGEST:
+            loops.error[i] = np.inf
+        elif g < work.low[i]:
+            loops.error[i] = g - work.low[i]
+        elif g > work.high[i]:
+            loops.error[i] = g - work.high[i]
+        else:
+            loops.error[i] = 0.0
+
+
+@device
+def square_of_tie(loops, ask, k):
+    """Weighted squared residual of a tie."""
+    tie = loops.plan[L.AT_TIES] + L.TIE_INTS * k
+    total = 0.0
+    at = loops.plan[tie + L.FIRST_ROW]
+    for i in range(at, at + loops.plan[tie + L.ROWS]):
+        total += loops.error[i] * loops.error[i]
+    return total * ask.weight[k]
+
+
+@routine
+def square_of(loops, ask, first, last, hard_only):
+    """Weighted squared residual of stages first to last."""
+    total = 0.0
+    for k in range(loops.plan[L.N_TIES]):
+        if first <= ask.stage[k] <= last and not (hard_only and ask.hard[k] == 0):
+            total += square_of_tie(loops, ask, k)
+    return total
+
+
+@routine
+def missed(loops, ask, first, last):
+    """The largest squared residual of a hard tie of these stages, as a part of its squared
+    tolerance.
+    """
+    plan = loops.plan
+    worst = 0.0
+    for k in range(plan[L.N_TIES]):
+        if ask.stage[k] < first or ask.stage[k] > last or ask.hard[k] == 0:
+            continue
+        tie = plan[L.AT_TIES] + L.TIE_INTS * k
+        at = plan[tie + L.FIRST_ROW]
+        lengths = plan[tie + L.LENGTHS]
+        linear = angular = 0.0
+        for i in range(plan[tie + L.ROWS]):
+            x = loops.error[at + i]
+            if i < lengths:
+                linear += x * x
+            else:
+                angular += x * x
+        a = ask.tolerance[2 * k]
+        b = ask.tolerance[2 * k + 1]
+        worst = max(worst, max(linear / (a * a), angular / (b * b)))
+    return worst
+
+
+@routine
+def count_in(loops, work, ask, stage, held, damping, hard_only):
+    """Mark the rows that count: of stages before `stage` with D = held, of it with `damping` by
+    weight, no others.
+    """
+    plan = loops.plan
+    for k in range(plan[L.N_TIES]):
+        tie = plan[L.AT_TIES] + L.TIE_INTS * k
+        s = ask.stage[k]
+        d = OFF
+        if 0 <= s < stage and not (hard_only and ask.hard[k] == 0):
+            d = held
+        elif s == stage and damping < OFF:
+            d = damping / ask.weight[k]
+        at = plan[tie + L.FIRST_ROW]
+        for i in range(at, at + plan[tie + L.ROWS]):
+            work.weak[i] = d
+            work.damp[i] = d if work.low[i] == work.high[i] or loops.error[i] != 0.0 else OFF
+
+
+@routine
+def unbind(loops, work):
+    """Write the bounds of all rows as they are given."""
+    plan = loops.plan
+    for k in range(plan[L.N_TIES]):
+        tie = plan[L.AT_TIES] + L.TIE_INTS * k
+        at = plan[tie + L.FIRST_ROW]
+        bound = plan[L.AT_BOUNDS] + plan[tie + L.BOUND]
+        for i in range(plan[tie + L.ROWS]):
+            work.low[at + i] = work.high[at + i] = 0.0
+            if plan[tie + L.BOUND] >= 0:
+                work.low[at + i] = loops.weights[bound + 2 * i]
+                work.high[at + i] = loops.weights[bound + 2 * i + 1]
+
+
+@routine
+def freeze(loops, work, ask, stage):
+    """Hold from now on what a stage has reached: its residual becomes zero."""
+    plan = loops.plan
+    for k in range(plan[L.N_TIES]):
+        if ask.stage[k] == stage:
+            tie = plan[L.AT_TIES] + L.TIE_INTS * k
+            at = plan[tie + L.FIRST_ROW]
+            for i in range(at, at + plan[tie + L.ROWS]):
+                if work.low[i] == work.high[i] or loops.error[i] != 0.0:
+                    work.low[i] = work.high[i] = work.value[i]
+                    loops.error[i] = 0.0
+
+
+@routine
+def is_hard(loops, ask, stage):
+    """Whether a stage is hard: it must be met, and is not only minimised."""
+    for k in range(loops.plan[L.N_TIES]):
+        if ask.stage[k] == stage:
+            return ask.hard[k] != 0
+    return False
+
+
+@routine
+def rigid(pin, k):
+    """Whether the 3x4 pose at pin[k:] has a rotation: rows of length one, the third the product of
+    the others.
+    """
+    a = pin[k]
+    b = pin[k + 1]
+    c = pin[k + 2]
+    d = pin[k + 4]
+    e = pin[k + 5]
+    f = pin[k + 6]
+    x = b * f - c * e - pin[k + 8]
+    y = c * d - a * f - pin[k + 9]
+    z = a * e - b * d - pin[k + 10]
+    off = max(abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0))
+    return max(off, max(abs(a * d + b * e + c * f), max(abs(x), max(abs(y), abs(z))))) <= RIGID
+
+
+@routine
+def restore(loops, ask):
+    """Restore the stages, and whether they are hard, as given."""
+    ties = loops.plan[L.N_TIES]
+    for k in range(ties):
+        ask.stage[k], ask.hard[k] = ask.given[k], ask.given[ties + k]
+
+
+@routine
+def harden(loops, ask, last):
+    """Whether soft stages stand before the last hard one up to `last`; makes them hard."""
+    while last > 0 and not is_hard(loops, ask, last):
+        last -= 1
+    changed = False
+    for k in range(loops.plan[L.N_TIES]):
+        if 0 < ask.stage[k] < last and ask.hard[k] == 0:
+            ask.hard[k] = 1
+            changed = True
+    return changed
+
+
+@routine
+def hold_ahead(loops, ask, stage):
+    """Whether hard stages after this one are met at q; holds them with the loops."""
+    changed = False
+    for s in range(stage + 1, ask.stages + 1):
+        if is_hard(loops, ask, s) and missed(loops, ask, s, s) <= 1.0:
+            changed = True
+            for k in range(loops.plan[L.N_TIES]):
+                if ask.stage[k] == s:
+                    ask.stage[k] = 0
+    return changed
+
+
+# ---- lexicographic
+
+# Tasks lowered one level at a time: closing what holds, the value of a level, and steps that lower
+# it.
+#
+# Gauss-Newton in the null space of what holds, with a damping that is measured: the curvature along
+# the last step that the squares leave out (Marquardt, 1963; Dennis, Gay and Welsch, 1981), for an aim
+# the projected gradient (Luenberger, 1972).
+
+
+DAMPING = 0.1
+MOST_DAMPING = 0.1
+"""Damping by the square of the residual, and its largest."""
+STALL = 4
+WORTH = 0.95
+"""Steps without a decrease of the squared residual to this part of it, after which a start is given
+up."""
+PASSES = 2
+"""Solves of one step: the second with what the first led out of its bounds."""
+TIGHT = 1e-22
+ROUNDING = 1e-25
+"""Square of what a soft stage misses from which on it is met, and of what earlier ones may miss
+after each step."""
+CLOSING = 6
+MORE = 3
+LONG = 12
+"""Steps that they may take for that: after a step, at the end, and after a push."""
+"""What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a
+function."""
+STREAK = 3
+"""Steps that must succeed after one that did not, before the steps of an aim grow again."""
+FURTHEST = 3.0
+"""How many times longer than the step a trial along it may be."""
+FLAT = 1e-15
+FLAT_AIM = 1e-13
+FLAT_HARD = 1e-8
+"""Decreases to this part of a value, twice in a row, end its lowering: of a soft stage, an aim, and
+a hard stage, which is missed anyway."""
+CLEAR = 1e-9
+"""Decreases from this part of a value on say what curvature is; smaller ones are too near to
+rounding."""
+NUDGE = 0.05
+PROBE = 4
+SADDLE = 1e-7
+"""A push, in radians and characteristic lengths, the steps after it, and the part of the value that
+they must save."""
+STRAIGHT = 0.01
+LITTLE = 1e-6
+"""How well a small step must keep what straight equations promise, as a part of it, and the least
+promise."""
+LONGER = 4.0
+TRUST = 0.1
+"""Where it does, the next may be so much longer and is damped by so much less."""
+
+
+@routine
+def foreseen(loops, work, part):
+    """Squared residual of the rows that count after the fraction `part` of a step, as linear
+    equations predict it.
+
+    After the whole step a residual is D y.
+    """
+    square = 0.0
+    for i in range(loops.plan[L.N_ROWS]):
+        if work.damp[i] < OFF:
+            x = (1.0 - part) * loops.error[i] + part * work.damp[i] * work.y[i]
+            square += x * x
+    return square
+
+
+@device
+def is_straight(square, before, after):
+    """Whether a short step led from the squared residual `before` to `square`, near the predicted
+    `after`.
+    """
+    first = math.sqrt(before)
+    promised = math.sqrt(after)
+    small = 0.5 * first < promised < (1.0 - LITTLE) * first
+    return small and abs(math.sqrt(square) - promised) <= STRAIGHT * (first - promised)
+
+
+@routine
+def descend(loops, work, ask, last, enough, limit):
+    """Least squared residual of stages 0 to last on the way from q, whether it is enough, and
+    number of steps.
+
+    Writes its configuration to `kept`. `enough` is a square, or 0 for the tolerances of the hard
+    ties, which alone count then; once these are met, some more steps make the error as small as
+    possible.
+    """
+    best = np.inf
+    before = np.inf
+    steps = 0
+    idle = 0
+    good = False
+    hard_only = enough == 0.0
+    longest = LONGEST
+    trust = 1.0
+    from_ = 0.0
+    to = 0.0
+    for v in range(loops.nv):
+        work.wish[v] = 0.0
+    while True:
+        assess(loops, work)
+        square = square_of(loops, ask, 0, last, hard_only)
+        if not square < LARGEST:
+            break
+        met = missed(loops, ask, 0, last) <= 1.0 if hard_only else square <= enough
+        if met and not good:
+            good = True
+            best = np.inf
+            limit = min(limit, steps + MORE) if hard_only else steps
+        if square < best and met == good:
+            best = square
+            copy(work.kept, loops.q, 0, loops.nq)
+        elif good:
+            break
+        straight = is_straight(square, from_, to)
+        longest, trust = (longest * LONGER, trust * TRUST) if straight else (LONGEST, 1.0)
+        if square > WORTH * before and not straight:
+            idle += 1
+        else:
+            idle = 0
+            before = square
+        if (good and square <= ROUNDING) or steps >= limit or idle >= STALL:
+            break
+        damping = trust * min(DAMPING * square, MOST_DAMPING) + 10.0 * LEAST
+        count_in(loops, work, ask, last + 1, damping, OFF, hard_only)
+        mark_pushed(loops, work)
+        step_to(loops, work, PASSES, ask.between, False)
+        _, part = take(loops, work, longest)
+        from_ = square
+        to = foreseen(loops, work, part)
+        steps += 1
+    return best, good, steps
+
+
+@routine
+def close(loops, work, ask, last, enough, limit):
+    """Least squared residual of stages 0 to last found near q; moves q there and assesses it."""
+    square, _, _ = descend(loops, work, ask, last, enough, limit)
+    copy(loops.q, work.kept, 0, loops.nq)
+    assess(loops, work)
+    return square
+
+
+@routine
+def aim(loops, work, mode, part):
+    """Value of what the last stage lowers, at q; writes a step (nv,) that lowers it, scaled by
+    `part`, to `wish`.
+    """
+    if mode == AHEAD:
+        far = distance(loops, work.goal, work.wish)
+        for v in range(loops.nv):
+            work.wish[v] *= part
+        return 0.5 * far
+    call(mode, loops.q, work.ahead, work.wish, 1)
+    for v in range(loops.nv):
+        work.wish[v] *= -part
+    return work.ahead[0]
+
+
+@routine
+def slope_of(loops, work, ask, stage, mode, part):
+    """Slope of the squared residual of a stage, or of the aim, along the step, and its Gauss-Newton
+    curvature.
+
+    Both at the q that was assessed last.
+    """
+    slope = 0.0
+    bend = 0.0
+    plan = loops.plan
+    m = loops.plan[L.N_ROWS]
+    if mode != NOTHING:
+        for v in range(loops.nv):
+            slope -= work.wish[v] * work.step[v] / part
+        return slope, bend
+    for i in range(m):
+        work.ahead[i] = 0.0
+    for v in range(loops.nv):
+        add_product(loops, v, work.step[v], work.ahead, 1)
+    for k in range(plan[L.N_TIES]):
+        if ask.stage[k] == stage:
+            tie = plan[L.AT_TIES] + L.TIE_INTS * k
+            for i in range(plan[tie + L.FIRST_ROW], plan[tie + L.FIRST_ROW] + plan[tie + L.ROWS]):
+                if (
+                    work.low[i] == work.high[i]
+                    or work.value[i] < work.low[i]
+                    or work.value[i] > work.high[i]
+                ):
+                    miss = work.value[i] - min(max(work.value[i], work.low[i]), work.high[i])
+                    slope += 2.0 * ask.weight[k] * miss * work.ahead[i]
+                    bend += ask.weight[k] * work.ahead[i] * work.ahead[i]
+    return slope, bend
+
+
+@routine
+def value_of(loops, work, ask, stage, mode, part):
+    """Weighted squared residual of a stage, or the value of the aim."""
+    return (
+        square_of(loops, ask, stage, stage, False)
+        if mode == NOTHING
+        else aim(loops, work, mode, part)
+    )
+
+
+@routine
+def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest):
+    """Least value found along the step taken, its curvature, and the factor of its length that a
+    parabola suggests.
+
+    Every trial is closed; one that is much too long or too short is made once more with the length
+    of the parabola. `trial` is where the least is, `way` the first step. A trial counts where
+    earlier stages are within the bound.
+    """
+    share = 1.0
+    least = best
+    curve = 0.0
+    copy(work.way, work.step, 0, loops.nv)
+    for trial in range(2):
+        if trial == 1:
+            copy(loops.q, work.best, 0, loops.nq)
+            for v in range(loops.nv):
+                work.step[v] = share * work.way[v]
+            take(loops, work, FURTHEST * longest)
+        _, held, _ = descend(loops, work, ask, stage - 1, bound[0], CLOSING)
+        held = held and missed(loops, ask, 0, stage - 1) <= bound[1]
+        found = value_of(loops, work, ask, stage, mode, part)
+        if held and found < least:
+            least = found
+            copy(work.trial, loops.q, 0, loops.nq)
+        if trial == 0 and held:
+            curve = found - best - slope
+            share = min(-0.5 * slope / curve, FURTHEST) if curve > 0.0 and slope < 0.0 else 1.0
+        if 0.7 < share < 1.4:
+            break
+    return least, curve, share
+
+
+@device
+def damping_for(loops, work, damping, extra, better):
+    """The next damping: `extra` curvature along `way`, which the squares leave out, bounded; larger
+    after a failure.
+    """
+    size = 1e-300
+    for v in range(loops.nv):
+        size += work.way[v] * work.way[v]
+    measured = extra / size
+    if better:
+        return max(min(max(measured, 0.1 * damping), 10.0 * damping), 1e-9)
+    return max(8.0 * damping, min(measured, 100.0 * damping))
+
+
+@routine
+def bound_of(loops, work, ask, stage):
+    """Bounds for the stages before this one, with q closed: their squared residual and largest part
+    of a tolerance.
+    """
+    square = close(loops, work, ask, stage - 1, ROUNDING, CLOSING)
+    return max(ROUNDING, 4.0 * square), max(1.0, missed(loops, ask, 0, stage - 1))
+
+
+@routine
+def ease(loops, work, ask, stage, bound, limit, mode, stop):
+    """Number of steps that lower the residual of a stage (mode 0) or the aim, whether the time was
+    up, and the value reached; moves q there and assesses it. Earlier stages stay within the bound.
+    """
+    copy(work.best, loops.q, 0, loops.nq)
+    damping = 1e-3
+    part = 1.0
+    steps = 0
+    idle = 0
+    streak = 0
+    late = False
+    longest = LONGEST
+    best = value_of(loops, work, ask, stage, mode, part)
+    flat = FLAT_AIM
+    if mode == NOTHING:
+        flat = FLAT_HARD if is_hard(loops, ask, stage) else FLAT
+    while steps < limit and best == best and not (mode == NOTHING and best <= TIGHT):
+        late = is_late(loops, stop, work.ahead, work.wish)
+        if late:
+            break
+        steps += 1
+        for v in range(loops.nv):
+            work.wish[v] = 0.0
+        count_in(loops, work, ask, stage, LEAST, damping if mode == NOTHING else OFF, False)
+        if mode != NOTHING:
+            aim(loops, work, mode, part)
+        free_all(loops, work)
+        step_to(loops, work, 4 + loops.nv, ask.between, True)
+        size, _ = take(loops, work, longest)
+        slope, bend = slope_of(loops, work, ask, stage, mode, part)
+        least, curve, share = look_along(
+            loops, work, ask, stage, bound, mode, part, best, slope, longest
+        )
+        better = least < best
+        fall = best - least
+        longest = longest * LONGER if better and share >= FURTHEST else LONGEST
+        if not better or fall > CLEAR * abs(best):
+            damping = damping_for(loops, work, damping, curve - bend, better)
+        if better:
+            idle = idle + 1 if fall <= flat * abs(best) else 0
+            best = least
+            copy(work.best, work.trial, 0, loops.nq)
+            if streak >= 0:  # a length that has just been found too large is kept for a while
+                part = min(2.0 * part, 1.0 if mode == AHEAD else 1e3)
+            streak += 1
+        else:
+            part = 0.3 * part
+            streak = -STREAK
+        lost = not better and mode == NOTHING and -slope <= flat * abs(best)
+        if idle >= 2 or lost or size < 1e-10 or damping > 1e4 or part < 1e-9:
+            break
+        copy(loops.q, work.best, 0, loops.nq)
+        assess(loops, work)
+    copy(loops.q, work.best, 0, loops.nq)
+    close(loops, work, ask, stage - 1, ROUNDING, MORE)
+    return steps, late, value_of(loops, work, ask, stage, mode, part)
+
+
+@routine
+def nudge(loops, key):
+    """Move all unknowns of q by a little, at random."""
+    for v in range(loops.nv):
+        if is_held(loops, v):
+            continue
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
+        x = NUDGE * (2.0 * unit(mix(key, np.uint64(v))) - 1.0)
+        if sort == L.BALL_FIRST:
+            turn_ball(loops.q, i, x, 0.7 * x, -0.4 * x)
+        elif sort != L.BALL_MORE:
+            x = loops.q[i] + x * number(loops, 0, v)
+            loops.q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+
+
+@routine
+def lower(loops, work, ask, stage, limit, mode, stop):
+    """Number of steps, and whether the time was up; as `ease`, but leaves saddles and maxima.
+
+    Where the gradient vanishes and the error does not, a small push and a few steps show whether q
+    is one. The bound is that before the push: where the earlier stages cannot be closed as they
+    were, there is no way down.
+    """
+    bound = bound_of(loops, work, ask, stage)
+    steps, late, best = ease(loops, work, ask, stage, bound, limit, mode, stop)
+    if mode == NOTHING and not late and best > TIGHT and steps < limit:
+        copy(work.rest, loops.q, 0, loops.nq)
+        nudge(loops, mix(np.uint64(0), np.uint64(stage)))
+        used = 0
+        least = np.inf
+        if close(loops, work, ask, stage - 1, bound[0], LONG) <= bound[0]:
+            used, late, least = ease(
+                loops, work, ask, stage, bound, min(PROBE, limit - steps), mode, stop
+            )
+        steps += used
+        if least < (1.0 - SADDLE) * best:
+            used, late, best = ease(loops, work, ask, stage, bound, limit - steps, mode, stop)
+            steps += used
+        else:
+            copy(loops.q, work.rest, 0, loops.nq)
+            assess(loops, work)
+    return steps, late
+
+
+# ---- base fit
+
+# A free base moved as a whole so that the frames which tasks hold come as near to their goals as
+# they can together.
+
+
+SQUARINGS = 26
+"""Squarings that leave of a matrix the projection on the eigenvectors of its largest eigenvalue."""
+FAINT = 1e-6
+"""Square of a projection of length one at most from which on it counts."""
+
+
+@device
+def fits(loops, ask, k, ball):
+    """Whether tie k holds the position of a frame that the base moves against the ground, in a
+    stage of its own.
+    """
+    plan = loops.plan
+    ints = loops.ints
+    tie = plan[L.AT_TIES] + L.TIE_INTS * k
+    outputs = HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * 2 * k
+    turns = plan[tie + L.TURNS]
+    if ask.stage[k] < 1 or plan[tie + L.PIN] < 0 or plan[tie + L.MASK] != 7 or ints[outputs] >= 0:
+        return False
+    if (
+        (turns != L.FULL and turns != L.NO_TURN)
+        or plan[tie + L.BOUND] >= 0
+        or plan[tie + L.CENTRE] >= 0
+    ):
+        return False
+    row = ints[outputs + OUTPUT_INTS]
+    while row > ball:
+        row = ints[HEADER + ROW_INTS * row + PARENT]
+    return row == ball
+
+
+@device
+def squared(m):
+    """The square of a symmetric 4x4 matrix, ten numbers row by row from the diagonal on, divided by
+    its trace.
+    """
+    a, b, c, d, e, f, g, h, i, j = m
+    p = a * a + b * b + c * c + d * d
+    q = b * b + e * e + f * f + g * g
+    r = c * c + f * f + h * h + i * i
+    s = d * d + g * g + i * i + j * j
+    n = 1.0 / max(p + q + r + s, 1e-300)
+    return (
+        p * n,
+        (a * b + b * e + c * f + d * g) * n,
+        (a * c + b * f + c * h + d * i) * n,
+        (a * d + b * g + c * i + d * j) * n,
+        q * n,
+        (b * c + e * f + f * h + g * i) * n,
+        (b * d + e * g + f * i + g * j) * n,
+        r * n,
+        (c * d + f * g + h * i + i * j) * n,
+        s * n,
+    )
+
+
+@routine
+def rotation_for(h):
+    """The unit quaternion of the rotation D for which tr(D H) is largest, H row by row (Horn,
+    1987).
+
+    Where many are as good, the one nearest to no rotation.
+    """
+    a, b, c, d, e, f, g, i, j = h  # of D x ~ y, H is the sum of all x y^T
+    size = 1e-30
+    for x in h:
+        size += 2.0 * abs(x)
+    m = (
+        size + a + e + j,
+        f - i,
+        g - c,
+        b - d,
+        size + a - e - j,
+        b + d,
+        c + g,
+        size + e - a - j,
+        f + i,
+        size + j - a - e,
+    )
+    for _ in range(SQUARINGS):
+        m = squared(m)
+    if m[0] > FAINT:
+        w = m[0]
+        x = m[1]
+        y = m[2]
+        z = m[3]
+    elif m[4] >= m[7] and m[4] >= m[9]:
+        w = m[1]
+        x = m[4]
+        y = m[5]
+        z = m[6]
+    elif m[7] >= m[9]:
+        w = m[2]
+        x = m[5]
+        y = m[7]
+        z = m[8]
+    else:
+        w = m[3]
+        x = m[6]
+        y = m[8]
+        z = m[9]
+    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    return w * n, x * n, y * n, z * n
+
+
+@routine
+def spread_of(loops, ask, ball, hard):
+    """Sums over the frames that count: how many; where they are, where they shall be, and the
+    matrix of `rotation_for`.
+
+    Places are measured from the first frame and its goal, which are returned, too.
+    """
+    count = 0
+    first = (0.0, 0.0, 0.0)
+    aim = (0.0, 0.0, 0.0)
+    p = (0.0, 0.0, 0.0)
+    g = (0.0, 0.0, 0.0)
+    h = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    square = loops.weights[L.LENGTH] * loops.weights[L.LENGTH]
+    for k in range(loops.plan[L.N_TIES]):
+        if (ask.hard[k] != 0) != hard or not fits(loops, ask, k, ball):
+            continue
+        r_a, p_a, r_b, p_b = ends_of(loops, k)
+        if count == 0:
+            first = p_b
+            aim = p_a
+        x = (p_b[0] - first[0], p_b[1] - first[1], p_b[2] - first[2])
+        y = (p_a[0] - aim[0], p_a[1] - aim[1], p_a[2] - aim[2])
+        count += 1
+        p = (p[0] + x[0], p[1] + x[1], p[2] + x[2])
+        g = (g[0] + y[0], g[1] + y[1], g[2] + y[2])
+        t = (
+            square
+            if loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.TURNS] == L.FULL
+            else 0.0
+        )
+        h = (
+            h[0] + x[0] * y[0] + t * (r_b[0] * r_a[0] + r_b[1] * r_a[1] + r_b[2] * r_a[2]),
+            h[1] + x[0] * y[1] + t * (r_b[0] * r_a[3] + r_b[1] * r_a[4] + r_b[2] * r_a[5]),
+            h[2] + x[0] * y[2] + t * (r_b[0] * r_a[6] + r_b[1] * r_a[7] + r_b[2] * r_a[8]),
+            h[3] + x[1] * y[0] + t * (r_b[3] * r_a[0] + r_b[4] * r_a[1] + r_b[5] * r_a[2]),
+            h[4] + x[1] * y[1] + t * (r_b[3] * r_a[3] + r_b[4] * r_a[4] + r_b[5] * r_a[5]),
+            h[5] + x[1] * y[2] + t * (r_b[3] * r_a[6] + r_b[4] * r_a[7] + r_b[5] * r_a[8]),
+            h[6] + x[2] * y[0] + t * (r_b[6] * r_a[0] + r_b[7] * r_a[1] + r_b[8] * r_a[2]),
+            h[7] + x[2] * y[1] + t * (r_b[6] * r_a[3] + r_b[7] * r_a[4] + r_b[8] * r_a[5]),
+            h[8] + x[2] * y[2] + t * (r_b[6] * r_a[6] + r_b[7] * r_a[7] + r_b[8] * r_a[8]),
+        )
+    n = 1.0 / max(count, 1)
+    p = (p[0] * n, p[1] * n, p[2] * n)
+    g = (g[0] * n, g[1] * n, g[2] * n)
+    c = float(count)
+    h = (h[0] - c * p[0] * g[0], h[1] - c * p[0] * g[1], h[2] - c * p[0] * g[2], h[3] - c * p[1] * g[0],
+         h[4] - c * p[1] * g[1], h[5] - c * p[1] * g[2], h[6] - c * p[2] * g[0], h[7] - c * p[2] * g[1],
+         h[8] - c * p[2] * g[2])  # fmt: skip
+    p = (p[0] + first[0], p[1] + first[1], p[2] + first[2])
+    return count, p, (g[0] + aim[0], g[1] + aim[1], g[2] + aim[2]), h
+
+
+@routine
+def fit_base(loops, ask):
+    """Move a free base so that the frames that tasks hold are nearest to where they shall be, as
+    the other joints are.
+
+    Least is the sum of squares of distances and, by the characteristic length, of rotation matrices
+    (Kabsch, 1976). Soft tasks count where no hard one holds a frame.
+    """
+    plan = loops.plan
+    q = loops.q
+    row = loops.plan[L.BASE_ROW]
+    if plan[L.BASE_TIE] < 0:
+        return
+    row_poses(loops.ints, loops.floats, q, 0, loops.scratch)
+    count, p, g, h = spread_of(loops, ask, row + 3, True)
+    if count == 0:
+        count, p, g, h = spread_of(loops, ask, row + 3, False)
+    if count == 0:
+        return
+    w, x, y, z = rotation_for(h)
+    a, b, c = placement(loops.poses, OUTPUT_FLOATS * (row + 3))
+    sine = math.sqrt(x * x + y * y + z * z)
+    f = 2.0 * math.atan2(sine, w) / max(sine, 1e-300)
+    turn = back(matrix(a, b, c), f * x, f * y, f * z)  # in axes of the base
+    turn_ball(q, loops.ints[HEADER + ROW_INTS * (row + 3) + Q_INDEX], turn[0], turn[1], turn[2])
+    o = (entry(a, 3) - p[0], entry(b, 3) - p[1], entry(c, 3) - p[2])
+    u = (2.0 * (y * o[2] - z * o[1]), 2.0 * (z * o[0] - x * o[2]), 2.0 * (x * o[1] - y * o[0]))
+    d = (
+        g[0] - p[0] + w * u[0] + y * u[2] - z * u[1],
+        g[1] - p[1] + w * u[1] + z * u[0] - x * u[2],
+        g[2] - p[2] + w * u[2] + x * u[1] - y * u[0],
+    )
+    for i in range(row, row + 3):
+        a, b, c = placement(loops.poses, OUTPUT_FLOATS * i)
+        at = loops.ints[HEADER + ROW_INTS * i + Q_INDEX]
+        v = loops.ints[HEADER + ROW_INTS * i + V_INDEX]
+        x = (
+            q[at]
+            + (entry(a, 2) * d[0] + entry(b, 2) * d[1] + entry(c, 2) * d[2])
+            / loops.floats[ROW_FLOATS * i + MULTIPLIER]
+        )
+        q[at] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+
+
+# ---- restarts
+
+# Where the search for several tasks starts again: anywhere, or at what was found with a part of it
+# drawn anew.
+#
+# A bundle is met once all its tasks are, each with a chance of its own at every start. Drawing all
+# anew multiplies these chances. Keeping what meets some tasks, and drawing only what moves the
+# others, adds up their waiting times instead.
+
+
+NEAR = 0.6
+"""Part of the ranges, about the first start and about their middles in turn, from which the first
+starts are drawn: what is far from all limits leads to more answers."""
+PLAIN = 8
+WIDE = 1.35
+WIDER = 2.0
+"""Starts that are drawn so. Of those after them, of four one is drawn from all of the ranges, one
+WIDE and two WIDER times as far about the middle and cut off at the limits, which puts a quarter and
+a half of the coordinates there: what is left by then are mostly answers at limits."""
+RESTARTS_AGAIN = 6
+RESTARTS_LOWER = 0.99
+"""Starts that begin at what another has reached, after the last that came to less than this part of
+its square."""
+NEARLY = 1e-3
+"""Part of the largest square that a tie misses, up to which another one is as good as met."""
+PART = 0.5
+"""The largest part of the unknowns, on average, that is drawn anew where no task tells which."""
+SALT = np.uint64(0x5EED)
+"""What the numbers that choose a part are drawn with, beside those of the start."""
+
+
+@routine
+def to_middle(loops, home, to):
+    """Write a configuration in the middle of all ranges to `to`; balls and what is no unknown as at
+    `home`.
+    """
+    copy(to, home, 0, loops.nq)
+    for v in range(loops.nv):
+        if sort_of(loops, v) < L.BALL_FIRST and not is_held(loops, v):
+            to[place_of(loops, v)] = 0.5 * (number(loops, 3, v) + number(loops, 4, v))
+
+
+@routine
+def begin(loops, work, ask, key, count):
+    """Set q to start `count`, `trial` being the middle."""
+    copy(loops.q, work.home, 0, loops.nq)
+    fresh = mix(key, np.uint64(count))
+    if 0 < count < PLAIN:
+        draw(loops, work.trial if count % 2 else work.home, NEAR, fresh)
+    elif count > 0:
+        draw(loops, work.trial, 1.0, fresh)
+        if count % 4 > 0:
+            widen(loops, work.trial, WIDE if count % 4 == 1 else WIDER)
+    if count > 0 or ask.loose:
+        fit_base(loops, ask)
+
+
+@routine
+def widen(loops, about, far):
+    """Move the coordinates of q away from `about`, `far` times as far; they stop at their limits."""
+    for v in range(loops.nv):
+        if not is_held(loops, v) and sort_of(loops, v) < L.BALL_FIRST:
+            i = place_of(loops, v)
+            x = about[i] + far * (loops.q[i] - about[i])
+            loops.q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+
+
+@routine
+def begin_at(loops, work, ask, last, key, count):
+    """Set q to start `count`, but for what is kept of `rest`: where only some tasks are missed,
+    what moves others.
+
+    In turns: all is kept that moves a tie which is met; all that moves another than the worst; any
+    part.
+    """
+    begin(loops, work, ask, key, count)
+    copy(work.aside, loops.q, 0, loops.nq)
+    copy(loops.q, work.rest, 0, loops.nq)
+    assess(loops, work)
+    if count % 3 == 2 or not mark_own(loops, work, ask, last, count % 3 == 0):
+        fresh = mix(mix(key, np.uint64(count)), SALT)
+        share = PART * unit(mix(fresh, np.uint64(loops.nv)))
+        for v in range(loops.nv):
+            work.way[v] = 1.0 if unit(mix(fresh, np.uint64(v))) < share else 0.0
+    for v in range(loops.nv):
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
+        if work.way[v] != 0.0 and not is_held(loops, v):
+            if sort == L.BALL_FIRST:
+                copy(beyond(loops.q, i), work.aside, i, 4)
+            elif sort != L.BALL_MORE:
+                loops.q[i] = work.aside[i]
+
+
+@routine
+def mark_own(loops, work, ask, last, all_missed):
+    """Whether some unknowns move only ties that are missed, all or the worst, and others not; marks
+    them in `way`.
+
+    The equations must be those of q. Rows between bounds keep nothing.
+    """
+    plan = loops.plan
+    worst = 0.0
+    which = -1
+    for k in range(plan[L.N_TIES]):
+        if 0 <= ask.stage[k] <= last and ask.hard[k] != 0:
+            square = square_of_tie(loops, ask, k)
+            if square > worst:
+                worst = square
+                which = k
+    own = False
+    kept = False
+    for v in range(loops.nv):
+        work.way[v] = 0.0
+        if is_held(loops, v):
+            continue
+        at = plan[L.AT_VARS] + v
+        moves = False
+        keeps = False
+        for use in range(plan[at], plan[at + 1]):
+            k = plan[plan[L.AT_USES] + L.USE_INTS * use]
+            if not 0 <= ask.stage[k] <= last or ask.hard[k] == 0:
+                continue
+            if k == which or (all_missed and square_of_tie(loops, ask, k) > NEARLY * worst):
+                moves = True
+            elif plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] < 0:
+                keeps = True
+        if moves and not keeps:
+            work.way[v] = 1.0
+            own = True
+        kept = kept or keeps
+    return own and kept
+
 
 AGAIN = 5
 LOWER = 0.99
@@ -87,8 +1239,8 @@ def search(loops, work, ask, last, key, tries, limit, stop):
         if square < best or good:
             best = square
             copy(work.best, work.kept, 0, loops.nq)
-        if left == 0 or square < restarts.LOWER * least:
-            left = restarts.AGAIN if count >= restarts.PLAIN and square < LARGEST else 0
+        if left == 0 or square < RESTARTS_LOWER * least:
+            left = RESTARTS_AGAIN if count >= PLAIN and square < LARGEST else 0
             least = square
             copy(work.rest, work.kept, 0, loops.nq)
         else:

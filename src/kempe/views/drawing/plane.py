@@ -11,10 +11,11 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.views.drawing import dimensioning, page, planar, shapes, style, touches
+from kempe.views.drawing import dimensions, page, planar, shapes, style
+from kempe.views.drawing import planar as touches
 from kempe.views.drawing.planar import Sheet, flat
+from kempe.views.drawing.plot_request import Subject, subscript
 from kempe.views.drawing.scene import Scene
-from kempe.views.drawing.subject import Subject, subscript
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +98,7 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         planar.mark(sheet, name, X, "frames" in options.words and not below)
         if name in subject.axes:
             _axis_names(sheet, name, X, below)
-    dimensioning.draw(sheet, subject)
+    dimensions.draw(sheet, subject)
     if subject.missed is not None:
         ends = flat(subject.missed)
         sheet.line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))

@@ -11,15 +11,15 @@ import numpy as np
 
 from kempe.constraints.base import Op, position_rows, with_numbers
 from kempe.description.parts import Declared
+from kempe.equations.judge import closure_error, coordinate_value
 from kempe.errors import UnsupportedError
+from kempe.forward.fk import fk
 from kempe.joints import Primitive
-from kempe.kinematics.closure_errors import closure_error, coordinate_value
-from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.system import System
+    from kempe.model.model import Model as System
 
 FARTHEST = 1e100
 """Largest coordinate of a point that is drawn: squares and cubes of lengths are still finite."""

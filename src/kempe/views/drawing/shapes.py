@@ -13,8 +13,8 @@ from kempe.spatial import Array
 from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
 
 if TYPE_CHECKING:
-    from kempe.analysis.spaces.planar.planar_workspace import SolutionRegion
-    from kempe.analysis.spaces.planar.plane_curves import PlaneCurve
+    from kempe.workspace.planar.planar_workspace import SolutionRegion
+    from kempe.workspace.planar.plane_curves import PlaneCurve
 
 FINE = 0.02
 """Angle between the points by which an arc is drawn."""

@@ -17,18 +17,18 @@ import numpy as np
 
 from kempe.budget import Budget
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.configuration import has_loops
-from kempe.kinematics.forward import fk
+from kempe.forward.fk import fk
+from kempe.model.configurations import has_loops
 from kempe.spatial import Array
 from kempe.views.drawing import shapes
 from kempe.views.drawing.solids import rgb
-from kempe.views.viewer.motions import PATIENCE
+from kempe.views.viewer.session import MOTION_PATIENCE
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
-    from kempe.analysis.spaces.workspace.workspace import Workspace
     from kempe.views.viewer.session import Session
+    from kempe.workspace.answer import Workspace
+    from kempe.workspace.planar.planar_workspace import PlanarWorkspace
 
 LONG = 10.0
 """Seconds after which no further round begins."""
@@ -92,7 +92,7 @@ def _curve(session: Session) -> Iterator[Overlay]:
     """What the frame's origin passes in the motion that is played, else in the whole motion with
     one freedom.
     """
-    from kempe.analysis.motion.motion import trace
+    from kempe.motion.trace import trace
 
     system = session.system
     frame = session.frame
@@ -100,7 +100,9 @@ def _curve(session: Session) -> Iterator[Overlay]:
         places = fk(system, session.motion.q, frame)[:, :3, 3]
         yield Overlay(f"what {frame} passes", lines=_pairs(places))
         return
-    motion = trace(system, session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
+    motion = trace(
+        system, session.sliders[0].name, session.q, budget=session.budget(MOTION_PATIENCE)
+    )
     yield Overlay(f"{frame}: {motion.status}", lines=_pairs(fk(system, motion.q, frame)[:, :3, 3]))
 
 
@@ -109,8 +111,8 @@ def _curve(session: Session) -> Iterator[Overlay]:
 
 def _workspace(session: Session) -> Iterator[Overlay]:
     """What the frame reaches: exact for planar chains, else cells of ever finer maps."""
-    from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
-    from kempe.analysis.spaces.workspace.mapping import workspace
+    from kempe.workspace.planar.planar_workspace import planar_workspace
+    from kempe.workspace.workspace import workspace
 
     system = session.system
     frame = session.frame
@@ -123,7 +125,7 @@ def _workspace(session: Session) -> Iterator[Overlay]:
             yield _regions(exact)
             return
     for k, cells in enumerate(CELLS[system.dim]):
-        budget = session.budget(PATIENCE, rng=k)
+        budget = session.budget(MOTION_PATIENCE, rng=k)
         n = EACH * cells**system.dim // (10 if has_loops(system) else 1)
         found = workspace(system, frame, n=n, cells=cells, budget=budget)
         yield _cells(found, float(session.pose[1, 3]))
@@ -214,15 +216,15 @@ def _capability(session: Session) -> Iterator[Overlay]:
     """In how many directions the frame reaches the cells of a box: larger and darker where in more."""
     from matplotlib import colormaps
 
-    from kempe.analysis.spaces.reach.capability import capability_map
-    from kempe.analysis.spaces.workspace.mapping import workspace
+    from kempe.workspace.capability import capability_map
+    from kempe.workspace.workspace import workspace
 
     system = session.system
     frame = session.frame
     rough = workspace(system, frame, n=20_000, cells=8).map.grid
     box = np.stack([rough.low, rough.high])[:, : system.dim]
     for cells in MAP:
-        budget = session.budget(PATIENCE, starts=4)
+        budget = session.budget(MOTION_PATIENCE, starts=4)
         found = capability_map(system, frame, box, cells, 16, budget=budget)
         middles = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1).reshape(-1, system.dim)
         part = np.nan_to_num(found.fraction.ravel())
@@ -240,7 +242,7 @@ def _capability(session: Session) -> Iterator[Overlay]:
 
 def _singular(session: Session) -> Iterator[Overlay]:
     """Where the frame is at singular configurations that were found, set by set in a colour."""
-    from kempe.analysis.spaces.singular.singularities import singularities
+    from kempe.spaces.singularities import singularities
 
     system = session.system
     frame = session.frame

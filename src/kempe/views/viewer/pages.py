@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.arrays import reals
 from kempe.description.source import expanded
 from kempe.errors import InputError, shown, warn
-from kempe.reals import reals
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
 from kempe.views.viewer.server import POLICY, PageServer, quiet
 from kempe.views.viewer.session import Session
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.model import Model as System
 
 FRAMES = 30.0
 """Frames a second of the motion."""

@@ -4,29 +4,550 @@ update for a frame.
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from kempe import spatial
 from kempe.errors import MissingExtraError
+from kempe.forward.fk import fk
+from kempe.model.configurations import integrate
 from kempe.spatial import Array
-from kempe.views.drawing import style
-from kempe.views.drawing.scene import Scene, look
-from kempe.views.drawing.solids import rgb
+from kempe.views.drawing import planar, style, symbols
+from kempe.views.drawing.scene import Scene, SeenJoint, look
+from kempe.views.drawing.solids import Solids, rgb
 from kempe.views.viewer.mesh_files import meshes_of
-from kempe.views.viewer.rigid_parts import RigidPart, RigidParts
 from kempe.words import counted
+
+if TYPE_CHECKING:
+    from matplotlib.path import Path
+
+    from kempe.model.model import Model as System
+    from kempe.views.viewer.overlays import Overlay
+
+# ---- rigid parts
+
+# What is drawn of a system, cut into parts that move as one: triangles with colours, each on the
+# link that carries it.
+#
+# The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link
+# between the two is carried by that link, and rods by their two ends. What reaches from one half of a
+# sliding joint to the other is carried by both, and is as long as the joint. So a new configuration
+# is a few poses and lengths, and no drawing.
+
+
+NEAR_PART = 1e-6
+"""How far a corner may be from where a link brings it, as a part of the drawing."""
+APART = 0.03
+"""Radians and characteristic lengths between the two configurations."""
+THICK = 0.15
+"""Height between two layers of a planar drawing, in radii of a pin."""
+POINT = 0.085
+"""Width of a line of one point, in radii of a pin."""
+SOLID = 1.4
+"""Radius of a hinge in space, in those of a picture: a page is looked at from nearer."""
+LEAST = 1e-9
+"""Least length [m] of a part that is stretched; it is negative where the joint slides backwards."""
+SLIDING = ("prismatic", "cylindrical", "helical")
+"""Joints that slide along z of their frame."""
+OWN = ("cylinder", "neck", "rail", "rod", "line", "slot", "ground", "hatch")
+"""Beginnings of names of what moves with no link, and stays with the first of its two."""
+
+
+class DrawnPiece(NamedTuple):
+    """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha
+    from 0 to 1.
+    """
+
+    name: str
+    corners: Array
+    triangles: np.ndarray
+    colour: tuple[float, float, float, float]
+
+
+@dataclass
+class SolidRecord(Solids):
+    """Solids as pieces, without light: the page has its own."""
+
+    pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
+    by_depth: bool = False
+
+    def face(
+        self,
+        name: str,
+        corners: Array,
+        normal: Array,
+        colour: str,
+        alpha: float = 1.0,
+        edge: str = "",
+    ) -> None:
+        """Add a flat convex face with its outward normal, seen from both sides where it can be
+        looked through.
+        """
+        (a, b, c) = (corners[1] - corners[0]).tolist()
+        (d, e, f) = (corners[-1] - corners[0]).tolist()
+        turned = (
+            normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0
+        )  # of np.cross, which is slow
+        fan = _fan(len(corners))[:, :: -1 if turned else 1]
+        both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
+        self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))
+
+
+class SheetRecord(planar.Sheet):
+    """The drawing of a planar system as pieces, in layers above one another."""
+
+    def __init__(self, scene: Scene, r: float, configurations: Array | None):
+        super().__init__(None, scene, r, configurations)  # type: ignore[arg-type]
+        self.pieces: list[DrawnPiece] = []
+
+    def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
+        """Add an outline, filled and with its line."""
+        from matplotlib.transforms import Affine2D
+
+        scale = 100.0 / self.r
+        for line in path.to_polygons(Affine2D().scale(scale), closed_only=False):
+            corners = np.asarray(line) / scale
+            if len(corners) > 2 and (fill := how.get("fc", "none")) != "none":
+                self._add(gid, corners, _fan(len(corners)), layer, _rgba(fill))
+            if (edge := how.get("ec", "none")) != "none":
+                self._stroke(gid, corners, layer + 0.5, _rgba(edge), how.get("lw", 0.9))
+
+    def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
+        """Add a polyline (n, 2)."""
+        colour = _rgba(how.get("color", style.INK))
+        self._stroke(
+            gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5)
+        )
+
+    def _stroke(self, gid: str, points: Array, layer: float, colour: Any, width: float) -> None:
+        a = points[:-1]
+        b = points[1:]
+        length = np.linalg.norm(b - a, axis=1, keepdims=True)
+        a, b, along = (
+            x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300))
+        )
+        if not len(a):
+            return
+        half = 0.5 * POINT * width * self.r
+        side = half * np.stack([-along[:, 1], along[:, 0]], axis=1)
+        a = a - 0.6 * half * along
+        b = b + 0.6 * half * along
+        corners = np.stack([a - side, b - side, b + side, a + side], axis=1).reshape(-1, 2)
+        quads = (4 * np.arange(len(a))[:, None, None] + _fan(4)).reshape(-1, 3)
+        self._add(gid, corners, quads, layer, colour)
+
+    def _add(
+        self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any
+    ) -> None:
+        above = np.full((len(corners), 1), THICK * self.r * layer)
+        both = np.concatenate([triangles, triangles[:, ::-1]])
+        self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
+
+
+@cache
+def _fan(n: int) -> np.ndarray:
+    """Triangles (n - 2, 3) of a convex polygon with n corners."""
+    k = np.arange(1, n - 1)
+    return np.stack([np.zeros_like(k), k, k + 1], axis=1)
+
+
+def _rgba(colour: Any) -> tuple[float, float, float, float]:
+    """A colour of the drawings, with the paper mixed in where it is to be looked through."""
+    pair: Any = colour
+    if isinstance(colour, tuple):
+        return (*rgb(style.mix(pair[0], style.PAPER, 0.85 * (1.0 - float(pair[1])))), 1.0)
+    return (*rgb(colour), 1.0)
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """Triangles (m, 3) over corners (n, 3) in the frame of carrier `carrier`, a colour (m, 4) each."""
+
+    carrier: int
+    corners: Array
+    triangles: np.ndarray
+    colours: Array
+
+
+class Slide(NamedTuple):
+    """A carrier between the frame A on a link and the origin of the frame B on another, which
+    slides along z of A.
+
+    `a` and `b` are numbers of bodies with poses (4, 4) on them, `links` the two links. With `part`
+    None it reaches from A to B and `beyond` [m] both, and its parts are 1 long; else it sits at
+    this part of the way from A to B. It turns with A.
+    """
+
+    name: str
+    links: tuple[int, int]
+    a: tuple[int, Array]
+    b: tuple[int, Array]
+    part: float | None = None
+    beyond: float = 0.0
+
+    def pose(self, every: Array) -> tuple[Array, Array]:
+        """Pose (..., 4, 4) and length (...) of the carrier, from the poses (..., n, 4, 4) of all
+        bodies.
+        """
+        A: Array = every[..., self.a[0], :, :] @ self.a[1]
+        to: Array = (every[..., self.b[0], :, :] @ self.b[1])[..., :3, 3] - A[..., :3, 3]
+        along: Array = np.sum(A[..., :3, 2] * to, axis=-1)
+        if self.part is not None:
+            A[..., :3, 3] += (self.part * along)[..., None] * A[..., :3, 2]
+            return A, np.ones(along.shape)
+        way: Array = np.where(along < 0.0, -1.0, 1.0)
+        A[..., :3, 3] -= (self.beyond * way)[..., None] * A[..., :3, 2]
+        return A, way * np.maximum(np.abs(along) + 2.0 * self.beyond, LEAST)
+
+
+class RigidParts:
+    """The parts of a system, and the poses that bring them to where a configuration puts them.
+
+    `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers
+    are the links, the ground first, then the rods, then the `slides`. They were drawn at `q` (nq,).
+    `r` is the radius of a hinge [m]; what is solid lies in a box of diagonal `size` [m] about
+    `middle` (3,).
+    """
+
+    def __init__(self, system: System, q: Array):
+        self.system = system
+        self.q = q
+        scene = look(system, q)
+        self.heads = [system.body_names.index(link.name) for link in scene.links]
+        self.names = tuple(link.name for link in scene.links)
+        self.rods = [(_end(system, n, 0), _end(system, n, 1)) for n, *_ in scene.rods]
+        self.size = scene.size
+        self.r = planar.pin_radius(scene) if system.dim == 2 else SOLID * symbols.radius(scene)
+        self.slides = _slides(scene, self.r)
+        self.parts = self._parts(scene)
+        points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
+        self.middle, size = self.box(q[None], points)
+        self.size = size or scene.size
+
+    def box(self, q: Array, points: Array) -> tuple[Array, float]:
+        """Middle (3,) and diagonal [m] of the box around what is solid at all of q (n, nq); without
+        that of points.
+        """
+        X = self._stretched(q)
+        solid = [
+            p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
+            for p in self.parts
+            if p.colours[:, 3].min() == 1.0
+        ]
+        points = np.concatenate([s.reshape(-1, 3) for s in solid]) if solid else points
+        low = points.min(axis=0)
+        high = points.max(axis=0)
+        return 0.5 * (low + high), float(np.linalg.norm(high - low))
+
+    def places(self, q: Array) -> tuple[Array, Array]:
+        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq), and their
+        lengths (..., carriers).
+
+        The parts of a carrier are stretched along its z by its length, which is 1 of all but
+        slides.
+        """
+        every = fk(self.system, q)
+        poses = [every[..., self.heads, :, :]]
+        if self.rods:
+            ends = np.stack(
+                [
+                    np.stack([(every[..., b, :, :] @ X)[..., :3, 3] for b, X in rod], axis=-2)
+                    for rod in self.rods
+                ],
+                axis=-3,
+            )
+            poses.append(_of_ends(ends))
+        lengths = [np.ones(x.shape[:-2]) for x in poses]
+        for slide in self.slides:
+            pose, length = slide.pose(every)
+            poses.append(pose[..., None, :, :])
+            lengths.append(length[..., None])
+        return np.concatenate(poses, axis=-3), np.concatenate(lengths, axis=-1)
+
+    def poses(self, q: Array) -> Array:
+        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""
+        return self.places(q)[0]
+
+    @property
+    def carriers(self) -> int:
+        """How many carriers there are."""
+        return len(self.heads) + len(self.rods) + len(self.slides)
+
+    def links(self, carrier: int) -> tuple[int, ...]:
+        """Numbers of the links that a carrier moves with; none of a rod."""
+        if carrier < len(self.heads):
+            return (carrier,)
+        k = carrier - len(self.heads) - len(self.rods)
+        return self.slides[k].links if k >= 0 else ()
+
+    def _stretched(self, q: Array) -> Array:
+        """The affine maps (..., carriers, 4, 4) by which the parts of the carriers are brought to q
+        (..., nq).
+        """
+        X, lengths = self.places(q)
+        X = X.copy()
+        X[..., :3, 2] *= lengths[..., None]
+        return X
+
+    def _parts(self, scene: Scene) -> list[RigidPart]:
+        system = self.system
+        q = scene.q
+        rng = np.random.default_rng(0)
+        other = integrate(
+            system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
+        )
+        first = [p for p in self._record(scene) if not p.name.startswith("open:")]
+        second: dict[str, list[DrawnPiece]] = {}
+        for piece in self._record(look(system, other)):
+            second.setdefault(piece.name, []).append(piece)
+        X = self._stretched(q)
+        Y = self._stretched(other)
+        X_inv = np.linalg.inv(X)
+        held: dict[tuple[int, bool], list[DrawnPiece]] = {}
+        count: dict[str, int] = {}
+        for piece in first:
+            k = count.get(piece.name, 0)
+            count[piece.name] = k + 1
+            twins = second.get(piece.name, [])
+            twin = (
+                twins[k].corners
+                if k < len(twins) and len(twins[k].corners) == len(piece.corners)
+                else None
+            )
+            carrier = self._carrier(scene, piece, twin, Y @ X_inv)
+            local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
+            held.setdefault((carrier, piece.colour[3] < 1.0), []).append(
+                piece._replace(corners=local)
+            )
+        for k, slide in enumerate(self.slides, len(self.heads) + len(self.rods)):
+            held.setdefault((k, False), []).extend(_between(scene, slide, self.r, X[k, :3, :3]))
+        held = {key: pieces for key, pieces in held.items() if pieces}
+        return [
+            _joined(carrier, pieces)
+            for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])
+        ]
+
+    def _record(self, scene: Scene) -> list[DrawnPiece]:
+        lengths = [i for i, unit in enumerate(_is_length(self.system)) if unit]
+        wide = np.repeat(scene.q[None], 2, axis=0)
+        wide[:, lengths] += np.array([[-0.5], [0.5]]) * self.size
+        if self.system.dim == 2:
+            sheet = SheetRecord(scene, self.r, wide)
+            planar.draw(sheet, {}, False)
+            return sheet.pieces
+        solids = SolidRecord()
+        symbols.build(solids, scene, self.r, wide)
+        return solids.pieces
+
+    def _carrier(self, scene: Scene, piece: DrawnPiece, twin: Array | None, moved: Array) -> int:
+        """The number of the carrier that brings the corners of a piece to those of its twin."""
+        if (slide := self._slide_of(scene, piece)) is not None:
+            return slide
+        likely = _likely(scene, piece.name, len(self.heads))
+        if twin is not None:
+            for some in (likely, range(len(moved))):
+                there = (
+                    piece.corners @ moved[some, :3, :3].swapaxes(-1, -2) + moved[some, None, :3, 3]
+                )
+                good = np.abs(there - twin).max(axis=(1, 2)) < NEAR_PART * self.size
+                if good.any():
+                    return some[int(np.argmax(good))]
+        return likely[0] if piece.name.partition(":")[0] in OWN else likely[-1]
+
+    def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
+        """The number of the carrier of a piece of what slides; None where it is that of a link, as
+        all others.
+        """
+        what, _, of = piece.name.partition(":")
+        name = of.partition(":")[0]
+        first = len(self.heads) + len(self.rods)
+        spans = {s.name: k for k, s in enumerate(self.slides, first) if s.part is None}
+        seats = {s.name: k for k, s in enumerate(self.slides, first) if s.part is not None}
+        if any(line[0] == name for line in scene.lines):
+            return (
+                seats[name]
+                if what == "slot" or of.endswith(":point") or scene.system.dim == 3
+                else None
+            )
+        joint = next((j for j in scene.joints if j.name == name and j.kind in SLIDING), None)
+        if joint is None:
+            return None
+        if name in spans and name in seats:  # cylinder and rod
+            return (seats if what == "driver" else spans)[name]
+        if scene.system.dim == 2:
+            rail = _rail_link(scene, joint)
+            block = joint.child if rail == joint.parent else joint.parent
+            return {"rail": seats.get(name, rail), "block": block}.get(what)
+        if what != "rail":
+            return None
+        if name not in spans:
+            return seats.get(name, joint.parent)
+        now = float((joint.centre - joint.F[:3, 3]) @ joint.axis)
+        t = (1.0 if now >= 0.0 else -1.0) * ((piece.corners - joint.F[:3, 3]) @ joint.axis)
+        ends = 0.9 * self.slides[spans[name] - first].beyond
+        if t.max() < -ends:  # a collar at its end
+            return joint.parent
+        return joint.child if t.min() > abs(now) + ends else spans[name]
+
+
+def _slides(scene: Scene, r: float) -> list[Slide]:
+    """What is drawn between the two halves of each joint that slides, and where a point is on its
+    line.
+    """
+    system = scene.system
+    out = list[Slide]()
+    mechanism = system.mechanism
+    number = system.body_names.index
+    for seen in scene.joints:
+        if seen.kind not in SLIDING:
+            continue
+        joint = mechanism.joints[seen.name]
+        links = (seen.parent, seen.child)
+        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        a = (number(joint.parent), X_PF)
+        b = (number(joint.child), X_CM)
+        if scene.telescopic(seen, r):
+            out += [Slide(seen.name, links, a, b), Slide(seen.name, links, a, b, part=0.36)]
+        elif scene.system.dim == 3 and (0 not in links or seen.kind != "prismatic"):
+            out.append(Slide(seen.name, links, a, b, None, symbols.BEYOND * r))
+        elif not np.isfinite(seen.limits).all():
+            ground = 0 in links
+            out.append(
+                Slide(
+                    seen.name,
+                    links,
+                    a,
+                    b,
+                    float(system.dim == 3 or seen.parent == 0) if ground else None,
+                )
+            )
+    for name, links, _, _ in scene.lines:
+        c = mechanism.constraints[name]
+        X_A, X_B = c.frames(mechanism.parameters, system.dim)
+        ends = (number(c.parent), X_A), (number(c.child), X_B)
+        out += [Slide(name, links, *ends), Slide(name, links, *ends, part=1.0)]
+    return out
+
+
+def _rail_link(scene: Scene, joint: SeenJoint) -> int:
+    """The link that has the rail of a planar prismatic joint: see `planar`."""
+    ends = joint.parent, joint.child
+    return 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
+
+
+def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]:
+    """Bars of a planar drawing that reach as far as a joint without limits, or a point on a line,
+    is.
+
+    In the frame of the slide, whose axes (3, 3) are those of R.
+    """
+    if scene.system.dim == 3 or next(
+        (scene.telescopic(j, r) for j in scene.joints if j.name == slide.name), False
+    ):
+        return []
+    line = next((x for x in scene.lines if x[0] == slide.name), None)
+    seen = next((j for j in scene.joints if j.name == slide.name), None)
+    if seen is not None and slide.part is not None:
+        return []
+    rail = slide.links[0] if seen is None else _rail_link(scene, seen)
+    half = 1.25 * r if line else 0.5 * style.BAR * r
+    z = np.array([0.0, 1.0] if slide.part is None else [-5.0 * r, 5.0 * r])
+    colour = style.link_colour(rail)
+    fill = style.mix(colour, style.PAPER, 0.45 if line else 0.25)
+    dark = style.mix(colour, style.INK, 0.45)
+    layer = style.POLYGONS if line else style.BARS
+    edge = 0.5 * POINT * 0.9 * r
+    up = R[2] / np.linalg.norm(R[2])
+    side = np.cross([0.0, 0.0, 1.0], up)
+
+    def strip(low: float, high: float, layer: float, colour: str) -> DrawnPiece:
+        x = np.array([low, high, high, low])[:, None] * side + THICK * r * layer * up
+        corners = x + np.repeat(z, 2)[:, None] * np.array([0.0, 0.0, 1.0])
+        fan = _fan(4)
+        return DrawnPiece(
+            f"rail:{slide.name}", corners, np.concatenate([fan, fan[:, ::-1]]), (*rgb(colour), 1.0)
+        )
+
+    sides = [strip(s * half - edge, s * half + edge, layer + 0.5, dark) for s in (-1.0, 1.0)]
+    return [strip(-half, half, layer, fill), *sides]
+
+
+def _likely(scene: Scene, name: str, links: int) -> list[int]:
+    """Numbers of the carriers that a name speaks of, the one nearer to the ground first."""
+    what, _, of = name.partition(":")
+    of = of.partition(":")[0]
+    for k, rod in enumerate(scene.rods):
+        if what == "rod" and rod[0] == of:
+            return [links + k]
+    for joint in scene.joints:
+        if joint.name == of and what not in (
+            "link",
+            "frame",
+            "mark",
+            "line",
+            "slot",
+            "ground",
+            "hatch",
+        ):
+            return [joint.parent, joint.child]
+    for line in scene.lines:
+        if line[0] == of and what in ("line", "slot"):
+            return list(line[1])
+    found = [
+        link.number
+        for link in scene.links
+        if (what == "link" and link.name == of) or of in link.frames
+    ]
+    found += [
+        mark.link
+        for mark in scene.marks
+        if mark.name == of and what == "mark" and not name.endswith(":plane")
+    ]
+    return found or [0]
+
+
+def _end(system: System, rod: str, k: int) -> tuple[int, Array]:
+    """Body and pose (4, 4) on it of an end of a rod."""
+    c = system.mechanism.constraints[rod]
+    frames = c.frames(system.mechanism.parameters, system.dim)
+    return system.body_names.index((c.parent, c.child)[k]), frames[k]
+
+
+def _of_ends(ends: Array) -> Array:
+    """Poses (..., 4, 4) with their origins at the first of two ends (..., 2, 3) and z towards the
+    second.
+    """
+    way = ends[..., 1, :] - ends[..., 0, :]
+    length = np.linalg.norm(way, axis=-1, keepdims=True)
+    X = np.broadcast_to(np.eye(4), (*way.shape[:-1], 4, 4)).copy()
+    unit = np.where(length > 1e-12, way / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    X[..., :3, :3] = spatial.align_z(unit)
+    X[..., :3, 3] = ends[..., 0, :]
+    return X
+
+
+def _is_length(system: System) -> list[bool]:
+    from kempe.model.configurations import units
+
+    unit = units(system)
+    return [unit.get(name) == "m" for name in system.coordinate_names]
+
+
+def _joined(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
+    first = np.cumsum([0, *(len(p.corners) for p in pieces)])
+    triangles = np.concatenate([p.triangles + k for p, k in zip(pieces, first, strict=False)])
+    colours = np.concatenate([np.tile(p.colour, (len(p.triangles), 1)) for p in pieces])
+    return RigidPart(carrier, np.concatenate([p.corners for p in pieces]), triangles, colours)
+
 
 try:
     import trimesh
 except ImportError:
     raise MissingExtraError("trimesh", "view") from None
-
-if TYPE_CHECKING:
-    from kempe.model.system import System
-    from kempe.views.viewer.overlays import Overlay
 
 SAID = 3
 """Meshes that could not be shown that are named in one sentence."""

@@ -12,22 +12,139 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.assemble.assemble import assemble
 from kempe.budget import Budget
+from kempe.equations.closure_rows import evaluate
+from kempe.equations.judge import judge
 from kempe.errors import InputError, KempeError
-from kempe.kinematics.closure_rows import evaluate
-from kempe.kinematics.configuration import as_q, distance, has_loops, mid, q_from_dict, random
-from kempe.kinematics.forward import fk, jacobian
-from kempe.kinematics.measure import judge
-from kempe.model.tree.coordinates import units
-from kempe.solvers.assembly.assembly import assemble
-from kempe.solvers.assembly.charts import Chart, independent
+from kempe.forward.fk import fk, jacobian
+from kempe.mobility.independent import Chart, independent
+from kempe.model.configurations import as_q, distance, has_loops, mid, q_from_dict, random, units
 from kempe.spatial import Array
 from kempe.views.drawing.scene import links_of, look
-from kempe.views.viewer.motions import found, motion_from
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.model import Model as System
+
+# ---- motions
+
+# Motions that a page plays: one that is given, and those that can be found from where the system
+# is.
+
+
+SLOW = 4.0
+"""Seconds in which a motion is played that has no times of its own."""
+FALL = 3.0
+"""Seconds of a fall, and part of its speed that a bounce leaves."""
+LEFT = 0.8
+MOTION_PATIENCE = 5.0
+"""Seconds that a search for a motion may take."""
+
+
+class Played(NamedTuple):
+    """Configurations `q` (n, nq), all of them finite, at times `t` (n,) [s] from 0 on; `timed`: its
+    own times.
+    """
+
+    q: Array
+    t: Array
+    timed: bool
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last configuration."""
+        return float(self.t[-1]) or SLOW
+
+    def at(self, time: float) -> Array:
+        """The configuration (nq,) at the time that is nearest."""
+        k = int(np.searchsorted(self.t, time))
+        before = k > 0 and (k == len(self.t) or time - self.t[k - 1] < self.t[k] - time)
+        return np.array(self.q[k - 1 if before else k])
+
+
+def motion_from(system: System, path: Any) -> Played | None:
+    """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for
+    other shapes.
+    """
+    from kempe.views.plots import motion_of
+
+    q, _ = motion_of(system, path)
+    if q is None:
+        return None
+    own: Any = getattr(path, "t", None)
+    timed = np.shape(own) == q.shape[:1]
+    t = np.asarray(own, dtype=float) if timed else np.linspace(0.0, SLOW, len(q))
+    finite = np.isfinite(q).all(axis=1) & np.isfinite(t)
+    return Played(q[finite], t[finite] - t[finite][0], timed)
+
+
+def _whole(session: Session) -> Any:
+    from kempe.motion.trace import trace
+
+    driver = session.sliders[0].name
+    return trace(session.system, driver, session.q, budget=session.budget(MOTION_PATIENCE))
+
+
+def _self_motion(session: Session) -> Any:
+    from kempe.inverse.self_motion import self_motion
+
+    system = session.system
+    way = session.rng.normal(size=system.nv)  # of several freedoms: each search takes another one
+    budget = session.budget(MOTION_PATIENCE)
+    task = session.task
+    return self_motion(system, session.q, session.frame, task=task, direction=way, budget=budget)
+
+
+def _manoeuvre(session: Session) -> Any:
+    from kempe.motion.manoeuvre import manoeuvre
+
+    return manoeuvre(session.system, session.home, session.q)
+
+
+def _fall(session: Session) -> Any:
+    from kempe.motion.simulate import simulate
+
+    return simulate(session.system, FALL, session.q, restitution=LEFT)
+
+
+MOTIONS: dict[str, Callable[[Session], Any]] = {
+    "whole motion": _whole,
+    "frame at rest": _self_motion,
+    "manoeuvre": _manoeuvre,
+    "fall": _fall,
+}
+"""Motions that are found on request: with one freedom, with the frame where it is, of what rolls,
+of what falls."""
+
+
+def possible(session: Session) -> tuple[str, ...]:
+    """Names of `MOTIONS` that a system of this kind can have."""
+    system = session.system
+    freedoms = len(session.sliders)
+    rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
+    rolls = any(r.velocity for r in rows)
+    falls = len(system.parent) == 1 and any(
+        c.bounds(system.dim) for c in system.mechanism.constraints.values()
+    )
+    have = {
+        "whole motion": freedoms == 1 and not rolls,
+        "frame at rest": session.spare() and not rolls,
+        "manoeuvre": rolls and not has_loops(system),
+        "fall": falls and not rolls,
+    }
+    return tuple(name for name, has in have.items() if has)
+
+
+def found(session: Session, name: str) -> tuple[Played | None, str]:
+    """The motion of this name from where the session is, if there is one, and the sentence about
+    it.
+
+    Errors: those of the verb that looks for it.
+    """
+    answer = MOTIONS[name](session)
+    return (motion_from(session.system, answer) if len(answer.q) > 1 else None), answer.status
+
 
 LEAD = 0.1
 """Longest step of a slider that leads closed loops, in radians or parts of the drawing's size."""
@@ -260,7 +377,7 @@ class Session:
         Loops stay closed and limits hold. `quick`: one search from here only, as while a target is
         dragged.
         """
-        from kempe.solvers.one_frame.inverse import ik
+        from kempe.inverse.ik import ik
 
         with self._said():
             budget = QUICK if quick else None
@@ -302,7 +419,7 @@ class Session:
         if has_loops(system):
             known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
             return self._closing(known)
-        from kempe.solvers.analytic.ik_all import ik_all
+        from kempe.inverse.ik_all import ik_all
 
         return np.asarray(ik_all(system, X, self.frame, task=self.task, limits=True).q)
 
@@ -315,7 +432,7 @@ class Session:
 
     def _closing(self, known: dict[str, Any]) -> Array:
         """Configurations (k, nq) that close the loops with the known coordinates or frames."""
-        from kempe.solvers.modes.modes import assembly_modes
+        from kempe.assemble.modes import assembly_modes
 
         budget = self.budget(PATIENCE)
         return np.asarray(assembly_modes(self.system, known, self.q, budget=budget).q)
@@ -431,7 +548,7 @@ class Session:
             self._after()
 
     def find_motion(self, name: str) -> bool:
-        """Take a motion of `kempe.views.viewer.motions.MOTIONS` from here; whether there is one."""
+        """Take a motion of `kempe.views.viewer.session.MOTIONS` from here; whether there is one."""
         with self._said():
             motion, self.status = found(self, name)
             self.motion = self.motion if motion is None else motion
@@ -475,7 +592,7 @@ class Session:
 
     def mobility(self) -> str:
         """Degrees of freedom here, and how they were counted."""
-        from kempe.analysis.mobility.mobility import mobility
+        from kempe.mobility.mobility import mobility
 
         with self._said():
             found = mobility(self.system, self.q)

@@ -1,1 +1,0 @@
-"""Answers about a system as a whole."""

@@ -1,1 +1,0 @@
-"""Curves of configurations: their steps, and what happens on them."""

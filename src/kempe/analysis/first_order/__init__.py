@@ -1,3 +1,0 @@
-"""What Jacobians say of a mechanism: counting, rank, redundant constraints, idle freedoms,
-wrenches.
-"""

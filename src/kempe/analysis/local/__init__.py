@@ -1,1 +1,0 @@
-"""The true local dimension of a mechanism, from higher derivatives."""

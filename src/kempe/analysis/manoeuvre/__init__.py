@@ -1,1 +1,0 @@
-"""Manoeuvres of what rolls without slipping."""

@@ -1,1 +1,0 @@
-"""Degrees of freedom, and the kind of each constraint."""

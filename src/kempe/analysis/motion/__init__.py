@@ -1,1 +1,0 @@
-"""How a mechanism moves, alone or driven."""

@@ -1,3 +1,0 @@
-"""The configuration space of a system: its shape and dimension, samples, components, ways through
-it.
-"""

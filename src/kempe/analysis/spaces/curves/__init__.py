@@ -1,1 +1,0 @@
-"""Configuration spaces with one freedom as curves, whose components are proven."""

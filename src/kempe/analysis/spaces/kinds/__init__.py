@@ -1,1 +1,0 @@
-"""What a workspace holds, and how it is decided whether a pose is reached."""

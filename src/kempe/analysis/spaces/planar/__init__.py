@@ -1,1 +1,0 @@
-"""Workspaces of planar chains, exactly."""

@@ -1,1 +1,0 @@
-"""Reach studies: lists of poses, places of the base, capability maps."""

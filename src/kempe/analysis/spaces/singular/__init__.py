@@ -1,1 +1,0 @@
-"""Singular configurations: where a frame, inputs or loops lose rank."""

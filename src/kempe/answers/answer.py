@@ -1,0 +1,334 @@
+"""What all answers of solvers share: configurations, what they miss, and what an independent judge
+says of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from kempe.answers.tables import Tabular
+from kempe.arguments import explained_methods, place_in
+from kempe.arrays import is_whole, plain
+from kempe.equations.judge import Judgement, judge
+from kempe.errors import CallError, InputError, NoSolutionError, shown
+from kempe.late import late
+from kempe.numerics.clock import partial
+from kempe.report import MOST_JUDGED, Cells, Nearest, Result
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import of_many
+
+if TYPE_CHECKING:
+    from kempe.answers.problem import Choice
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the verb that gave an answer says of it: functions of modules, which take the answer."""
+
+    sentence: Callable[[Any, Any], str]
+    """The sentence for one target, by its index in the batch."""
+    choice: Callable[[Any], Choice | None]
+    """Which solver answers such problems: of bound calls, whose answers do not keep the choice."""
+
+
+@explained_methods
+class Answer(Result, Tabular):
+    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why.
+    Base of answers.
+
+    A batch is a list of configurations: it has a length, ``answer[k]`` is a row of `q`, and
+    ``for q in answer`` goes through them.
+
+    Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input
+    that is no number.
+    """
+
+    system: Any
+    """The `System` of the problem: a field of some answers, a property of others."""
+    q: Any
+    """Configurations (..., nq): a field of most answers, computed on demand by others."""
+    what: ClassVar[str] = ""
+    """What is counted of a batch: "3 of 4 targets reached"."""
+    also: ClassVar[tuple[str, ...]] = ()
+    """Names of further members that the `data` have."""
+    row: ClassVar[str] = ""
+    """Name of its `Row` in `kempe.late`; "" where the class says all of it."""
+    is_motion: ClassVar[bool] = False
+    """Whether the rows of `q` are passed one after the other."""
+
+    @property
+    def within(self) -> Nearest | None:  # type: ignore[override]
+        """The nearest mechanism that closes exactly, solved in place of the given one; None: that
+        was solved.
+        """
+        return self._closing._ideal
+
+    @property
+    def _closing(self) -> Any:
+        """The `System` whose loops `q` closes; frames are those of `system`."""
+        return self.system
+
+    def sentence(self, index: tuple[int, ...] | int = ()) -> str:
+        """The sentence for one target, by its index in the batch. Errors: `InputError`."""
+        return self._sentence(place_in(index, self._shape))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        """Leading shape of a batch of answers; () for a single one."""
+        return np.shape(self.code)
+
+    @property
+    def _row(self) -> Any:
+        return late(self.row)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        return self._row.sentence(self, index)
+
+    @cached_property
+    def status(self) -> Any:
+        """The sentence for a single answer; an array of sentences for a batch. Made on demand."""
+        more = "" if self.within is None else f"; {self.within.sentence}"
+        if not self._shape:
+            return self._sentence(()) + more
+        out = np.empty(self._shape, dtype=object)
+        for index in np.ndindex(out.shape):
+            out[index] = self._sentence(index) + more
+        return out
+
+    # ---- what is missed
+
+    @cached_property
+    def residual(self) -> Any:
+        """How much (...) each of `q` misses what is declared and requested: the largest norm of
+        metres and radians.
+
+        It is NaN for configurations that are no numbers.
+        """
+        return plain(np.linalg.norm(self.judged.errors, axis=-1).max(axis=0, initial=0.0))
+
+    @cached_property
+    def judged(self) -> Judgement:
+        """How far `q` misses what is declared and requested, by poses multiplied out in numpy, on
+        demand.
+
+        It shares nothing with the equations by which kernels say `success`.
+        """
+        return judge(self.system, self.q, self._goals(), self._left(), self._when(), self._closing)
+
+    def _when(self) -> Any:
+        """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time
+        of their own.
+        """
+        return 0.0
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        """The tasks that must hold, with their goals and tolerances."""
+        return ()
+
+    def _left(self) -> Any:
+        """Residual (...) of the equations of successful rows, as the solver reports it."""
+        return 0.0
+
+    def _claimed(self) -> np.ndarray:
+        """Which rows of `q` (...) the solver reports as solutions."""
+        return np.asarray(self.success)
+
+    @property
+    def verdict(self) -> str:
+        """What the judge says of what succeeded, in one sentence; '' where nothing did, or there is
+        nothing to judge.
+
+        Of a batch only what contradicts a success is said.
+        """
+        claimed = self._claimed()
+        if not claimed.any() or not self.judged.names:
+            return ""
+        false = int((claimed & ~np.asarray(self.judged.holds)).sum())
+        if self._shape:
+            return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
+        said = self.judged.of(claimed)
+        return f"success is contradicted, {said}" if false else str(said)
+
+    # ---- as a picture, as a table, as text, as data
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Names of the configurations in pictures; () where they have none."""
+        return ()
+
+    def plot(self, **options: Any) -> Any:
+        """Matplotlib axes with its configurations, or its motion, with the options of
+        `System.plot`.
+        """
+        return late("plots").plot(self.system, self, **options)
+
+    def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
+        """Matplotlib axes with its coordinates over arc length, time, or the numbers of its rows.
+
+        `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
+        """
+        return late("plots").plot_path(self, names=names, ax=ax)
+
+    def animate(self, file: Any, **options: Any) -> Any:
+        """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of
+        `System.animate`.
+        """
+        return late("films").animate(self.system, self, file, **options)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and
+        metres.
+        """
+        return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
+
+    def expect(self) -> Self:
+        """The answer itself if it is a success.
+
+        Errors: `NoSolutionError` otherwise, with the answer as its `solution`.
+        """
+        if not self:
+            raise NoSolutionError(self)
+        return self
+
+    @property
+    def solver(self) -> Choice | None:
+        """The solver that answered, and why those before it in the table did not; None where there
+        is no choice.
+        """
+        return self.__dict__.get("_choice") or (self._row.choice(self) if self.row else None)
+
+    def __len__(self) -> int:
+        self._refuse_one()
+        return len(self.success)
+
+    def __iter__(self) -> Iterator[Array]:
+        self._refuse_one()
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        self._refuse_one()
+        return row_of(self.q, k)
+
+    def _refuse_one(self) -> None:
+        """Refuse to take the answer to one problem for a list. Errors: `CallError`."""
+        if not self._shape:
+            name = type(self).__name__
+            raise CallError(
+                name,
+                "it is the answer to one problem and no list: its configuration is `q`; a batch of "
+                "problems has a row for each",
+            )
+
+    def _headline(self) -> str:
+        if self._shape:
+            return of_many(int(np.sum(self.success)), np.size(self.success), self.what)
+        return self.status
+
+    def _cells(self) -> Cells:
+        if np.ndim(self.q) > 1:
+            return (), ()
+        return (), [
+            (name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)
+        ]
+
+    def _notes(self) -> Sequence[str]:
+        said = "" if self._shape else self.verdict
+        return [said] if said else []
+
+    def _head(self) -> dict[str, Any]:
+        solver = {} if self.solver is None else {"solver": self.solver.name}
+        return {"system": self.system.name, "angle_unit": "rad"} | solver
+
+    def _data(self) -> dict[str, Any]:
+        out = {name: getattr(self, name) for name in self.also} | {
+            "residual": np.asarray(self.residual).tolist()
+        }
+        if np.size(self.q) <= MOST_JUDGED:
+            out["judged"] = self.judged.data()
+        return out | {"q": self._by_name(self.q)}
+
+    def _by_name(self, q: Array) -> Any:
+        """Values by coordinate name of a configuration, nested lists of these of several; None for
+        NaN.
+        """
+        if np.ndim(q) > 1:
+            return [self._by_name(x) for x in q]
+        named = dict(zip(self.system.coordinate_names, q.tolist(), strict=True))
+        return None if named and np.isnan(q).all() else named
+
+
+class ConfigurationList:
+    """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which
+    there may be many.
+    """
+
+    q: Any
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        return row_of(self.q, k)
+
+
+def row_of(q: Array, k: Any) -> Array:
+    """Rows of configurations (n, ..., nq) by a number, a slice or an array. Errors: `InputError`,
+    `IndexError`.
+    """
+    try:
+        return q[k]
+    except IndexError:
+        if is_whole(k):  # where an iteration ends
+            raise
+        raise InputError(
+            f"index is {shown(k)}; it must be a whole number, a slice or an array of these"
+        ) from None
+
+
+@explained_methods
+class Configurations(ConfigurationList, Answer):
+    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way.
+    Base of such answers.
+
+    Where the time limit came (`late`), these are those found by then. After Ctrl-C (`interrupted`)
+    they are in the `answer` of the `Interrupted` that the verb raises.
+    """
+
+    interrupted: bool
+    late: bool
+    reason: str
+
+    @property
+    def code(self) -> Any:
+        """The outcome, a `Status`."""
+        if self.success:
+            return Status.SOLVED
+        return self._broken_off() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
+
+    def _broken_off(self) -> Status | None:
+        """The `Status` that says what ended the computation early, an interrupt or the time limit;
+        None otherwise.
+        """
+        return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
+
+    def _partial(self) -> str:
+        """End of the sentence about a computation that ended early; '' otherwise."""
+        return partial(self.interrupted, self.late)
+
+    def _claimed(self) -> np.ndarray:
+        return np.full(len(self), bool(self.success) or len(self) > 1)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        return self.reason
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"

@@ -1,0 +1,115 @@
+"""Why there is no answer, as data: what proves it, and what was found out; `wording` says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.model.characteristic_length import characteristic_length
+from kempe.spatial import Array
+from kempe.words import InWords
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence(InWords):
+    """What was found out about why there is no answer: of which `kind`, with `figures`, names and
+    numbers of that kind.
+
+    Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer
+    are
+
+    - "lengths": the target is out of reach of the links by at least so many metres, at its `place`
+      whatever its orientation, `turned` together with it, or off the `plane` of the system;
+    - "tilted": by an `angle` out of the plane of the system;
+    - "outside": all `count` configurations that reach it are outside limits, or slides end `short`
+      metres before it;
+    - "contradiction": tasks `first` and `second` exclude each other by `off` metres or radians;
+    - "no root": no angle of a `joint` brings what `axes` keep to where it must be, by `off` metres
+      or radians.
+    """
+
+    kind: str
+    figures: Mapping[str, Any]
+
+    @property
+    def proof(self) -> bool:
+        """Whether it proves that there is no answer; else it is what was found out by asking again."""
+        from kempe.answers.wording import PROOFS  # only here: a success needs no sentences
+
+        return self.kind in PROOFS
+
+    @property
+    def text(self) -> str:
+        """The sentence that says it."""
+        from kempe.answers.wording import FOUND_OUT, PROOFS
+
+        return (PROOFS.get(self.kind) or FOUND_OUT[self.kind])(**self.figures)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __getattr__(self, name: str) -> Any:
+        if name in Evidence.__slots__ or name not in self.figures:
+            return object.__getattribute__(self, name)  # the error as it is of any object
+        return self.figures[name]
+
+
+def evidence(kind: str, **figures: Any) -> Evidence:
+    """Evidence of a kind, with its figures."""
+    return Evidence(kind, figures)
+
+
+def lengths(
+    system: System,
+    place: float = 0.0,
+    turned: float = 0.0,
+    plane: float = 0.0,
+    task: str = "",
+    point: bool = False,
+    slides: Sequence[str] = (),
+) -> Evidence | None:
+    """Evidence that a target is out of reach of a system by so many metres; None where all are
+    zero.
+
+    Its figure `times` is the largest of them in typical lengths of a link, `point` says that the
+    target is x, y, z, and `slides` names the coordinates of slides, whose limits are a reason as
+    the lengths are.
+    """
+    far = max(place, turned, plane)
+    if not far > 0.0:
+        return None
+    times = far / characteristic_length(system)
+    return evidence(
+        "lengths",
+        place=place,
+        turned=turned,
+        plane=plane,
+        task=task,
+        times=times,
+        point=point,
+        slides=list(slides),
+    )
+
+
+def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
+    """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else
+    as they are.
+    """
+    structure = system.structure
+    names: list[str] = []
+    for i, v in zip(structure.layout.vector_q, structure.layout.vector_v, strict=True):
+        low = system.lower[v]
+        high = system.upper[v]
+        x = q[i]
+        if turns and structure.coordinates.turning[v]:
+            x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
+            x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
+        if not low - slack <= x <= high + slack:
+            names.append(structure.velocity_names[int(v)])
+    return names

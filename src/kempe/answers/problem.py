@@ -1,0 +1,105 @@
+"""What is required of a system, and who answers: rows of a table, each of which says what it is not
+for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from kempe.answers.targets import Z_AXIS
+from kempe.budget import Budget
+from kempe.errors import UnsupportedError
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+Found = TypeVar("Found")
+TaskOf = tuple[str, tuple[float, float, float]]
+"""What of a frame's target counts, and the axis of the tool that it points."""
+
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+class Problem(NamedTuple):
+    """What is required of a `system`, checked: what the solvers of the table get.
+
+    `requested` is "one" configuration, "all" of them, a "path" of them, or a "set" that is
+    continuous. `known` are coordinates, and places of frames, by name. `targets` (N, 4, 4) are
+    those of a `frame`, of which `task` names what counts, with the axis of the tool that is
+    pointed; `lead` is their leading shape. `wanted` are tasks of any frames. The search begins at
+    `start`. `options` are what only this verb reads, by the names of its arguments.
+    """
+
+    system: System
+    requested: str
+    known: Mapping[str, Any] = NOTHING
+    start: Any = None
+    prefer: Any = None
+    limits: bool | str = True
+    tolerance: Any = None
+    budget: Budget | None = None
+    options: Mapping[str, Any] = NOTHING
+    frame: str | None = None
+    task: TaskOf = ("", Z_AXIS)
+    targets: Any = None
+    lead: tuple[int, ...] = ()
+    wanted: Any = None
+    method: str = "numeric"
+
+
+class Solver(NamedTuple):
+    """A row of the table: its name, how it works, and two functions.
+
+    `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the
+    structure only, not at numbers that differ from call to call. `run` answers.
+    """
+
+    name: str
+    how: str
+    refuses: Callable[..., str | None]
+    run: Callable[..., Any]
+
+    def choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
+        """The `Choice` of this solver, for its answers, with the solvers `refused` before it."""
+        return Choice(self.name, self.how, tuple(refused))
+
+
+class Choice(NamedTuple):
+    """Which solver answered and how it works, and why those before it in the table did not: names
+    and sentences.
+    """
+
+    name: str
+    how: str
+    refused: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        return "\n".join(
+            [f"{self.name}: {self.how}", *(f"  not {name}: {why}" for name, why in self.refused)]
+        )
+
+
+def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
+    """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says,
+    if all refuse.
+    """
+    refused: list[tuple[str, str]] = []
+    for solver in rows:
+        why = solver.refuses(*structure)
+        if why is None:
+            return solver, solver.choice(refused)
+        refused.append((solver.name, why))
+    raise UnsupportedError(refused[0][1])
+
+
+def takes_all(*structure: Any) -> None:
+    """Refuse nothing: of the last row, which takes what all others leave."""
+
+
+def chosen_by(answer: Found, choice: Choice) -> Found:
+    """The answer with the `Choice` that says which solver gave it."""
+    answer.__dict__["_choice"] = choice
+    return answer

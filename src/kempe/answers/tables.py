@@ -1,0 +1,175 @@
+"""Answers that are tables of numbers: their columns by name, and files of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.source import expanded, no_file
+from kempe.errors import InputError
+from kempe.spatial import Array
+from kempe.words import counted, listed
+
+SUFFIXES = (".csv", ".npy")
+"""Endings of files of numbers."""
+
+
+class Tabular:
+    """An answer with a `table`, which `save` writes. Base of answers that are configurations."""
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file, in radians and metres."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> Path:
+        """Write the `table` to a .csv file, with the names in its first line, or to a .npy file;
+        returns the path.
+
+        Numbers are written in full: what is read again is equal. Errors: `InputError` for other
+        endings, and where the file cannot be written.
+        """
+        return write_table(path, *self.table())
+
+
+def write_table(
+    path: str | Path, names: Sequence[str], rows: Array, array: Array | None = None
+) -> Path:
+    """The path written: `rows` (n, k) with their column names to a .csv, or `array` (the rows) to a
+    .npy file.
+
+    Errors: `InputError`.
+    """
+    path = table_file(path)
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; name a plain file")
+    try:
+        if path.suffix.lower() == ".npy":
+            np.save(path, rows if array is None else array)
+        else:
+            header = ",".join(names)
+            np.savetxt(
+                path, rows, delimiter=",", fmt="%.17g", header=header, comments="", encoding="utf-8"
+            )
+    except OSError as error:
+        raise InputError(f"{path}: it cannot be written: {error.strerror or error}") from None
+    return path
+
+
+def table_file(path: str | Path) -> Path:
+    """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor
+    .npy.
+    """
+    path = expanded(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
+    return path
+
+
+def as_numbers(parts: Sequence[str], what: str) -> list[float]:
+    """The numbers that texts are. Errors: `InputError` naming the one that is none."""
+    try:
+        return [float(part) for part in parts]
+    except ValueError:
+        bad = next(part.strip() for part in parts if not is_number(part))
+        raise InputError(
+            f"{what}: {bad!r} is not a number; write numbers with commas between them"
+        ) from None
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def header_of(line: str) -> list[str] | None:
+    """The names that a first line of a .csv holds; None where it has numbers."""
+    names = [_unquoted(cell) for cell in line.split(",")]
+    return None if any(map(is_number, names)) else names
+
+
+def _unquoted(cell: str) -> str:
+    """The text of a cell, without blanks and quotation marks around it."""
+    return cell.strip().removeprefix('"').removesuffix('"').strip()
+
+
+def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
+    """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty
+    cells.
+
+    Cells may stand in quotation marks, as a program writes them that quotes all cells. Errors:
+    `InputError`.
+    """
+    out = np.empty((len(lines), width))
+    for row, (line, text) in zip(out, lines, strict=True):
+        cells = text.split(",")
+        if len(cells) != width:
+            raise InputError(
+                f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}"
+            )
+        row[:] = as_numbers([_unquoted(cell) or "nan" for cell in cells], f"{path}:{line}")
+    return out
+
+
+# ---- target columns
+
+# Targets as tables have them: in columns, by their order or by their names.
+
+
+PLACE = ("x", "y", "z")
+TURNED = ("roll", "pitch", "yaw")
+QUATERNION = ("qw", "qx", "qy", "qz")
+COLUMNS = {
+    2: [("x", "y"), ("x", "y", "angle"), (*PLACE, *TURNED), (*PLACE, *QUATERNION)],
+    3: [PLACE, (*PLACE, *TURNED), (*PLACE, *QUATERNION)],
+}
+"""What columns of targets can be, in the plane and in space; the first are positions only."""
+
+
+def said_columns(dim: int) -> str:
+    """What columns of targets can be, in words."""
+    return ", ".join(
+        ",".join(names) + " (position only)" * (k == 0) for k, names in enumerate(COLUMNS[dim][:-1])
+    ) + (f" or {','.join(COLUMNS[dim][-1])}")
+
+
+def poses_of_columns(
+    dim: int, values: Array, names: Sequence[str] | None = None, degrees: bool = False
+) -> tuple[Array, bool]:
+    """Poses (..., 4, 4) of targets in columns (..., k), and whether only their position counts.
+
+    Columns are in the order of `COLUMNS`, or have the `names` there. Angles turn about fixed axes,
+    as in URDF; where `degrees` says so they are degrees. A quaternion of length zero gives NaN.
+    Errors: `InputError`.
+    """
+    width = values.shape[-1]
+    order = next(
+        (
+            c
+            for c in COLUMNS[dim]
+            if (len(c) == width if names is None else sorted(c) == sorted(names))
+        ),
+        None,
+    )
+    if order is None:
+        has = counted(width, "number") if names is None else f"the columns {listed(names, 12)}"
+        raise InputError(f"the target has {has}; it must be {said_columns(dim)}")
+    if names is not None:
+        values = values[..., [list(names).index(name) for name in order]]
+    full = np.zeros((*values.shape[:-1], 6))
+    whole = ("x", "y", "yaw") if order[-1] == "angle" else order[:3] if order[-1] == "qz" else order
+    full[..., [(*PLACE, *TURNED).index(name) for name in whole]] = values[..., : len(whole)]
+    if degrees:
+        full[..., 3:] *= math.pi / 180.0
+    with np.errstate(invalid="ignore", over="ignore"):
+        X = spatial.pose_from_xyz_rpy(full)
+        if order[-1] == "qz":
+            X[..., :3, :3] = spatial.quat_wxyz_to_matrix(values[..., 3:])
+    return X, order == COLUMNS[dim][0]

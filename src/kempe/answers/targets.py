@@ -1,0 +1,337 @@
+"""Targets of the inverse models: what is required of a frame, checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import numbers
+from kempe.arrays import is_sequence, reals
+from kempe.constraints.base import poses_of, refuse_rotations
+from kempe.constraints.kinds import AXIS_TASKS
+from kempe.errors import InputError
+from kempe.poses import (
+    EXACT,
+    arrays,
+    direction,
+    refuse_no_poses,
+    rotation_error,
+    sound,
+    why_not_a_pose,
+)
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+Z_AXIS = (0.0, 0.0, 1.0)
+
+UNTURNED = 1e-6
+"""Largest entry of R - 1 of a pose that is given for a particle, which has no orientation."""
+
+TASKS = {
+    "pose": (1, 1, 1, 1, 1, 1), "position": (1, 1, 1, 0, 0, 0), "orientation": (0, 0, 0, 1, 1, 1),
+    "direction": (0, 0, 0, 1, 1, 0), "position_axis": (1, 1, 1, 1, 1, 0),
+}  # fmt: skip
+"""Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of
+its z axis."""
+
+
+def twist_rows(task: str, dim: int) -> list[int]:
+    """Rows of a twist [linear; angular] that count in a task, in the plane of x, y and the turn
+    about z.
+    """
+    return [r for r in range(6) if TASKS[task][r] and (dim == 3 or r in (0, 1, 5))]
+
+
+def task_of(task: object, is_position: bool, particle: bool) -> str:
+    """Name of the task, as given, or by default that of the kind of target. Errors: `InputError`."""
+    if task is None:
+        return "position" if is_position or particle else "pose"
+    if not isinstance(task, str) or task not in TASKS:
+        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, TASKS))}")
+    if particle and task != "position":
+        raise InputError(f"task {task!r} asks for an orientation, which a particle does not have")
+    return task
+
+
+def given_target(system: System, target: Any) -> Any:
+    """What is given as a target as an array; the name of a frame on the ground stands for its pose.
+
+    Errors: those of `kempe.poses.arrays`; `UnknownNameError`, `InputError` for frames that move.
+    """
+    if not isinstance(target, str):
+        return arrays(target, "target")
+    name = system.structure.frame_name(target)
+    if system.structure.table.path(name):
+        raise InputError(
+            f"target is the frame {name!r}, which moves; it must be on the ground, or give its pose"
+        )
+    from kempe.forward.fk import fk
+
+    return fk(system, system.neutral, name)
+
+
+def task_and_axis(task: Any) -> tuple[Any, Any]:
+    """A `task` split into its name and the axis of the tool that is pointed, by default the z axis."""
+    if is_sequence(task) and len(task) == 2:
+        return task[0], task[1]
+    return task, Z_AXIS
+
+
+def axis_of(axis: object) -> tuple[float, float, float]:
+    """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
+    v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")
+    size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
+    if size == 0.0:
+        raise InputError(
+            f"axis is {axis!r}; it must be three numbers, not all zero: a direction in the tool's "
+            "frame"
+        )
+    x, y, z = (v / size).tolist()
+    return x, y, z
+
+
+def axis_for(axis: object, task: str | None) -> tuple[float, float, float]:
+    """The pointing axis of a task, z where it has none; `axis` is checked in any case. Errors:
+    `InputError`.
+    """
+    given = Z_AXIS if axis is Z_AXIS else axis_of(axis)
+    return given if points_along(task) else Z_AXIS
+
+
+def frame_of(z: Array) -> Array:
+    """Rotations (..., 3, 3) whose third column is the unit vector z (..., 3)."""
+    z = np.asarray(z, dtype=float)
+    other = np.where(np.abs(z[..., 2:3]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    x = np.cross(other, z)
+    x = x / np.sqrt((x * x).sum(axis=-1, keepdims=True))
+    return np.asarray(np.stack([x, np.cross(z, x), z], axis=-1), dtype=float)
+
+
+def targets_of(
+    system: System, target: Any, task: str | None, axis: tuple[float, float, float]
+) -> tuple[Array, tuple[int, ...], bool]:
+    """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors:
+    `InputError`.
+
+    Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3)
+    for "orientation", and (..., 6), position and direction, for "position_axis"; directions are
+    those of the tool's axis. In the plane (..., 3), x, y and angle, for "pose".
+    """
+    try:
+        shape = np.shape(target)
+    except ValueError:
+        raise InputError("target is ragged; it must be an array of real numbers") from None
+    width = 3 if task == "direction" else 6 if task == "position_axis" else None
+    if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
+        out = np.zeros((*shape[:-2], 4, 4))
+        out[..., :3, :3] = numbers_of(target)
+        out[..., 3, 3] = 1.0
+        return parse_targets(system, out)
+    if task == "pose" and system.dim == 2 and shape[-1:] == (3,):
+        target = _turned_in_plane(numbers_of(target))
+    if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
+        return parse_targets(system, target, task == "position")
+    values = numbers_of(target)
+    d = values[..., -3:]
+    size = np.linalg.norm(d, axis=-1, keepdims=True)
+    if not shape[:-1] and not (np.isfinite(values).all() and size.item() > 0.0):
+        raise InputError("the direction of the target must be finite and not zero")
+    out = np.zeros((math.prod(shape[:-1]), 4, 4))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        R = frame_of(d / size)
+        out[:, :3, :3] = (R if axis == Z_AXIS else R @ frame_of(np.array(axis)).T).reshape(-1, 3, 3)
+    out[:, 3, 3] = 1.0
+    if width == 6:
+        out[:, :3, 3] = values[..., :3].reshape(-1, 3)
+    return out, shape[:-1], False
+
+
+def _turned_in_plane(target: Array) -> Array:
+    """Poses (..., 4, 4) of x, y and an angle (..., 3); planar poses (..., 3, 3) are left as they
+    are.
+    """
+    if target.shape[-2:] == (3, 3) and np.all(target[..., 2, :] == [0.0, 0.0, 1.0]):
+        return target
+    x, y, angle = np.moveaxis(target, -1, 0)
+    out = np.zeros((*target.shape[:-1], 4, 4))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
+    out[..., 1, 0], out[..., 0, 1] = np.sin(angle), -np.sin(angle)
+    out[..., 0, 3], out[..., 1, 3], out[..., 2, 2], out[..., 3, 3] = x, y, 1.0, 1.0
+    return out
+
+
+def refuse_position(task: str, is_position: bool, dim: int) -> None:
+    """Refuse, with an `InputError`, positions where the task reads an orientation."""
+    if is_position and task != "position":
+        also = ", or x, y and angle (..., 3)" if dim == 2 and task == "pose" else ""
+        raise InputError(
+            f"target is a position, but task {task!r} asks for an orientation; give a pose (..., "
+            f"4, 4){also}"
+        )
+
+
+def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
+    """Poses (..., 4, 4) and the task "pose" or "orientation" that point an axis of the tool in the
+    plane.
+
+    Directions and positions have two or three numbers; poses and other shapes stay as they are.
+    Errors: `InputError`.
+    """
+    full = "orientation" if task == "direction" else "pose"
+    shape = np.shape(target)
+    widths = (2, 3) if task == "direction" else (4, 6)
+    if shape[-2:] in ((4, 4), (3, 3)) or shape[-1:] not in [(w,) for w in widths]:
+        return target, full
+    x, y, _ = axis_of(axis)
+    values = numbers_of(target)
+    k = shape[-1] // (1 if task == "direction" else 2)
+    d = values[..., -k:]
+    if not shape[:-1] and not np.any(d):
+        raise InputError("the direction of the target must be finite and not zero")
+    if math.hypot(x, y) < 1e-9 or (k == 3 and np.any(np.abs(d[..., 2]) > 1e-9)):
+        raise InputError(
+            "in a planar system the axis of the tool and its direction must lie in the plane"
+        )
+    angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
+    out = _turned_in_plane(np.stack([np.zeros_like(angle), np.zeros_like(angle), angle], axis=-1))
+    if task != "direction":
+        out[..., :k, 3] = values[..., :k]
+    return out, full
+
+
+def points_along(task: str | None) -> bool:
+    """Whether the task reads one axis of the tool only."""
+    return task in AXIS_TASKS
+
+
+def numbers_of(target: Any) -> Array:
+    """A target as an array of real numbers. Errors: `InputError`."""
+    return numbers(target, "target")
+
+
+def parse_targets(
+    system: System, target: Any, positions: bool = False
+) -> tuple[Array, tuple[int, ...], bool]:
+    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with
+    `positions`.
+
+    Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
+    """
+    array = numbers_of(target)
+    planar = system.dim == 2
+    is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
+    if (
+        planar
+        and array.ndim >= 2
+        and array.shape[-2:] == (3, 3)
+        and np.all(array[..., 2, :] == [0.0, 0.0, 1.0])
+    ):
+        flat = array
+        array = np.zeros((*flat.shape[:-2], 4, 4))
+        array[..., :2, :2], array[..., :2, 3], array[..., 2, 2], array[..., 3, 3] = (
+            flat[..., :2, :2],
+            flat[..., :2, 2],
+            1.0,
+            1.0,
+        )
+        is_pose = True
+    if is_pose:
+        lead = array.shape[:-2]
+        if not lead:  # of many, the kernels tell those that need a closer look
+            array = sound(array, "target")
+        out = array.reshape(math.prod(lead), 4, 4)
+        if (
+            not lead
+            and out.flags.c_contiguous
+            and out.flags.aligned
+            and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+        ):
+            return out, lead, False  # the usual case, without the cost of arrays
+        bad = np.any(
+            out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1
+        )  # a transposed pose would pass for another one
+        if bad.any():
+            out = out.copy()
+            out[bad, :3] = math.nan
+            if not lead:
+                refuse_no_poses(array, "target")
+        return np.require(out, requirements=["C", "A"]), lead, False
+    if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
+        lead = array.shape[:-1]
+        if not positions:
+            refuse_rotations(array, "target")
+        out = np.zeros((math.prod(lead), 4, 4))
+        out[:] = np.eye(4)
+        out[:, : array.shape[-1], 3] = array.reshape(len(out), array.shape[-1])
+        return out, lead, True
+    in_plane = ", or (..., 3, 3) or (..., 2) in the plane" if planar else ""
+    allowed = f"a pose (..., 4, 4) or a position (..., 3){in_plane}"
+    if array.shape == (7,):
+        allowed += (
+            "; with a quaternion, write {'at': [x, y, z], 'quat_xyzw': [x, y, z, w]}, or "
+            "'quat_wxyz'"
+        )
+    elif array.shape == (6,):
+        allowed += "; with angles, write {'at': [x, y, z], 'rpy': [roll, pitch, yaw]}"
+    raise InputError(f"target has shape {array.shape}; it must be {allowed}")
+
+
+def check_particle(targets: Array, name: str) -> None:
+    """Refuse, with an `InputError`, poses that turn a particle."""
+    turned = (
+        np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED
+    )  # a NaN stays one
+    if turned.any():
+        raise InputError(
+            f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target"
+        )
+
+
+def not_a_pose(target: Array, other: str = "target") -> str:
+    """Message that says why a target (4, 4) was refused.
+
+    If the target itself is a pose, the message names `other`, the argument that was wrong instead.
+    """
+    if why := why_not_a_pose(target):
+        return f"target is not a pose: {why}"
+    return f"{other} has entries that are not finite or too large, or a quaternion that is zero"
+
+
+# ---- arguments
+
+# Arguments that several solvers take, checked.
+
+
+def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
+    """Known values by name, the places of frames as arrays. Errors: `InputError`."""
+    if not frames:
+        return given
+    return {
+        k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()
+    }
+
+
+def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
+    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
+    through.
+
+    Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
+    """
+    what = f"the place of frame {frame!r}"
+    if whole:
+        X = poses_of(place, 3, what)
+        for bad in X[
+            ~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
+        ][:1]:
+            refuse_no_poses(bad, what)
+        return poses_of(X, system.dim, what)
+    x = reals(place, what, "numbers")
+    refuse_rotations(x, what)
+    if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):
+        raise InputError(f"{what} leaves the plane")
+    return x

@@ -1,0 +1,618 @@
+"""The sentences of answers: what `ik`, `ik_all` and `assemble` say of what was found, and of why
+nothing was.
+
+Solvers and the modules `explain_...` find out, this one says it: each kind of evidence has its
+sentence here, alike for all verbs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.words import counted, in_words, joined, listed, verb
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+# ---- figures
+
+
+def number(x: float) -> str:
+    """Six digits of a number, rounding at zero taken away."""
+    return f"{0.0 if abs(x) < 1e-9 else x:.6g}"
+
+
+def errors(
+    place: float | None,
+    turn: float | None,
+    metres: str = ".6g",
+    radians: str = ".2g",
+    by: str = ", ",
+) -> str:
+    """Errors in metres and radians, None for what does not count."""
+    parts = [] if place is None else [f"{place:{metres}} m"]
+    return by.join(parts if turn is None else [*parts, f"{turn:{radians}} rad"])
+
+
+def work(steps: int, starts: int) -> str:
+    """What a search took."""
+    return f"{counted(steps, 'step')}, {counted(starts, 'start')}"
+
+
+def limits_of(names: Sequence[str], join: str = ", ") -> str:
+    """Limits by their coordinates: "the limits of 'a', 'b'", "the limit of 'a' or of 'b'"; '' where
+    there are none.
+    """
+    one = len(names) == 1 or join.endswith(" of ")
+    return f"the limit{'' if one else 's'} of {join.join(map(repr, names))}" if names else ""
+
+
+MILLIMETRES = 30.0
+"""Typical lengths of a link, beyond which a target is out of reach by its unit rather than by
+mistake."""
+
+
+# ---- what was found
+
+
+def reached(place: float | None, turn: float | None, steps: int, starts: int) -> str:
+    """That one frame is where it shall be; without starts it came from a closed form."""
+    what = errors(place, turn, ".1e")
+    how = work(steps, starts) if starts else "analytically"
+    return f"reached: {'' if place is None else 'position error '}{what} ({how})"
+
+
+def hard_tasks_hold(place: float | None, turn: float | None, how: str, freedoms: str) -> str:
+    """That all hard tasks hold, with the largest errors and, where they are known, the freedoms
+    that are left.
+    """
+    left = f"; {freedoms}" if freedoms else ""
+    return f"all hard tasks hold: errors up to {errors(place, turn, '.1e', '.1e')} ({how}){left}"
+
+
+def not_lowered(limit: float | None) -> str:
+    """That the time was up before soft tasks and preferences were done."""
+    return f"the time limit of {limit or 0.0:g} s ended it before all was lowered as far as can be"
+
+
+def closed(residual: float, steps: int, starts: int, left: str) -> str:
+    """That loops are closed, and what is left open."""
+    return f"closed: residual {residual:.1e} ({work(steps, starts)}){left}"
+
+
+def left_open(
+    left: int, count: int, who: str, folded: Sequence[tuple[str, str]], sure: bool, home: int
+) -> str:
+    """How many freedoms are left open, and why these are more than the `count` of `who`, or than at
+    home (-1: as many).
+
+    `folded` are pins that coincide, and `sure` whether these are the reason.
+    """
+    said = f"; {counted(left, 'freedom')} left open"
+    if folded:
+        pins = listed([f"{a} and {b}" for a, b in folded], 3)
+        why = "the mechanism is folded or singular here, where" if sure else "it may be folded, for"
+        return f"{said}, {count} {who}: {why} {pins} coincide"
+    return f"{said}, {home} at home: singular here, or on another branch" if home >= 0 else said
+
+
+def freedoms_left(first: int, finite: int, equations: int = 0, freedoms: int = 0) -> str:
+    """How many freedoms tasks leave, of which some may be there to first order only."""
+    if first == 0:
+        said = "no freedom is left"
+    elif finite == first:
+        said = f"{counted(finite, 'freedom')} left"
+    else:
+        said = f"{counted(first, 'freedom')} to first order only"
+        said = f"{counted(finite, 'freedom')} left, {first} to first order" if finite else said
+        said = f"{said} (the Jacobian loses rank here)"
+    more = equations > freedoms
+    return (
+        f"{said}, though {equations} equations meet {counted(freedoms, 'freedom')}"
+        if more
+        else said
+    )
+
+
+# ---- failures: a head, and what follows it
+
+
+def failed(head: str, *parts: Any) -> str:
+    """The sentence of a failure: what was tried, then evidence and texts, of which empty ones are
+    left out.
+    """
+    return f"{head}{': ' if head else ''}{'; '.join(str(part) for part in parts if part)}"
+
+
+def given_up(done: str, starts: int) -> str:
+    """That something is not "reached" or "closed" after so many starts."""
+    return f"not {done} after {counted(starts, 'start')}"
+
+
+def late(limit: float | None, starts: int, most: int | None = None, done: str = "reached") -> str:
+    """That the time was up, and after how many starts, of `most` where that is known."""
+    count = counted(starts, "start") if most is None else f"{starts} of {counted(most, 'start')}"
+    return f"not {done} within the time limit of {limit or 0.0:g} s, after {count}"
+
+
+def calls_in_vain(count: int) -> str:
+    """That a search with functions was given up after so many calls of these."""
+    return (
+        f"{count} calls of functions found nothing, nor did a search without limits, or for the "
+        "functions alone: kempe.Budget(starts=..., time_limit=...) goes on"
+    )
+
+
+def ended(limit: float) -> str:
+    """That the time was up before all solutions were looked for."""
+    return f"; the time limit of {limit:g} s ended the work: there may be others"
+
+
+def none_in_time(limit: float) -> str:
+    """That no solution was found before the time was up."""
+    return f"no solution found within the time limit of {limit:g} s: there may be some"
+
+
+def nearest(place: float | None, turn: float | None) -> str:
+    """By how much the best of one frame misses."""
+    return f"the nearest configuration found misses it by {errors(place, turn)}"
+
+
+# ---- evidence, by its kind
+
+
+def _lengths(
+    place: float = 0.0,
+    turned: float = 0.0,
+    plane: float = 0.0,
+    task: str = "",
+    times: float = 0.0,
+    point: bool = False,
+    slides: Sequence[str] = (),
+) -> str:
+    """Out of reach of the links by at least so many metres: whatever the orientation, with it, or
+    off the plane.
+
+    With `slides`, by the limits of these coordinates, too, without which lengths say nothing.
+    """
+    who = f"{task!r} is " if task else ""
+    units = "; lengths are metres: are these millimetres?" if times > MILLIMETRES else ""
+    if plane > 0.0:
+        angle = (
+            "; three numbers are x, y, z here, and x, y, angle with task='pose'" if point else ""
+        )
+        return f"{who}outside the plane of the system by {plane:.6g} m{units}{angle}"
+    parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
+    parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
+    ends = f" and {limits_of(slides)}" if slides else ""
+    return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{ends}{units}"
+
+
+def _tilted(angle: float) -> str:
+    return f"tilted out of the plane of the system by {angle:.2g} rad"
+
+
+def _outside(count: int = 0, short: float = 0.0) -> str:
+    """All `count` configurations that reach it are outside limits, or slides end `short` metres
+    before it.
+    """
+    if short > 0.0:
+        return f"slides end {short:.6g} m before it"
+    one = "the only configuration that reaches it is outside"
+    return one if count == 1 else f"all {count} configurations that reach it are outside"
+
+
+CONTRADICTIONS: Mapping[str, str] = MappingProxyType(
+    {
+        "links": (
+            "their places are {off:.6g} m apart, the links between them allow at most "
+            "{longest:.6g} m"
+        ),
+        "turns": "they turn one body to orientations {off:.6g} rad apart",
+        "axes": "they turn axes of one body to directions that are {off:.6g} rad off",
+        "points": "they hold points of one body in places that do not fit together by {off:.6g} m",
+        "point": "they hold one point in places {off:.6g} m apart",
+        "region": "one puts a point of the body {off:.6g} m away from where the other lets it be",
+    }
+)
+"""How two tasks exclude each other: by lengths of links, or by what they ask of one body."""
+
+
+def _contradiction(how: str, off: float, first: str, second: str, **figures: Any) -> str:
+    """Two tasks exclude each other by so many metres or radians."""
+    return (
+        f"contradictory: {first!r} and {second!r}: {CONTRADICTIONS[how].format(off=off, **figures)}"
+    )
+
+
+def _no_root(joint: str, axes: Sequence[int], what: str, off: float) -> str:
+    """No angle of a joint brings what the axes keep to where the target needs it."""
+    lines = (
+        f"{'axis' if len(axes) == 1 else 'axes'} {', '.join(str(i + 1) for i in axes)}"
+        if axes
+        else "the tip"
+    )
+    if what == "direction":
+        return (
+            f"no angle of {joint!r} gives {lines} the direction that is needed: {off:.2g} rad off"
+        )
+    if what == "plane":
+        return f"no angle of {joint!r} brings {lines} to where the target needs it"
+    point = ("the tip", f"a point of {lines}", f"the point where {lines} meet")[min(len(axes), 2)]
+    how = {
+        "far": "distance: {} m too far",
+        "near": "distance: {} m too near",
+        "height": "height: {} m off",
+    }[what]
+    return f"no angle of {joint!r} brings {point} to its {how.format(f'{off:.6g}')}"
+
+
+def _rank(
+    equations: int, freedoms: int, frame: str = "", position: bool | None = None, end: str = ""
+) -> str:
+    """More equations than freedoms; of one frame also whether its position alone can be reached,
+    and an `end`.
+    """
+    if not frame:
+        return f"{counted(equations, 'equation')}, but {counted(freedoms, 'freedom')}{end}"
+    if freedoms == 0:
+        return f"no joint moves frame {frame!r}"
+    said = f"the task has {counted(equations, 'equation')}, but the chain moves this frame in"
+    said += f" {counted(freedoms, 'freedom')} only"
+    alone = (
+        ""
+        if position is None
+        else f" (its position alone {'can' if position else 'cannot'} be reached)"
+    )
+    return f"{said}{alone}{end}"
+
+
+def _joints(joints: int, held: bool, freedoms: int, equations: int) -> str:
+    few = f", which give it {in_words(freedoms, 'freedom')}" if freedoms < joints else ""
+    return (
+        f"the chain has {counted(joints, 'joint')}{' to move' if held else ''}{few}, the task "
+        f"{counted(equations, 'equation')}: this target is not among those it can reach"
+    )
+
+
+def _too_many_given(given: int, freedoms: int) -> str:
+    return (
+        f"{counted(given, 'coordinate')} {verb(given, 'is', 'are')} given, but it has "
+        f"{counted(freedoms, 'freedom')}"
+    )
+
+
+def _more_starts(singular: bool = False) -> str:
+    stuck = "the search is stuck at a singular configuration; " if singular else ""
+    return f"{stuck}more starts find an answer"
+
+
+def _limits(
+    names: Sequence[str],
+    together: bool = False,
+    each: bool = False,
+    proof: Any = None,
+    task: str = "",
+    done: str = "is reached",
+) -> str:
+    """Without the limits of `names` (with `each`: of any one of them) it is reached; with a proof
+    they block it.
+    """
+    which = limits_of(names, " or of " if each else " and " if together else ", ")
+    if proof is not None:
+        return (
+            f"blocked by {which}{' together' if together else ''} ({proof}); without limits it is "
+            "reachable"
+        )
+    them = "that" if each or len(names) == 1 else "these"
+    way = f"{task!r} alone {done} without {which}" if task else f"without {which} it {done}"
+    return f"{way}, so {them} may be what blocks it"
+
+
+def _one_sided(violated: Sequence[str], done: str = "is reached", known: bool = False) -> str:
+    """Without one-sided constraints it `is reached` or `closes`; with `known` these contradict what
+    is known.
+    """
+    what = ", ".join(violated)
+    return (
+        f"what is known contradicts {what}"
+        if known
+        else f"without one-sided constraints it {done}, violating {what}"
+    )
+
+
+def _not_alone(task: str = "", rank: Any = None) -> str:
+    said = f"{task!r} is not found even alone" if task else "no configuration was found"
+    return f"{said}{f' ({rank})' if rank else ''}"
+
+
+def _not_together(
+    pairs: Sequence[tuple[str, str]], starts: int, tasks: int, rank: Any, two: bool
+) -> str:
+    """Each task was reached alone, and perhaps any `two` of them, but not all of them, or not these
+    pairs.
+    """
+    said = "each hard task was reached alone, but not all together"
+    if pairs:
+        names = ", ".join(f"{a!r} and {b!r}" for a, b in pairs)
+        said = (
+            f"{names}: each was reached alone, but not both together in {counted(starts, 'start')}"
+        )
+    elif two:
+        said = f"any two of the {tasks} hard tasks were reached, but not all together"
+    return f"{said}{f' ({rank})' if rank else ''}"
+
+
+def _near_miss(place: float, turn: float | None, longest: float, small: bool) -> str:
+    came = f"the search came within {errors(place, turn, '.1g')}"
+    if small:
+        return (
+            f"{came} with links of at most {longest:.2g} m: it may have ended early at so small a "
+            "scale"
+        )
+    return f"{came}, so it may have ended early, or the target is just outside the workspace"
+
+
+def _not_found(limits: bool, place: bool, turn: bool) -> str:
+    may = (
+        "the target may be outside the workspace"
+        if place
+        else "the orientation may be out of reach"
+    )
+    turned = ", or not reachable with this orientation" if place and turn else ""
+    return (
+        f"no configuration was found{' without limits either' if limits else ''}, so {may}{turned}"
+    )
+
+
+def _rounded(metres: float, radians: float, one: bool) -> str:
+    """The tolerances that accept a target that was rounded; with `one` a single number for both."""
+    enough = (
+        f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
+    )
+    return f"a target that was rounded needs a larger tolerance: {enough} accepts it"
+
+
+def _tried(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:
+    """At which values of spare joints there is no solution."""
+    joints = ", ".join(repr(name) for name, _ in held)
+    where = held_at(held) if values == 1 else f"{joints} at any of {values} values tried"
+    return f"no solution with {where}, and none from {counted(starts, 'start')} of a search"
+
+
+# ---- all solutions of a target
+
+
+def held_at(values: Sequence[tuple[str, float]]) -> str:
+    """Joints with the values at which they are held."""
+    return ", ".join(f"{name!r} at {number(x)}" for name, x in values)
+
+
+def held_among(name: str, usual: float, times: int, targets: int, low: float, high: float) -> str:
+    """Where a joint is held for a batch of targets: at its usual value, so many times, else between
+    two values.
+    """
+    if low == high:
+        return f"{name!r} at {number(usual)}"
+    most = (
+        f"{name!r} at {number(usual)} for {times} of {targets} targets, else"
+        if times > 1
+        else f"{name!r}"
+    )
+    return f"{most} at values from {number(low)} to {number(high)}"
+
+
+def to_spare(
+    count: int, held: str = "", first: Sequence[float] = (), tried: int = 1, inside: bool = False
+) -> str:
+    """How many joints a chain has to spare, and where they are held; else than `first` after so
+    many were `tried`.
+    """
+    text = f"the chain has {in_words(count, 'joint')} to spare{held}"
+    if tried == 1:
+        return text
+    if not len(first):
+        return f"{text} ({counted(tried, 'value')} {verb(tried, 'was', 'were')} tried)"
+    there = ", ".join(map(number, first))
+    return f"{text} (at {there} there is none{' inside the limits' if inside else ''})"
+
+
+def solutions(
+    count: int,
+    inside: int,
+    method: str,
+    sure: bool,
+    spare: bool,
+    roots: Sequence[int],
+    beyond: str,
+    families: Sequence[tuple[int, str]],
+    ground: str,
+) -> str:
+    """How many isolated solutions there are, whether these are all, which are merged `roots`, and
+    why; and families.
+
+    `families` are freedoms and motions; `beyond` says which limit the least of them violates if
+    none is `inside`.
+    """
+    text = f"{count} solution{'' if count == 1 else 's'}" if count else "no isolated solution"
+    if count:
+        text += " by elimination" if method == "elimination" else ""
+        text += _completeness(count, method, sure, spare) + _merged(count, roots)
+    if inside < count:
+        text += f", {inside or 'none'} inside the limits"
+        text += f" ({beyond})" if beyond else ""
+    if families:
+        return f"{text}, and {_families(families)}"
+    return f"{text}: {ground}" if method == "closed" else text
+
+
+def beyond_limit(joint: str, off: float, unit: str, still: str) -> str:
+    """How far the solution that is nearest to the limits is outside of them."""
+    return (
+        f"the nearest to them has {joint!r} {off:.6g} {unit} beyond its "
+        f"limit{f'; {still}' if still else ''}"
+    )
+
+
+def closed_form(axes: Sequence[int], meet: bool) -> str:
+    """Why there is a closed form: what axes have in common, if anything."""
+    common = (
+        f"axes {', '.join(str(i + 1) for i in axes)} "
+        f"{'meet in a point' if meet else 'are parallel'}"
+    )
+    return f"{common} (closed form)" if axes else "closed form"
+
+
+def _completeness(count: int, method: str, sure: bool, spare: bool) -> str:
+    if not sure:
+        return " found, there may be more"
+    if spare:
+        return " for what is held"
+    if method == "closed":
+        return ", all of them" if count > 1 else ", the only one"
+    return ", all there are" if method == "elimination" else " found, there may be more"
+
+
+def _merged(count: int, roots: Sequence[int]) -> str:
+    """Which of the solutions are roots that have merged."""
+    if not roots:
+        return ""
+    kind = (
+        {2: "double", 3: "triple"}.get(roots[0], "multiple") if len(set(roots)) == 1 else "multiple"
+    )
+    if count == 1:
+        return f" (a {kind} root)"
+    one = len(roots) == 1
+    return f", {len(roots)} of them {'a ' if one else ''}{kind} root{'' if one else 's'}"
+
+
+def _families(families: Sequence[tuple[int, str]]) -> str:
+    """The families, those of one description together."""
+    out: list[str] = []
+    for dimension, moves in dict.fromkeys(families):
+        k = families.count((dimension, moves))
+        freedoms = in_words(dimension, "freedom")
+        out.append(
+            f"{'a family' if k == 1 else f'{k} families'} with "
+            f"{freedoms}{'' if k == 1 else ' each'}: {moves}"
+        )
+    return "; ".join(out)
+
+
+def linear_motion(
+    names: Sequence[str],
+    equations: Sequence[Mapping[str, float]],
+    rest: Sequence[tuple[str, float]],
+) -> str:
+    """A family on a straight line: equations by joint, "" for the right side, while others `rest`."""
+    text = joined([_equation(e) for e in equations] or [f"{names[0]} is free"])
+    return f"{text} while {joined([f'{n} = {number(x)}' for n, x in rest])}" if rest else text
+
+
+def curved_motion(
+    names: Sequence[str], first: str, turns: bool, is_closed: bool, ends: tuple[float, float]
+) -> str:
+    """A family on a curve, of which the `first` joint tells the place: how it goes, and how far."""
+    if turns:
+        return (
+            f"{first} turns all the way round and {joined([n for n in names if n != first])} follow"
+        )
+    how = "on a closed curve" if is_closed else "on a curve that does not close"
+    return (
+        f"{joined(names)} move together {how}, {first} from {number(ends[0])} to {number(ends[1])}"
+    )
+
+
+def _equation(terms: Mapping[str, float]) -> str:
+    text = ""
+    for name, a in ((n, a) for n, a in terms.items() if n):
+        sign = ("-" if a < 0 else "") if not text else (" - " if a < 0 else " + ")
+        text += f"{sign}{'' if abs(abs(a) - 1.0) < 1e-9 else f'{abs(a):.6g} '}{name}"
+    return f"{text} = {number(terms[''])}"
+
+
+PROOFS: Mapping[str, Callable[..., str]] = MappingProxyType(
+    {
+        "lengths": _lengths,
+        "tilted": _tilted,
+        "outside": _outside,
+        "contradiction": _contradiction,
+        "no root": _no_root,
+    }
+)
+"""Kinds of evidence that prove that there is no answer, with their sentences."""
+FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
+    {
+        "rank": _rank,
+        "joints": _joints,
+        "too many given": _too_many_given,
+        "more starts": _more_starts,
+        "limits": _limits,
+        "one-sided": _one_sided,
+        "not alone": _not_alone,
+        "not together": _not_together,
+        "near miss": _near_miss,
+        "not found": _not_found,
+        "rounded": _rounded,
+        "tried": _tried,
+    }
+)
+"""All other kinds, with their sentences: they say what was found out, and prove nothing."""
+
+
+# ---- immovable
+
+# Coordinates that limits hold still, in a sentence: many files mean no limits where they give
+# none.
+
+
+SHOWN = 6
+"""Names that are listed."""
+
+
+def immovable(
+    system: Model, coordinates: Iterable[int] | None = None, unstated: bool = False
+) -> str:
+    """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where
+    there are none.
+
+    `coordinates` are their indices, all where None; `unstated` leaves out limits that the
+    description gives.
+    """
+    low, high = system.structure.limits.T
+    still = np.flatnonzero(low == high).tolist()
+    if not still:
+        return ""
+    requested = set(still) if coordinates is None else {int(i) for i in coordinates}
+    names = [system.structure.velocity_names[i] for i in still if i in requested]
+    ours = {name for name, joint in system.structure.joints.items() if joint.unstated}
+    ours |= {
+        f.source
+        for of, f in system.structure.couplings.items()
+        if of in ours and f.source is not None
+    }
+    reported = [n for n in names if n in ours]
+    given = [n for n in names if n not in ours and not unstated]
+    parts: list[str] = []
+    for group, why in (
+        (
+            reported,
+            f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} "
+            "as unlimited",
+        ),
+        (given, f"lower and upper limit of {_them(given)} are the same"),
+    ):
+        if group:
+            shown = ", ".join(map(repr, group[:SHOWN])) + (
+                f", ... ({len(group)} in all)" if group[SHOWN:] else ""
+            )
+            parts.append(f"{shown} cannot move ({why})")
+    return "; ".join(parts)
+
+
+def _them(names: list[str]) -> str:
+    return "it" if len(names) == 1 else "them"

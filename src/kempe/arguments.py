@@ -1,0 +1,456 @@
+"""Calls from outside: names, numbers and switches as they are given, and what was wrong with a call
+that failed.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import re
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from types import FunctionType
+from typing import Any, ParamSpec, TypeGuard, TypeVar
+
+import numpy as np
+
+from kempe.arrays import is_array, is_whole, reals
+from kempe.errors import CallError, InputError, Interrupted, KempeError, UnknownNameError, shown
+from kempe.status import Status
+from kempe.words import counted
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Class = TypeVar("Class", bound=type)
+Options = ParamSpec("Options")
+Kept = TypeVar("Kept")
+
+FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, NotImplementedError)
+"""What Python and numpy raise for an argument of which nothing can be made."""
+
+CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
+"""Names of arguments that are configurations."""
+
+FEW = 16
+"""Entries of an array, or of a tuple, that are shown."""
+
+
+def quiet(function: Function) -> Function:
+    """The function, which computes without warnings of numpy: what is NaN or infinite shows in what
+    it returns.
+
+    It costs half a microsecond a call. Threads that it starts do not inherit it.
+    """
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*args, **options)
+
+    return call  # type: ignore[return-value]
+
+
+def explained(function: Function, fast: bool = False) -> Function:
+    """The function, in which an error that is not Kempe's own names the argument that is to blame.
+
+    Arguments are looked at only after something failed. What fails with arguments that are what the
+    annotations say is raised as it is. The function is `quiet` unless it is `fast`: a call of a
+    kernel, which never warns. Errors: `CallError` (a TypeError) for arguments that the function
+    does not have, or lacks; `InputError` for those of a wrong kind.
+    """
+    run = function if fast else quiet(function)
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        try:
+            return run(*args, **options)
+        except KempeError:
+            raise
+        except FOREIGN as error:
+            blame(function, args, options, error)
+            raise
+
+    return call  # type: ignore[return-value]
+
+
+def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
+    """A decorator for verbs that keep what is done: after Ctrl-C the kept part is the `answer` of
+    an `Interrupted`.
+
+    The interrupt goes on to the caller, so that it ends a loop over calls. The answer of another
+    verb that this one called, and that was interrupted, is no answer to the question of this one:
+    then `answer` is None.
+    """
+
+    @functools.wraps(verb)
+    def call(*args: Options.args, **options: Options.kwargs) -> Kept:
+        try:
+            answer = verb(*args, **options)
+        except KeyboardInterrupt:
+            raise Interrupted from None
+        broken = getattr(answer, "broken", None)
+        if getattr(answer, "interrupted", False) is True or broken is Status.INTERRUPTED:
+            raise Interrupted(answer)
+        return answer
+
+    return call
+
+
+def until_interrupt(
+    verb: Callable[Options, Kept], *args: Options.args, **options: Options.kwargs
+) -> Kept:
+    """The answer of a verb; after Ctrl-C the part that was done. Errors: `Interrupted` where there
+    is none.
+    """
+    try:
+        return verb(*args, **options)
+    except Interrupted as stop:
+        if stop.answer is None:
+            raise
+        answer: Any = stop.answer
+        return answer
+
+
+def with_options(cls: type) -> Callable[[Function], Function]:
+    """A decorator that writes the fields of a dataclass into the signature of a function that takes
+    `**options`.
+    """
+    from inspect import Parameter, signature  # only here: few functions have it
+
+    more = [
+        Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type)
+        for f in fields(cls)
+    ]
+
+    def write(function: Function) -> Function:
+        own = signature(function)
+        kept = [p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+        function.__signature__ = own.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
+        return function
+
+    return write
+
+
+def explained_methods(cls: Class) -> Class:
+    """The class with its public methods, its calls and its text `explained`."""
+    for name, value in list(vars(cls).items()):
+        if isinstance(value, FunctionType) and (name[0] != "_" or name in ("__call__", "__str__")):
+            setattr(cls, name, explained(value))
+    return cls
+
+
+def explained_making(cls: Class) -> Class:
+    """The class with its making `explained`."""
+    cls.__init__ = explained(cls.__init__)  # type: ignore[misc]
+    return cls
+
+
+def blame(
+    function: Callable[..., Any],
+    args: tuple[Any, ...],
+    options: Mapping[str, Any],
+    error: Exception,
+) -> None:
+    """Raise what is wrong with the arguments of a call that failed; nothing where they are of the
+    right kinds.
+    """
+    from inspect import Parameter, signature  # only here: most calls succeed
+
+    called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
+    parameters = signature(function).parameters
+    if Parameter.VAR_KEYWORD not in {p.kind for p in parameters.values()}:
+        allowed = [
+            p.name for p in list(parameters.values())[1:] if p.kind is not Parameter.POSITIONAL_ONLY
+        ]
+        for name in options:
+            if name not in parameters:
+                raise CallError(called, name, allowed) from None
+    try:
+        bound = signature(function).bind(*args, **options)
+    except TypeError as wrong:
+        raise CallError(called, str(wrong)) from None
+    for name, value in bound.arguments.items():
+        p = parameters[name]
+        if p.kind in (Parameter.VAR_KEYWORD, Parameter.VAR_POSITIONAL) or value is p.default:
+            continue
+        said = wrong_kind(name, p.annotation, value)
+        if said:
+            raise InputError(f"{name} is {shown(value)}; it must be {said}") from error
+
+
+def wrong_kind(name: str, annotation: object, value: object) -> str:
+    """What an argument must be, by its annotation or its name, where its value is none of that;
+    else nothing.
+    """
+    if name in CONFIGURATIONS:
+        annotation = "Mapping[str, Any] | ArrayLike | None" + (" | str" if name == "start" else "")
+    said: list[str] = []
+    for part in re.split(r" \| (?![^\[]*\])", str(annotation)):  # not within brackets
+        kind = KINDS.get(part) or KINDS.get(part.partition("[")[0])
+        if kind is None or kind[0](value):
+            return ""
+        said.append(kind[1])
+    return " or ".join(said)
+
+
+def is_numbers(x: object) -> bool:
+    """Whether it is an array of real numbers, or becomes one."""
+    try:
+        return reals(x, "").dtype == np.float64
+    except InputError:
+        return False
+
+
+def _is_whole(x: object) -> bool:
+    return is_whole(x) and abs(int(x)) < 2**62
+
+
+def _is_number(x: object) -> bool:
+    given: Any = x
+    real = isinstance(x, (int, float, np.number)) and not isinstance(x, (bool, np.complexfloating))
+    return real and is_numbers(given)
+
+
+def is_list(x: object) -> TypeGuard[Iterable[Any]]:
+    """Whether it can be gone through, and is no text."""
+    try:
+        return iter(x) is not None and not isinstance(x, (str, bytes))  # type: ignore[call-overload]
+    except TypeError:
+        return False
+
+
+def _is_list_of_text(x: Any) -> bool:
+    return is_list(x) and (iter(x) is x or all(isinstance(name, str) for name in x))
+
+
+def _is_a(name: str, x: object) -> bool:
+    return name in [c.__name__ for c in type(x).__mro__]
+
+
+def _is_place(x: object) -> bool:
+    return isinstance(x, str) or isinstance(getattr(x, "name", None), str)
+
+
+KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "bool": (lambda x: isinstance(x, (bool, np.bool_)), "True or False"),
+    "int": (_is_whole, "a whole number"),
+    "float": (_is_number, "a number"),
+    "str": (lambda x: isinstance(x, str), "text"),
+    "None": (lambda x: x is None, "None"),
+    "Path": (lambda x: isinstance(x, Path), "a path"),
+    "bytes": (lambda x: isinstance(x, bytes), "bytes"),
+    "tuple": (lambda x: isinstance(x, tuple), "a tuple"),
+    "list": (lambda x: isinstance(x, list), "a list"),
+    "Callable": (callable, "a function"),
+    "Progress": (callable, "a function"),
+    "Mapping": (lambda x: isinstance(x, Mapping), "a dict by name"),
+    "ArrayLike": (is_numbers, "an array of real numbers"),
+    "Array": (lambda x: is_array(x) and is_numbers(x), "an array of real numbers"),
+    "FrameLike": (_is_place, "the name of a body or frame"),
+    "BodyLike": (_is_place, "the name of a body"),
+    "Frame": (_is_place, "the name of a frame"),
+    "Iterable[str]": (_is_list_of_text, "a list of names"),
+    "Sequence[str]": (_is_list_of_text, "a list of names"),
+    "Iterable": (is_list, "a list"),
+    "Sequence": (is_list, "a list"),
+    "System": (lambda x: _is_a("System", x), "a System"),
+    "Compiled": (lambda x: _is_a("Compiled", x), "a System"),
+    "SystemType": (lambda x: _is_a("Compiled", x) or _is_a("Model", x), "a System"),
+    "Model": (lambda x: _is_a("Model", x), "a System"),
+    "Mechanism": (lambda x: _is_a("Mechanism", x), "a Mechanism"),
+    "Constraint": (lambda x: _is_a("Constraint", x), "a task or constraint of kempe.constraints"),
+    "np.random.Generator": (lambda x: isinstance(x, np.random.Generator), "a generator"),
+}
+"""What the parts of annotations stand for: whether a value is of the kind, and the words for it."""
+
+
+# ---- names
+
+
+def known(kind: str, name: object, names: Iterable[str], owner: str = "") -> str:
+    """The name, if it is one of the names. Errors: `UnknownNameError`, which says what there is."""
+    if isinstance(name, str) and name in names:
+        return name
+    raise UnknownNameError(kind, name, names, owner)
+
+
+MOST_NAMES = 10**6
+"""Names of a list at most: one that is made while it is read may have no end."""
+
+
+def listed(names: object, what: str) -> tuple[str, ...]:
+    """Names given as a list, or a single name. Errors: `InputError`."""
+    if isinstance(names, str):
+        return (names,)
+    try:
+        out: tuple[Any, ...] = tuple(itertools.islice(names, MOST_NAMES + 1))  # type: ignore[arg-type]
+    except TypeError:
+        out = (None,)
+    if len(out) > MOST_NAMES:
+        raise InputError(f"{what} has more than {MOST_NAMES} names")
+    if not all(isinstance(name, str) for name in out):
+        raise InputError(f"{what} is {shown(names)}; it must be a list of names")
+    return out  # type: ignore[return-value]
+
+
+# ---- numbers
+
+
+def numbers(x: Any, what: str, *core: int) -> np.ndarray:
+    """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other
+    last axes.
+    """
+    array = np.array(x) if x.__class__ is float else reals(x, what)
+    if core and array.shape[-len(core) :] != core:
+        raise InputError(
+            f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})"
+        )
+    return array
+
+
+def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """The shape to which leading shapes, by what they are of, broadcast. Errors: `InputError` where
+    they do not fit.
+    """
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        said = ", ".join(f"{shape} of {name}" for name, shape in shapes.items())
+        raise InputError(f"leading shapes do not fit together: {said}") from None
+
+
+def generator(rng: Any) -> np.random.Generator:
+    """Random numbers of a generator, of a whole number, or, for None, new ones. Errors:
+    `InputError`.
+    """
+    if rng is None or isinstance(rng, np.random.Generator) or (_is_whole(rng) and rng >= 0):
+        return np.random.default_rng(rng)
+    raise InputError(
+        f"rng is {shown(rng)}; it must be a generator, a whole number, from 0 and below 2**62, or "
+        "None"
+    )
+
+
+# ---- switches and places
+
+
+def flag(x: Any, what: str) -> bool:
+    """A switch. Errors: `InputError` for anything but True and False."""
+    truth: Any = x
+    if isinstance(x, (bool, np.bool_)):
+        return bool(truth)
+    raise InputError(f"{what} is {shown(x)}; it must be True or False")
+
+
+def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
+    """The place of one answer in a batch of this shape, by whole numbers from 0. Errors:
+    `InputError`.
+    """
+    places: Any = index
+    at: tuple[Any, ...] = places if isinstance(index, tuple) else (index,)
+    if len(at) == len(shape) and all(
+        _is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)
+    ):
+        return tuple(int(i) for i in at)
+    needed = (
+        f"{counted(len(shape), 'whole number')}, from 0 and below {shape}"
+        if shape
+        else "(), for there is one answer"
+    )
+    raise InputError(f"index is {shown(places)}; it must be {needed}")
+
+
+# ---- answers, shown
+
+
+def brief(self: Any) -> str:
+    """The fields of an answer on one line, of large arrays only the shape."""
+    shows = [f for f in fields(self) if f.repr]
+    return f"{type(self).__name__}({', '.join(f'{f.name}={_brief(getattr(self, f.name))}' for f in shows)})"
+
+
+def _brief(x: Any) -> str:
+    given: Any = x
+    if is_array(x):
+        return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
+    if isinstance(x, dict):
+        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in given.items())}}}"
+    if isinstance(x, tuple) and len(given) > FEW:
+        return f"({', '.join(map(_brief, given[:2]))}, ... {len(given)} in all)"
+    return repr(given)
+
+
+# ---- arguments
+
+# Arguments that several solvers take, checked.
+
+
+DRAWN = 10**6
+"""Starts of a search that draws them all before it begins, at most."""
+
+
+def start_count(starts: object, most: int = 2**62 - 1) -> int:
+    """The number of starts. Errors: `InputError`."""
+    if not is_whole(starts) or not 1 <= starts <= most:
+        above = f" and at most {most}" if most == DRAWN else ""
+        raise InputError(f"starts is {shown(starts)}; it must be a whole number, at least 1{above}")
+    return int(starts)
+
+
+def step_count(iterations: object) -> int:
+    """The number of steps of a start. Errors: `InputError`."""
+    if not is_whole(iterations) or not 1 <= iterations < 2**31:
+        raise InputError(
+            f"iterations is {shown(iterations)}; it must be a whole number, at least 1"
+        )
+    return int(iterations)
+
+
+LONGEST = 1e15
+"""Seconds above which a time limit is none."""
+
+
+def deadline(time_limit: Any) -> float:
+    """When a search that begins now must end, by the clock `time.monotonic`; never without a limit
+    [s].
+
+    Errors: `InputError`.
+    """
+    if time_limit is None:
+        return math.inf
+    if (
+        isinstance(time_limit, bool)
+        or not isinstance(time_limit, (int, float))
+        or not time_limit > 0.0
+    ):
+        raise InputError(
+            f"time_limit is {shown(time_limit)}; it must be a positive number of seconds, or None"
+        )
+    return time.monotonic() + (math.inf if time_limit > LONGEST else float(time_limit))
+
+
+def seed_number(rng: object) -> int:
+    """A whole number to draw from, of a generator or a number. Errors: `InputError`."""
+    if is_whole(rng) and 0 <= rng < 2**62:
+        return int(rng)
+    if isinstance(rng, np.random.Generator):
+        return int(rng.integers(2**62))
+    raise InputError(
+        f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62"
+    )
+
+
+def tolerances(tolerance: Any) -> tuple[float, float]:
+    """Largest errors in metres and radians, of one number or two. Errors: `InputError`."""
+    try:
+        linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
+        if 0.0 < linear < math.inf and 0.0 < angular < math.inf:
+            return float(linear), float(angular)
+    except (TypeError, ValueError):
+        pass
+    raise InputError(
+        f"tolerance is {shown(tolerance)}; it must be one or two positive numbers, in metres and "
+        "radians"
+    )

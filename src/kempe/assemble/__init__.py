@@ -1,0 +1,1 @@
+"""Closing loops: one way, all ways, and the nearest mechanism that closes exactly."""

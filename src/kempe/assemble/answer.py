@@ -1,0 +1,93 @@
+"""The answer of an assembly: the configuration, whether and how well it closes, and the sentence
+that says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.answer import Answer
+from kempe.arguments import brief, explained_methods
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+    from kempe.status import Status
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Assembly(Answer):
+    """Answer of `assemble`: one configuration for each set of known values.
+
+    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is
+    nearest to closing. `residual` is the norm of the closure equations, in radians and
+    characteristic lengths; `iterations` and `starts` count the work. All have the leading shape of
+    the known values; for a single set they are plain Python numbers.
+    """
+
+    __repr__ = brief
+
+    row = "answers of assemble"
+    what = "configurations closed"
+    also = ("iterations", "starts")
+
+    q: Array
+    success: Any
+    code: Any
+    residual: Any = field()
+    iterations: Any
+    starts: Any
+    assembler: Any = field(repr=False)
+    """The `Assembler` that answered: the bound form for the names that are known."""
+    late: bool = False
+    """Whether the time limit ended the search for the nearest mechanism that closes exactly.
+
+    Nothing is then known to be closed, and nothing is a success. Sets of known values for which it
+    ended the search for a closed configuration have the `code` `OUT_OF_TIME`, too.
+    """
+    limit: float | None = field(default=None, repr=False)
+    """The time limit, in seconds, where it may have ended the work."""
+
+    @classmethod
+    def single(
+        cls,
+        q: Array,
+        success: bool,
+        code: Status,
+        residual: float,
+        iterations: int,
+        starts: int,
+        assembler: Any,
+    ) -> Assembly:
+        """The answer for a single set of known values, in a fraction of the time that a frozen
+        class takes.
+        """
+        out = object.__new__(cls)
+        own = out.__dict__
+        own["q"] = q
+        own["success"] = success
+        own["code"] = code
+        own["residual"] = residual
+        own["iterations"] = iterations
+        own["starts"] = starts
+        own["assembler"] = assembler
+        return out
+
+    @property
+    def system(self) -> System:
+        """The system of the problem."""
+        return self.assembler.system
+
+    def _left(self) -> Any:
+        return np.where(self.success, self.residual, 0.0)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it
+        is not closed.
+        """
+        names, q = super().table()
+        return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)

@@ -1,0 +1,267 @@
+"""Assembly: from some known coordinates, or places of frames, a configuration that closes all
+loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.problem import NOTHING, Choice, Problem, Solver, choose, chosen_by, takes_all
+from kempe.arguments import explained, flag, listed
+from kempe.arrays import plain
+from kempe.assemble.answer import Assembly
+from kempe.assemble.bound import LOOSEST, TOLERANCE, USUAL, Assembler, bare
+from kempe.assemble.nearest_exact import ideal_of, is_known, one_number, within
+from kempe.budget import Budget, TimeUp, checks
+from kempe.constraints.tape import TIME
+from kempe.equations.task_functions import held_too
+from kempe.errors import InputError
+from kempe.model.configurations import q_from_dict
+from kempe.model.model import kept
+from kempe.model.time_coordinate import known_time
+from kempe.numerics.clock import LEAST, TimeLimit
+from kempe.status import Status, member
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+
+@explained
+def assemble(
+    system: System,
+    known: Mapping[str, Any] | None = None,
+    start: Any = None,
+    *,
+    branch: str | None = None,
+    prefer: str | None = None,
+    limits: bool = True,
+    also: Any = (),
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Assembly:
+    """A configuration that closes all loops, with the `known` given and everything else found.
+
+    `known` maps names of coordinates to values in radians and metres, and names of frames to
+    positions (..., 3) (in planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch;
+    the time of equations in time is known as "t", one number. What the loops leave open is decided
+    by *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the
+    search starts (default: the posture 'closed' of the file, else the middle of the limits); steps
+    of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are
+    left, it is the closed configuration nearest to it. `branch` names a branch: signs such as '+-'
+    for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
+    search starts. ``prefer="continuous"``: row by row, each started where the last two lead; a long
+    sequence that keeps away from where branches of dyads meet is taken from their closed form.
+    Coordinates stay inside their limits unless `limits=False`; one-sided constraints of the system
+    always hold: a start that violates them is brought there.
+
+    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s; none for the
+    search of a batch, whose length says how long it takes). Sets of known values for which it ended
+    the search have the code `OUT_OF_TIME`, and in `q` what is nearest to closing by then. Where it
+    ended the search for the nearest mechanism that closes exactly, which is made once for each
+    system and decides for all verbs what is closed, nothing is a success, and the answer says so.
+    The first start is `start`; the others are drawn around it from rng, wider and wider. An open
+    loop is never a success: the answer then says which loop is open, by how much, and `q` is the
+    nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are
+    no obstacle. Method: damped least squares with steps of minimum norm (Nakamura and Hanafusa,
+    1986; Sugihara, 2011).
+    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this
+    call. `tolerance` is as in `kempe.assemble.nearest_exact`; where no other mechanism closes, the
+    largest residual of a success.
+    """
+    given: Mapping[str, Any] = {} if known is None else known
+    if given.__class__ is not dict and not isinstance(
+        given, Mapping
+    ):  # asking what a dict is takes long
+        raise InputError(
+            f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame "
+            "name"
+        )
+    if also.__class__ is not tuple or also:
+        system = held_too(system, also)
+    if TIME in given:
+        system, given = known_time(system, given)
+    signs = branch is not None and branch not in system.structure.posture_names
+    time = None if is_known(system, tolerance) else _time(budget)
+    if time is not None:
+        try:
+            within(system, tolerance, time)
+        except TimeUp:
+            if not time.spent:
+                raise
+            q = (
+                q_from_dict(system, branch)
+                if branch is not None and start is None and not signs
+                else start
+            )
+            problem = Problem(system, "one", given, q, None, limits, TOLERANCE)
+            return replace(_unsolved(bare(system, given), problem), late=True, limit=time.limit)
+        budget = _left(budget, time)
+    if tolerance is not None:
+        system, tolerance = allowing(system, tolerance)
+    if (
+        branch is None
+        and prefer is None
+        and limits is True
+        and tolerance is None
+        and budget is None
+    ):
+        answer = bound(system, tuple(given))._usual(given, start)
+        if answer is not None:
+            return _within_limit(answer, time)
+    options = NOTHING
+    if signs:
+        options = {"branch": branch}
+    elif branch is not None and start is None:
+        start = q_from_dict(system, branch)
+    problem = Problem(
+        system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options
+    )
+    return _within_limit(chosen(system, tuple(given), signs)[0].run(problem), time)
+
+
+def _within_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
+    """The answer, which names the time of the whole call where that may have ended it."""
+    if time is not None and answer.limit is not None:
+        answer.__dict__["limit"] = time.limit
+    return answer
+
+
+def _time(budget: Budget | None) -> TimeLimit:
+    """The time of the call; none where another verb asks, whose time counts."""
+    asked = checks() and (budget is None or budget.time_limit is None)
+    return TimeLimit(None if asked else USUAL.of(budget).time_limit)
+
+
+def _left(budget: Budget | None, time: TimeLimit) -> Budget | None:
+    """The budget with what is left of the time."""
+    return budget if time.limit is None else replace(budget or Budget(), time_limit=time.left)
+
+
+def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
+    """The answer where the time was up before it was known what closes, or configurations on a
+    named branch.
+    """
+    answer = assembler._solve(
+        problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST))
+    )
+    code = np.where(
+        np.asarray(answer.code) == Status.BAD_INPUT, Status.BAD_INPUT, Status.OUT_OF_TIME
+    )
+    return replace(
+        answer, success=plain(np.zeros(np.shape(code), dtype=bool)), code=member(plain(code))
+    )
+
+
+def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
+    """The system to assemble within a tolerance, and the largest residual that counts as success.
+
+    A near mechanism that closes exactly takes the place of the given one; without one, the
+    tolerance is that residual.
+    """
+    found = within(system, tolerance)
+    if found is not None:
+        return found.system, TOLERANCE
+    return system, TOLERANCE if isinstance(tolerance, str) else min(
+        float(one_number(tolerance)), LOOSEST
+    )
+
+
+# ---- the bound form
+
+
+@explained
+def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
+    """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
+    return bound(system, listed(known, "known"))
+
+
+@kept
+def bound(system: System, known: tuple[str, ...]) -> Assembler:
+    """The assembler for the mechanism that replaces this one in computations, such as with exact
+    dimensions.
+    """
+    return bare(ideal_of(system), known)
+
+
+# ---- the solvers
+
+
+def _no_signs(assembler: Assembler, signs: bool) -> str | None:
+    return None if signs else "no branch is named by signs"
+
+
+def _no_bounds(assembler: Assembler, signs: bool) -> str | None:
+    return None if assembler.one_sided is not None else "the system has no one-sided constraints"
+
+
+def _of_known(problem: Problem) -> Assembly:
+    """The answer by the bound form for the names that are known."""
+    return bound(problem.system, tuple(problem.known))._solve(problem)
+
+
+def on_named_branch(problem: Problem) -> Assembly:
+    """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
+    from kempe.assemble.dyads import (  # only here: other calls do not need them
+        closed_form,
+        on_branch,
+    )
+
+    assembler = bound(problem.system, tuple(problem.known))
+    asked = USUAL.of(problem.budget)
+    threads = None if problem.budget is None else asked.threads
+    named = problem.budget is not None and problem.budget.time_limit is not None
+    many = not named and any(np.ndim(x) for x in problem.known.values())
+    time = TimeLimit(None) if many else _time(problem.budget)
+    try:
+        with time:
+            start = on_branch(
+                assembler.system, problem.known, problem.options["branch"], problem.start, threads
+            )
+            answer, searched, before = assembler._confirm(
+                start, flag(problem.limits, "limits"), threads
+            )
+    except TimeUp:
+        if not time.spent:
+            raise
+        return replace(_unsolved(assembler, problem), limit=time.limit)
+    if len(searched):  # the others are as the closed form gave them
+        plan: Any = closed_form(assembler.system, tuple(assembler.sources))
+        after = answer.q.reshape(-1, assembler.system.nq)[searched]
+        code = np.array(answer.code)
+        strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)
+        code.flat[searched[strayed & (code.flat[searched] == Status.SOLVED)]] = Status.OTHER_BRANCH
+        answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
+    return chosen_by(answer, choose(SOLVERS, assembler, True)[1])
+
+
+SOLVERS = (
+    Solver(
+        "dyads",
+        "closed form on the branch with these signs, then least squares",
+        _no_signs,
+        on_named_branch,
+    ),
+    Solver(
+        "active set",
+        "damped least squares in which bounds are taken up and released",
+        _no_bounds,
+        _of_known,
+    ),
+    Solver(
+        "least squares",
+        "damped least squares of the closure equations, with steps of minimum norm",
+        takes_all,
+        _of_known,
+    ),
+)
+"""Who answers for one closed configuration."""
+
+
+@kept
+def chosen(system: System, known: tuple[str, ...], signs: bool) -> tuple[Solver, Choice]:
+    """Who answers with these names known, a branch named by signs or not."""
+    return choose(SOLVERS, bound(system, known), signs)

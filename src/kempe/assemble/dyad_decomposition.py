@@ -1,0 +1,882 @@
+"""The search for dyads, Assur groups of two clusters, and the program that closes them one after
+another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.budget import look
+from kempe.constraints.base import Op, position_rows
+from kempe.description.parts import Declared
+from kempe.equations.judge import joint_pose
+from kempe.joints import P, Primitive, R
+from kempe.kernels.dyads import dyads_layout as K
+from kempe.model.coordinates import coordinate_names
+from kempe.model.structural_order import natural
+from kempe.spatial import Array
+from kempe.words import InWords
+
+if TYPE_CHECKING:
+    from kempe.description.parts import Joint
+    from kempe.model.coordinates import Relation
+    from kempe.model.model import Model as System
+
+# ---- decompose
+
+# A planar mechanism as a program of dyads: which dyads of three rigid clusters close one after
+# another.
+#
+# Bodies that cannot move against each other form one rigid *cluster*. A joint whose coordinate is
+# known merges two clusters; three clusters, joined in a circle by three joints of one freedom, are
+# rigid and merge too: with the ground among them that is a dyad (Assur, 1914), without it the closed
+# form is the same. Two clusters joined twice are over-constrained: two joints place them, the rest is
+# checked. Revolute joints that share a point of a body are one hinge of several bodies, so it does
+# not matter which pairs of them the description names.
+
+
+NOWHERE = -1
+"""In place of the number of a coordinate, or of a body: there is none."""
+SAME = 1e-12
+"""Points nearer than this share of the mechanism's size are one, and directions nearer than this
+are parallel."""
+
+Pose = tuple[float, float, float, float]
+"""A pose in the plane: cosine and sine of the orientation, origin."""
+
+
+@dataclass(frozen=True)
+class PartLine:
+    """A point (x, y) and a direction (dx, dy) on a part."""
+
+    part: int
+    x: float
+    y: float
+    dx: float = 1.0
+    dy: float = 0.0
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """The point, as a program holds it."""
+        return self.x, self.y
+
+    @property
+    def rail(self) -> tuple[float, float, float, float]:
+        """Point and direction, as a program holds them."""
+        return self.x, self.y, self.dx, self.dy
+
+
+@dataclass(frozen=True)
+class Link:
+    """A joint of one freedom between two parts: frames F on the first and M on the second.
+
+    A revolute joint turns by multiplier * q[slot] + offset, a prismatic one slides by that along x
+    of F. Constraints that are not joints have links too, whose motion is no coordinate: their slot
+    is NOWHERE.
+    """
+
+    name: str
+    kind: int
+    a: int
+    b: int
+    F: Pose
+    M: Pose
+    slot: int
+    multiplier: float
+    offset: float
+
+    def rails(self, base_is_a: bool) -> tuple[PartLine, PartLine]:
+        """Rails on the base and on what slides; along both the coordinate grows."""
+        a = PartLine(self.a, *self.F[2:], *self.F[:2])
+        b = PartLine(self.b, *self.M[2:], *self.M[:2])
+        return (a, b) if base_is_a else (_against(b), _against(a))
+
+
+def _against(end: PartLine) -> PartLine:
+    return PartLine(end.part, end.x, end.y, -end.dx, -end.dy)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The graph that is decomposed: parts (bodies without motion between them), links and hinges.
+
+    A distance between two points is a part too, a rod on two pins, and a point on a line a block on
+    a rail and a pin. `hinges` are lists of ends that coincide, with the names of their joints;
+    `reps` the body whose frame is the part's; `misfit` the largest opening of a loop of fixed
+    joints; `trouble` says why there is no such graph.
+    """
+
+    names: tuple[tuple[str, ...], ...] = ()
+    reps: tuple[int, ...] = ()
+    links: tuple[Link, ...] = ()
+    hinges: tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...] = ()
+    size: float = 1.0
+    misfit: float = 0.0
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class Dyad(InWords):
+    """A dyad that was closed: the joint types on the way round from the base, and what its two
+    roots are.
+
+    `bodies` are those of the two clusters that it places; `joints` lie between base and first,
+    first and second, and second and base. `sign` is its number among the branch signs, None where
+    there is one root only. For `branch_of`: the signed height of `ends[2]` above the line from
+    `ends[0]` to `ends[1]`, or, with `along`, the distance from `ends[0]` to `ends[2]` along the
+    direction of `ends[1]`.
+    """
+
+    kind: str
+    base: int
+    bodies: tuple[tuple[str, ...], tuple[str, ...]]
+    joints: tuple[str, str, str]
+    sign: int | None = None
+    meaning: str = ""
+    ends: tuple[PartLine, ...] = ()
+    along: bool = False
+
+    def __str__(self) -> str:
+        first, second = (", ".join(b) for b in self.bodies)
+        text = f"{self.kind} dyad of {first} and {second}, joints {', '.join(self.joints)}"
+        return f"{text}: {self.meaning}"
+
+
+def times(a: Pose, b: Pose) -> Pose:
+    """The planar pose a b, b in the frame of a."""
+    c, s, x, y = a
+    return (
+        c * b[0] - s * b[1],
+        s * b[0] + c * b[1],
+        x + c * b[2] - s * b[3],
+        y + s * b[2] + c * b[3],
+    )
+
+
+def inverse(a: Pose) -> Pose:
+    """The inverse of a pose."""
+    c, s, x, y = a
+    return c, -s, -(c * x + s * y), s * x - c * y
+
+
+def turned(a: Pose, angle: float) -> Pose:
+    """The planar pose a, turned by an angle [rad] about its own origin."""
+    return times(a, (math.cos(angle), math.sin(angle), 0.0, 0.0))
+
+
+def _flat(X: Array) -> Pose:
+    return float(X[0, 0]), float(X[1, 0]), float(X[0, 3]), float(X[1, 3])
+
+
+def _rail(X: Array, axis: int = 2) -> Pose:
+    """Pose whose x axis is the given axis of X, z by default, which lies in the plane."""
+    dx = float(X[0, axis])
+    dy = float(X[1, axis])
+    n = math.hypot(dx, dy)
+    return dx / n, dy / n, float(X[0, 3]), float(X[1, 3])
+
+
+def _slides(constraint: Declared) -> bool:
+    """Whether it holds a point on the line along z of frame A, in the plane, and nothing else."""
+    return [(r.op, r.args) for r in position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
+
+
+def alone(joint: Joint) -> Primitive | None:
+    """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one
+    that has several.
+    """
+    primitives = joint.type.layout(2)[1]
+    return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
+
+
+def parts_of(system: System) -> Parts:
+    """The parts, links and hinges of a system."""
+    mechanism = system.mechanism
+    if system.dim != 2:
+        return Parts(trouble=f"{system.name!r} is not planar")
+    particles = [b.name for b in mechanism.bodies.values() if b.particle]
+    if particles:
+        return Parts(trouble=f"{particles[0]!r} is a particle")
+    other = [
+        c for c in mechanism.constraints.values() if c.equations(2) and not (c.rod or _slides(c))
+    ]
+    if other:
+        return Parts(trouble=f"constraint {other[0].name!r} is of kind {other[0].kind}")
+    held: dict[str, tuple[str, str, Pose]] = {}
+    moving: list[Joint] = []
+    for name in sorted(mechanism.joints, key=natural):
+        joint = mechanism.joints[name]
+        followers = [system.structure.couplings.get(c) for c in coordinate_names(mechanism, joint)]
+        if all(f is not None and f.source is None for f in followers):
+            values = np.array([f.offset for f in followers if f is not None])
+            X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+            X_PC = X_PF @ joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
+            held[name] = joint.parent, joint.child, _flat(X_PC)
+        elif alone(joint) is not None:
+            moving.append(joint)
+        else:
+            return Parts(trouble=f"joint {name!r} is of type {joint.type.type_name}")
+    return _assemble(system, held, moving)
+
+
+def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]) -> Parts:
+    order = [system.body_names[0], *sorted(system.body_names[1:], key=natural)]
+    at, groups, misfit = _merge(order, held)
+    number = {b: i for i, b in enumerate(system.body_names)}
+    slots = {c: i for i, c in enumerate(system.coordinate_names)}
+    # a copy: it takes long
+    parameters = system.structure.parameters
+    mechanism = system.mechanism
+    links: list[Link] = []
+    for joint in moving:
+        (a, X_A) = at[joint.parent]
+        (b, X_B) = at[joint.child]
+        X_PF = joint.X_PF.evaluate(parameters)
+        X_CM = joint.X_CM.evaluate(parameters)
+        motion = alone(joint)
+        assert motion is not None
+        turns = motion.kind == R
+        axis = "xyz".index(motion.axis)
+        F, M = (
+            times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM))
+        )
+        source = coordinate_names(mechanism, joint)[0]
+        multiplier = 1.0
+        offset = 0.0
+        follower = system.structure.couplings.get(source)
+        if follower is not None:
+            source = follower.source or ""
+            multiplier = follower.multiplier
+            offset = follower.offset
+        links.append(
+            Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset)
+        )
+    constraints = mechanism.constraints
+    for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=natural):
+        links += _tie(system, name, len(groups), at)
+        groups.append([name])
+    size = _size(links)
+    hinges = _hinges([k for k in links if k.kind == R], links, SAME * size)
+    reps = tuple(number.get(g[0], NOWHERE) for g in groups)
+    return Parts(tuple(tuple(g) for g in groups), reps, tuple(links), hinges, size, misfit)
+
+
+def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
+    """The two links of a constraint, on a part of its own."""
+    constraint = system._mechanism.constraints[name]
+    parameters = system.structure.parameters
+    (a, X_A) = at[constraint.parent]
+    (b, X_B) = at[constraint.child]
+    X_PF, X_CM = constraint.frames(parameters, 2)
+    here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))
+    start = (1.0, 0.0, 0.0, 0.0)
+    end = times(X_B, _flat(X_CM))
+    length = 0.0
+    if constraint.rod:
+        first = Link(here, R, a, part, times(X_A, _flat(X_PF)), start, NOWHERE, 1.0, 0.0)
+        length = constraint.length(parameters)
+    else:
+        first = Link(here, P, a, part, times(X_A, _rail(X_PF)), start, NOWHERE, 1.0, 0.0)
+    return [first, Link(there, R, part, b, (1.0, 0.0, length, 0.0), end, NOWHERE, 1.0, 0.0)]
+
+
+def _merge(
+    order: list[str], held: dict[str, tuple[str, str, Pose]]
+) -> tuple[dict[str, tuple[int, Pose]], list[list[str]], float]:
+    """Part and pose in it of each body, the bodies of each part, and the largest misfit of a loop
+    of fixed joints.
+    """
+    ways: dict[str, list[tuple[str, Pose]]] = {b: [] for b in order}
+    for parent, child, X in held.values():
+        ways[parent].append((child, X))
+        ways[child].append((parent, inverse(X)))
+    at: dict[str, tuple[int, Pose]] = {}
+    groups: list[list[str]] = []
+    misfit = 0.0
+    for start in order:
+        if start in at:
+            continue
+        at[start] = len(groups), (1.0, 0.0, 0.0, 0.0)
+        groups.append([start])
+        for here in groups[-1]:  # grows on the way
+            for there, X in ways[here]:
+                pose = times(at[here][1], X)
+                if there not in at:
+                    at[there] = len(groups) - 1, pose
+                    groups[-1].append(there)
+                misfit = max(
+                    misfit, max(abs(u - w) for u, w in zip(pose, at[there][1], strict=True))
+                )
+    return at, groups, misfit
+
+
+def _size(links: list[Link]) -> float:
+    """The largest distance of two joints on one part; 1 where there is none."""
+    points: dict[int, list[tuple[float, float]]] = {}
+    for k in links:
+        points.setdefault(k.a, []).append(k.F[2:])
+        points.setdefault(k.b, []).append(k.M[2:])
+    spans = [math.hypot(*np.ptp(np.array(p), axis=0)) for p in points.values()]
+    return max(spans, default=0.0) or 1.0
+
+
+def _hinges(
+    pins: list[Link], links: list[Link], same: float
+) -> tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...]:
+    """Groups of revolute joints that share a point of a part which has other points too."""
+    points: dict[int, list[tuple[int, tuple[float, float]]]] = {}
+    for i, k in enumerate(pins):
+        points.setdefault(k.a, []).append((i, k.F[2:]))
+        points.setdefault(k.b, []).append((i, k.M[2:]))
+    slides = {p for k in links if k.kind == P for p in (k.a, k.b)}
+    root = list(range(len(pins)))
+
+    def find(i: int) -> int:
+        while root[i] != i:
+            root[i] = i = root[root[i]]
+        return i
+
+    for part, ends in points.items():
+        if part not in slides and all(math.dist(p, ends[0][1]) <= same for _, p in ends):
+            # a link without length: to merge its ends would leave its orientation to nothing
+            continue
+        ends.sort(key=lambda e: e[1])
+        for n, (i, p) in enumerate(ends):
+            for j, q in ends[n + 1 :]:
+                if q[0] - p[0] > same:
+                    break
+                if math.dist(p, q) <= same:
+                    root[max(find(i), find(j))] = min(find(i), find(j))
+    groups: dict[int, list[int]] = {}
+    for i in range(len(pins)):
+        groups.setdefault(find(i), []).append(i)
+    out: list[tuple[tuple[str, ...], tuple[PartLine, ...]]] = []
+    for group in groups.values():
+        ends_of: dict[int, PartLine] = {}
+        for k in (pins[i] for i in group):
+            ends_of.setdefault(k.a, PartLine(k.a, *k.F[2:]))
+            ends_of.setdefault(k.b, PartLine(k.b, *k.M[2:]))
+        out.append((tuple(pins[i].name for i in group), tuple(ends_of.values())))
+    return tuple(out)
+
+
+class Code:
+    """A program for the dyad kernel while it is written: operations, and the places of registers
+    and coordinates.
+    """
+
+    def __init__(self, n_parts: int, nq: int):
+        self.registers = n_parts + 3
+        self.nq = nq
+        self.n_parts = n_parts
+        self.signs = 0
+        self.ops: list[tuple[list[int], list[float]]] = []
+
+    def register(self, part: int) -> int:
+        """Place of a part's pose; parts beyond the last are the three registers to work with."""
+        return K.REGISTERS + 4 * part
+
+    def coordinate(self, slot: int) -> int:
+        """Place of a coordinate."""
+        return K.REGISTERS + 4 * self.registers + slot
+
+    def target(self, slot: int) -> int:
+        """Place of the value near which a coordinate is wanted."""
+        return self.coordinate(self.nq) + slot
+
+    def sign(self) -> int:
+        """Place of a new branch sign."""
+        self.signs += 1
+        return self.target(self.nq) + self.signs - 1
+
+    def append(self, code: int, ints: list[int], floats: object = ()) -> None:
+        """Append an operation: its number `code` (of `dyad_layout`) with its integer and float
+        operands.
+        """
+        self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
+
+    def pins(self, code: int, ends: list[PartLine], more: list[int], rails: int = 0) -> None:
+        """Append an operation on ends, the first `rails` of which are rails."""
+        floats = [x for i, e in enumerate(ends) for x in (e.rail if i < rails else e.numbers)]
+        self.append(code, [*(self.register(e.part) for e in ends), *more], floats)
+
+    def pack(self, known: list[int]) -> tuple[np.ndarray, Array]:
+        """The arrays that the kernel walks."""
+        n = len(self.ops)
+        spare = self.target(self.nq) + self.signs
+        head = [n, spare + 1, self.registers, self.nq, len(known), self.signs]
+        head += [self.coordinate(0), self.target(0), self.target(self.nq)]
+        ints = np.zeros(K.HEADER + len(known) + K.OP_INTS * n, dtype=np.int64)
+        floats = np.zeros(K.OP_FLOATS * n)
+        ints[: len(head)] = head
+        ints[K.HEADER : K.HEADER + len(known)] = known
+        for k, (i, f) in enumerate(self.ops):
+            at = K.HEADER + len(known) + K.OP_INTS * k
+            ints[at : at + len(i)] = i
+            floats[K.OP_FLOATS * k : K.OP_FLOATS * k + len(f)] = f
+        return ints, floats
+
+
+def operations(
+    program: tuple[np.ndarray, Array],
+) -> tuple[list[int], list[tuple[list[int], list[float]]]]:
+    """Slots of the known coordinates of a program, and its operations: code and places, numbers."""
+    ints: list[int] = program[0].tolist()
+    floats: list[float] = program[1].tolist()
+    start = K.HEADER + ints[K.N_KNOWN]
+    each = range(ints[K.N_OPS])
+    ops = [
+        (ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS])
+        for k in each
+    ]
+    return ints[K.HEADER : start], ops
+
+
+Edge = tuple[int, int]
+"""What joins clusters: (R, number of a hinge) or (P, number of a link)."""
+
+GROUND = 0
+
+
+class Decomposition:
+    """Clusters that grow while dyads close; `code` is the program so far, `dyads` what it closes."""
+
+    def __init__(self, system: System, parts: Parts, known: list[int]):
+        self.parts = parts
+        self.system = system
+        n = len(parts.names)
+        self.code = Code(n, system.nq)
+        self.dyads: list[Dyad] = []
+        self.cluster = list(range(n))
+        self.members: dict[int, list[int]] = {p: [p] for p in range(n)}
+        self.incident: list[list[Edge]] = [[] for _ in range(n)]
+        self.of_part: list[list[int]] = [[] for _ in range(n)]
+        self.by_slot: dict[int, list[int]] = {}
+        for h, (_, ends) in enumerate(parts.hinges):
+            for end in ends:
+                self.incident[end.part].append((R, h))
+        for i, link in enumerate(parts.links):
+            if link.slot != NOWHERE:
+                self.by_slot.setdefault(link.slot, []).append(i)
+            for part in {link.a, link.b}:
+                self.of_part[part].append(i)
+                if link.kind == P:
+                    self.incident[part].append((P, i))
+        self.done: set[int] = set()
+        self.known: set[int] = set()
+        self.drives: deque[int] = deque()
+        self.near: deque[int] = deque(range(n))
+        self.relations: list[Relation] = list(system.structure.relations)
+        self.number = {link.name: i for i, link in enumerate(parts.links)}
+        layout = system.structure.layout
+        bounds = zip(
+            layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True
+        )
+        self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
+        if parts.misfit > 0.0:
+            self._expect(parts.misfit, {})
+        for part in range(n):
+            self._meet([part])
+        for slot in known:
+            self._learn(slot)
+
+    def run(self) -> list[int]:
+        """Clusters, other than the ground's, that remain when no further dyad closes."""
+        while self._drive() or self._relate() or self._ground() or self._floating():
+            look()
+        return [c for c in self.members if c != GROUND]
+
+    def freedom(self) -> int:
+        """Degrees of freedom of the clusters against each other, by counting (Gruebler, 1883)."""
+        count = 3 * (len(self.members) - 1)
+        for _, ends in self.parts.hinges:
+            count -= 2 * (len({self.cluster[e.part] for e in ends}) - 1)
+        for link in self.parts.links:
+            count -= 2 * (link.kind == P and self.cluster[link.a] != self.cluster[link.b])
+        return count - len(self.relations)
+
+    # ---- what is known
+
+    def _learn(self, slot: int) -> None:
+        if slot not in self.known and slot != NOWHERE:
+            self.known.add(slot)
+            self.drives += self.by_slot.get(slot, [])
+
+    def _relate(self) -> bool:
+        """Whether a relation of coordinates was used: to find its one unknown, or as a check if it
+        has none.
+        """
+        slots = {c: i for i, c in enumerate(self.system.coordinate_names)} if self.relations else {}
+        for relation in self.relations:
+            terms = {slots[relation.of]: 1.0, **{slots[k]: -m for k, m in relation.sources.items()}}
+            unknown = [s for s in terms if s not in self.known]
+            if len(unknown) > 1:
+                continue
+            self.relations.remove(relation)
+            if not unknown:
+                self._expect(-relation.offset, terms)
+                return True
+            c = terms.pop(unknown[0])
+            place = self.code.coordinate(unknown[0])
+            self.code.append(K.SET, [place], [relation.offset / c])
+            for slot, m in terms.items():
+                self.code.append(K.ADD, [place, self.code.coordinate(slot)], [-m / c])
+            self._learn(unknown[0])
+            return True
+        return False
+
+    def _expect(self, constant: float, terms: dict[int, float]) -> None:
+        """Append a check to the program: constant + sum of m q[slot], times the size of the parts,
+        is an opening.
+        """
+        self.code.append(K.SET, [K.SPARE], [constant])
+        for slot, m in terms.items():
+            self.code.append(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])
+        self.code.append(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
+
+    def _drive(self) -> bool:
+        """Merge the clusters on both sides of a joint whose coordinate is known."""
+        while self.drives:
+            i = self.drives.popleft()
+            link = self.parts.links[i]
+            a = self.cluster[link.a]
+            b = self.cluster[link.b]
+            if i in self.done or a == b:
+                continue
+            self.done.add(i)
+            base, other = self._by_size(a, b)
+            forward = base == a
+            start, end = (link.F, link.M) if forward else (link.M, link.F)
+            sign = 1.0 if forward else -1.0
+            start = _led(link.kind, start, sign * link.offset)
+            part, on = (link.b, link.a) if forward else (link.a, link.b)
+            out = self._out(other, 0)
+            numbers = [sign * link.multiplier, *start, *inverse(end)]
+            register = self.code.register
+            coordinate = self.code.coordinate(link.slot)
+            self.code.append(
+                K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers
+            )
+            if len(self.members[other]) > 1:
+                self.code.append(K.DIVIDE, [out, register(part)])
+            self._join(base, {other: out})
+            return True
+        return False
+
+    def _meet(self, parts: list[int]) -> None:
+        """Read, or check, the joints of these parts whose other side is in the same cluster."""
+        for part in parts:
+            for i in self.of_part[part]:
+                link = self.parts.links[i]
+                if i not in self.done and self.cluster[link.a] == self.cluster[link.b]:
+                    self.done.add(i)
+                    self._read(link)
+
+    def _read(self, link: Link) -> None:
+        code = self.code
+        size = self.parts.size
+        check = link.slot in self.known
+        ints = [code.register(link.a), code.register(link.b), K.SPARE, K.SPARE + 1, False]
+        if link.slot != NOWHERE:
+            ints[2:] = code.coordinate(link.slot), code.target(link.slot), check
+        m = link.multiplier
+        o = link.offset
+        if link.kind == R:
+            between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
+            numbers = [
+                *between[:2],
+                1.0 / m,
+                -o / m,
+                2.0 * math.pi / abs(m),
+                *self.limits[link.slot],
+            ]
+            code.append(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
+        else:
+            a, b = link.rails(True)
+            code.append(K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size])
+        self._learn(link.slot)
+
+    # ---- clusters
+
+    def _by_size(self, *clusters: int) -> list[int]:
+        """The clusters, the one that should stay first: the ground, else the largest."""
+        return sorted(clusters, key=lambda c: (c != GROUND, -len(self.members[c]), c))
+
+    def _out(self, cluster: int, spare: int) -> int:
+        """Where to put the pose of a cluster: its part's register, or a spare one where it has
+        several parts.
+        """
+        members = self.members[cluster]
+        return self.code.register(members[0] if len(members) == 1 else self.code.n_parts + spare)
+
+    def _join(self, base: int, others: dict[int, int]) -> None:
+        """Make the others part of the base; their poses in its frame are in the registers given."""
+        moved: list[int] = []
+        for cluster, register in others.items():
+            members = self.members.pop(cluster)
+            if len(members) > 1:
+                for part in members:
+                    self.code.append(K.CARRY, [self.code.register(part), register])
+            for part in members:
+                self.cluster[part] = base
+            moved += members
+        self.members[base] += moved
+        self._meet(moved)
+        self.near += [base, *(self.cluster[p] for part in moved for p in self._touched(part))]
+
+    def _touched(self, part: int) -> Iterator[int]:
+        """Parts joined to a part."""
+        for edge in self.incident[part]:
+            yield from self._at(edge)
+
+    def _at(self, edge: Edge) -> list[int]:
+        """Parts that an edge joins."""
+        kind, k = edge
+        return [e.part for e in self.parts.hinges[k][1]] if kind == R else self._sides(k)
+
+    def _sides(self, link: int) -> list[int]:
+        return [self.parts.links[link].a, self.parts.links[link].b]
+
+    def _edges(self, cluster: int) -> dict[int, list[Edge]]:
+        """What joins a cluster to others, by cluster."""
+        out: dict[int, list[Edge]] = {}
+        for part in self.members[cluster]:
+            for edge in self.incident[part]:
+                for p in self._at(edge):
+                    there = self.cluster[p]
+                    if there != cluster and edge not in out.setdefault(there, []):
+                        out[there].append(edge)
+        return out
+
+    # ---- dyads
+
+    def _ground(self) -> bool:
+        """Close something with the ground in it."""
+        while self.near:
+            here = self.near.popleft()
+            if here == GROUND or here not in self.members:
+                continue
+            edges = self._edges(here)
+            if GROUND not in edges:
+                continue
+            if self._twice(GROUND, here, edges[GROUND]):
+                return True
+            for there in sorted(edges):
+                if there != GROUND and self._thrice(GROUND, here, there, edges):
+                    return True
+        return False
+
+    def _floating(self) -> bool:
+        """Close something without the ground."""
+        for here in list(self.members):
+            if here == GROUND:
+                continue
+            edges = self._edges(here)
+            others = sorted(c for c in edges if c != GROUND)
+            for there in others:
+                base, other = self._by_size(here, there)
+                if self._twice(base, other, edges[there]):
+                    return True
+            for k, a in enumerate(others):
+                known = self._edges(a)
+                for b in others[k + 1 :]:
+                    if b in known:
+                        base, *rest = self._by_size(here, a, b)
+                        if self._thrice(base, rest[0], rest[1], self._edges(rest[0])):
+                            return True
+        return False
+
+    def _twice(self, base: int, other: int, edges: list[Edge]) -> bool:
+        """Place a cluster by two of its joints to another; what they do not agree on shows when
+        joints are read.
+        """
+        pins = [e for e in edges if e[0] == R]
+        rails = [e for e in edges if e[0] == P]
+        out = self._out(other, 0)
+        if len(pins) > 1:
+            a, b = (self._pins(e, base, other) for e in pins[:2])
+            self.code.pins(K.PIN_PIN, [a[0], b[0], a[1], b[1]], [out])
+        elif pins and rails:
+            self.code.pins(
+                K.PIN_RAIL,
+                [*self._rails(rails[0], base), *self._pins(pins[0], base, other)],
+                [out],
+                2,
+            )
+        else:
+            ends = [self._rails(e, base) for e in rails]
+            crossing = next((e for e in ends[1:] if not _parallel(ends[0][0], e[0])), None)
+            if crossing is None:
+                return False
+            self.code.pins(K.RAIL_RAIL, [*ends[0], *crossing], [out], 4)
+        self._join(base, {other: out})
+        return True
+
+    def _thrice(self, base: int, first: int, second: int, edges: dict[int, list[Edge]]) -> bool:
+        """Close the dyad of three clusters, where its joints make it rigid."""
+        back = self._edges(second).get(base, [])
+        for group in product(edges.get(base, []), edges.get(second, []), back):
+            hinges = [k for kind, k in group if kind == R]
+            if len(set(hinges)) < len(hinges) or not hinges:
+                continue
+            if group[2] < group[0]:
+                first, second, group = second, first, group[::-1]
+            if len(hinges) == 3:
+                self._circles(base, first, second, group)
+            elif len(hinges) == 2:
+                self._line_circle(base, first, second, group)
+            elif not self._lines(base, first, second, group):
+                continue
+            return True
+        return False
+
+    def _circles(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
+        (a, a1) = self._pins(group[0], base, first)
+        (b1, b2) = self._pins(group[1], first, second)
+        (c, c2) = self._pins(group[2], base, second)
+        sign = self.code.sign()
+        outs = [self._out(first, 0), self._out(second, 1)]
+        self.code.pins(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
+        A, B, C = self._names(base, first, second, group)
+        meaning = f"+ where {B} lies to the left of the way from {A} to {C}"
+        ends = self._seen(group[0], a), self._seen(group[2], c), self._seen(group[1], b1)
+        self._record(base, first, second, group, meaning, ends, False)
+        self._join(base, {first: outs[0], second: outs[1]})
+
+    def _line_circle(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
+        rail = next(e for e in group if e[0] == P)
+        clusters = {self.cluster[p] for p in self._sides(rail[1])}
+        link = self.parts.links[rail[1]]
+        still = base if base in clusters else self.cluster[link.a]
+        slider = next(c for c in clusters if c != still)
+        other = next(c for c in (base, first, second) if c not in clusters)
+        pairs = (base, first), (first, second), (second, base)
+        between = {frozenset(pair): e for pair, e in zip(pairs, group, strict=True)}
+        moving = between[frozenset((slider, other))]
+        fixed = between[frozenset((still, other))]
+        b1, b2 = self._pins(moving, slider, other)
+        a, a2 = self._pins(fixed, still, other)
+        rails = self._rails(rail, still)
+        sign, outs, rebase = self.code.sign(), *self._outs(base, still, slider, other)
+        self.code.pins(K.LINE_CIRCLE, [*rails, b1, b2, a2, a], [sign, *outs.values()], 2)
+        meaning = f"+ where {link.name} slides farther than where its two roots meet"
+        pins = self._seen(fixed, a), self._seen(moving, b1)
+        if self.cluster[link.a] != still:
+            pins = pins[::-1]
+        self._record(
+            base, first, second, group, meaning, (pins[0], link.rails(True)[0], pins[1]), True
+        )
+        self._finish(base, outs, rebase)
+
+    def _lines(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> bool:
+        rails = [e for e in group if e[0] == P]
+        sides = [{self.cluster[p] for p in self._sides(e[1])} for e in rails]
+        still = next(iter(sides[0] & sides[1]))
+        y, z = (next(c for c in s if c != still) for s in sides)
+        one = self._rails(rails[0], still)
+        two = self._rails(rails[1], still)
+        if _parallel(one[0], two[0]):
+            return False
+        pins = self._pins(next(e for e in group if e[0] == R), y, z)
+        outs, rebase = self._outs(base, still, y, z)
+        self.code.pins(K.LINES, [*one, *two, *pins], list(outs.values()), 4)
+        self._record(base, first, second, group, "one root only", (), False, None)
+        self._finish(base, outs, rebase)
+        return True
+
+    def _outs(
+        self, base: int, still: int, y: int, z: int
+    ) -> tuple[dict[int, int], tuple[int, int] | None]:
+        """Registers for the poses of y and z seen from `still`; where the base is not that, what to
+        turn round.
+        """
+        if still == base:
+            return {y: self._out(y, 0), z: self._out(z, 1)}, None
+        spare = {c: self.code.register(self.code.n_parts + k) for k, c in enumerate((y, z))}
+        return spare, (still, y if z == base else z)
+
+    def _finish(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
+        if rebase is not None:
+            still, other = rebase
+            new = {
+                still: self._out(still, 2),
+                other: self._out(other, 0 if len(self.members[other]) == 1 else 1),
+            }
+            self.code.append(K.REBASE, [outs[base], outs[other], new[still], new[other]])
+            outs = new
+        self._join(base, outs)
+
+    def _record(
+        self,
+        base: int,
+        first: int,
+        second: int,
+        group: tuple[Edge, ...],
+        meaning: str,
+        ends: tuple[PartLine, ...],
+        along: bool,
+        sign: int | None = 0,
+    ) -> None:
+        bodies = tuple(
+            tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second)
+        )
+        kind = "".join("RP"[e[0] == P] for e in group)
+        number = None if sign is None else self.code.signs - 1
+        names = self._names(base, first, second, group)
+        root = next(
+            (self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0
+        )
+        self.dyads.append(Dyad(kind, root, bodies, names, number, meaning, ends, along))  # type: ignore[arg-type]
+
+    def _names(
+        self, base: int, first: int, second: int, group: tuple[Edge, ...]
+    ) -> tuple[str, str, str]:
+        """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where
+        there is one.
+        """
+        names: list[str] = []
+        for (kind, k), pair in zip(
+            group, ({base, first}, {first, second}, {second, base}), strict=True
+        ):
+            if kind == P:
+                names.append(self.parts.links[k].name)
+                continue
+            here = self.parts.hinges[k][0]
+            direct = [
+                n for n in here if {self.cluster[p] for p in self._sides(self.number[n])} == pair
+            ]
+            names.append((direct or list(here))[0])
+        return names[0], names[1], names[2]
+
+    def _pins(self, edge: Edge, one: int, two: int) -> tuple[PartLine, PartLine]:
+        """Ends of a hinge on two clusters."""
+        ends = self.parts.hinges[edge[1]][1]
+        a, b = (next(e for e in ends if self.cluster[e.part] == c) for c in (one, two))
+        return a, b
+
+    def _seen(self, edge: Edge, end: PartLine) -> PartLine:
+        """The end of a hinge, or another one of it where that is not on a body."""
+        ends = (end, *self.parts.hinges[edge[1]][1])
+        return next(e for e in ends if self.parts.reps[e.part] != NOWHERE)
+
+    def _rails(self, edge: Edge, base: int) -> tuple[PartLine, PartLine]:
+        """Rails of a prismatic joint on the base and on what slides."""
+        link = self.parts.links[edge[1]]
+        return link.rails(self.cluster[link.a] == base)
+
+
+def _led(kind: int, pose: Pose, by: float) -> Pose:
+    """The pose after a constant motion of a joint."""
+    return turned(pose, by) if kind == R else times(pose, (1.0, 0.0, by, 0.0))
+
+
+def _parallel(a: PartLine, b: PartLine) -> bool:
+    """Whether two rails on one part are parallel for ever."""
+    return a.part == b.part and abs(a.dx * b.dy - a.dy * b.dx) <= SAME

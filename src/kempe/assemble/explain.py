@@ -1,0 +1,240 @@
+"""Why loops could not be closed: which is open, by how much, and whether limits or the known values
+prevent it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers import wording
+from kempe.answers.answer import Row
+from kempe.answers.evidence import Evidence, evidence, outside_limits
+from kempe.answers.problem import Choice, choose
+from kempe.answers.wording import immovable
+from kempe.assemble.answer import Assembly
+from kempe.assemble.bound import LOOSEST, Assembler, bare, of_equations
+from kempe.assemble.nearest_exact import ideal_of, nearly
+from kempe.equations import closure_rows
+from kempe.forward.fk import fk
+from kempe.model.configurations import random
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+MOST = 1000
+"""Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
+NEARLY = 0.05
+"""Residual up to which it is checked whether the loops close within a larger tolerance."""
+GLANCE = 1.0
+"""Seconds that the search for what would close without limits may take."""
+COINCIDE = 1e-6
+"""Distance of joints, in characteristic lengths, below which they are at one place."""
+
+
+LATE = (
+    "the time limit of {:g} s ended the search for the nearest mechanism that closes exactly: what "
+    "closes is not known; allow more by kempe.Budget(time_limit=...)"
+)
+"""The answer where this search did not end."""
+
+
+def choice(answer: Assembly) -> Choice:
+    """Which solver closes the loops of such problems."""
+    from kempe.assemble.assemble import SOLVERS
+
+    return choose(SOLVERS, answer.assembler, False)[1]
+
+
+def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
+    """The sentence for one configuration of an assembly."""
+    undecided = answer.late and np.asarray(answer.code)[index] == Status.OUT_OF_TIME
+    return LATE.format(answer.limit) if undecided else _sentence(answer, index)
+
+
+def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
+    bound: Assembler = answer.assembler
+    code, residual, steps, starts = (
+        np.asarray(x)[index].item()
+        for x in (answer.code, answer.residual, answer.iterations, answer.starts)
+    )
+    q = answer.q[index]
+    if code == Status.BAD_INPUT:
+        return "known values, places or start have numbers that are not finite or too large"
+    if code == Status.SOLVED:
+        return wording.closed(residual, steps, starts, _left(bound, q))
+    if code == Status.OUTSIDE_LIMITS:
+        return f"a known value is outside its limits: {_outside(bound, q)}"
+    if code == Status.OTHER_BRANCH:
+        return "the branch requested cannot be closed with these values; q is closed on another one"
+    if code == Status.OUT_OF_TIME:
+        said = wording.late(answer.limit, starts, done="closed")
+        return wording.failed(said, _open(bound, q, residual), "q is the nearest to closing so far")
+    why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
+    why = why or "with these values no closed configuration was found"
+    wider = nearly(bound.system) if residual < NEARLY else None
+    loose = ""
+    if wider is not None:
+        loose = f"it closes {wider.least}: give a larger tolerance"
+    elif residual <= LOOSEST / 2.0:
+        loose = f"with tolerance={1.1 * residual:.2g} it counts as closed as it is"
+    what = _open(bound, q, residual)
+    near = "q is the nearest to closing"
+    still = immovable(bound.system)
+    return wording.failed(wording.given_up("closed", starts), what, why, loose, near, still)
+
+
+def _left(bound: Assembler, q: Array) -> str:
+    """How many freedoms are left open, with a warning where these are more than the mechanism is
+    for.
+    """
+    if bound.frames or len(bound.loops.names) > MOST:
+        return ""
+    system = bound.system
+    left = closure_rows.freedoms_left(system, q, bound.held)
+    if not left:
+        return ""
+    count = system.nv - len(bound.held) - len(closure_rows.row_names(system))
+    who = "by the count"
+    sure = count >= 0 or 0 <= bound.freedoms < left
+    if (
+        count < 0
+        # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their
+        # group
+    ):
+        somewhere = random(system, np.random.default_rng(0))
+        count = closure_rows.freedoms_left(system, somewhere, bound.held)
+        who = "in general"
+    folded = _coinciding(system, q) if count < left else []
+    return wording.left_open(
+        left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1
+    )
+
+
+def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
+    """Pairs of joints at one place that no body holds there: neither both of them nor others at the
+    same place.
+    """
+    joints = [*system.mechanism.joints.values()]
+    number = {b: i for i, b in enumerate(system.body_names)}
+    bodies = fk(system, q)
+    m = system.mechanism
+    places = np.array(
+        [bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints]
+    )[:, :3]
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for i, cell in enumerate(
+        np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()
+    ):
+        cells.setdefault(tuple(int(x) for x in cell), []).append(i)
+    out: list[tuple[str, str]] = []
+    for members in cells.values():
+        groups: list[tuple[set[str], str]] = []  # bodies that meet there, and the first joint
+        for i in members:
+            ends = {joints[i].parent, joints[i].child}
+            met = [g for g in groups if g[0] & ends]
+            groups = [g for g in groups if not g[0] & ends]
+            groups.append((ends.union(*(g[0] for g in met)), met[0][1] if met else joints[i].name))
+        out += [(groups[0][1], g[1]) for g in groups[1:]]
+    return out
+
+
+def _outside(bound: Assembler, q: Array) -> str:
+    texts: list[str] = []
+    for name, i, low, high in zip(bound.sources, bound.places, bound.low, bound.high, strict=True):
+        if not low <= q[i] <= high:
+            texts.append(f"{name} = {q[i]:.6g} is not in [{low:.6g}, {high:.6g}]")
+    return ", ".join(texts)
+
+
+def _open(bound: Assembler, q: Array, missed: float) -> str:
+    """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
+    from kempe.equations.closure_rows import residual, row_names
+
+    system = bound.system
+    length = bound.loops.length
+    parts: dict[tuple[str, bool], list[float]] = {}
+    plain = [tie.plain for tie in closure_rows.full(system, False).ties for _ in tie.rows]
+    for (name, row), off, value in zip(
+        row_names(system), plain, residual(system, q).tolist(), strict=True
+    ):
+        part = parts.setdefault((name, off), [0.0, 0.0])
+        kind = int(row.startswith("r") or off)
+        part[kind] = math.hypot(part[kind], value)
+    worst = 0.0
+    text = "nothing is open"
+    if bound.frames:  # loops that are open by next to nothing are not the reason
+        worst = 0.1 * missed
+        text = (
+            f"the place of {' or '.join(map(repr, bound.frames))} is missed by "
+            f"{missed * length:.6g} m"
+        )
+    for (name, related), (apart, turned) in parts.items():
+        size = math.hypot(apart / length, turned)
+        if size <= worst:
+            continue
+        worst = size
+        if related:
+            what = "constraint" if name in system.mechanism.constraints else "the relation of"
+            text = f"{what} {name!r} is off by {turned:.6g}"
+            continue
+        text = (
+            f"the loop of joint {name!r}"
+            if name in system.structure.joints
+            else f"constraint {name!r}"
+        )
+        text += f" stays open by {apart:.6g} m" + (
+            f" and {turned:.3g} rad" if turned > 1e-9 else ""
+        )
+    for v in bound.one_sided.violations(q) if bound.one_sided is not None else ():
+        if v.size > worst:
+            text = f"the one-sided constraint {v.name!r} is violated by {v.amount}"
+            worst = v.size
+    return text
+
+
+def _one_sided(bound: Assembler, q: Array) -> Evidence | None:
+    """Whether the equations alone can be closed with what is known, and which one-sided constraints
+    are then violated.
+
+    With no freedom left that is a contradiction of what is known with them.
+    """
+    if bound.one_sided is None or bound.frames:
+        return None
+    answer = (
+        of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
+    )
+    violated = (
+        [v.text for v in bound.one_sided.violations(answer.q)]
+        if answer is not None and answer.success
+        else []
+    )
+    if answer is None or not violated:
+        return None
+    known = bool(bound.known) and not closure_rows.freedoms_left(bound.system, answer.q, bound.held)
+    return evidence("one-sided", violated=violated, done="closes", known=known)
+
+
+def _limits(bound: Assembler, q: Array) -> Evidence | None:
+    """Whether it closes without the limits, and which coordinates are then outside."""
+    if bound.frames or not np.isfinite(bound.system.structure.limits).any():
+        return None
+    free, _, info = bound.run(q[None], bound.no_pins, limits=False, limit=GLANCE)
+    names = outside_limits(bound.system, free[0]) if info[0, 0] == Status.SOLVED else []
+    return evidence("limits", names=names, done="closes") if names else None
+
+
+def _too_many(bound: Assembler) -> Evidence | None:
+    """Whether more is given than the system has freedoms where it is closed."""
+    freedoms = bare(ideal_of(bound.system)).freedoms
+    if not bound.held or not 0 <= freedoms < len(bound.held):
+        return None
+    return evidence("too many given", given=len(bound.held), freedoms=freedoms)
+
+
+ROW = Row(sentence, choice)
+"""What `assemble` says of its answers."""

@@ -1,0 +1,407 @@
+"""Joint coordinates read off the poses of the bodies: the way back from maximal coordinates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from itertools import product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.arguments import explained, together
+from kempe.assemble.assemble import assembler
+from kempe.assemble.bound import LOOSEST, TOLERANCE
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Joint
+from kempe.equations.closure_rows import evaluate, full, row_names
+from kempe.equations.judge import coordinate_value
+from kempe.errors import InputError
+from kempe.forward.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
+from kempe.joints import JointType, P, Q
+from kempe.model.configurations import as_start, mid, refuse_far
+from kempe.model.implicit_form import flat_frame, implicit_form, screw, slides_along_z
+from kempe.model.model import Model
+from kempe.poses import Placement, place, refuse_no_poses
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+READ = 1e-6
+"""Metres and radians by which poses may violate a joint and still be read."""
+STARTS = 64
+"""Starts from which the coordinates of a joint are searched for that are not read off in closed
+form."""
+LESS = 0.9
+"""Part of the residual of the first of these starts, up to which what another one finds is
+better."""
+ANGLES_SINGULAR = 1e-9
+"""Cosine of ry below which the turns about z and x of three angles are not distinguished."""
+TURNS = (0, 32, 6, 2, 1)
+"""Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them
+tells their turns."""
+FULL_TURN = 2.0 * math.pi
+
+
+@explained
+def from_maximal(
+    system: System, poses: ArrayLike, start: Any = None, tolerance: float | None = None
+) -> Array:
+    """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its
+    joint's bodies are.
+
+    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the
+    signs of quaternions; a driver has made the full turns that those which follow it tell. Limits
+    and one-sided rows are not looked at. Errors: `InputError` for poses that violate a joint, a
+    constraint or a coupling by more than `tolerance` (metres or radians, by default 1e-6), naming
+    it and by how much, and for matrices that are no poses.
+    """
+    poses = as_poses(system, poses)
+    tolerance = READ if tolerance is None else tolerance
+    start = None if start is None else as_start(system, start)
+    if start is not None:
+        refuse_far(system, start, "start")
+    _refuse_no_poses(system, poses, tolerance)
+    lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
+    joints = system.mechanism.joints
+    read = read_joints(system, poses, mid(system) if start is None else start, tolerance)
+    for name, (_, length, angle) in read.items():
+        _refuse_far(
+            f"joint {name!r} ({joints[name].type.type_name})",
+            {"m": length, "rad": angle},
+            tolerance,
+        )
+    values = {
+        n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()
+    }
+    _refuse_held(system, values, tolerance)
+    relations = _relations(system)
+    find_turns(relations, values, tolerance)
+    for r in relations:
+        off = {"rad" if r.turns else "m": off_by(r, values)}
+        _refuse_far(f"coordinate {r.name!r}, which is tied to others or held,", off, tolerance)
+    q = np.empty((*lead, system.nq))
+    for i, name in enumerate(system.coordinate_names):
+        q[..., i] = values[name]
+    _refuse_constraints(system, poses, q, tolerance)
+    return q
+
+
+# ---- joint by joint
+
+
+def read_joints(
+    system: System, poses: Array, near: Array, tolerance: float = TOLERANCE
+) -> dict[str, tuple[Array, Array, Array]]:
+    """For each joint its coordinates (..., n) at the poses, near to those of a configuration, and
+    how far these miss.
+
+    The second is a length, the third an angle (...): from where they put frame M to where it is.
+    """
+    m = system.mechanism
+    number = system.body_names.index
+    lead = np.broadcast_shapes(poses.shape[:-3], near.shape[:-1])
+    alike: dict[tuple[JointType, bool], list[Joint]] = {}
+    for joint in m.joints.values():
+        alike.setdefault((joint.type, m.bodies[joint.child].particle), []).append(joint)
+    out: dict[str, tuple[Array, Array, Array]] = {}
+    for (
+        kind,
+        particle,
+    ), joints in alike.items():  # what joints of one kind have in common is done once
+        X = np.empty((len(joints), *lead, 4, 4))
+        at: list[Array] = []
+        for k, joint in enumerate(joints):
+            ends: list[Array] = []
+            for body, X_BE in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
+                X_BE = X_BE.evaluate(m.parameters)
+                i = number(body)
+                X_BE = flat_frame(X_BE) if slides_along_z(kind, system.dim, particle) else X_BE
+                ends.append(poses[..., i - 1, :, :] @ X_BE if i else X_BE)
+            X[k] = spatial.inverse(ends[0]) @ ends[1]
+            values = [
+                coordinate_value(system, near, n)
+                for n in system.structure.coordinates_of_joint(joint.name)
+            ]
+            at.append(
+                np.broadcast_to(
+                    np.stack(values, axis=-1) if values else near[..., :0], (*lead, len(values))
+                )
+            )
+        found = fit(kind, system.dim, particle, X, np.stack(at), tolerance)
+        out |= {
+            joint.name: (own, length, angle)
+            for joint, own, length, angle in zip(joints, *found, strict=True)
+        }
+    return {name: out[name] for name in m.joints}
+
+
+def coordinates_at(system: System, poses: Array, near: Array) -> Array:
+    """Configurations (..., nq) near others (..., nq), with the joints as the poses say; these may
+    violate them.
+    """
+    values: dict[str, Array] = {}
+    for name, (own, *_) in read_joints(system, poses, near).items():
+        values |= _by_name(system, name, own)
+    out = np.empty((*np.broadcast_shapes(poses.shape[:-3], near.shape[:-1]), system.nq))
+    for k, name in enumerate(system.coordinate_names):
+        out[..., k] = values[name]
+    return out
+
+
+def _by_name(system: System, joint: str, own: Array) -> dict[str, Array]:
+    return {n: own[..., i] for i, n in enumerate(system.structure.coordinates_of_joint(joint))}
+
+
+def fit(
+    kind: JointType, dim: int, particle: bool, X: Array, near: Array, tolerance: float = TOLERANCE
+) -> tuple[Array, Array, Array]:
+    """Coordinates (..., n) of a joint whose frame M is at X (..., 4, 4) in F, and the length and
+    angle that they miss.
+
+    Of several the ones found from `near` (..., n). In the plane a joint that slides along z does so
+    along x of X.
+    """
+    system, free, lengths = _apart(kind, dim, particle)
+    lead = X.shape[:-2]
+    n = len(free)
+    own = near.shape[-1]
+    pitch = screw(kind) if dim == 3 and not particle else None
+    if pitch:
+        near = X[..., 2, 3, None] / pitch  # the slide tells the turns
+    start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(
+        math.prod(lead), system.nq
+    )
+    form = implicit_form(kind, dim, particle)
+    bound = assembler(system, free)
+    tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
+    found, size, _ = bound.run(start, bound.no_pins, 1, tolerance=tolerance)
+    far = size > tolerance
+    if form is None and far.any():
+        others, less, _ = bound.run(start[far], bound.no_pins, STARTS, tolerance=tolerance)
+        found[far] = np.where((less < LESS * size[far])[:, None], others, found[far])
+    angles = [
+        n + k
+        for a in ("yaw", "pitch", "roll")
+        for k, how in (form.readings if form else ())
+        if how == f"turn {a}"
+    ]
+    if angles:
+        found[:, angles] = _three_angles(
+            X[..., :3, :3].reshape(-1, 3, 3), found[:, angles], start[:, angles]
+        )
+    off = evaluate(system, found, False)[0].reshape(*lead, len(lengths))
+    sizes = [np.linalg.norm(off[..., rows], axis=-1) for rows in (lengths, ~lengths)]
+    return found[:, n:].reshape(*lead, own), sizes[0], sizes[1]
+
+
+@lru_cache(maxsize=256)
+def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Any, tuple[str, ...], np.ndarray]:
+    """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which
+    rows are lengths.
+    """
+    m = Mechanism("joint", dim)
+    child = m.particle("M") if particle else m.body("M")
+    m.free("M", m.ground, child)
+    X = place(axis=(1.0, 0.0)) if slides_along_z(kind, dim, particle) else Placement()
+    m.joints["joint"] = Joint("joint", kind, m.ground.name, child.name, X, X, cut=True)
+    system = Model(m)
+    names = tuple(n for n in system.coordinate_names if n.startswith("M."))
+    return system, names, np.array([row in "xyz" for _, row in row_names(system)])
+
+
+def _three_angles(R: Array, angles: Array, near: Array) -> Array:
+    """Turns (N, 3) about z, y', x'': of the two ways to say a rotation the one that is nearest."""
+    a, b, c = np.moveaxis(angles, -1, 0)
+    locked = np.cos(b) < ANGLES_SINGULAR
+    a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
+    rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ R
+    c = np.where(locked, np.arctan2(rest[:, 2, 1], rest[:, 1, 1]), c)
+    ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(
+        1, 2
+    )  # (2, N, 3)
+    ways += FULL_TURN * np.round((near - ways) / FULL_TURN)
+    one: Array = ways[0]
+    other: Array = ways[1]
+    second: np.ndarray = np.linalg.norm(ways[1] - near, axis=-1) < np.linalg.norm(
+        ways[0] - near, axis=-1
+    )
+    return np.where(second[:, None], other, one)
+
+
+# ---- coordinates that depend on others
+
+
+class LinearRow(NamedTuple):
+    """sum of factor * coordinate = offset, the dependent coordinate first with factor 1.
+
+    `turns` says that the dependent one is an angle, `free` that it is part of q. `periods` are
+    those of the other terms that can turn fully, so that poses do not tell how far they have
+    turned.
+    """
+
+    name: str
+    terms: tuple[tuple[str, float], ...]
+    offset: float
+    turns: bool
+    free: bool
+    periods: tuple[tuple[str, float], ...]
+
+
+def _relations(system: System) -> list[LinearRow]:
+    """What couplings, locks and relations say, but for quaternions that are held."""
+    followers = system.structure.couplings
+    turning: set[str] = set()
+    balls: set[str] = set()
+    for joint in system.mechanism.joints.values():
+        names = system.structure.coordinates_of_joint(joint.name)
+        steps = joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]
+        slow = {
+            p.coordinate
+            for p in steps
+            if p.kind == P and p.multiplier or not float(p.multiplier).is_integer()
+        }
+        turning |= {names[p.coordinate] for p in steps if p.coordinate not in slow and p.kind != Q}
+        balls |= {n for p in steps if p.kind == Q for n in names[p.coordinate : p.coordinate + 4]}
+    wide = {
+        n: not high - low < FULL_TURN
+        for n, (low, high) in zip(
+            system.structure.velocity_names, system.structure.limits, strict=True
+        )
+    }
+    rows = [
+        (n, {f.source: f.multiplier} if f.source else {}, f.offset)
+        for n, f in followers.items()
+        if n not in balls
+    ]
+    rows += [(r.of, r.sources, r.offset) for r in system.structure.relations]
+    return [
+        LinearRow(
+            n,
+            ((n, 1.0), *((s, -m) for s, m in sources.items())),
+            offset,
+            n in turning,
+            n not in followers,
+            tuple(
+                (s, -m) for s, m in sources.items() if s in turning and (wide[s] or n in followers)
+            ),
+        )
+        for n, sources, offset in rows
+    ]
+
+
+def off_by(relation: LinearRow, values: dict[str, Array]) -> Array:
+    """How far a relation is violated."""
+    return np.asarray(sum(m * values[n] for n, m in relation.terms) - relation.offset)
+
+
+def _turn_counts(n: int) -> Array:
+    """Numbers of full turns (k, n) of n coordinates that are tried, those of few turns first."""
+    most = TURNS[n] if n < len(TURNS) else 0
+    found = sorted(product(range(-most, most + 1), repeat=n), key=lambda ks: sum(map(abs, ks)))
+    return np.array(found, dtype=float).reshape(len(found), n)
+
+
+def find_turns(relations: list[LinearRow], values: dict[str, Array], tolerance: float) -> None:
+    """Give coordinates full turns, few against those that they have, with which all that depends on
+    them is right.
+
+    Turns of a driver are those that fit all that follows it; then relations choose for coordinates
+    that drive nothing.
+    """
+    followers: dict[str, list[LinearRow]] = {}
+    for r in relations:
+        if not r.free and r.periods:
+            followers.setdefault(r.terms[1][0], []).append(r)
+    for driver, mine in followers.items():
+        given = values[driver][..., None] + FULL_TURN * _turn_counts(1)[:, 0]
+        off = [values[r.name][..., None] + r.terms[1][1] * given - r.offset for r in mine]
+        good = [np.abs(_within(x, r.turns)) <= tolerance for x, r in zip(off, mine, strict=True)]
+        first = np.argmax(np.all(good, axis=0), axis=-1)[..., None]
+        values[driver] = np.take_along_axis(given, first, axis=-1)[..., 0]
+    for r in relations:
+        moving = [(n, m) for n, m in r.periods if n not in followers]
+        counts = _turn_counts(len(moving))
+        off = off_by(r, values)[..., None] + FULL_TURN * (counts @ np.array([m for _, m in moving]))
+        first = np.argmax(np.abs(_within(off, r.turns)) <= tolerance, axis=-1)
+        for i, (n, _) in enumerate(moving):
+            values[n] = values[n] + FULL_TURN * counts[first, i]
+        off = off_by(r, values)
+        values[r.name] = values[r.name] - off + _within(off, r.turns)
+
+
+def _within(off: Array, turns: bool) -> Array:
+    return off - FULL_TURN * np.round(off / FULL_TURN) if turns else off
+
+
+# ---- what is refused
+
+
+def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
+    R = poses[..., :3, :3]
+    p = poses[..., :3, 3]
+    tilt = np.hypot(R[..., 2, 0], R[..., 2, 1]) + (R[..., 2, 2] < 0.0)
+    bodies = system.mechanism.bodies
+    for i, body in enumerate(system.body_names[1:]):
+        subject = f"pose of body {body!r}"
+        refuse_no_poses(poses[..., i, :, :], subject, tolerance)
+        if bodies[body].particle and np.any(np.abs(R[..., i, :, :] - np.eye(3)) > tolerance):
+            raise InputError(
+                f"{subject}: a particle has no orientation; its rotation must be the identity"
+            )
+        if system.dim == 2 and np.any(np.maximum(np.abs(p[..., i, 2]), tilt[..., i]) > tolerance):
+            raise InputError(f"{subject} leaves the plane")
+
+
+def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float) -> None:
+    """Refuse poses, with the configurations read off them, that violate a declared constraint."""
+    if not system.mechanism.constraints:
+        return
+    other = maximal(system)
+    loops = full(other, False)
+    off = evaluate(other, maximal_q(system, q, poses), False)[0]
+    units = loops.units
+    for name, made in system.mechanism.constraints.items():
+        rows: dict[str, list[int]] = {}
+        for i, (n, what) in enumerate(loops.names):
+            if n == name and what != "relation":
+                rows.setdefault(units[i], []).append(i)
+        sizes = {unit: np.linalg.norm(off[..., at], axis=-1) for unit, at in rows.items()}
+        _refuse_far(f"constraint {name!r} ({made.kind})", sizes, tolerance)
+
+
+def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> None:
+    """Refuse rotations that are not those of quaternions that are held."""
+    for joint in system.mechanism.joints.values():
+        names = [
+            n
+            for n in system.structure.coordinates_of_joint(joint.name)
+            if n in system.structure.couplings
+        ]
+        for p in joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]:
+            four = system.structure.coordinates_of_joint(joint.name)[
+                p.coordinate : p.coordinate + 4
+            ]
+            if p.kind == Q and four[0] in names:
+                quat = np.array([system.structure.couplings[n].offset for n in four])
+                found = spatial.quat_wxyz_to_matrix(np.stack([values[n] for n in four], axis=-1))
+                turn = spatial.log_so3(spatial.quat_wxyz_to_matrix(spatial.unit(quat)).T @ found)
+                subject = f"joint {joint.name!r} ({joint.type.type_name}) is locked"
+                _refuse_far(subject, {"rad": np.linalg.norm(turn, axis=-1)}, tolerance)
+
+
+def _refuse_far(subject: str, sizes: Mapping[str, Array], tolerance: float) -> None:
+    """Refuse what is violated by more than the tolerance, by its sizes (...) by unit."""
+    parts = [(float(np.abs(x).max(initial=0.0)), unit) for unit, x in sizes.items()]
+    if any(size > tolerance for size, _ in parts):
+        said = " and ".join(
+            f"{size:.3g} {unit}".removesuffix(" 1") for size, unit in parts if size > tolerance
+        )
+        raise InputError(
+            f"the poses violate {subject} by {said}; at most {tolerance:g} is read; project them "
+            "first"
+        )

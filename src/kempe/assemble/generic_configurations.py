@@ -1,0 +1,167 @@
+"""Closed configurations to read ranks at: one made exact, and others of its branch reached along
+the null space.
+
+What is idle is read there, too, since an idle freedom is there at the configurations around as
+well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.arguments import quiet
+from kempe.budget import Budget
+from kempe.equations.closure_rows import evaluate
+from kempe.equations.one_sided import one_sided_rows
+from kempe.errors import InputError
+from kempe.first_order.control import driven
+from kempe.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
+from kempe.first_order.rank import Rank, rank_at
+from kempe.model.ball_angles import regular_chart
+from kempe.model.configurations import mid, q_from_dict, refuse_far
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+EXACT = 1e-13
+"""Residual, in radians and characteristic lengths, up to which a configuration is closed as it
+is."""
+NEAR = 1e-6
+"""Residual up to which a configuration is closed by a few steps; above, the nearest closed one is
+searched."""
+POINTS = 3
+MORE = 12
+"""Generic configurations that are looked at, and those besides where several branches may meet."""
+STEP = 0.1
+"""Length of the step along the null space to a generic configuration, for each freedom, in radians
+and mean lengths."""
+AWAY = 0.3
+"""Part of the step that must be left after closing the loops: else the mechanism has snapped
+back."""
+
+
+@dataclass(frozen=True, eq=False)
+class NearestClosed:
+    """A configuration and whether it is closed; `given` is how far it was open as given, `why` says
+    why it is not.
+    """
+
+    q: Array
+    closed: bool
+    given: float
+    residual: float
+    why: str = ""
+
+
+def close(system: System, q: Array) -> NearestClosed:
+    """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
+    given = _residual(system, refuse_far(system, q, "q"))
+    if not np.isfinite(given):
+        raise InputError(
+            "q leads to residuals of the loops that are not finite: a coordinate is too large"
+        )
+    if given <= EXACT:
+        return NearestClosed(q, True, given, given)
+    from kempe.assemble.bound import of_equations
+
+    answer = of_equations(system)(
+        start=q, limits=False, prefer="nearest" if given > NEAR else None, budget=Budget(starts=1)
+    )
+    if answer.success:
+        return NearestClosed(answer.q, True, given, float(answer.residual))
+    return NearestClosed(answer.q, False, given, float(answer.residual), str(answer.status))
+
+
+def find_closed(system: System) -> NearestClosed:
+    """A closed configuration: the posture 'closed', the middle of the limits, or else one that is
+    searched.
+    """
+    at = close(
+        system,
+        q_from_dict(system, "closed")
+        if "closed" in system.structure.posture_names
+        else mid(system),
+    )
+    if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
+        return at
+    from kempe.assemble.assemble import assemble
+
+    answer = assemble(system, limits=False)
+    if answer.success:
+        return close(system, answer.q)
+    if at.closed:
+        return at
+    return NearestClosed(answer.q, False, at.given, float(answer.residual), str(answer.status))
+
+
+def _residual(system: System, q: Array) -> float:
+    values = evaluate(system, q, False, True)[0]
+    return float(np.linalg.norm(values))
+
+
+@quiet
+def idle_at(system: System, q: Array) -> tuple[IdleFreedom, ...]:
+    """Idle freedoms at the closed configuration nearest to q (nq,); none where the loops cannot be
+    closed.
+
+    Joints are driven that are marked so. Velocities are those of the angles in which balls are
+    regular there.
+    """
+    at = close(system, q)
+    if not at.closed:
+        return ()
+    system, q, _ = regular_chart(system, at.q)
+    motors = driven(system, None)
+    rank = rank_at(system, q)
+    return idle_freedoms(
+        system, [rank, *around(system, rank, motors, np.random.default_rng(0))], motors
+    )
+
+
+def around(
+    system: System, rank: Rank, motors: Iterable[int] | None, rng: np.random.Generator
+) -> list[Rank]:
+    """Ranks `nearby`, where these may tell more than that at one configuration; `motors` are driven
+    velocities.
+    """
+    return (
+        nearby(system, rank, rng)
+        if rank.dependent or motors or may_idle(system, rank, motors)
+        else []
+    )
+
+
+def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
+    """Ranks at closed configurations some way along the null space, drawn at random; none if it
+    always snaps back.
+    """
+    if not rank.nullity:
+        return []
+    found = _walk(
+        system, rank, rng, POINTS if rank.dependent else 1
+    )  # a point of full rank is generic itself
+    if rank.dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
+        found += _walk(system, rank, rng, MORE)
+    return found
+
+
+def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
+    from kempe.assemble.bound import of_equations
+
+    z = rng.normal(size=(count, rank.nullity)) @ rank.null_space.T
+    size = STEP * np.sqrt(rank.nullity)
+    z *= size / np.linalg.norm(z, axis=1, keepdims=True)
+    starts = system.structure.layout.integrate(
+        np.broadcast_to(rank.q, (count, system.nq)), z * rank.units
+    )
+    answer = of_equations(system)(start=starts, limits=False, budget=Budget(starts=1))
+    moved = np.linalg.norm(
+        system.structure.layout.difference(rank.q, answer.q) / rank.units, axis=1
+    )
+    good = np.asarray(answer.success) & (moved > AWAY * size)
+    return [rank_at(system, q) for q in answer.q[good]]

@@ -1,0 +1,1181 @@
+"""All assembly modes: the configurations that close a mechanism for given inputs, and how surely
+these are all.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.answers.answer import Configurations
+from kempe.answers.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
+from kempe.arguments import (
+    brief,
+    explained,
+    explained_methods,
+    flag,
+    generator,
+    interruptible,
+    start_count,
+)
+from kempe.arrays import within_range
+from kempe.assemble.assemble import assemble
+from kempe.assemble.bound import Assembler, of_equations
+from kempe.assemble.dyad_proofs import enclose
+from kempe.assemble.dyads import (
+    CLOSED,
+    MOST_SIGNS,
+    DyadAnswer,
+    Incomplete,
+    Plan,
+    closed_form,
+    held_at,
+    source_values,
+)
+from kempe.assemble.from_poses import coordinates_at
+from kempe.assemble.generic_configurations import idle_at
+from kempe.assemble.nearest_exact import ideal_of, tolerant
+from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, metric_of
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.constraints.tape import TIME
+from kempe.description.parts import Declared
+from kempe.equations.closure_rows import RANK_TOLERANCE, evaluate
+from kempe.equations.one_sided import one_sided_rows
+from kempe.errors import InputError
+from kempe.forward.fk import fk, jacobian
+from kempe.joints import P
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import as_start, home_of, random, refuse_far
+from kempe.model.coordinates import distinct
+from kempe.model.model import kept
+from kempe.model.own_tree import own_tree
+from kempe.model.time_coordinate import known_time
+from kempe.numerics.clock import (
+    BROKEN_OFF,
+    ENDLESS,
+    TIME_LIMIT,
+    TimeLimit,
+    partial,
+    time_limited,
+    time_of,
+)
+from kempe.report import Cells
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted, verb
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- mirror images
+
+# Mirror images of configurations, and mixtures of them: places where more assembly modes are
+# looked for.
+#
+# Where the points by which bodies are connected lie in a plane (in a planar system: on a line), on
+# the ground and on each body, the mirror image of a closed configuration in the ground's plane is
+# closed, too: distances do not tell left from right. Where they do not, the bodies are put as near to
+# the image as may be; whoever reads these configurations closes them, so nothing rests on them.
+
+
+FLAT = 1e-6
+"""Distance of points from a plane, as a part of the mechanism's size, up to which they lie in
+it."""
+
+
+def mirrored(system: System, q: Array) -> Array:
+    """Configurations (n, nq) near the mirror images of others in the plane of the ground's points;
+    none if these points lie in no plane.
+    """
+    plane = _plane(system)
+    if plane is None or not len(q):
+        return np.empty((0, system.nq))
+    center, normal = plane
+    poses = fk(system, q)[:, 1:]
+    out = poses.copy()
+    for i, points in enumerate(_points(system)[1:]):
+        image = poses[:, i, :3, :3] @ points.T + poses[:, i, :3, 3:]  # (n, 3, points)
+        image = image - 2.0 * normal[:, None] * (normal @ (image - center[:, None]))[:, None, :]
+        out[:, i] = _fitted(system, i + 1, points, np.swapaxes(image, 1, 2), poses[:, i])
+    found = coordinates_at(system, out, q)
+    return found[np.isfinite(found).all(axis=1)]
+
+
+def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
+    """Configurations (n, nq) whose joints stand as in one or another of some configurations (k,
+    nq).
+    """
+    owner = np.array([name.rpartition(".")[0] or name for name in system.coordinate_names])
+    joints, place = np.unique(owner, return_inverse=True)
+    first, second = rng.integers(len(q), size=(2, n))
+    return np.where((rng.random((n, len(joints))) < 0.5)[:, place], q[first], q[second])
+
+
+@kept
+def _points(system: System) -> list[Array]:
+    """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and
+    slides a second one on their axis, which a mirror image must keep as well.
+    """
+    m = system.mechanism
+    number = {b: i for i, b in enumerate(system.body_names)}
+    length = characteristic_length(system)
+    points: list[list[Array]] = [[] for _ in system.body_names]
+    for owner in (*m.joints.values(), *(c for c in m.constraints.values() if c.parent)):
+        joint = m.joints.get(owner.name)
+        particle = joint is not None and m.bodies[joint.child].particle
+        primitives = () if joint is None else joint.type.layout(system.dim, particle)[1]
+        axes = {p.axis for p in primitives}
+        letter = axes.pop() if len(axes) == 1 and not particle else ""
+        if isinstance(owner, Declared) and not owner.rod:
+            letter = "z"
+        if joint is not None and particle:
+            continue  # a place where it is at neutral, and no end of a link
+        if isinstance(owner, Declared):
+            places = owner.frames(m.parameters, system.dim)
+        else:
+            places = owner.X_PF.evaluate(m.parameters), owner.X_CM.evaluate(m.parameters)
+        for body, X in zip((owner.parent, owner.child), places, strict=True):
+            points[number[body]].append(X[:3, 3])
+            along = X[:3, "xyz".index(letter)] if letter else np.zeros(3)
+            if system.dim == 3 or np.abs(along[2]) < 0.5:
+                points[number[body]].append(X[:3, 3] + length * along)
+    return [np.array(p).reshape(-1, 3) for p in points]
+
+
+@kept
+def _plane(system: System) -> tuple[Array, Array] | None:
+    """A point and the normal of the plane, in a planar system of the line, that the ground's points
+    lie in.
+    """
+    points = _points(system)[0]
+    dim = system.dim
+    if not len(points):
+        return None
+    center = points.mean(axis=0)
+    _, sizes, V = svd((points - center)[:, :dim])
+    if len(sizes) == dim and sizes[-1] > FLAT * characteristic_length(system):
+        return None
+    return center, np.append(V[-1], np.zeros(3 - dim))
+
+
+def _fitted(system: System, body: int, points: Array, image: Array, poses: Array) -> Array:
+    """Poses (n, 4, 4) that bring points (k, 3) of a body as near to their images (n, k, 3) as may
+    be (Kabsch, 1976).
+    """
+    out = poses.copy()
+    if not len(points):
+        return out
+    if system.mechanism.bodies[system.body_names[body]].particle:
+        out[:, :3, 3] = image.mean(axis=1)
+        return out
+    middle = points.mean(axis=0)
+    place = image.mean(axis=1)
+    H = np.swapaxes(points - middle, 0, 1) @ (image - place[:, None])
+    dim = system.dim
+    scale = np.linalg.norm(H, axis=(1, 2), keepdims=True)
+    old = np.swapaxes(
+        poses[:, :dim, :dim], 1, 2
+    )  # where the points leave a turn open it stays small
+    U, _, V = svd(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old)
+    flip = np.linalg.det(U @ V)
+    U[:, :, -1] *= flip[:, None]
+    R = np.swapaxes(U @ V, 1, 2)
+    out[:, :dim, :dim] = R
+    out[:, :3, 3] = place - out[:, :3, :3] @ middle
+    return out
+
+
+# ---- modes search
+
+# The search for assembly modes from many starts, and what it is worth.
+#
+# Random starts are closed and sorted. When each mode has been found often enough, places are tried
+# where others may hide: mirror images and mixtures of those found. Nothing of this proves that all
+# are found, but parity can prove that some are not: the map from what is unknown to how far the loops
+# are open has as many regular zeros as its degree modulo 2 says, which is 0 if not all values are
+# taken. So their number is even where angles alone are unknown, which run around closed circles, and
+# where particles are tied by distances, which are not negative (Milnor, Topology from the
+# differentiable viewpoint, 1965).
+
+
+ONCE = Budget(starts=1)
+
+ROUND = 128
+"""Starts in one batch; after each it is checked whether the search may end."""
+SEEN_OFTEN = 6
+LEAST = 512
+"""The search ends when each mode has been found this many times, and after so many starts: of a
+mode to which 1 % of them leads, fewer would miss more than one in a hundred."""
+MANY = 1024
+HOPELESS = 0.1
+"""After so many starts a search ends that, by estimate, has found less than this part: there are
+thousands."""
+KICK = 1e-2
+STAYED = 0.1
+"""A step along a freedom that seems left, and how much of it must remain when the loops are closed
+again."""
+LONGER = 1024
+"""Starts after which a search may end though the number found is odd, where that proves nothing."""
+REGULAR = 1e-5
+"""Smallest singular value, as a part of the largest, of the equations at a mode that counts as one
+for parity."""
+MIXED = 64
+"""Mixtures of modes that are tried, at most four for each."""
+CONFIDENCE = 0.95
+"""Confidence of what is said about modes that were not found."""
+
+
+@dataclass
+class ModesSearch:
+    """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those
+    that are its images.
+
+    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that
+    do not count (`requested` whether they were looked for), `odd` says that the number found must
+    be even, and is not, `broken` what ended the search early.
+    """
+
+    system: System
+    known: dict[str, Any]
+    near: Array | None
+    rng: np.random.Generator
+    bound: Assembler
+    clusters: Clusters
+    frame: str | None = None
+    free: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    twin: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    spins: tuple[Any, ...] = ()
+    requested: bool = False
+    tried: int = 0
+    odd: bool = False
+    broken: BaseException | None = None
+    limits: bool = False
+    """Whether starts are drawn inside the limits, and only what is inside them is asked for."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether limits keep starts from a part of the configurations."""
+        if not self.limits:
+            return False
+        low = self.system.lower
+        high = self.system.upper
+        coordinates = self.system.structure.coordinates
+        period = self.clusters.metric.period
+        whole = coordinates.turning & (period > 0.0) & (high - low >= period * (1.0 - 1e-9))
+        whole |= np.isinf(low) & np.isinf(high)
+        held = np.array(
+            [n in self.bound.held for n in self.system.structure.velocity_names], dtype=bool
+        )
+        return not bool(np.all(whole | held))
+
+    @property
+    def hits(self) -> np.ndarray:
+        """How often each isolated mode or one of its mirror images was found."""
+        isolated = self.free == 0
+        return np.bincount(self.twin[isolated], weights=self.clusters.hits[isolated]).astype(
+            np.int64
+        )[np.unique(self.twin[isolated])]
+
+    def copy(self) -> ModesSearch:
+        """What was found so far, which later rounds leave as it is."""
+        clusters = copy.copy(self.clusters)
+        clusters.members = [list(m) for m in clusters.members]
+        return replace(self, clusters=clusters, twin=self.twin.copy())
+
+    def take(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Close configurations (n, nq) and sort them in; which of them closed (n,), and their
+        clusters.
+        """
+        answer = self.bound(self.known, q, limits=False, budget=ONCE)
+        if np.shape(answer.success) != (len(q),):
+            raise InputError("known coordinates must be single numbers, known frames single places")
+        good = np.asarray(answer.success)
+        found = self.clusters.metric.representatives(np.asarray(answer.q)[good], self.near)
+        tolerance = np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good]))
+        where = self.clusters.add(found, tolerance, counted)
+        self._look(len(self.free))
+        if counted and self.frame is None and not self.requested and self.free.any():
+            self.requested = True
+            self._leave_out_spins(found, tolerance)
+        return good, where
+
+    def _look(self, first: int) -> None:
+        """Find the freedoms of the clusters from the first new one on, each its own twin."""
+        new = freedoms(self.system, self.bound, self.known, self.clusters, self.clusters.q[first:])
+        self.free = np.concatenate([self.free[:first], new])
+        self.twin = np.concatenate([self.twin[:first], np.arange(first, len(self.free))])
+
+    def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
+        """Count configurations that differ only by idle spins as one, from here on."""
+        held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
+        idle = idle_at(
+            own_tree(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))]
+        )
+        self.spins = tuple(f for f in idle if not f.velocity[held].any())
+        moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
+        rest = tuple(b for b in self.system.body_names[1:] if b not in moved)
+        if self.spins and rest:
+            before = self.clusters
+            self.clusters = Clusters(self.system, rest)
+            self.clusters.add(q, tolerance)
+            self.clusters.add(before.q, before.tolerance, False)
+            self._look(0)
+
+    def complete(self) -> bool:
+        """Look for modes where those found suggest some, mirror images last; whether there are new
+        ones.
+        """
+        before = len(self.free)
+        modes = self.clusters.q[self.free == 0]
+        if not len(modes):
+            return False
+        if len(modes) > 1:
+            self.take(
+                mixed(
+                    self.system,
+                    modes,
+                    min(MIXED, 4 * len(modes)),
+                    np.random.default_rng(len(modes)),
+                ),
+                False,
+            )
+        isolated = np.flatnonzero(self.free == 0)
+        modes = self.clusters.q[isolated]
+        images = mirrored(self.system, modes)
+        if len(images) == len(modes):
+            error = np.linalg.norm(evaluate(self.system, images, False, True)[0], axis=1)
+            good, where = self.take(images, False)
+            exact = error[good] < SAME
+            for i, k in zip(isolated[good][exact], where[exact], strict=True):
+                self.twin[self.twin == self.twin[max(i, k)]] = self.twin[min(i, k)]
+        return len(self.free) > before
+
+    def decided(self) -> bool:
+        """Whether each mode was found often, others were looked for in vain, and their number is
+        not against it.
+        """
+        if (
+            self.tried < LEAST
+            or not len(self.free)
+            or not np.all(self.hits >= SEEN_OFTEN)
+            or self.complete()
+        ):
+            return False
+        return not self.is_odd() and (
+            len(self.free) % 2 == 0 or bool(self.free.any()) or self.tried >= LONGER
+        )
+
+    def is_odd(self) -> bool:
+        """Whether the number of modes is odd, and must be even: of all modes, so not where limits
+        leave some out.
+        """
+        return (
+            not self.bounded
+            and not self.free.any()
+            and len(self.free) % 2 == 1
+            and must_be_even(self)
+        )
+
+
+def search(
+    system: System,
+    known: dict[str, Any],
+    near: Array | None,
+    frame: str | None,
+    rng: np.random.Generator,
+    starts: int,
+    budget: TimeLimit = ENDLESS,
+    progress: Callable[[int, int], Any] | None = None,
+    limits: bool = False,
+) -> ModesSearch:
+    """Assembly modes from at most so many random starts, the first of them `near` or home.
+
+    With `limits` starts are drawn inside the limits, else all over the configurations. An
+    interrupt, or the end of the time, which is looked for after each round, leaves what the rounds
+    before found.
+    """
+    system = own_tree(system)
+    bound = of_equations(system, known)
+    s = ModesSearch(
+        system,
+        known,
+        near,
+        rng,
+        bound,
+        Clusters(system, _places(system, frame)),
+        frame,
+        limits=limits,
+    )
+    while s.tried < starts:
+        before = s.copy()
+        try:
+            with budget:
+                budget.check()
+                done = _one_round(s, starts)
+            before = s  # the round is done
+            if progress is not None:
+                progress(s.tried, len(s.free))
+        except BROKEN_OFF as error:
+            s = before
+            s.broken = error
+            break
+        if done:
+            break
+    else:
+        s.complete()  # what those found suggest costs next to nothing
+    s.odd = s.is_odd()
+    return s
+
+
+def _one_round(s: ModesSearch, starts: int) -> bool:
+    """Whether the search may end after one more round of starts."""
+    system = s.system
+    near = s.near
+    n = min(ROUND, starts - s.tried)
+    start = random_starts(s, n)
+    if s.tried == 0:
+        start[0] = home_of(system) if near is None else near
+    s.tried += n
+    s.take(start, True)
+    if s.decided():
+        return True
+    hits = s.hits
+    return bool(s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS)
+
+
+def _places(system: System, frame: str | None) -> tuple[str, ...]:
+    """The frames whose poses tell modes apart; none where coordinates do.
+
+    Angles in a relation of several wind up: after full turns of some of them all bodies are where
+    they were.
+    """
+    if frame is not None:
+        return (frame,)
+    turning = dict(
+        zip(
+            system.structure.velocity_names,
+            system.structure.coordinates.turning.tolist(),
+            strict=True,
+        )
+    )
+    winds = any(sum(turning[n] for n in (r.of, *r.sources)) > 1 for r in system.structure.relations)
+    return tuple(system.body_names[1:]) if winds else ()
+
+
+def random_starts(s: ModesSearch, n: int) -> Array:
+    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all
+    inside the limits, if these count, else every other one: in the rest angles run over their
+    period, and lengths beyond their limits.
+    """
+    system = s.system
+    metric = s.clusters.metric
+    limits: Array = system.structure.limits
+    turning = system.structure.coordinates.turning
+    layout = system.structure.layout
+    q = random(system, s.rng, n)
+    endless = ~np.isfinite(limits).all(axis=-1) & ~turning
+    slides = endless[layout.vector_v]
+    q[:, layout.vector_q[slides]] *= 2.0 * metric.length
+    geared = (metric.period > 6.3) & np.isinf(limits).all(axis=-1)
+    q[:, layout.vector_q[geared[layout.vector_v]]] *= metric.period[geared] / (2.0 * np.pi)
+    if s.limits:
+        return q
+    bounded = np.flatnonzero(np.any(np.isfinite(limits), axis=-1)[layout.vector_v])
+    v = layout.vector_v[bounded]
+    at = layout.vector_q[bounded]
+    reach = np.where(turning, np.maximum(metric.period, 2.0 * np.pi) / 2.0, 2.0 * metric.length)
+    beyond = np.where(np.isfinite(limits) & ~turning[:, None], limits, 0.0)
+    low = np.minimum(beyond[:, 0], 0.0) - reach
+    high = np.maximum(beyond[:, 1], 0.0) + reach
+    wide = np.arange(n) % 2 == 1
+    q[np.ix_(wide, at)] = low[v] + s.rng.random((int(wide.sum()), len(v))) * (high - low)[v]
+    return q
+
+
+# ---- what is left to move
+
+
+def freedoms(
+    system: System, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array
+) -> np.ndarray:
+    """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along
+    one can be closed.
+
+    Where only some frames count, those that move them. Where frames are known, which the Jacobian
+    does not hold, steps go in random directions, and 1 stands for any.
+    """
+    free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
+    out = np.zeros(len(q), dtype=np.int64)
+    if not len(q):
+        return out
+    J = evaluate(system, q, True, True)[1][..., free]
+    values = svd(J, compute_uv=False)
+    ranks = (
+        values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]
+    ).sum(axis=-1)
+    owner: list[int] = []
+    kicks: list[Array] = []
+    sizes: list[float] = []
+    loose = np.arange(len(q)) if bound.frames else np.flatnonzero(ranks < len(free))
+    spaces = svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
+    for k, space in zip(loose.tolist(), spaces, strict=True):
+        if bound.frames:
+            null_space = np.random.default_rng(0).normal(size=(2, len(free)))
+            size = np.ones(2)
+        else:
+            null_space, size = _moving(system, clusters, q[k], free, space[ranks[k] :])
+        owner += [k] * (2 * len(null_space))
+        kicks += [*null_space, *-null_space]
+        sizes += [*size, *size]
+    if not kicks:
+        return out
+    v = np.zeros((len(kicks), system.nv))
+    v[:, free] = KICK * np.array(kicks)
+    answer = bound(
+        known,
+        system.structure.layout.integrate(q[owner], v * clusters.metric.scale),
+        limits=False,
+        budget=ONCE,
+    )
+    moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
+    moved &= np.asarray(answer.success)
+    found = np.unique(np.array(owner, dtype=np.int64)[moved])
+    out[found] = 1 if bound.frames else np.bincount(owner, minlength=len(q))[found] // 2
+    return out
+
+
+def _moving(
+    system: System, clusters: Clusters, q: Array, free: list[int], null_space: Array
+) -> tuple[Array, Array]:
+    """Directions (k, n) in a null space (rows) that move what counts, and how far they move it."""
+    if not clusters.frames:
+        return null_space, np.ones(len(null_space))
+    scale = clusters.metric.scale[free]
+    J = np.concatenate([jacobian(system, q, f)[:, free] * scale for f in clusters.frames])
+    J.reshape(-1, 6, len(free))[:, :3] /= clusters.metric.length
+    _, sizes, V = svd(J @ null_space.T)
+    moving = sizes > RANK_TOLERANCE * 1e2
+    return V[: len(sizes)][moving] @ null_space, sizes[moving]
+
+
+# ---- what the search is worth
+
+
+def must_be_even(s: ModesSearch) -> bool:
+    """Whether the number of modes is even for sure, all found being regular solutions of as many
+    equations as unknowns.
+
+    See the module. Limits do not count, and modes that are one only as to some frames are not
+    looked at. Rods that spin between balls act on all configurations, open ones too, and change no
+    equation: what is counted are their orbits.
+    """
+    system = s.system
+    bound = s.bound
+    metric = s.clusters.metric
+    if bound.frames or (s.clusters.frames and not s.spins) or not len(s.clusters.q):
+        return False
+    free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
+    if distinct(system.mechanism, system.structure.coordinates)[
+        free
+    ].any():  # laws may read angles of no circle
+        return False
+    J = evaluate(system, s.clusters.q, True, True)[1][..., free]
+    if (
+        J.shape[1] + len(s.spins) != J.shape[2]
+        or not J.size
+        or not all(_rigid(s, f) for f in s.spins)
+    ):
+        return False
+    values = svd(J, compute_uv=False)
+    if np.any(values[:, -1] < REGULAR * values[:, 0]):
+        return False
+    return all(metric.period[i] > 0.0 or _round(system, i) or _tied(system, i) for i in free)
+
+
+def _rigid(s: ModesSearch, spin: Any) -> bool:
+    """Whether what spins is one part with the known coordinates held, and has no further links in
+    its balls.
+    """
+    mechanism = s.system.mechanism
+    inside = [j for j in mechanism.joints.values() if {j.parent, j.child} <= {*spin.bodies}]
+    names = {
+        f"{j.name}.{v}" if v else j.name
+        for j in inside
+        for v in j.type.velocities(s.system.dim, False)
+    }
+    return not spin.links and not (names & {*s.system.structure.velocity_names}) - s.bound.held
+
+
+def _round(system: System, i: int) -> bool:
+    """Whether a velocity is one of a quaternion, which runs around a sphere."""
+    return bool(
+        np.any(
+            (i >= system.structure.layout.quaternion_v)
+            & (i < system.structure.layout.quaternion_v + 3)
+        )
+    )
+
+
+def _equations(system: System) -> list[Declared]:
+    """The declared constraints that are equations."""
+    return [c for c in system.mechanism.constraints.values() if c.equations(system.dim)]
+
+
+def _tied(system: System, i: int) -> bool:
+    """Whether a velocity is one of a particle's place, and distances are the only constraints: as
+    some solution is regular, these tie it to what stays near.
+    """
+    mechanism = system.mechanism
+    kinds = {c.rod for c in _equations(system)}
+    joint = mechanism.joints.get(system.structure.velocity_names[i].rpartition(".")[0])
+    if (
+        joint is None
+        or kinds != {True}
+        or system.structure.relations
+        or not mechanism.bodies[joint.child].particle
+    ):
+        return False
+    names, primitives = joint.type.layout(system.dim, True)
+    slides = sorted((p.kind, p.axis) for p in primitives)
+    return len(names) == len(primitives) and slides == [(P, axis) for axis in "xyz"[: system.dim]]
+
+
+def share_found(hits: np.ndarray) -> float:
+    """Share of starts, by estimate, that lead to what was found: 1 - f1 / n, with f1 found once
+    (Good, 1953).
+    """
+    return 1.0 - float(np.sum(hits == 1)) / max(float(np.sum(hits)), 1.0)
+
+
+def estimates(hits: np.ndarray) -> tuple[float, float]:
+    """Coverage and number of modes, from how often (k,) each was found; of coverage a lower bound.
+
+    The share of starts that lead to others is estimated as f1 / n, with f1 modes found once, and n
+    hits (Good, 1953, after Turing). The coverage is 1 less the upper bound of that share (Clopper,
+    Pearson, 1934): with no mode found once, 3 / n. The number is at least k + f1 (f1 - 1) / (2 (f2
+    + 1)), f2 found twice (Chao, 1984, bias-corrected).
+    """
+    n = int(np.sum(hits))
+    once = int(np.sum(hits == 1))
+    twice = int(np.sum(hits == 2))
+    if not n:
+        return 0.0, 0.0
+    return 1.0 - _upper(once, n), len(hits) + once * (once - 1) / (2.0 * (twice + 1))
+
+
+def _upper(seen: int, n: int) -> float:
+    """The largest share at which no more than `seen` of `n` would still be seen with probability 1
+    - CONFIDENCE.
+    """
+    if seen >= n:
+        return 1.0
+    low = seen / n
+    high = 1.0
+    ways = [
+        math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) for i in range(seen + 1)
+    ]
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        terms = (
+            [w + i * math.log(x) + (n - i) * math.log1p(-x) for i, w in enumerate(ways)]
+            if x < 1.0
+            else [-np.inf]
+        )
+        low, high = (x, high) if sum(map(math.exp, terms)) > 1.0 - CONFIDENCE else (low, x)
+    return high
+
+
+STARTS = 4096
+"""Starts of a search, at most."""
+BESIDE = 128
+"""Random starts beside a closed form that leaves branches undetermined, at most."""
+USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, progress=None)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Modes(Configurations):
+    """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
+
+    `complete` says that there are no others, proven by structure: each branch of dyads either has a
+    joint that stays open whatever rounding does, or closes in one place: its circles and lines
+    cross, or meet within 1e-6 (radians, sizes of the mechanism). `branches` names them where the
+    mechanism is made of dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they are
+    ''. `multiplicity` (k,) counts merged roots, or, in a search, how many starts found it: 0 where
+    only a mirror image or a mixture of others led there, or least squares in a branch of dyads that
+    the closed form leaves undetermined. `freedoms` (k,) says how many freedoms are left at each
+    with the inputs held, idle spins left out: where it is not 0, the configuration is one example
+    of infinitely many. `inside` (k,) says which respect the limits; `outside` counts what was
+    dropped because it does not. Of a search, `coverage` is a lower bound, with 95 % confidence, of
+    the share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is
+    never 1, and `expected` the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both
+    are None where there is a proof. A search that was `interrupted` from the keyboard, or that the
+    time limit ended (`late`), says so.
+    """
+
+    __repr__ = brief
+
+    also = (
+        "complete",
+        "branches",
+        "multiplicity",
+        "freedoms",
+        "inside",
+        "outside",
+        "coverage",
+        "expected",
+        "interrupted",
+        "late",
+    )
+
+    q: Array
+    complete: bool
+    reason: str
+    branches: tuple[str, ...]
+    multiplicity: np.ndarray
+    freedoms: np.ndarray
+    inside: np.ndarray
+    outside: int
+    system: System = field(repr=False)
+    known: dict[str, Any] = field(repr=False)
+    coverage: float | None = None
+    expected: float | None = None
+    interrupted: bool = False
+    late: bool = False
+    left_out: int = 0
+    """How many close the mechanism, but violate declared one-sided constraints."""
+
+    @property
+    def success(self) -> bool:
+        """Whether there is any."""
+        return len(self.q) > 0
+
+    @property
+    def code(self) -> Status:
+        """The outcome: that there is none is proven where the search is `complete`."""
+        if self.success:
+            return Status.SOLVED
+        if self.complete:
+            return Status.OUTSIDE_LIMITS if self.outside else Status.NONE_EXISTS
+        return self._broken_off() or Status.NOT_FOUND
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Names of the configurations in pictures: of their branches, else numbers."""
+        return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return held_at(self.system, self.known)
+
+    def _cells(self) -> Cells:
+        """What is shown: the coordinates that are not known."""
+        names = [n for n in self.system.coordinate_names if n not in self.known]
+        at = [self.system.coordinate_names.index(n) for n in names]
+        rows = [
+            [self.branches[k] or str(k + 1), *(f"{x:.9g}" for x in q[at])]
+            for k, q in enumerate(self.q)
+        ]
+        return ["", *names], rows
+
+    def _lines(self) -> Sequence[str]:
+        heads, rows = self._cells()
+        names = heads[1:]
+        return [
+            f"{k:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(names, row, strict=True))
+            for k, *row in rows
+        ]
+
+    def _headline(self) -> str:
+        return f"{counted(len(self), 'configuration')} of {self.system.name}; {self.status}"
+
+
+def _not_begun(
+    time: TimeLimit,
+    system: System,
+    known: Mapping[str, Any] | None = None,
+    start: Any = None,
+    *,
+    limits: bool = True,
+    **_: Any,
+) -> Modes:
+    """The answer where the time was up before any mode was looked for."""
+    none = np.zeros(0, dtype=np.int64)
+    said = f"none is known: {time.reason(TimeUp())} came first"
+    problem = Problem(system, "all", dict(known or {}), None, limits=bool(limits))
+    return replace(
+        _answer(problem, np.empty((0, system.nq)), said, [], none, none, False), late=True
+    )
+
+
+@explained
+@interruptible
+@time_limited(USUAL, _not_begun)
+@tolerant()
+def assembly_modes(
+    system: System,
+    known: Mapping[str, Any] | None = None,
+    start: Any = None,
+    *,
+    limits: bool = True,
+    frame: FrameLike | None = None,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Modes:
+    """All configurations found that close the mechanism with the `known` coordinates (or frames)
+    held.
+
+    The time of equations in time is known as "t", one number (default 0).
+    Planar mechanisms made of dyads are solved in closed form: then `complete` is True, but where a
+    branch is left undetermined, by centres that coincide, links without length, parallel slides,
+    roots that merge before others, or whole turns that move what is geared to them; the status
+    names the dyad, and least squares look for what closes there. Others are assembled from random
+    starts, and from mirror images and mixtures of what is found, with a bound of how much was
+    missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts
+    the answer, the nearest first, and chooses the representatives of angles (else they are near
+    zero). With `limits` what is outside the joint limits is dropped, else it is flagged by
+    `inside`, and random starts are drawn over whole turns. With `frame`, configurations that put
+    this frame at one pose count as one: legs that can be turned over would multiply the modes of a
+    platform. Without it, those that differ only by idle spins (see `mobility`) are one. Of the
+    `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts, modes),
+    called after each round of starts; the time limit leaves what was found by then, Ctrl-C as the
+    `answer` of an `Interrupted`. Errors: `UnknownNameError`, `InputError` for values that are not
+    single numbers.
+    """
+    given: Mapping[str, Any] = {} if known is None else known
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame "
+            "name"
+        )
+    if TIME in given:
+        system, given = known_time(system, given)
+    base = None if start is None else as_start(system, start)
+    if base is not None and refuse_far(system, base, "start").ndim != 1:
+        raise InputError(
+            f"start has shape {base.shape}; it must be one configuration ({system.nq},)"
+        )
+    spend = USUAL.of(budget)
+    generator(spend.rng)
+    start_count(spend.starts)
+    flag(limits, "limits")
+    name = None if frame is None else system.structure.frame_name(frame)
+    problem = Problem(
+        system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name
+    )
+    solver, choice = chosen(system, tuple(given))
+    return chosen_by(solver.run(problem), choice)
+
+
+@kept
+def chosen(system: System, known: tuple[str, ...]) -> tuple[Solver, Choice]:
+    """Who answers with these names known."""
+    return choose(SOLVERS, system, known)
+
+
+# ---- by structure
+
+
+def no_dyads(system: System, known: tuple[str, ...]) -> str | None:
+    """Why there is no closed form with these names known; None where there is one."""
+    if system.dim != 2:
+        return "it is for planar mechanisms"
+    frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]
+    if frames:
+        return f"the place of frame {frames[0]!r} is known, not only coordinates"
+    plan = closed_form(system, tuple(source_values(system, dict.fromkeys(known, 0.0))))
+    if isinstance(plan, Incomplete):
+        return plan.reason
+    return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None
+
+
+def by_dyads(question: Problem) -> Modes:
+    """The answer in closed form, of a mechanism that is made of dyads."""
+    system = question.system
+    values = source_values(system, question.known)
+    for name, x in values.items():
+        if x.ndim:
+            raise InputError(
+                f"the known value of {name!r} has shape {x.shape}; it must be one number"
+            )
+        within_range(x, f"the known value of {name!r}")
+    plan: Any = closed_form(system, tuple(values))
+    signs = plan.branches()
+    numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(
+        len(signs), len(values)
+    )
+    closed = plan.close(numbers, signs, question.start)
+    names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
+    ok = np.flatnonzero(closed.ok)
+    clusters = Clusters(system, () if question.frame is None else (question.frame,))
+    clusters.add(closed.q[ok], np.full(len(ok), SAME))
+    groups = [ok[members] for members in clusters.members]
+    q = closed.q[[g[0] for g in groups]]
+    free = np.zeros(len(groups), dtype=np.int64)
+    branches = [_merged([names[i] for i in g]) for g in groups]
+    sizes = np.array([len(g) for g in groups], dtype=np.int64)
+    doubt = _looked_into(question, plan, numbers[0], closed, clusters)
+    if doubt.found:
+        shown = [*range(len(groups)), *doubt.found]
+        q = np.concatenate([q, clusters.q[list(doubt.found)]])
+        free = doubt.free[shown]
+        branches += [
+            "".join("+" if s > 0 else "-" for s in row) for row in plan.branch_of(q[len(groups) :])
+        ]
+        sizes = np.concatenate([sizes, np.zeros(len(doubt.found), dtype=np.int64)])
+    elif len(doubt.free):
+        free = doubt.free[: len(groups)]
+    all_ = counted(len(signs), "branch")
+    do = verb(len(ok), "closes", "close")
+    new = len(doubt.found)
+    status = f"complete: every dyad in closed form, {len(ok)} of {all_} {do}"
+    if not len(q):
+        status = (
+            f"complete: none of the {all_} closes; the best is open by {closed.gap.min():.3g} m"
+        )
+    if len(doubt.rows):
+        them = (
+            f"{counted(len(doubt.rows), 'branch')} {verb(len(doubt.rows), 'is', 'are')} "
+            f"undetermined: {doubt.why}"
+        )
+        status = f"not proven complete: {len(ok)} of {all_} {do}, and {them}"
+        if free.any():
+            moving = f"{int((free > 0).sum())} of {counted(len(q), 'configuration')}"
+            status = f"not finite: {moving} can move with these inputs held; {them}"
+        elif not len(q):
+            status = f"none found, which proves nothing: {them}"
+    if new:
+        status += f"; {counted(new, 'configuration')} found by least squares"
+    if any(len(g) > 1 for g in groups):
+        status += f", {counted(sum(len(g) > 1 for g in groups), 'multiple root')}"
+    return _answer(question, q, status, branches, sizes, free, not len(doubt.rows))
+
+
+class _Doubt(NamedTuple):
+    """The branches `rows` that discs leave undetermined, and `why`; what least squares `found`
+    there, and the freedoms `free` of all clusters (empty where nothing was looked for).
+    """
+
+    rows: np.ndarray
+    why: str = ""
+    found: tuple[int, ...] = ()
+    free: np.ndarray = np.zeros(0, dtype=np.int64)
+
+
+def _looked_into(
+    question: Problem, plan: Plan, values: Array, closed: DyadAnswer, clusters: Clusters
+) -> _Doubt:
+    """Which branches are not proven to close nowhere, or in one place; further configurations go
+    into the clusters.
+
+    A branch that did not close as it was computed may do so elsewhere in its discs: least squares
+    start where it nearly closed and, where a branch is undetermined, at random.
+    """
+    system = question.system
+    size = plan.tolerance / CLOSED
+    proof = enclose(plan, values, bool(question.limits), size)
+    layout = system.structure.layout
+    turning = np.zeros(system.nq, dtype=bool)
+    turning[layout.vector_q] = system.structure.coordinates.turning[layout.vector_v]
+    within = SAME * np.where(turning, 1.0, size)
+    ok = np.asarray(closed.ok)[proof.branch]
+    wide = proof.undetermined(within, ok)
+    if not len(ok) or (ok & ~wide).all():
+        return _Doubt(np.zeros(0, dtype=np.int64))
+
+    tree = own_tree(system)
+    before = len(clusters.members)
+    spend = USUAL.of(question.budget)
+    bound = of_equations(tree, question.known)
+    s = ModesSearch(
+        tree,
+        dict(question.known),
+        question.start,
+        generator(spend.rng),
+        bound,
+        clusters,
+        question.frame,
+        limits=bool(question.limits),
+    )
+    s.take(closed.q[proof.branch[~ok]], False)
+    left = [
+        k
+        for k in np.flatnonzero(wide | ~ok).tolist()
+        if wide[k] or not proof.contain(k, clusters.q, turning, within).any()
+    ]
+    continuum = bool(left) and proof.may_move(left)
+    if continuum:
+        s.take(random_starts(s, min(BESIDE, start_count(spend.starts))), False)
+    else:  # near roots that merge, least squares stop at what only seems to move
+        s.free = np.zeros(len(clusters.q), dtype=np.int64)
+    new = np.arange(before, len(s.free))
+    found = new[s.free[new] == 0].tolist()
+    moving = new[s.free[new] > 0]
+    if len(moving) and not s.free[:before].any():
+        found.append(int(moving[_example(question, clusters, moving)]))
+    return _Doubt(proof.branch[left], proof.reason(left), tuple(found), s.free)
+
+
+def _merged(names: list[str]) -> str:
+    """The name of branches that meet: their common signs, 0 for the others."""
+    return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
+
+
+# ---- by many starts
+
+
+def by_starts(question: Problem) -> Modes:
+    """The answer of many starts: never proven complete."""
+
+    system = question.system
+    spend = USUAL.of(question.budget)
+    found = search(
+        system,
+        dict(question.known),
+        question.start,
+        question.frame,
+        generator(spend.rng),
+        start_count(spend.starts),
+        time_of(USUAL, question.budget),
+        spend.progress,
+        bool(question.limits),
+    )
+    q = found.clusters.q
+    hits = found.clusters.hits
+    free = found.free
+    isolated = np.flatnonzero(free == 0)
+    families = np.flatnonzero(free > 0)
+    coverage, expected = estimates(found.hits)
+    expected *= len(isolated) / max(len(found.hits), 1)  # mirror images are counted together
+    expected += found.odd
+    closed = int(hits.sum())
+    status = (
+        f"not proven complete: {len(isolated)} found from {counted(found.tried, 'start')}, of "
+        f"which {closed} closed; with 95 % confidence at most {_up(100.0 * (1.0 - coverage))} % of "
+        "the starts that close lead to others"
+    )
+    if expected > len(isolated) + 0.5:
+        status += f", about {expected:.3g} in all by estimate"
+    if found.bounded:
+        status += "; starts were drawn inside the limits only"
+    if found.odd:
+        status += "; one is missing at least, since their number is even"
+    if not closed:
+        why = assemble(system, question.known, start=question.start).status
+        status = (
+            f"none found, which proves nothing: of {counted(found.tried, 'start')} none closed; "
+            f"{why}"
+        )
+    if len(families):
+        besides = (
+            f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
+        )
+        left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
+        status = (
+            f"not finite: {besides}there are some with {left} left, of which one is shown; give "
+            "more inputs"
+        )
+        families = families[[_example(question, found.clusters, families)]]
+    if found.spins:
+        status += f"; {counted(len(found.spins), 'idle spin')} left out: " + ", ".join(
+            map(str, found.spins[:3])
+        )
+        status += ", ..." if len(found.spins) > 3 else ""
+    keep = np.concatenate([isolated, families])
+    guess = (coverage, float(expected))
+    interrupted, late = (isinstance(found.broken, kind) for kind in BROKEN_OFF)
+    status += partial(interrupted, late)
+    answer = _answer(
+        question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess
+    )
+    return replace(answer, interrupted=interrupted, late=late)
+
+
+def _example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
+    """Of some clusters the place in the list of the one that is shown: inside the limits, if one
+    is, and near home.
+    """
+    q = clusters.q[which]
+    near = home_of(question.system) if question.start is None else question.start
+    away = clusters.metric.distances(q, near)
+    return int(np.argmin(np.where(_inside(question.system, q), away, away + 1e9)))
+
+
+def _up(percent: float) -> str:
+    """A percentage with two digits, rounded up."""
+    if percent <= 0.0:
+        return "0"
+    unit = 10.0 ** (np.floor(np.log10(percent)) - 1)
+    return f"{np.ceil(percent / unit - 1e-9) * unit:.3g}"
+
+
+# ---- what both need
+
+
+def _inside(system: System, q: Array) -> np.ndarray:
+    """Which configurations (n, nq) are inside the limits (n,)."""
+    v = q[:, system.structure.layout.vector_q]
+    low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
+    return np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
+
+
+def _answer(
+    question: Problem,
+    q: Array,
+    status: str,
+    branches: list[str],
+    multiplicity: np.ndarray,
+    freedoms: np.ndarray,
+    complete: bool,
+    guess: tuple[float | None, float | None] = (None, None),
+) -> Modes:
+    """The modes, sorted, with what is outside the limits dropped or flagged."""
+    system = question.system
+    inside = _inside(system, q)
+    bounds = one_sided_rows(system)
+    left_out = 0
+    keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
+    if bounds.declared:
+        beyond = bounds.beyond(q, declared=True) > 0.0
+        holds = np.logical_not(beyond.any(axis=1))
+        inside = inside & holds
+        left_out = int(np.sum(~holds))
+        keep = keep[holds[keep]]
+        status += bounds.left_out(beyond)
+    if question.start is not None:
+        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.start), kind="stable")]
+    outside = len(q) - int(inside.sum()) - left_out
+    if outside:
+        status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
+    return Modes(
+        q[keep],
+        complete,
+        status,
+        tuple(branches[i] for i in keep),
+        multiplicity[keep],
+        freedoms[keep],
+        inside[keep],
+        outside if question.limits else 0,
+        system,
+        dict(question.known),
+        *guess,
+        left_out=left_out,
+    )
+
+
+SOLVERS = (
+    Solver("dyads", "closed form, one dyad after the other", no_dyads, by_dyads),
+    Solver(
+        "many starts",
+        "assembly from random starts, from mirror images and mixtures of what is found",
+        takes_all,
+        by_starts,
+    ),
+)
+"""Who answers for all assembly modes."""

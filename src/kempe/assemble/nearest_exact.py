@@ -1,0 +1,822 @@
+"""One tolerance: the nearest mechanism that closes exactly and moves, where given numbers are
+slightly wrong.
+
+Redundant constraints of an overconstrained mechanism agree only if its dimensions obey conditions,
+which rounded and measured numbers miss. *Within a tolerance* it closes, and has so many freedoms,
+if changes of the placements of its joints by at most this tolerance, in metres and radians, make it
+close exactly with them. That nearest mechanism, here the *ideal* one, has the same coordinates;
+what is required of the given one is answered for it, and says so.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from kempe.arguments import explained, explained_methods
+from kempe.arrays import is_real
+from kempe.assemble.bound import bare
+from kempe.assemble.fit import (
+    DAMPING,
+    ENOUGH,
+    Dimensions,
+    Fit,
+    Place,
+    Relations,
+    Valley,
+    fitted_all_along,
+    moves_all_along,
+    snapped,
+)
+from kempe.budget import Budget, TimeUp, Usual, checks
+from kempe.description.mechanism import unused_name
+from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
+from kempe.equations.slip import rolls
+from kempe.errors import InputError, TimeLimitError, shown
+from kempe.joints import Revolute
+from kempe.model.ball_angles import regular_chart
+from kempe.model.characteristic_length import as_large_as, characteristic_length, origin_of
+from kempe.model.configurations import as_q, home_of
+from kempe.model.model import keep, kept
+from kempe.model.own_tree import own_tree
+from kempe.model.time_coordinate import timed
+from kempe.numerics.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, begun_within, time_limited
+from kempe.report import Nearest, Report
+from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+USUAL_TOLERANCE = 1e-5
+"""The tolerance that nobody has to ask for, in characteristic lengths and radians: what is off by
+less is rounding."""
+WIDEST = 1e-2
+"""The largest tolerance, in characteristic lengths and radians: above it, it would be another
+mechanism."""
+FINEST = 1e-13
+"""The smallest one, in characteristic lengths, also those to the joints from the origin: below it
+is rounding."""
+MEASURED = "measured"
+"""The smallest tolerance with which the loops close, up to the largest one."""
+MOST = 60
+"""Velocity coordinates up to which a mechanism is compared with others: it takes dense
+decompositions."""
+EXACT = 1e-14
+"""Residual up to which a mechanism is closed as it is, and singular values, as parts of the
+largest, that are zero.
+
+It is a tenth of what motions may stay open by, `kempe.numerics.curves.CLOSED`, so that what
+counts as exact at some configurations is closed all along a motion.
+"""
+SHOWN = 1e-3
+"""Part of the largest change below which others are not listed."""
+OPEN = 10.0
+"""What may stay open along the motion of the given mechanism, as a multiple of the tolerance."""
+FEW = 3
+"""Starts of the search for a configuration at which the given loops are least open."""
+BESIDE = 2
+ASIDE = 0.2
+"""Configurations beside home where it is looked, too, as home may be singular, and how far away, in
+radians and characteristic lengths."""
+WAYS = 16
+"""Directions in which it is looked beside a singular home."""
+CLOSE = 0.02
+"""Places where the same rank would lead to the same motion, in radians and characteristic
+lengths."""
+HELD = "held"
+"""Name of the joint that holds a part of a mechanism in the ground."""
+NEARLY = 4.0
+"""Relations that hold within this multiple of the changes that make it close are meant to hold."""
+NEARLY_CLOSED = 1e-3
+"""What a fit may leave open for relations to be of help."""
+GAP = 3.0
+"""Ratio of singular values from which they may part what moves from what is held."""
+
+
+@dataclass(frozen=True)
+class Change(InWords):
+    """What differs at a joint or constraint: its placement `side`, before and after, `moved` [m]
+    and `turned` [rad].
+    """
+
+    name: str
+    side: str
+    old: str
+    new: str
+    moved: float
+    turned: float
+
+    def __str__(self) -> str:
+        where = "on its parent" if self.side == "X_PF" else "on its child"
+        return f"{self.name!r} {where}: {self.old} -> {self.new}"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Idealised(Report):
+    """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the
+    `given` one.
+
+    `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
+    placement, in metres and radians; `requested` what was allowed. `residual` is how far the given
+    loops stay open along its motion, in metres and radians, `absorbed` the same by closing joint or
+    constraint.
+    """
+
+    given: System = field(repr=False)
+    system: System = field(repr=False)
+    requested: float
+    tolerance: float
+    residual: float
+    freedoms: int
+    changes: tuple[Change, ...]
+    absorbed: dict[str, float]
+
+    @property
+    def within(self) -> Idealised:  # type: ignore[override]
+        """The ideal mechanism itself."""
+        return self
+
+    @property
+    def status(self) -> str:
+        """What is true, in one sentence."""
+        return f"closed {self.least}, with {counted(self.freedoms, 'freedom')}; {self.exactly}"
+
+    @property
+    def least(self) -> str:
+        """How far the given numbers are from these."""
+        return f"within {self.tolerance:.2g} m and rad"
+
+    @property
+    def exactly(self) -> str:
+        """What the given numbers say if they are taken exactly."""
+        lock = " and would lock it" if self.freedoms else ""
+        return f"taken exactly, its numbers leave loops open by {self.residual:.2g} (m, rad){lock}"
+
+    @property
+    def lines(self) -> list[str]:
+        """What differs, the largest change first, and what the given numbers contradict."""
+        off = sorted(self.absorbed.items(), key=lambda x: -x[1])
+        said = ", ".join(f"{name!r} by {x:.2g}" for name, x in off if x >= SHOWN * self.residual)
+        return [
+            self.exactly,
+            f"absorbed is what misses in {said} (m, rad)",
+            *map(str, self.changes),
+        ]
+
+    def _data(self) -> dict[str, Any]:
+        return {
+            "sentence": self.sentence,
+            "requested": self.requested,
+            "tolerance": self.tolerance,
+            "residual": self.residual,
+            "freedoms": self.freedoms,
+            "absorbed": self.absorbed,
+            "changes": [vars(c) for c in self.changes],
+        }
+
+    def closed(self, q: Any) -> Array:
+        """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is
+        where it is open.
+
+        What is farther from closed than the tolerance explains is left as it is.
+        """
+        q = as_q(self.system, q)
+        off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
+        length = characteristic_length(self.system)
+        near = (off > EXACT) & (off <= OPEN * self.tolerance * (1.0 + 1.0 / length))
+        if not np.any(near):
+            return q
+        flat = q.reshape(-1, self.system.nq)
+        out = q.reshape(-1, self.system.nq).copy()
+        for i in np.flatnonzero(near.ravel()):
+            answer = bare(self.system)(start=flat[i], limits=False, budget=Budget(starts=1))
+            out[i] = answer.q if answer.success else flat[i]
+        return out.reshape(q.shape)
+
+    def _headline(self) -> str:
+        return f"{self.given.name}: {self.status}"
+
+    def _notes(self) -> list[str]:
+        return self.lines[1:]
+
+
+def one_number(tolerance: Any) -> Any:
+    """The smaller one of a pair of metres and radians; anything else as it is."""
+    given: Any = tolerance
+    pair = isinstance(tolerance, tuple) and len(given) == 2 and all(map(is_real, given))
+    return min(given) if pair else given
+
+
+def tolerance_of(system: System, tolerance: Any) -> float:
+    """The tolerance that was requested, in metres and radians. Errors: `InputError` with both
+    bounds.
+    """
+    size = characteristic_length(system)
+    widest = WIDEST * min(size, 1.0)
+    if tolerance is None:
+        return USUAL_TOLERANCE * min(size, 1.0)
+    if isinstance(tolerance, str) and tolerance == MEASURED:
+        return widest
+    finest = FINEST * max(size, float(np.linalg.norm(origin_of(system))))
+    if not (is_real(tolerance) and finest <= float(tolerance) <= widest):
+        raise InputError(
+            f"tolerance is {shown(tolerance)}; it must be from {finest:.2g} (rounding) to "
+            f"{widest:.2g} (a hundredth of the size of {system.name}), in metres and radians, or "
+            f"{MEASURED!r}"
+        )
+    return float(tolerance)
+
+
+def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> Idealised | None:
+    """The nearest mechanism within a tolerance; None where the given one closes as it is, or where
+    there is none.
+
+    `tolerance` is a number in metres and radians, "measured", or None: that of the system, else
+    what is rounding. Of a `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the
+    `time` ends the search, of which nothing is kept then; without one, and where no verb with a
+    time limit asks, `TimeLimitError` after 600 s.
+    """
+    answers, key, tolerance = _kept(system, tolerance)
+    found = answers.get(key, answers)  # it never holds itself
+    if found is not answers:
+        return found
+    most = tolerance_of(system, tolerance)
+    if not _closes(system):
+        return keep(answers, key, None)
+    own = time is ENDLESS and not checks()
+    time = TimeLimit(LONG) if own else time
+    try:
+        with time:
+            return keep(answers, key, _searched(system, most, time=time))
+    except TimeUp:
+        if own:
+            raise TimeLimitError(
+                "the search for the nearest mechanism that closes exactly", time.limit
+            ) from None
+        raise
+
+
+def decided_within(usual: Usual, time: TimeLimit, system: System) -> None:
+    """Decide within the time of a verb which mechanism answers for the system. Errors:
+    `TimeLimitError`.
+    """
+    if _closes(system) and not is_known(system):
+        with begun_within(usual, time):
+            within(system)
+
+
+def _closes(system: System) -> bool:
+    """Whether there is anything that has to close."""
+    return bool(system.structure.closures or system._mechanism.constraints)
+
+
+def is_known(system: System, tolerance: Any = None) -> bool:
+    """Whether `within` need not search."""
+    answers, key, _ = _kept(system, tolerance)
+    return key in answers
+
+
+def _kept(system: System, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
+    """What `within` has found, the key of a tolerance in it, and the tolerance itself."""
+    tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
+    key = tolerance if tolerance.__class__ in (float, int, str) else repr(tolerance)
+    return system._kept.setdefault(within, {}), key, tolerance
+
+
+USUAL = Usual("idealised", time_limit=TIME_LIMIT)
+
+
+@explained
+@time_limited(USUAL)
+def idealised(
+    system: System, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
+) -> Idealised | None:
+    """The nearest system that closes exactly and moves, as a proposal: what differs, and by how
+    much.
+
+    None where the given one closes as it is, or where there is none within the `tolerance`: a
+    number in metres and radians, or "measured", the smallest up to a hundredth of the system's
+    size. Of the `budget` the time_limit (120 s) is read. Errors: `InputError`, `TimeLimitError`
+    where the search did not end by then.
+    """
+    return within(system, tolerance)
+
+
+def nearly(system: System) -> Idealised | None:
+    """As `within` what is measured, but found in a short time or not at all: for a hint."""
+    return system._kept.get(within, {}).get(MEASURED) or _soon(system)
+
+
+@kept
+def _soon(system: System) -> Idealised | None:
+    return _searched(system, tolerance_of(system, MEASURED), False)
+
+
+def ideal_of(system: System, tolerance: Any = None) -> System:
+    """The system that answers for this one: the nearest within its tolerance, or itself."""
+    found = within(system, tolerance)
+    return system if found is None else found.system
+
+
+def said(found: Nearest | None) -> str:
+    """What an answer adds to its sentence."""
+    return "" if found is None else f"; {found.sentence}"
+
+
+def _searched(
+    system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS
+) -> Idealised | None:
+    if system._ideal is not None or not _closes(system):
+        return None
+    if not system.nv or timed(system) or rolls(system) or _closes_anyway(system, most):
+        return None
+    tree = own_tree(system)
+    parts = [(part, index) for part, index in _parts(tree) if not _closes_anyway(part, most)]
+    if not any(len(full(part, True).names) for part, _ in parts):
+        return None
+    home = home_of(tree)
+    scaled = most / characteristic_length(tree) + most
+    found = [_of_part(part, home[index], most, scaled, thorough, time) for part, index in parts]
+    return _changes(tree, [x for x in found if x is not None], home, most) if any(found) else None
+
+
+class _Found(NamedTuple):
+    """A part of a mechanism whose dimensions were changed: what it becomes, configurations (N, nq)
+    of its motion, its freedoms, and the names of the coordinates.
+    """
+
+    ideal: System
+    places: tuple[Place, ...]
+    q: Array
+    freedoms: int
+
+
+# ---- parts that move without one another
+
+
+def _parts(system: System) -> list[tuple[System, np.ndarray]]:
+    """The parts whose loops share no joint, as systems, and the places (nq,) of their coordinates
+    in q of the whole.
+
+    Loops that share no joint close by themselves: to change one does not change what another needs.
+    Where equations of coordinates tie several of them the whole is one part.
+    """
+    m = system._mechanism
+    edges = [("joints", j.name, j.parent, j.child) for j in m.joints.values()]
+    edges += [
+        ("constraints", c.name, c.parent, c.child) for c in m.constraints.values() if c.parent
+    ]
+    blocks = _blocks([(a, b) for *_, a, b in edges])
+    owner = {edges[i][:2]: k for k, block in enumerate(blocks) for i in block}
+    own = {
+        c: ("joints", name)
+        for name in m.joints
+        for c in system.structure.coordinates_of_joint(name)
+    }
+    tied = [{c.of, *c.sources} for c in m.couplings.values()]
+    tied += [{*c.of.reads} | ({c.name} if c.parent else set()) for c in m.constraints.values()]
+    of_tied = (
+        {owner.get(own.get(name, ("constraints", name)), -1) for name in names} for names in tied
+    )
+    if any(len(of) != 1 for of in of_tied) or (len(blocks) == 1 and len(blocks[0]) == len(edges)):
+        return [(system, np.arange(system.nq))]
+    parts = (_part(system, [edges[i][:2] for i in block]) for block in blocks)
+    places = {name: i for i, name in enumerate(system.coordinate_names)}
+    return [
+        (part, np.array([places[name] for name in part.coordinate_names], dtype=int))
+        for part in parts
+    ]
+
+
+def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
+    """The system of these joints and constraints alone, one of its bodies held where the ground is
+    not among them.
+    """
+    m = system.mechanism
+    kept = {table: {name for t, name in edges if t == table} for table in ("joints", "constraints")}
+    m.joints = {name: j for name, j in m.joints.items() if name in kept["joints"]}
+    m.constraints = {name: c for name, c in m.constraints.items() if name in kept["constraints"]}
+    order = list(m.bodies)
+    bodies = {
+        body for j in (*m.joints.values(), *m.constraints.values()) for body in (j.parent, j.child)
+    }
+    m.bodies = {name: b for name, b in m.bodies.items() if name in bodies or name == m.ground.name}
+    m.frames = {}
+    coordinates = {c for name in m.joints for c in system.structure.coordinates_of_joint(name)}
+    m.couplings = {name: c for name, c in m.couplings.items() if c.of in coordinates}
+    m.locks = {c: x for c, x in m.locks.items() if c in coordinates}
+    m.postures = {}
+    if m.ground.name not in bodies:
+        m.fixed(unused_name(m, HELD), m.ground, min(bodies, key=order.index))
+    return type(system)(m)
+
+
+def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
+    """The edges of a graph, by their numbers, that lie on a common cycle (Hopcroft and Tarjan,
+    1973); no bridges.
+    """
+    around: dict[str, list[tuple[int, str]]] = {}
+    for i, (a, b) in enumerate(edges):
+        around.setdefault(a, []).append((i, b))
+        around.setdefault(b, []).append((i, a))
+    order: dict[str, int] = {}
+    low: dict[str, int] = {}
+    out: list[list[int]] = []
+    for root in around:
+        if root in order:
+            continue
+        order[root] = low[root] = len(order)
+        way = [(root, -1, iter(around[root]))]
+        open_: list[int] = []
+        used: set[int] = set()
+        while way:
+            here, by, ahead = way[-1]
+            for i, there in ahead:
+                if i in used:
+                    continue
+                used.add(i)
+                open_.append(i)
+                if there in order:
+                    low[here] = min(low[here], order[there])
+                    continue
+                order[there] = low[there] = len(order)
+                way.append((there, i, iter(around[there])))
+                break
+            else:
+                way.pop()
+                if not way:
+                    break
+                before = way[-1][0]
+                low[before] = min(low[before], low[here])
+                if low[here] >= order[before]:
+                    at = open_.index(by)
+                    out.append(open_[at:])
+                    del open_[at:]
+    return [block for block in out if len(block) > 1 or edges[block[0]][0] == edges[block[0]][1]]
+
+
+def _of_part(
+    system: System, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
+) -> _Found | None:
+    """What a part becomes; None where it closes as it is, or nothing near does."""
+    equations = full(system, True)
+    if (
+        not 0 < system.nv <= MOST
+        or not len(equations.names)
+        or any(t.function is not None for t in equations.ties)
+    ):
+        return None
+    starts = _starts(system, home, scaled)
+    moving = [(rank, q) for rank, q in starts if rank < system.nv]
+    found = _first(system, moving, most, scaled, thorough, time)
+    if found is not None or len(moving) == len(starts):
+        return found
+    rigid = _first(
+        system, [(rank, q) for rank, q in starts if rank == system.nv], most, scaled, thorough, time
+    )
+    return None if rigid is None or _moves_within_more(system, home, most, time) else rigid
+
+
+def _first(
+    system: System,
+    starts: Sequence[tuple[int, Array]],
+    most: float,
+    scaled: float,
+    thorough: bool,
+    time: TimeLimit,
+) -> _Found | None:
+    """What a part becomes with the first of the ranks, and about the first of the places, that lead
+    to something.
+    """
+    for rank, q in starts:
+        time.check()
+        found = _with_rank(system, rank, q, most, scaled, thorough, time)
+        if found is not None:
+            return found
+    return None
+
+
+def _moves_within_more(system: System, home: Array, most: float, time: TimeLimit) -> bool:
+    """Whether larger changes than those allowed, up to the largest tolerance, make a part close and
+    move.
+
+    Rounded loops of a mechanism nearly close at single places, where small changes close them. They
+    make a structure of it, which says nothing of the mechanism that was meant.
+    """
+    size = characteristic_length(system)
+    widest = WIDEST * min(size, 1.0)
+    if most >= widest:
+        return False
+    scaled = widest / size + widest
+    moving = [(rank, q) for rank, q in _starts(system, home, scaled) if rank < system.nv]
+    return _first(system, moving, widest, scaled, False, time) is not None
+
+
+def _closes_anyway(system: System, most: float) -> bool:
+    """Whether no change of dimensions gives the part more freedoms than it has: one loop in the
+    plane, of hinges.
+
+    Its equations depend on each other only where all hinges are on one line, which they are not all
+    along a motion.
+    """
+    m = system._mechanism
+    if system.dim != 2 or len(system.structure.closures) != 1 or m.constraints or m.couplings:
+        return False
+    joints = [j for name, j in m.joints.items() if name != HELD]
+    if len(joints) < 4 or not all(isinstance(j.type, Revolute) for j in joints):
+        return False
+    ends: dict[str, list[Array]] = {}
+    for j in joints:
+        for body, X in ((j.parent, j.X_PF), (j.child, j.X_CM)):
+            ends.setdefault(body, []).append(X.evaluate(m.parameters)[:2, 3])
+    if any(len(points) != 2 for points in ends.values()):  # more than the loop
+        return False
+    lengths = [float(np.linalg.norm(a - b)) for a, b in ends.values()]
+    return min(lengths) > OPEN * most and system.nv == len(joints)
+
+
+def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
+    """Ranks that the equations may have, the lowest first, and where to look for a motion: first
+    about home.
+    """
+    valley = Valley(system, 0)
+    limit = OPEN * scaled
+    exact = EXACT + 4.0 * np.finfo(float).eps * float(
+        np.linalg.norm(origin_of(system))
+    ) / characteristic_length(system)
+    out: list[tuple[int, Array]] = []
+    rng = np.random.default_rng(0)
+    looked = 0
+    regular = 0
+    held = system.nv
+    for k in range(BESIDE + 1):
+        start = home
+        if k:
+            start = system.structure.layout.integrate(
+                home, valley.scale * rng.normal(size=system.nv) * ASIDE
+            )
+        q = bare(system)(start=start, budget=Budget(starts=FEW)).q
+        f, _, s, _ = valley.at(q)
+        left = float(np.linalg.norm(f))
+        s = _relative(s, system.nv)
+        if not left <= limit:
+            if not k:
+                return []
+            continue
+        if regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
+            continue
+        looked += 1
+        if left <= exact and len(f) <= system.nv and np.all(s[: len(f)] >= limit):
+            regular += 1  # it closes for any dimensions near by
+            if not k:
+                return []
+            continue
+        if left > exact or np.any((s > exact) & (s < limit)):
+            least = max(0.1 * min(left, scaled), EXACT)
+            top = system.nv + (left > exact)
+            for at in _where(valley, start, q, limit):
+                here = _relative(valley.at(at)[2], system.nv)
+                held = min(held, int(np.sum(here >= limit)))
+                out += [(r, at) for r in _ranks(here, top, limit, least)]
+    top = min(
+        system.nv, len(full(system, True).names)
+    )  # of this rank no equation is too many, or nothing moves
+    if held < top - 1:
+        out += _beside(valley, home, held, top, limit, rng)
+    return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)
+
+
+def _beside(
+    valley: Valley, home: Array, held: int, top: int, limit: float, rng: np.random.Generator
+) -> list[tuple[int, Array]]:
+    """Ranks from `held` to below `top`, and where to look for a motion, beside a home that is
+    singular.
+
+    Each motion leaves along some direction that nothing holds at home. Of those that are tried the
+    ones come first on which least stays open.
+    """
+    system = valley.system
+    null_space = valley.at(home)[3][held:]
+    ways = rng.normal(size=(WAYS, len(null_space))) @ null_space
+    ways *= 2.0 * ASIDE / np.linalg.norm(ways, axis=1, keepdims=True)
+    starts = system.structure.layout.integrate(np.tile(home, (WAYS, 1)), valley.scale * ways)
+    out: list[tuple[int, Array]] = []
+    for r in range(max(held, 1), top):
+        along = Valley(system, r)
+        found = along.converge_all(starts)
+        found = found[np.isfinite(found).all(axis=1)]
+        left = valley.residual(found)
+        fit = [
+            i
+            for i in np.argsort(left)
+            if left[i] <= limit
+            and r in _ranks(_relative(along.at(found[i])[2], system.nv), r + 1, limit, EXACT)
+        ]
+        out += [(r, found[i]) for i in fit if along.regular(found[i])][:FEW]
+    return out
+
+
+def _apart(
+    system: System, starts: Sequence[tuple[int, Array]], scale: Array
+) -> list[tuple[int, Array]]:
+    """The ranks and places without those that are close to one before them."""
+    out: list[tuple[int, Array]] = []
+    for r, q in starts:
+        off = (system.structure.layout.difference(x, q) / scale for same, x in out if same == r)
+        if all(np.abs(x).max() > CLOSE for x in off):
+            out.append((r, q))
+    return out
+
+
+def _relative(s: Array, n: int) -> Array:
+    """Singular values (n,) of equations of n unknowns as parts of the largest; missing ones are
+    zero.
+    """
+    return np.append(s, np.zeros(max(n - len(s), 0)))[:n] / max(float(s[0]), 1e-300)
+
+
+def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
+    """Where to read a rank: at the start, if little is open there, and where the given numbers
+    close best, `q`.
+
+    The loops of rounded numbers may close exactly far away only, where the mechanism is flat and
+    other ranks are near.
+    """
+    layout = valley.system.structure.layout
+    if valley.residual(start) > limit:
+        return [q]
+    far = np.abs(layout.difference(start, q) / valley.scale).max() > ASIDE
+    return [start, q] if far else [start]
+
+
+def _ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
+    """Ranks below `top` at which relative singular values (n,) may part what moves from what is
+    held.
+    """
+    ratio = np.append(np.maximum(s, least), least)
+    return [
+        r for r in range(1, top) if ratio[r - 1] >= GAP * ratio[r] and (r == len(s) or s[r] < limit)
+    ]
+
+
+def _with_rank(
+    system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
+) -> _Found | None:
+    """The nearest mechanism whose equations have this rank along its motion near q; None if there
+    is none.
+    """
+    shape = Dimensions(system)
+    freedoms = system.nv - rank
+    limit = OPEN * scaled
+    valley = Valley(shape.system, rank)
+    q = valley.converge(q)
+    if not valley.residual(q) <= limit:
+        return None
+    points = valley.walk(q, limit, np.random.default_rng(0)) if freedoms else q[None]
+    if freedoms and len(points) < ENOUGH:
+        return None
+    off = float(Valley(shape.system, rank).residual(points).max())
+    if off <= EXACT:
+        return None
+    nice = snapped(system, min(most, NEARLY * off))
+    if nice is not None and moves_all_along(Valley(nice, rank), points):
+        return _Found(nice, tuple(shape.places), points, freedoms)
+    found = fitted_all_along(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)
+    if thorough:
+        found = _best(found, shape, rank, points, most, time)
+    return (
+        _Found(shape.changed(found.p, system), tuple(shape.places), found.q, freedoms)
+        if found.closed
+        else None
+    )
+
+
+def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit) -> Fit:
+    """Of what was found, and what obeys relations that nearly hold, the latter if it closes with
+    small changes.
+    """
+    off = float(Valley(shape.system, rank).residual(q).max())
+    size = float(np.abs(found.p).max()) if found.closed else off
+    if size <= EXACT or off <= EXACT or not found.closed and found.left > NEARLY_CLOSED:
+        return found
+    relations = Relations(shape, NEARLY * size)
+    if not relations.rows:
+        return found
+    largest = min(most, NEARLY * size * shape.unit.max()) if found.closed else most
+    nicer = fitted_all_along(
+        shape, rank, q, largest, time, relations, 1 if found.closed else len(DAMPING)
+    )
+    return nicer if nicer.closed else found
+
+
+def _changes(system: System, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
+    """What was found, with what differs."""
+    m = system.mechanism
+    new = system.mechanism
+    size = 0.0
+    changes: list[tuple[str, str, Any, Any, float, float]] = []
+    absorbed: dict[str, float] = {}
+    index = {name: i for i, name in enumerate(system.coordinate_names)}
+    for part in changed:
+        for table, name, side in part.places:
+            parts = getattr(new, table)
+            parts[name] = replace(
+                parts[name], **{side: getattr(getattr(part.ideal.mechanism, table)[name], side)}
+            )
+            old, becomes = (
+                getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, new)
+            )
+            before: Array = old
+            between = np.linalg.inv(before) @ becomes
+            twist = log_so3(between[:3, :3])
+            slide = becomes[:3, 3] - old[:3, 3]
+            by = float(np.linalg.norm(slide)), float(np.linalg.norm(twist))
+            size = max(size, float(np.abs(slide).max()), float(np.abs(twist).max()))
+            changes.append((name, side, old, becomes, *by))
+        q = np.tile(home, (len(part.q), 1))
+        q[:, [index[name] for name in part.ideal.coordinate_names]] = part.q
+        own = {name for _, name, _ in part.places}
+        off = np.abs(residual(system, q)).max(axis=0)
+        for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
+            if name in own:
+                absorbed[name] = max(x, absorbed.get(name, 0.0))
+    reported = [
+        Change(name, side, *_texts(old, becomes, m.dim, SHOWN * size), *by)
+        for name, side, old, becomes, *by in changes
+        if max(by) >= SHOWN * size
+    ]
+    reported.sort(key=lambda c: -max(c.moved, c.turned))
+    ideal = as_large_as(type(system)(new, system.structure.topology), system)
+    at = home.copy()
+    for part in changed:  # what does not change counts as it is at home
+        at[[index[name] for name in part.ideal.coordinate_names]] = part.q[-1]
+    freedoms = freedoms_left(
+        ideal, at, frozenset(n for x in changed for n in x.ideal.structure.velocity_names)
+    )
+    freedoms += sum(x.freedoms for x in changed)
+    left = max(absorbed.values(), default=0.0)
+    answer = Idealised(system, ideal, most, size, left, freedoms, tuple(reported), absorbed)
+    vars(ideal)["_ideal"] = answer  # it is frozen, and known only now
+    return answer
+
+
+def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
+    """The numbers of two poses that differ by at least so much, as x, y, z and fixed-axis angles."""
+    names = ("x", "y", "z", "roll", "pitch", "yaw") if dim == 3 else ("x", "y", "", "", "", "angle")
+    a = xyz_rpy_from_pose(old)
+    b = xyz_rpy_from_pose(new)
+    digits = max(3, 2 - math.floor(math.log10(least)))
+    differ = [i for i in range(6) if abs(a[i] - b[i]) >= least] or [int(np.argmax(np.abs(a - b)))]
+    said = [
+        ", ".join(f"{names[i]} {_number(x[i], i > 2, digits)}" for i in differ if names[i])
+        for x in (a, b)
+    ]
+    return said[0], said[1]
+
+
+def _number(x: float, is_angle: bool, digits: int) -> str:
+    """The number as text; angles that are simple fractions of pi by name."""
+    part = Fraction(round(12.0 * x / math.pi), 12)
+    if is_angle and part and abs(x - math.pi * part) < 1e-14:
+        return f"{'-' * (part < 0)}{abs(part.numerator) if abs(part.numerator) > 1 else ''}pi" + (
+            f"/{part.denominator}" if part.denominator > 1 else ""
+        )
+    return f"{x:.{digits}f}"
+
+
+def tolerant(*closed: str) -> Callable[[Function], Function]:
+    """A verb that answers for the nearest mechanism within its `tolerance`, and says so by `within`
+    of its answer.
+
+    `closed` are its arguments that are configurations and must close the loops: they are led to
+    where that one does.
+    """
+
+    def of(function: Function) -> Function:
+        @functools.wraps(function)
+        def call(system: System, *args: Any, **options: Any) -> Any:
+            found = within(system, options.pop("tolerance", None))
+            if found is None:
+                return function(system, *args, **options)
+            for name in closed:
+                if args and args[0] is not None:
+                    args = (found.closed(args[0]), *args[1:])
+                elif options.get(name) is not None:
+                    options[name] = found.closed(options[name])
+            answer = function(found.system, *args, **options)
+            named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
+            return replace(answer, within=found) if "within" in named else answer  # type: ignore[type-var]
+
+        return call  # type: ignore[return-value]
+
+    return of

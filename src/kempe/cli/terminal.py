@@ -1,0 +1,138 @@
+"""How commands speak: answers and errors as text or as JSON, and exit codes."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from kempe.errors import KempeError, TimeLimitError, shortened
+
+COMPLETE = 0
+INCOMPLETE = 1
+REFUSED = 2
+INTERRUPTED = 130
+"""Exit codes: complete answer; no solution or problems found; question that could not be posed;
+Ctrl-C."""
+
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""Base of the errors for wrong usage, which has moved between versions of typer."""
+
+
+class Commands(TyperGroup):
+    """A group of commands in which wrong usage is one sentence, or JSON where that was requested."""
+
+    def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+        """Run the command line `args`; ends the process with an exit code unless `standalone_mode`
+        is off.
+        """
+        args = [at_home(arg) for arg in (sys.argv[1:] if args is None else args)]
+        try:
+            code = super().main(args, *rest, standalone_mode=False, **extra)
+        except UsageError as error:
+            context = getattr(error, "ctx", None)
+            words = (
+                context.command_path.split()[1:]
+                if context
+                else [arg for arg in args[:1] if arg in self.commands]
+            )
+            path = " ".join(["kempe", *words])
+            message = getattr(error, "format_message", error.__str__)()
+            say_error(f"{message} (see '{path} --help')", "--json" in args)
+            code = REFUSED
+        except typer.Abort:
+            code = INTERRUPTED
+        if standalone_mode:
+            sys.exit(code or COMPLETE)
+        return code
+
+
+def at_home(argument: str) -> str:
+    """An argument with the ``~`` of its file expanded, which a shell leaves alone after ``=``."""
+    option, sign, file = argument.partition("=")
+    if not argument.startswith("--"):
+        option = sign = ""
+        file = argument
+    if not re.match(r"~[\w.-]*(/|$)", file):
+        return argument
+    return option + sign + os.path.expanduser(file)
+
+
+def leave(answer: Any) -> None:
+    """End the command where its answer is not complete: by the code for Ctrl-C where that broke it
+    off.
+    """
+    from kempe.status import Status  # which loads numpy
+
+    if (
+        getattr(answer, "interrupted", False)
+        or getattr(answer, "broken", None) is Status.INTERRUPTED
+    ):
+        raise typer.Exit(INTERRUPTED)
+    if not answer:
+        raise typer.Exit(INCOMPLETE)
+
+
+def guarded(function: Callable[..., None]) -> Callable[..., None]:
+    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code
+    2.
+
+    Where the time limit was over before anything was known, it is 1: the question stands.
+    """
+
+    @functools.wraps(function)
+    def run(*args: Any, **options: Any) -> None:
+        try:
+            function(*args, **options)
+        except TimeLimitError as error:
+            say_error(error, options.get("json", False))
+            raise typer.Exit(INCOMPLETE) from None
+        except KempeError as error:
+            refuse(error, options.get("json", False))
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            named = f"{error.filename}: " if error.filename else ""
+            refuse(f"{named}{error.strerror or error}", options.get("json", False))
+
+    return run
+
+
+def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
+    """Say why the question cannot be posed, and end the command with exit code 2."""
+    say_error(error, json)
+    raise typer.Exit(REFUSED)
+
+
+def say_error(error: BaseException | str, json: bool = False) -> None:
+    """Print an error: a sentence on standard error, or JSON on standard output."""
+    error = error if isinstance(error, BaseException) else str(shortened(error))
+    if json:
+        from kempe.cli.as_json import error_facts
+
+        print_json(error_facts(error))
+    else:
+        from kempe.cli import report
+
+        report.show(report.error(error), sys.stderr)
+
+
+def print_json(data: Any) -> None:
+    """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
+    from kempe.words import json_text
+
+    encoding = getattr(sys.stdout, "encoding", None) or "ascii"
+    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
+
+
+def show(renderable: Any) -> None:
+    """Print a report."""
+    from kempe.cli import report
+
+    report.show(renderable)

@@ -1,0 +1,604 @@
+"""Chains from Denavit-Hartenberg tables and from screw axes (product of exponentials)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained
+from kempe.arrays import is_array, is_mapping
+from kempe.description.mechanism import BodyLike, Mechanism
+from kempe.errors import InputError, hint
+from kempe.poses import Placement, direction, place, placement_of_pose, steps_from_data
+from kempe.values import Expression, Value, value, values
+from kempe.words import counted
+
+# ---- dh table
+
+# Rows of Denavit-Hartenberg tables in the forms in which people have them, and their angles in
+# radians.
+
+
+ORDER = ("a", "alpha", "d", "theta")
+"""Order of plain rows unless their columns are named; a fifth entry is the type of the joint."""
+
+DEGREE = math.pi / 180.0
+
+ONE_TURN = 2.0 * math.pi + 1e-3
+"""Angles of a table beyond this many radians are taken for degrees, unless they can be those of a
+calibration.
+
+Controllers count turns, so that a theta or an offset of a calibrated arm may be some turns; a twist
+alpha never is.
+"""
+
+MOST_TURNS = 20.0 * math.pi
+"""Largest theta or offset, in radians, that is taken for the turns that a controller has
+counted."""
+
+SHARE = 0.1
+"""Angles below this, in the unit of the table, are corrections of zero: they do not tell which unit
+it is."""
+
+ROUND = 45.0
+NEAR_ROUND = 0.5
+"""Angles within so many degrees of a multiple of so many degrees are meant to be that multiple."""
+
+LARGEST_LIMIT = 10.0 * math.pi
+"""The same for limits, of joints that may turn some times."""
+
+QUARTER = 1e-4
+"""How near to a quarter turn in radians a number must be, not to be taken for degrees."""
+
+
+def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[list[Any], str]:
+    """The rows as dicts (or as they are, where they name their entries), and a note on what was
+    assumed of them.
+
+    Errors: `InputError` for tables of another form, and for columns that are not `known`.
+    """
+    columns = _checked_columns(columns, known)
+    table: Any = rows
+    if isinstance(table, memoryview):  # one of two axes cannot be gone through
+        rows = table = np.asarray(table)
+    names: Any = (
+        rows.dtype.names
+        if is_array(rows)
+        else rows
+        if is_mapping(rows)
+        else getattr(rows, "columns", None)
+    )
+    if names is not None:
+        if columns != ORDER:
+            raise InputError("columns are given, but the table names its own; leave columns out")
+        return _named(rows, list(names), known), ""
+    if (
+        isinstance(rows, (str, bytes))
+        or not isinstance(rows, Iterable)
+        or getattr(table, "ndim", 1) == 0
+    ):
+        raise InputError(
+            f"rows are {rows!r}; they must be a list of rows, an array (n, 4) or a table by column "
+            "name"
+        )
+    plain = False
+    out: list[Any] = []
+    for i, row in enumerate(table, 1):
+        keys = _keys(row)
+        entries = row
+        own = keys is None and isinstance(row, (list, tuple, np.ndarray))
+        plain |= own
+        out.append(
+            _plain(row, i, columns)
+            if own
+            else row
+            if keys is None
+            else dict(zip(keys, entries, strict=True))
+        )
+    if columns != ORDER and not plain and out:
+        raise InputError("columns are given, but the rows name their entries; leave columns out")
+    return out, f"plain rows of the table were read as {', '.join(columns)}" if plain else ""
+
+
+def _keys(row: Any) -> list[str] | None:
+    """Names of the entries of a row that is no dict but names them: a named tuple, a record or a
+    series.
+    """
+    if isinstance(row, np.void):
+        return list(row.dtype.names or ())
+    named: Any = getattr(row, "_fields" if isinstance(row, tuple) else "index", None)
+    if named is None or isinstance(row, (list, np.ndarray)) or callable(named):
+        return None
+    return [str(name) for name in named]
+
+
+def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
+    given: Any = columns
+    if isinstance(columns, str) or not isinstance(columns, Iterable):
+        raise InputError(f"columns are {columns!r}; they must be a list of names, such as {ORDER}")
+    names: tuple[str, ...] = tuple(given)
+    for name in names:
+        if name not in known:
+            raise InputError(f"columns hold {name!r}, which a row does not have{hint(name, known)}")
+    if len(set(names)) < len(names):
+        raise InputError(f"columns are {names}; a name appears twice")
+    return names
+
+
+def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
+    """A row without names as a dict."""
+    entries = list(row)
+    names = (*columns, "type") if columns == ORDER and len(entries) == 5 else columns
+    if len(entries) != len(names):
+        also = ", and the type where it is not revolute" if columns == ORDER else ""
+        raise InputError(
+            f"row {number} has {counted(len(entries), 'entry')}; it must have "
+            f"{', '.join(columns)}{also}"
+        )
+    return {name: _own(x) for name, x in zip(names, entries, strict=True)}
+
+
+def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Rows of a table with named columns; entries that are missing (None, NaN where no number is
+    due) are left out.
+    """
+    fields: list[str] = []
+    for name in names:
+        field = str(name).strip().lower()
+        if field not in known:
+            raise InputError(f"the table has an unknown column {name!r}{hint(name, known)}")
+        fields.append(field)
+    if len(set(fields)) < len(fields):
+        raise InputError(f"the table has columns {names}; a name appears twice")
+    columns: list[list[Any]] = []
+    for name in names:
+        column = entries = table[name]
+        if isinstance(column, (str, bytes)) or not isinstance(column, Iterable):
+            raise InputError(f"column {name!r} is {column!r}; it must have an entry for each row")
+        columns.append(list(entries))
+    if len({len(column) for column in columns}) > 1:
+        said = ", ".join(
+            f"{len(column)} of {name!r}" for name, column in zip(names, columns, strict=True)
+        )
+        raise InputError(f"the columns have different lengths: {said}")
+    rows: list[dict[str, Any]] = []
+    for entries in zip(*columns, strict=True):
+        row = {field: _own(x) for field, x in zip(fields, entries, strict=True)}
+        rows.append(
+            {k: x for k, x in row.items() if not (x is None or (k not in ORDER and _is_nan(x)))}
+        )
+    return rows
+
+
+def _own(x: Any) -> Any:
+    """A number or text of numpy as one of Python."""
+    given: Any = x
+    return given.item() if isinstance(x, np.generic) else x
+
+
+def _is_nan(x: Any) -> bool:
+    return isinstance(x, float) and math.isnan(x)
+
+
+# ---- angles
+
+
+def counts_turns(rows: Iterable[DHRow]) -> bool:
+    """Whether angles beyond a turn, in a table of radians, can be turns that a controller has
+    counted.
+
+    They are few then: in a table of degrees most angles are larger than 2 pi, in one of radians
+    most are not. A single angle does not tell, and may be one. Angles that are expressions are
+    those of somebody who writes radians.
+    """
+    within = 0
+    beyond = 0
+    for i, row in enumerate(rows, 1):
+        for k in ("alpha", "theta", *(("offset",) if row.type == "revolute" else ())):
+            x = value(getattr(row, k), f"row {i}: {k}")
+            number = not isinstance(x, Expression)
+            beyond += number and abs(x) > ONE_TURN
+            within += not number or SHARE <= abs(x) <= ONE_TURN
+    return beyond <= max(1, within)
+
+
+def in_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
+    """The row with its angles in radians; `winds` is what `counts_turns` says of the table.
+
+    Errors: `InputError` for angles that are clearly in the other unit.
+    """
+    if not isinstance(deg, (bool, np.bool_)):
+        raise InputError(f"deg is {deg!r}; it must be True or False")
+    if not isinstance(row.flip, (bool, np.bool_)):
+        raise InputError(f"row {number}: flip is {row.flip!r}; it must be True or False")
+    turns = row.type == "revolute"
+    if row.type == "fixed" and (row.flip or row.offset != 0.0):
+        raise InputError(
+            f"row {number}: a fixed row has no offset and is not flipped: it has no joint variable"
+        )
+    angles = ("alpha", "theta", "offset") if turns else ("alpha", "theta")
+    changed: dict[str, Any] = {
+        k: _angle(getattr(row, k), f"row {number}: {k}", deg, winds and k != "alpha")
+        for k in angles
+    }
+    if turns:
+        changed["limits"] = _limits(row.limits, f"row {number}: limits", deg)
+        if deg and isinstance(row.velocity, (int, float, np.number)):
+            changed["velocity"] = row.velocity * DEGREE
+    return replace(row, **changed)
+
+
+def _angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
+    x = value(given, what)
+    if isinstance(x, Expression):
+        if not deg:
+            return x
+        if (
+            "pi"
+            in x.text.replace("(", " ")
+            .replace(")", " ")
+            .replace("*", " ")
+            .replace("/", " ")
+            .split()
+        ):
+            raise InputError(
+                f"{what} is {x.text!r} with deg=True, where angles are degrees: leave deg out, or "
+                "pi"
+            )
+        return Expression(f"radians({x.text})")
+    if not deg:
+        if abs(x) > ONE_TURN and not (winds and abs(x) <= MOST_TURNS and not _is_round(x)):
+            same = x - 2.0 * math.pi * round(x / (2.0 * math.pi))
+            raise InputError(
+                f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; for "
+                f"degrees give deg=True; if it is in radians, the same angle is {same:.12g}"
+            )
+        return x
+    quarters = x / (0.5 * math.pi)
+    if 0.5 < abs(quarters) < 4.5 and abs(quarters - round(quarters)) < QUARTER:
+        raise InputError(
+            f"{what} is {x:g} with deg=True, where angles are degrees; in radians it is "
+            f"{90 * round(quarters)} degrees: leave deg out, or write that"
+        )
+    return x * DEGREE
+
+
+def _is_round(x: float) -> bool:
+    """Whether a number is one that people write in degrees: a whole or half one, or nearly a
+    multiple of 45.
+    """
+    return (2.0 * x) % 1.0 == 0.0 or abs(x - ROUND * round(x / ROUND)) < NEAR_ROUND
+
+
+def _limits(given: Any, what: str, deg: bool) -> Any:
+    """Limits of a turning joint in radians; what is no pair is left to the joint, which refuses it."""
+    entries: Any = given
+    if not isinstance(given, (list, tuple, np.ndarray)):
+        return given
+    out: list[Any] = []
+    for x in entries:
+        number: Any = x
+        real = isinstance(x, (int, float, np.number)) and not isinstance(x, bool)
+        if real and not deg and LARGEST_LIMIT < abs(number) < math.inf:
+            turns = abs(number) / (2.0 * math.pi)
+            raise InputError(
+                f"{what} hold {number:g}, which is {turns:.1f} turns in radians; for degrees give "
+                "deg=True"
+            )
+        out.append(float(number) * DEGREE if real and deg else number)
+    return tuple(out)
+
+
+CONVENTIONS = ("standard", "modified")
+NUMBERS = ("a", "alpha", "d", "theta", "offset")
+JOINT_TYPES = ("revolute", "prismatic", "fixed")
+
+UNIT_TOLERANCE = 1e-3
+"""A screw whose axis is this close to unit length is normalised: published tables are rounded."""
+
+PITCH_TOLERANCE = 1e-12
+"""A pitch below this many metres a radian, relative to the size of the screw, is rounding."""
+
+
+@dataclass(frozen=True)
+class DHRow:
+    """One row of a Denavit-Hartenberg table: lengths `a` and `d` [m], angles `alpha` and `theta`
+    [rad].
+
+    In the modified convention `a` and `alpha` are those that stand before the joint, a(i-1) and
+    alpha(i-1). `type` is revolute (theta is the angle at q = 0), prismatic (d is the length at q =
+    0) or fixed. `offset` is added to theta or d, and with `flip` the joint counts the other way:
+    theta + offset - q. Each number can be an expression in parameters. `name` is the joint's,
+    `body` that of the body it moves.
+    """
+
+    a: Value | str = 0.0
+    alpha: Value | str = 0.0
+    d: Value | str = 0.0
+    theta: Value | str = 0.0
+    type: str = "revolute"
+    name: str | None = None
+    body: str | None = None
+    limits: tuple[float, float] | None = None
+    velocity: float | None = None
+    effort: float | None = None
+    actuated: bool | None = None
+    offset: Value | str = 0.0
+    flip: bool = False
+
+
+@dataclass(frozen=True)
+class ScrewRow:
+    """One screw axis in the ground frame at q = 0: either `twist` or `axis` (with `point` and
+    `pitch`).
+
+    `twist` is [v; w], the linear part first (Lynch and Park write [w; v]): |w| = 1, or w = 0 and
+    |v| = 1 for a slide. `axis` is the direction and `point` a point that it passes through, both in
+    the ground frame; `pitch` is metres a radian, infinite for a slide along the axis. `point` can
+    use parameters.
+    """
+
+    twist: Iterable[float] | None = None
+    axis: Iterable[float] | str | None = None
+    point: Iterable[Value | str] = (0.0, 0.0, 0.0)
+    pitch: float = 0.0
+    name: str | None = None
+    body: str | None = None
+    limits: tuple[float, float] | None = None
+    velocity: float | None = None
+    effort: float | None = None
+    actuated: bool | None = None
+
+
+@explained
+def from_dh(
+    rows: Any,
+    convention: str = "standard",
+    name: str = "arm",
+    base: object = None,
+    tool: object = None,
+    parameters: Mapping[str, float] | None = None,
+    *,
+    deg: bool = False,
+    columns: Sequence[str] = ORDER,
+) -> Mechanism:
+    """Chain of a Denavit-Hartenberg table; the pose of body i is A1 A2 ... Ai, its frame is DH
+    frame i.
+
+    With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg,
+    1955); with "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow`,
+    dicts with their fields, a table with named columns (a DataFrame, a dict of lists), or plain
+    rows of numbers: a list of tuples, an array (n, 4). Of these `columns` names the order, which
+    differs from book to book. With `deg` angles are
+    degrees: alpha, theta, and offsets, limits and velocities of turning joints. Bodies are 'link1',
+    ... and joints 'q1', ... unless named. `base` is the pose of DH frame 0 on the
+    ground, `tool` that of the frame 'tool' on the last body: pose matrices (4, 4), `Placement` or
+    dicts of the keywords of `place`. Errors: `InputError`, also where an angle is not one in the
+    unit said: 90 without `deg`. Without `deg` an alpha beyond one turn is refused; a theta or an
+    offset beyond one turn, which calibrated arms have, is refused where it is more than 10 turns, a
+    whole or half number or within 0.5 of a multiple of 45, and where more angles of the table are
+    beyond one turn than within (below 0.1 they do not count; a single one is allowed).
+
+    >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
+    >>> float(arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3])
+    -0.4
+    >>> from_dh([(0, 90, 0.4, 0), (0.5, 0, 0, 30)], deg=True)
+    Mechanism('arm', dim=3, bodies=2, joints=2)
+    """
+    out = Mechanism(name)
+    for key, number in (parameters or {}).items():
+        out.parameter(key, number)
+    add_dh(out, rows, convention, base=base, tool=tool, deg=deg, columns=columns)
+    return out
+
+
+def add_dh(
+    mechanism: Mechanism,
+    rows: Any,
+    convention: str = "standard",
+    on: BodyLike | None = None,
+    base: object = None,
+    tool: object = None,
+    wheres: Iterable[Any] = (),
+    deg: bool = False,
+    columns: Sequence[str] = ORDER,
+) -> None:
+    """Add the chain of a Denavit-Hartenberg table to `mechanism`, on the body `on` (the ground
+    where None).
+
+    Other arguments as in `from_dh`; `wheres` are the rows' places in a file. Errors: `InputError`,
+    `DescriptionError`.
+    """
+    if convention not in CONVENTIONS:
+        raise InputError(
+            f"convention is {convention!r}; it must be {' or '.join(map(repr, CONVENTIONS))}"
+        )
+    before = _placement(base, "base")
+    here = on if on is not None else mechanism.ground
+    table, note = rows_of(rows, columns, tuple(f.name for f in fields(DHRow)))
+    checked = [_row(DHRow, row, i) for i, row in enumerate(table, 1)]
+    if not checked:
+        raise InputError("the table has no rows; it must have one for each joint")
+    winds = counts_turns(checked)
+    places = list(wheres) or [None] * len(checked)
+    for i, (row, where) in enumerate(zip(checked, places, strict=True), 1):
+        if row.type not in JOINT_TYPES:
+            raise InputError(f"row {i}: type is {row.type!r}; it must be {', '.join(JOINT_TYPES)}")
+        row = in_radians(row, i, deg, winds)
+        a, alpha, d, theta, offset = (value(getattr(row, k), f"row {i}: {k}") for k in NUMBERS)
+        if offset != 0.0:
+            theta, d = (theta + offset, d) if row.type == "revolute" else (theta, d + offset)
+        along_x = Placement((("rx", (alpha,)), ("x", (a,)))).simplified()
+        along_z = Placement((("rz", (theta,)), ("z", (d,)))).simplified()
+        if convention == "standard":
+            X_PF = before @ along_z
+            X_CM = along_x.inverse()
+        else:
+            X_PF = before @ along_x @ along_z
+            X_CM = Placement()
+        if row.flip:  # frames F and M both turned over: the motion of z is that of -z
+            over = place(axis="-z")
+            X_PF = X_PF @ over
+            X_CM = X_CM @ over
+        here = _add(mechanism, row, i, row.type, here, X_PF, X_CM, where, {})
+        before = Placement()
+    mechanism.frame("tool", here, at=_placement(tool, "tool"))
+    mechanism.notes += [note] if note else []
+
+
+@explained
+def from_screws(
+    screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
+    home: object = None,
+    name: str = "arm",
+    parameters: Mapping[str, float] | None = None,
+) -> Mechanism:
+    """Chain of screw axes: body i has the pose exp(S1 q1) ... exp(Si qi), the frame 'tool' that
+    times `home`.
+
+    `screws` are `ScrewRow`, dicts with their fields, or plain twists [v; w], the linear part first,
+    in the ground frame at q = 0. A screw is revolute, prismatic (w = 0) or, with a pitch, helical.
+    `home` is the pose of the tool at q = 0: a matrix (4, 4), a `Placement` or a dict of the
+    keywords of `place`. All body frames coincide with the ground's at q = 0. Source: Brockett,
+    1984; Lynch and Park, 2017, chapter 4.
+
+    >>> sorted(from_screws([[0, 0, 0, 0, 0, 1], [0, -0.5, 0, 0, 0, 1]], home={"at": (0.9, 0, 0)}).joints)
+    ['q1', 'q2']
+    """
+    out = Mechanism(name)
+    for key, number in (parameters or {}).items():
+        out.parameter(key, number)
+    add_screws(out, screws, home)
+    return out
+
+
+def add_screws(
+    mechanism: Mechanism,
+    screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
+    home: object = None,
+    wheres: Iterable[Any] = (),
+) -> None:
+    """Add a chain of screw axes to `mechanism`, on its ground; arguments as in `from_screws`."""
+    checked = [
+        _row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i)
+        for i, s in enumerate(screws, 1)
+    ]
+    if not checked:
+        raise InputError("the list of screws is empty; it must have one for each joint")
+    places = list(wheres) or [None] * len(checked)
+    here: BodyLike = mechanism.ground
+    for i, (row, where) in enumerate(zip(checked, places, strict=True), 1):
+        kind, X, options = _screw(row, i)
+        here = _add(mechanism, row, i, kind, here, X, X, where, options)
+    mechanism.frame("tool", here, at=_placement(home, "home"))
+
+
+def _add(
+    mechanism: Mechanism,
+    row: DHRow | ScrewRow,
+    number: int,
+    kind: str,
+    parent: BodyLike,
+    X_PF: Placement,
+    X_CM: Placement,
+    where: Any,
+    options: dict[str, Any],
+) -> BodyLike:
+    child = mechanism.body(row.body or f"link{number}", where=where)
+    mechanism.joint(
+        row.name or f"q{number}",
+        kind,
+        parent,
+        child,
+        at=X_PF,
+        child_at=X_CM,
+        limits=row.limits,
+        velocity=row.velocity,
+        effort=row.effort,
+        actuated=row.actuated,
+        where=where,
+        **options,
+    )
+    return child
+
+
+def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
+    """Joint type, placement of its frames in the ground frame at q = 0, and options."""
+    label = f"screw {number}"
+    if (row.twist is None) == (row.axis is None):
+        raise InputError(f"{label} must have either twist or axis")
+    if row.axis is not None:
+        if (
+            isinstance(row.pitch, bool)
+            or not isinstance(row.pitch, (int, float))
+            or math.isnan(row.pitch)
+        ):
+            raise InputError(
+                f"{label}: pitch is {row.pitch!r}; it must be a number, infinite for a slide"
+            )
+        pitch = float(row.pitch)
+        kind = "prismatic" if math.isinf(pitch) else "helical" if pitch else "revolute"
+        axis = values(direction(row.axis), 3, f"{label}: axis")
+        X = place(values(row.point, 3, f"{label}: point"), axis=axis)
+        return kind, X, {"pitch": pitch} if kind == "helical" else {}
+    twist = values(row.twist, 6, f"{label}: twist")  # type: ignore[arg-type]
+    if not all(isinstance(x, float) for x in twist):
+        raise InputError(
+            f"{label}: a twist must be plain numbers; with parameters use axis and point"
+        )
+    v = np.array(twist[:3], dtype=float)
+    w = np.array(twist[3:], dtype=float)
+    unit, what = (w, "w") if w.any() else (v, "v")
+    length = float(np.linalg.norm(unit))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        said = "its rotation part w" if what == "w" else "it has no rotation, and its linear part v"
+        raise InputError(
+            f"{label}: {said} has length {length:g}; it must be 1 (the order is [v; w], linear "
+            "first)"
+        )
+    if what == "v":
+        return "prismatic", place(axis=v), {}
+    # the axis passes through w x v and the pitch is w . v, for |w| = 1 (Murray, Li, Sastry, 1994,
+    # 2.3)
+    v = v / length
+    w = w / length
+    pitch = float(w @ v)
+    X = place(np.cross(w, v).tolist(), axis=w.tolist())
+    if abs(pitch) <= PITCH_TOLERANCE * max(1.0, float(np.linalg.norm(v))):
+        return "revolute", X, {}
+    return "helical", X, {"pitch": pitch}
+
+
+def _row(kind: Any, row: Any, number: int) -> Any:
+    if isinstance(row, kind):
+        return row
+    known = [f.name for f in fields(kind)]
+    plain = "plain numbers or " if kind is DHRow else ""
+    if not is_mapping(row):
+        raise InputError(
+            f"row {number} is {row!r}; it must be {plain}a dict with some of {', '.join(known)}"
+        )
+    for key in row:
+        if key not in known:
+            raise InputError(f"row {number} has an unknown entry {key!r}{hint(key, known)}")
+    return kind(**row)
+
+
+def _placement(X: object, what: str) -> Placement:
+    """Placement of a matrix, a `Placement`, or a dict of keywords of `place` (or of steps)."""
+    if X is None:
+        return Placement()
+    if isinstance(X, Placement):
+        return X
+    if is_mapping(X):
+        known = ("at", "rpy", "angle", "axis", "quat_wxyz", "matrix", "steps")
+        for key in X:
+            if key not in known:
+                raise InputError(f"{what} has an unknown entry {key!r}{hint(key, known)}")
+        return steps_from_data(X["steps"]) if "steps" in X else place(**X)
+    return placement_of_pose(X)

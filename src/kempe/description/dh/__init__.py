@@ -1,1 +1,0 @@
-"""Chains from Denavit-Hartenberg tables and from screw axes."""

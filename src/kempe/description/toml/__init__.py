@@ -1,1 +1,0 @@
-"""TOML, the format of our own: reading and writing."""

@@ -1,0 +1,558 @@
+"""A TOML text as tables whose shape is checked and whose every value knows its place."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+from kempe import constraints
+from kempe.constraints.base import fields_of
+from kempe.description.source import Findings, Source, fail, shorten
+from kempe.errors import Where, hint
+from kempe.joints import TYPES, JointType
+
+# ---- toml places
+
+# Where each table, key and array element of a TOML text stands, which the standard parser does not
+# say.
+
+
+Path = tuple[str | int, ...]
+"""Keys and indices that lead to a value: ``("joint", 2, "limits")``."""
+
+DEEPEST = 16
+"""Names of a dotted key that are told apart: Kempe's own format has six at most, and a long key
+must not take long."""
+
+_TOKEN = re.compile(
+    r'''(?P<string>"""(?:\\.|[^\\])*?"""(?:""|"|)|\'\'\'.*?\'\'\'(?:\'\'|\'|)|"(?:\\.|[^"\\\n])*"|'[^'\n]*')'''
+    r"""|(?P<comment>\#[^\n]*)|(?P<newline>\n)|(?P<mark>[\[\]{},=.])|(?P<bare>[^\s"'\#\[\]{},=.]+)""",
+    re.DOTALL,
+)
+
+
+class _Token(NamedTuple):
+    kind: str
+    text: str
+    offset: int
+
+
+class Places:
+    """Answers where the value at a path stands; for an unknown path, where what encloses it stands."""
+
+    def __init__(self, source: Source, tables: dict[Path, int] | None = None):
+        self.source = source
+        self._tables = tables or {}
+
+    @cached_property
+    def _offsets(self) -> dict[Path, int]:
+        return _scan(self.source.text)
+
+    def where(self, *path: str | int) -> Where:
+        """The place of the value at `path`."""
+        path = path[: 2 * DEEPEST]
+        if path in self._tables:  # known without looking at what is in them
+            return self.source.where_offset(self._tables[path])
+        while path and path not in self._offsets:
+            path = path[:-1]
+        return self.source.where_offset(self._offsets.get(path, 0))
+
+
+def _tokens(text: str) -> Iterator[_Token]:
+    for match in _TOKEN.finditer(text):
+        kind = match.lastgroup or ""
+        if kind != "comment":
+            yield _Token(kind, match[0], match.start())
+    yield _Token("newline", "", len(text))
+
+
+def _scan(text: str) -> dict[Path, int]:
+    """Offsets by path, of a text that is valid TOML."""
+    offsets: dict[Path, int] = {}
+    counts: dict[Path, int] = {}
+    section: Path = ()
+    tokens = _tokens(text)
+    for token in tokens:
+        if token.kind == "newline":
+            continue
+        if token.text == "[":
+            section = _header(token, tokens, counts)
+            for depth in range(1, len(section) + 1):
+                offsets.setdefault(section[:depth], token.offset)
+            continue
+        path = (*section, *_key(token, tokens, "="))
+        for depth in range(len(section) + 1, len(path)):
+            offsets.setdefault(path[:depth], token.offset)
+        _value(path, tokens, offsets)
+    return offsets
+
+
+def _header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) -> Path:
+    """Path of ``[a.b]`` or ``[[a.b]]``; a name of an array of tables stands for its last element."""
+    first = next(tokens)
+    array = first.text == "[" and first.offset == start.offset + 1
+    names = _key(next(tokens) if array else first, tokens, "]")
+    path: Path = ()
+    for i, name in enumerate(names):
+        path = (*path, name)
+        last = i == len(names) - 1
+        if last and array:
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path = (*path, counts[path])
+    if array:
+        next(tokens, None)
+    return path
+
+
+def _key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
+    """The first names of a dotted key, which `token` begins and `stop` ends."""
+    names: list[str] = []
+    while token.text != stop or token.kind == "string":
+        if len(names) == DEEPEST:
+            pass
+        elif token.kind == "string":
+            names.append(tomllib.loads(f"k={token.text}")["k"])
+        elif token.kind == "bare":
+            names.append(token.text)
+        following = next(tokens, None)
+        if following is None:
+            break
+        token = following
+    return names
+
+
+def _value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> None:
+    """Record where a value and, in an array, its elements start; go on to the end of its line."""
+    depth = 0
+    index = 0
+    fresh = False
+    array = False
+    for token in tokens:
+        if path not in offsets and token.kind != "newline":
+            offsets[path] = token.offset
+            array = token.text == "["
+        if token.kind == "newline":
+            if depth == 0:
+                return
+            continue
+        if array and depth == 1 and fresh and token.text != "]":
+            offsets[(*path, index)] = token.offset
+            fresh = False
+        if token.kind != "mark":
+            continue
+        if token.text in "[{":
+            depth += 1
+            fresh = fresh or depth == 1
+        elif token.text in "]}":
+            depth -= 1
+        elif token.text == "," and depth == 1:
+            index = index + 1
+            fresh = True
+
+
+# ---- toml fast
+
+# TOML of many small tables, read line by line: what `tomllib` says, several times as fast.
+#
+# Only lines of the plainest form are read here: a header of one bare name, or a bare key with text
+# without escapes, a number, a truth value, or a list of these in one line. A table with any other
+# line is given to `tomllib` by itself, and where that does not fit together, all of the text is: so
+# the answer, or what is wrong, is that of `tomllib`.
+
+
+MANY = 100
+"""Tables from which on it is worth it."""
+
+_COMMENT = r"(?:#[^\x00-\x08\x0a-\x1f\x7f]*)?"
+_HEADER = re.compile(rf"^[ \t]*\[(\[?)([A-Za-z0-9_-]+)\](\]?)[ \t]*{_COMMENT}\r?$", re.MULTILINE)
+_LINE = re.compile(
+    r"[ \t]*(?:([A-Za-z0-9_-]+)[ \t]*=[ \t]*"
+    r'(?:"([^"\\\x00-\x1f\x7f]*)"|([-+.0-9eE]+)|(true|false)|\[([-+.0-9eE, \t]*)\])[ \t]*)?'
+    rf"{_COMMENT}\r?"
+)
+MOST_NAMES = 64
+"""Names of a dotted key: the time of `tomllib` grows as their square."""
+_LONG_KEY = re.compile(
+    # a line, a table, or an inline table begins, or goes on
+    r"""(?:^[ \t]*+(?:\[\[?[ \t]*+)?|[{,][ \t]*+)"""
+    rf"""(?:(?:[A-Za-z0-9_-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MOST_NAMES}}}""",
+    re.MULTILINE,
+)
+_STRING_OR_COMMENT = re.compile(
+    r'''"""(?:[^\\]|\\.)*?"""|''' r"'''.*?'''" r"""|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""",
+    re.DOTALL,
+)
+_FLOAT = re.compile(r"[-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:[eE][-+]?[0-9]+)?|[eE][-+]?[0-9]+)")
+_BRACKET = re.compile(r"^[ \t]*\[", re.MULTILINE)
+_WHOLE = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,17})")
+
+
+class _Other(Exception):
+    """The text is not of the form that is read here."""
+
+
+def loads(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
+    """The data of a TOML text, as of `tomllib.loads`, and where its tables begin; None where that
+    is not known.
+
+    Errors: those of `tomllib`.
+    """
+    if _LONG_KEY.search(text) and (
+        found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_hollow, text))
+    ):
+        line = found.string.count("\n", 0, found.start()) + 1
+        raise ValueError(f"a dotted key of more than {MOST_NAMES} names (at line {line}, column 1)")
+    if text.count("\n[") >= MANY:
+        with contextlib.suppress(_Other, ValueError, RecursionError):
+            return _loads(text)
+    return tomllib.loads(text), None
+
+
+def _hollow(found: re.Match[str]) -> str:
+    """What stands for a string or a comment where only keys are looked for: as many lines."""
+    return f'"{chr(10) * found[0].count(chr(10))}"' if found[0][0] != "#" else ""
+
+
+def _loads(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
+    heads = list(_HEADER.finditer(text))
+    out = _table(text[: heads[0].start() if heads else len(text)])
+    places: dict[Path, int] = {}
+    arrays: dict[str, list[Any]] = {}
+    for head, following in zip(heads, [*heads[1:], None], strict=True):
+        double, name, end = head.groups()
+        if len(double) != len(end):
+            raise _Other
+        table = _table(text[head.end() : following.start() if following else len(text)])
+        if double and (name in arrays or name not in out):
+            if name not in out:
+                out[name] = arrays[name] = []
+            places[name, len(arrays[name])] = head.start(1) - 1
+            arrays[name].append(table)
+        elif name in out:
+            raise _Other
+        else:
+            out[name] = table
+            places[name,] = head.start(1) - 1
+    return out, places
+
+
+def _table(text: str) -> dict[str, Any]:
+    """The keys between two headers."""
+    out: dict[str, Any] = {}
+    for line in text.split("\n"):
+        if not line:
+            continue
+        match = _LINE.fullmatch(line)
+        if match is None:
+            return _whole(text)
+        key, quoted, number, truth, array = match.groups()
+        if key is None:
+            continue
+        if key in out:
+            raise _Other
+        if quoted is not None:
+            out[key] = quoted
+        elif number is not None:
+            found = _number(number)
+            if found is None:
+                return _whole(text)
+            out[key] = found
+        elif truth is not None:
+            out[key] = truth == "true"
+        else:
+            items = array.strip(" \t").removesuffix(",").split(",") if array.strip(" \t") else []
+            numbers = [_number(x.strip(" \t")) for x in items]
+            if None in numbers:
+                return _whole(text)
+            out[key] = numbers
+    return out
+
+
+def _number(text: str) -> int | float | None:
+    """The number, None where it is none or one of the rarer forms."""
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    return int(text) if _WHOLE.fullmatch(text) else None
+
+
+def _whole(text: str) -> dict[str, Any]:
+    """The keys of a table that has others than the plainest lines. What may be a header is of
+    another table.
+    """
+    if _BRACKET.search(text):
+        raise _Other
+    return tomllib.loads(text)
+
+
+FORMAT = 1
+NEWEST = 2
+"""Versions of the format that are read. The newer one has all kinds of constraints; files without
+them are written in the older one."""
+
+PLACE = ("at", "rpy", "angle", "quat_wxyz", "matrix", "axis", "steps")
+"""Keys that place a frame on a body; for the frame on a joint's child with the prefix
+``child_``."""
+
+KEYS = {
+    "": (
+        "format",
+        "name",
+        "dim",
+        "ground",
+        "tolerance",
+        "notes",
+        "parameters",
+        "body",
+        "joint",
+        "frame",
+        "constraint",
+        "coupling",
+        "postures",
+        "locks",
+        "dh",
+        "screws",
+    ),
+    "body": ("name", "particle", "mass", "center", "visuals"),
+    "joint": (
+        "name",
+        "type",
+        "parent",
+        "child",
+        *PLACE,
+        *(f"child_{k}" for k in PLACE),
+        "limits",
+        "velocity",
+        "effort",
+        "actuated",
+        "cut",
+    ),
+    "frame": ("name", "body", *PLACE),
+    "constraint": (
+        "name",
+        "type",
+        "parent",
+        "child",
+        "length",
+        *PLACE,
+        *(f"child_{k}" for k in PLACE),
+    ),
+    "coupling": ("of", "sources", "offset"),
+    "dh": ("convention", "rows", "on", "base", "tool", "deg", "columns"),
+    "screws": ("rows", "home"),
+}
+"""Keys that each table knows; joints besides those of `joint_options`."""
+
+REQUIRED = {
+    "body": ("name",),
+    "joint": ("name", "type", "parent", "child"),
+    "frame": ("name", "body"),
+    "constraint": ("name", "type"),
+    "coupling": ("of", "sources"),
+    "dh": ("rows",),
+    "screws": ("rows",),
+}
+"""Keys that each table must have."""
+
+_VALUES: dict[str, tuple[type, str]] = {
+    "particle": (bool, "true or false"),
+    "actuated": (bool, "true or false"),
+    "cut": (bool, "true or false"),
+    "name": (str, "text in quotes"),
+    "ground": (str, "text in quotes"),
+    "of": (str, "the name of a coordinate"),
+    "on": (str, "the name of a body"),
+    "dim": (int, "2 or 3"),
+    "notes": (list, "a list of texts"),
+    "visuals": (list, "a list of texts"),
+    "center": (list, "[x, y] or [x, y, z]"),
+    "rows": (list, "a list of tables"),
+    "deg": (bool, "true or false"),
+    "columns": (list, "a list of texts"),
+}
+_AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
+
+
+def joint_options() -> tuple[str, ...]:
+    """Names of the options of all joint types."""
+    return _options(tuple(TYPES.values()))
+
+
+@lru_cache(maxsize=8)
+def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for type_ in types for name in type_.defaults()))
+
+
+def _plain(data: Any) -> bool:
+    """Whether there is nothing in it but tables, lists, text and numbers of at most 64 bits."""
+    stack = [data]
+    while stack:
+        item = stack.pop()
+        kind = item.__class__
+        if kind is dict:
+            stack += item.values()
+        elif kind is list:
+            stack += item
+        elif kind not in (str, float, bool) and not (kind is int and abs(item) < 2**63):
+            return False
+    return True
+
+
+class Document:
+    """The data of a TOML text, with its places and the findings of those who read it."""
+
+    def __init__(self, source: Source):
+        self.source = source
+        self.data, tables = _parse(source)
+        self.places = Places(source, tables)
+        self.findings = Findings()
+
+    def where(self, *path: str | int) -> Where:
+        """The place of the value at `path`, or of what encloses it."""
+        return self.places.where(*path)
+
+    def check_format(self) -> None:
+        """Raise unless the file has our format, and holds nothing but text, numbers, lists and
+        tables.
+        """
+        given = self.data.get("format")
+        if given is None:
+            raise fail(
+                "the file has no line 'format = 1'",
+                self.where(),
+                "every mechanism file starts with it",
+            )
+        if type(given) is not int or not FORMAT <= given <= NEWEST:
+            allowed = f"this version of Kempe reads format {FORMAT} and {NEWEST}"
+            raise fail(f"format is {given!r}", self.where("format"), allowed)
+        if not _plain(self.data):
+            self._refuse_others()
+        self.findings.finish()
+        self.check("", self.data, ())
+
+    def _refuse_others(self) -> None:
+        """Record what is neither text, number, list nor table."""
+        stack: list[tuple[Path, Any]] = [((), self.data)]
+        while stack:
+            path, item = stack.pop()
+            inner: Any = item
+            if isinstance(item, dict):
+                stack += [((*path, k), v) for k, v in inner.items()]
+            elif isinstance(item, list):
+                stack += [((*path, i), v) for i, v in enumerate(inner)]
+            elif isinstance(item, int) and abs(item) >= 2**63:
+                self.findings.add(
+                    "an integer of more than 64 bits", "", self.where(*path), "write it as 1e20"
+                )
+            elif not isinstance(item, (int, float, str)):
+                message = f"{shorten(item)} is a date or a time"
+                self.findings.add(message, "", self.where(*path), "write text in quotes")
+
+    def check(self, kind: str, table: Mapping[str, Any], path: Path, subject: str = "") -> bool:
+        """Whether a table has all keys that it must have and no others, with the right types."""
+        before = len(self.findings.problems)
+        known = KEYS[kind] + (joint_options() if kind == "joint" else ())
+        if (
+            kind == "constraint"
+            and "parent" not in table
+            and table.get("type") in constraints.KINDS
+        ):
+            known = ("name", "type", *fields_of(constraints.KINDS[table["type"]]))
+        for key, item in table.items():
+            wanted, said = (
+                (object, "")
+                if (kind, key) == ("constraint", "of")
+                else _VALUES.get(key, (object, ""))
+            )
+            if key not in known:
+                place = self.where(*path, key)
+                self.findings.add(
+                    f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, place
+                )
+            elif not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
+                self.findings.add(
+                    f"{key} is {shorten(item)}",
+                    subject,
+                    self.where(*path, key),
+                    f"it must be {said}",
+                )
+            elif said == "a list of texts" and not all(isinstance(x, str) for x in item):
+                place = self.where(*path, key)
+                self.findings.add(
+                    f"{key} holds something else than text", subject, place, f"it must be {said}"
+                )
+        for key in REQUIRED.get(kind, ()):
+            if key not in table:
+                allowed = f"it needs {', '.join(REQUIRED[kind])}"
+                self.findings.add(
+                    f"the key {key!r} is missing", subject, self.where(*path), allowed
+                )
+        return len(self.findings.problems) == before
+
+    def array(self, kind: str) -> list[dict[str, Any]]:
+        """The tables [[kind]]."""
+        found = tables = self.data.get(kind, [])
+        if isinstance(found, list) and all(isinstance(x, dict) for x in tables):
+            return tables
+        allowed = f"write [[{kind}]], with double brackets, above each {kind}"
+        self.findings.add(f"{kind!r} is not a list of tables", "", self.where(kind), allowed)
+        return []
+
+    def table(self, kind: str) -> dict[str, Any]:
+        """The table [kind], empty where it is missing."""
+        found = table = self.data.get(kind, {})
+        if isinstance(found, dict):
+            return table
+        self.findings.add(f"{kind!r} is not a table", "", self.where(kind), f"write [{kind}]")
+        return {}
+
+    def flat(self, found: Any, path: Path, what: str) -> dict[str, Any]:
+        """A table by coordinate name; ``J.x = 1`` and ``"J.x" = 1`` say the same."""
+        table: Any = found
+        if not isinstance(found, dict):
+            allowed = "it must be a table by coordinate name, such as {A = 0.3}"
+            self.findings.add(f"{what} is {shorten(found)}", "", self.where(*path), allowed)
+            return {}
+        out: dict[str, Any] = {}
+        stack: list[tuple[Any, Any]] = list(reversed(table.items()))
+        while stack:
+            key, item = stack.pop()
+            inner = item
+            if isinstance(item, dict):
+                stack += [(f"{key}.{k}", v) for k, v in reversed(inner.items())]
+            elif key in out:
+                self.findings.add(
+                    f"{what} names {key!r} twice", "", self.where(*path), "name it once"
+                )
+            else:
+                out[key] = item
+        return out
+
+
+def _parse(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
+    try:
+        return loads(source.text)
+    except RecursionError:
+        raise fail(
+            "arrays or tables are nested too deep", source.where(1), "this is no mechanism"
+        ) from None
+    except ValueError as error:  # TOMLDecodeError, and integers of too many digits
+        text = str(error)
+        match = _AT_LINE.search(text)
+        line = len(source.lines)
+        column = len(source.lines[-1]) + 1
+        if match:
+            line = int(match[1])
+            column = int(match[2])
+        where = source.where(line, column)
+        allowed = "see the caret"
+        if re.match(r",\s*\d", where.text[column - 1 :]):
+            allowed = "decimals take a point: 1.5"
+        elif "end of document" in text:
+            allowed = "the file may be truncated"
+        text = _AT_LINE.sub("", text).removesuffix(" (at end of document)")
+        raise fail(f"this is not TOML: {text[:1].lower()}{text[1:]}", where, allowed) from None

@@ -1,0 +1,249 @@
+"""Mechanism -> TOML text, without loss: `read_toml(write_toml(m)) == m`, floats to the last bit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from kempe.arrays import is_mapping, is_sequence
+from kempe.constraints.base import NUMBERS, End, expressions_in, fields_of, numbers_in
+from kempe.constraints.tape import TEXT_LIMIT, Tape
+from kempe.description.formats import TOML
+from kempe.description.mechanism import BETWEEN, Mechanism
+from kempe.description.parts import Body, Declared, Frame, Joint
+from kempe.description.source import Findings
+from kempe.description.toml_document import FORMAT, NEWEST
+from kempe.errors import DescriptionError, Fault, InputError
+from kempe.joints import in_zoo
+from kempe.poses import Placement, place
+from kempe.values import Expression
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_ESCAPES = {
+    "\\": "\\\\",
+    '"': '\\"',
+    "\n": "\\n",
+    "\t": "\\t",
+    "\r": "\\r",
+    "\b": "\\b",
+    "\f": "\\f",
+}
+_NEEDS_ESCAPE = re.compile(r'[\x00-\x1f\x7f"\\]')
+_NOT_LITERAL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]|'''|'$")
+
+
+def write_toml(mechanism: Mechanism) -> str:
+    """TOML text of a mechanism, to be read by `read_toml`; parameters and expressions stay what
+    they are.
+
+    Errors: `DescriptionError` listing all that a file cannot hold, by `TOML.cannot` of
+    `kempe.description.formats`.
+    """
+    m = mechanism
+    findings = Findings()
+    constraints: list[dict[str, Any]] = []
+    for c in m.constraints.values():
+        with findings.guard(f"constraint {c.name!r}", c.where):
+            constraints.append(_constraint(c, m.dim))
+    version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
+    head = {
+        "format": version,
+        "name": m.name,
+        "dim": m.dim,
+        "ground": m.ground.name,
+        "notes": list(m.notes),
+    }
+    defaults: dict[str, Any] = {"dim": 3, "ground": "ground", "notes": []}
+    head |= {} if m.tolerance is None else {"tolerance": m.tolerance}
+    blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
+    if m.parameters:
+        blocks.append("[parameters]\n" + _lines(m.parameters))
+    blocks += [_block("body", _body(b)) for b in m.bodies.values() if b != Body(m.ground.name)]
+    for joint in m.joints.values():
+        if in_zoo(joint.type):
+            blocks.append(_block("joint", _joint(joint, m.dim)))
+            continue
+        allowed = TOML.cannot["joints of types that are not in the table of joints"]
+        said = f"type {joint.type.type_name!r} is not in the table of joints"
+        findings.add(said, f"joint {joint.name!r}", joint.where, allowed)
+    blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
+    blocks += [_block("constraint", table) for table in constraints]
+    for c in m.couplings.values():
+        table = {"of": c.of, "sources": c.sources} | (
+            {"offset": c.offset} if c.offset != 0.0 else {}
+        )
+        blocks.append(_block("coupling", table))
+    if m.postures:
+        blocks.append("[postures]\n" + _lines(m.postures))
+    if m.locks:
+        blocks.append("[locks]\n" + _lines(m.locks))
+    findings.finish()
+    return "\n".join(blocks)
+
+
+def _block(kind: str, table: Mapping[str, Any]) -> str:
+    return f"[[{kind}]]\n{_lines(table)}"
+
+
+def _lines(table: Mapping[str, Any]) -> str:
+    return "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items())
+
+
+def _body(body: Body) -> dict[str, Any]:
+    given = {
+        "name": body.name,
+        "particle": body.particle or None,
+        "mass": body.mass,
+        "center": body.center,
+        "visuals": list(body.visuals) or None,
+    }
+    return {k: v for k, v in given.items() if v is not None}
+
+
+def _frame(frame: Frame, dim: int) -> dict[str, Any]:
+    return {"name": frame.name, "body": frame.body, **_placement(frame.X_BF, dim)}
+
+
+def _joint(joint: Joint, dim: int) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "name": joint.name,
+        "type": joint.type.type_name,
+        "parent": joint.parent,
+        "child": joint.child,
+    }
+    on_parent = _placement(joint.X_PF, dim)
+    on_child = _placement(joint.X_CM, dim)
+    # the child's axis is the parent's unless given
+    if on_parent.get("axis") == on_child.get("axis"):
+        on_child.pop("axis", None)
+    elif "axis" in on_parent and "axis" not in on_child and "steps" not in on_child:
+        on_child["axis"] = [0.0, 0.0, 1.0]
+    out |= on_parent
+    out |= {f"child_{k}": v for k, v in on_child.items()}
+    for key, bounds in (
+        ("limits", joint.limits),
+        ("velocity", joint.velocity_limits),
+        ("effort", joint.effort_limits),
+    ):
+        if bounds:
+            out[key] = bounds[""] if "" in bounds else bounds
+    if joint.actuated is not None:
+        out["actuated"] = joint.actuated
+    if joint.cut:
+        out["cut"] = True
+    return out | joint.type.options
+
+
+def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
+    """A constraint; those that `Mechanism.constraint` places on bodies with the keys of joints."""
+    out: dict[str, Any] = {"name": constraint.name}
+    placed = next((k for k, kind in BETWEEN.items() if constraint.of.kind == kind), "")
+    if placed and all(isinstance(e, End) for e in constraint.of.ends):
+        out |= {"type": placed, "parent": constraint.parent, "child": constraint.child}
+        if constraint.rod:
+            (row,) = constraint.of.rows(dim)
+            out["length"] = getattr(constraint.of, row.equal)
+        X_PF = constraint.X_PF
+        if "direction" in (own := numbers_in(constraint.of)) and own["direction"] != (
+            0.0,
+            0.0,
+            1.0,
+        ):
+            X_PF = X_PF @ Placement((("align", tuple(own["direction"])),))
+        out |= _placement(X_PF, dim)
+        return out | {f"child_{k}": v for k, v in _placement(constraint.X_CM, dim).items()}
+    out["type"] = constraint.kind
+    usual = {f.name: f.default for f in fields(constraint.of)}
+    for key, how in fields_of(type(constraint.of)).items():
+        x = getattr(constraint.of, key)
+        if x is not None and not (
+            isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]
+        ):
+            out[key] = _field(x, how, dim)
+    return out
+
+
+def _field(x: Any, how: str, dim: int) -> Any:
+    """A field of a constraint as TOML can hold it."""
+    if isinstance(x, End):
+        return {"body": x.body, **_placement(x.X, dim)}
+    if how in NUMBERS and not isinstance(x, (str, Expression)):
+        return x if is_sequence(x) and expressions_in(x) else np.asarray(x).tolist()
+    if callable(x):
+        reason: Any = getattr(x, "reason", None)
+        why = "" if reason is None else f", which cannot be recorded: {reason}"
+        allowed = TOML.cannot["Python functions that are no expression"]
+        raise DescriptionError(
+            Fault(f"a file cannot hold the Python function {x!r}{why}", allowed=allowed)
+        )
+    if isinstance(x, Tape):
+        said = f"a file cannot hold an expression of more than {TEXT_LIMIT} characters"
+        raise DescriptionError(Fault(said, allowed=TOML.cannot["expressions that are too long"]))
+    return str(x) if isinstance(x, (Body, Frame)) else x
+
+
+def _placement(X: Placement, dim: int) -> dict[str, Any]:
+    """Keys that say a placement: `at`, an orientation and `axis` where they can, else `steps`."""
+    form = _plain_form(X, dim)
+    try:
+        if place(**form) == X:
+            return form
+    except InputError:
+        pass
+    return {"steps": [[motion, *numbers] for motion, numbers in X.steps]}
+
+
+def _plain_form(X: Placement, dim: int) -> dict[str, Any]:
+    """The arguments of `place` that X's steps suggest."""
+    form: dict[str, Any] = {}
+    found = {motion: numbers for motion, numbers in X.steps}
+    if found.keys() & {"x", "y", "z"}:
+        at = [found.get(k, (0.0,))[0] for k in "xyz"]
+        form["at"] = at[:2] if dim == 2 and at[2] == 0.0 else at
+    if dim == 2 and "rz" in found:
+        form["angle"] = found["rz"][0]
+    elif found.keys() & {"rx", "ry", "rz"}:
+        form["rpy"] = [found.get(k, (0.0,))[0] for k in ("rx", "ry", "rz")]
+    if "quat_wxyz" in found:
+        form["quat_wxyz"] = list(found["quat_wxyz"])
+    if "matrix" in found:
+        form["matrix"] = [list(found["matrix"][i : i + 3]) for i in (0, 3, 6)]
+    if "align" in found:
+        axis = list(found["align"])
+        form["axis"] = axis[:2] if dim == 2 and axis[2] == 0.0 else axis
+    return form
+
+
+# ---- TOML's syntax
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _quoted(key)
+
+
+def _text(text: str) -> str:
+    if "\n" in text and not _NOT_LITERAL.search(text):
+        return f"'''\n{text}'''"
+    return _quoted(text)
+
+
+def _quoted(text: str) -> str:
+    return '"' + _NEEDS_ESCAPE.sub(lambda m: _ESCAPES.get(m[0], f"\\u{ord(m[0]):04x}"), text) + '"'
+
+
+def _value(x: Any) -> str:
+    if isinstance(x, bool):
+        return "true" if x else "false"
+    if isinstance(x, (int, float)):
+        return repr(x)
+    if isinstance(x, Expression):
+        return _text(x.text)
+    if isinstance(x, str):
+        return _text(x)
+    if is_mapping(x):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in x.items()) + "}"
+    return "[" + ", ".join(map(_value, x)) + "]"

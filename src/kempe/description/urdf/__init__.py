@@ -1,1 +1,0 @@
-"""URDF and xacro: reading and writing."""

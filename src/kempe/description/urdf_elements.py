@@ -1,0 +1,782 @@
+"""The parts of URDF's links and joints, read strictly: what is wrong goes to the findings with its
+place.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from kempe.description.parts import Body
+from kempe.description.source import Findings, shorten
+from kempe.description.xml import XmlElement
+from kempe.poses import place
+
+# ---- urdf unknown
+
+# What a URDF file holds beside the elements that are read: passed over, noted, or refused.
+#
+# An element that has no part in the motion is passed over where it is known, else noted. What would
+# be part of the mechanism for another reader, by its name or by what it ties together, is refused:
+# without it the file describes another mechanism. The parts of blocks for one simulator, <gazebo> and
+# <mujoco>, are for it alone, and are noted.
+
+
+VERSIONS = ("1.0", "1.1", "1.2")
+"""Versions of URDF that are read. 1.1 adds `quat_xyzw` and capsules, 1.2 more kinds of limits
+(urdfdom's README)."""
+
+NAMESPACE = "http://www.ros.org"
+"""Namespace of URDF's own elements, by its schema."""
+
+SLIP = 0.8
+"""Likeness (of `difflib`) from which on an unknown name is taken for a slip of a known one."""
+
+MOTION = {
+    "link": "a <link> stands directly in <robot>",
+    "joint": "a <joint> stands directly in <robot>",
+    "parent": "it belongs directly into a <joint>",
+    "child": "it belongs directly into a <joint>",
+    "origin": "it belongs directly into a <joint>",
+    "axis": "it belongs directly into a <joint>",
+    "limit": "it belongs directly into a <joint>",
+    "mimic": "it belongs directly into a <joint>",
+}
+"""Elements that decide on the motion, and where they are read."""
+
+TOP = (
+    "link",
+    "joint",
+    "material",
+    "transmission",
+    "gazebo",
+    "sensor",
+    "ros2_control",
+    "group",
+    "group_state",
+    "disable_collisions",
+    "end_effector",
+    "virtual_joint",
+    "mujoco",
+    "drake",
+    "verbose",
+)
+"""Elements of a robot that are read or change no motion; others are noted."""
+
+SIMULATORS = ("mujoco", "drake")
+"""Blocks of simulators, like <gazebo>: what they tie is not part of the robot for other readers."""
+
+_OWN = re.compile(r"https?://(www\.|wiki\.)?ros\.org/?((wiki/)?urdf\b.*)?")
+_TIES = re.compile(
+    r"constraint|loop|closure|closing|coupl|equality|gear|belt|tendon|(?<!dis)connect|weld"
+)
+_SPEAKS = re.compile(rf"{_TIES.pattern}|joint|link|mimic|limit|axis|origin|pose", re.IGNORECASE)
+_FOLLOWS = re.compile(r"mimic|gearbox|constraint", re.IGNORECASE)
+_PREFIXED = re.compile(r"<[\w.-]+:")
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_CONTENT = re.compile(r">([^<>]*)<")
+_ELSEWHERE = {
+    "visual": ("origin",),
+    "collision": ("origin",),
+    "inertial": ("origin",),
+    "collision_checking": ("origin",),
+    "self_collision_checking": ("origin",),
+    "sensor": ("origin", "parent"),
+    "self_filter": ("origin",),
+}
+"""Elements of the same names that say something else there: where a visual or a sensor is."""
+
+_NOT_READ = (
+    "name",
+    "type",
+    "link",
+    "joint",
+    "xyz",
+    "rpy",
+    "quat_xyzw",
+    "lower",
+    "upper",
+    "multiplier",
+    "offset",
+)
+"""Attributes that decide on the motion."""
+
+
+# ---- namespaces, version
+
+
+def strip_namespaces(robot: XmlElement) -> None:
+    """Give elements whose prefix is bound to URDF's namespace, or to that of the outermost element,
+    their plain names.
+
+    Names without a prefix are URDF's, whatever the default namespace is: other readers know no
+    namespaces.
+    """
+    text = robot.source.text
+    if not _PREFIXED.search(text) or not _PREFIXED.search(_COMMENT.sub("", text)):
+        return
+    stack: list[tuple[XmlElement, Mapping[str, str]]] = [(robot, {})]
+    own: str | None = None
+    while stack:
+        element, bound = stack.pop()
+        new = {
+            k[6:]: v
+            for k, v in element.attributes.items()
+            if k.startswith("xmlns:") or k == "xmlns"
+        }
+        bound = {**bound, **new} if new else bound
+        prefix, _, local = element.tag.rpartition(":")
+        if element is robot and local == "robot":
+            own = bound.get(prefix)
+        if prefix and prefix != "xacro" and bound.get(prefix) is not None:
+            uri = bound[prefix].strip()
+            if uri == own or _OWN.fullmatch(uri):
+                element.tag = local
+        stack.extend((child, bound) for child in element.children)
+
+
+def check_version(robot: XmlElement, findings: Findings) -> None:
+    """Refuse versions of URDF that are not known, as ROS does; without one, a file is of version
+    1.0.
+    """
+    given = robot.attributes.get("version")
+    if given is not None and _version(robot) not in VERSIONS:
+        findings.add(
+            f"the version is {shorten(given)}",
+            "robot",
+            robot.where_of("version"),
+            f"it is the version of URDF, not of the robot, and one of {', '.join(VERSIONS)} (1.0 "
+            "where it is left out)",
+        )
+
+
+def has_quaternions(robot: XmlElement) -> bool:
+    """Whether the file is of a version that has `quat_xyzw`."""
+    return _version(robot) != "1.0"
+
+
+def _version(robot: XmlElement) -> str:
+    """The version as two numbers: '1.00' is 1.0, as ROS reads it."""
+    given = robot.attributes.get("version", "1.0").strip()
+    found = re.fullmatch(r"0*(\d{1,9})\.0*(\d{1,9})", given, re.ASCII)
+    return f"{found[1]}.{found[2]}" if found else given
+
+
+# ---- names that are not known
+
+
+def check_known(
+    kind: str,
+    name: str,
+    known: tuple[str, ...],
+    findings: Findings,
+    subject: str,
+    element: XmlElement,
+) -> None:
+    """Refuse a name that decides on the motion, or looks like a slip of one that is read; note any
+    other.
+    """
+    if name in known or name.startswith("xmlns"):
+        return
+    local = name.rpartition(":")[2]
+    if kind == "element":
+        _check_element(element, local, known, findings, subject)
+        return
+    where = element.where_of(name)
+    if local != name and local in _NOT_READ:
+        findings.add(
+            f"the {kind} {shorten(name)} is not read, for its prefix",
+            subject,
+            where,
+            f"write {local}",
+        )
+    elif near := _near(
+        local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)
+    ):
+        findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
+    else:
+        findings.note(f"the {kind} {shorten(name)} is not read", subject, where)
+
+
+def _check_element(
+    element: XmlElement, local: str, known: tuple[str, ...], findings: Findings, subject: str
+) -> None:
+    where = element.where
+    tag = element.tag
+    if local in MOTION:
+        said = f"the prefix of <{tag}> hides it" if local in known else f"<{tag}> is not read here"
+        advice = (
+            f"write <{local}>, or bind the prefix to {NAMESPACE}"
+            if local in known
+            else MOTION[local]
+        )
+        findings.add(said + _speaks_of(element), subject, where, f"{advice}; or remove it")
+        return
+    used = tuple(k for k in known if k in MOTION or k in ("inertial", "visual"))
+    if near := _near(local[:60].casefold(), used):
+        findings.add(f"unknown element {shorten(tag)}; did you mean {near!r}?", subject, where)
+    else:
+        reported = _speaks_of(element) if _SPEAKS.search(local) else ""
+        findings.note(f"the element {shorten(tag)} is not read{reported}", subject, where)
+
+
+def _words(name: str) -> list[str]:
+    return [w for w in re.split(r"[_\-.\s]+", name) if w]
+
+
+@lru_cache(maxsize=1024)
+def _near(name: str, known: tuple[str, ...]) -> str | None:
+    """The known name that this one is a slip of. A name that holds a known one among its words is
+    no slip.
+    """
+    swapped = [
+        k for k in known if sorted(k) == sorted(name)
+    ]  # 'xzy': too short to be like 'xyz' otherwise
+    if swapped:
+        return swapped[0]
+    mine = _words(name)
+    for k in difflib.get_close_matches(name, known, n=3, cutoff=SLIP):
+        own = _words(k)
+        if len(own) == len(mine) or not any(
+            mine[i : i + len(own)] == own for i in range(len(mine))
+        ):
+            return k
+    return None
+
+
+# ---- what stands in <robot>, and inside what is not read
+
+
+def check_top(
+    robot: XmlElement, links: Collection[str], joints: Mapping[str, XmlElement], findings: Findings
+) -> None:
+    """Judge what a robot holds beside its links and joints: the names of its `links`, and its
+    `joints` by name.
+    """
+    names = {*links, *joints}
+    for element in robot.children:
+        if element.tag in ("link", "joint"):
+            _check_inside(element, findings)
+            continue
+        local = element.tag.rpartition(":")[2]
+        ties = _TIES.search(local.lower()) or (
+            local not in MOTION
+            and element.tag != "gazebo"
+            and _held(element) >= {"parent", "child"}
+        )
+        tied = [n for n in _named(element) if n in names] if ties else []
+        if tied:
+            shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
+            findings.add(
+                f"<{element.tag}> is not read, and it ties {shown}: without it this is another "
+                "mechanism",
+                "robot",
+                element.where,
+                "give a second <joint> to a link where it closes a loop, or use TOML; or remove it",
+            )
+        else:
+            check_known("element", element.tag, TOP, findings, "", element)
+        _check_inside(element, findings)
+        if element.tag == "gazebo":
+            _note_followers(element, joints, findings)
+        elif element.tag in SIMULATORS:
+            _note_ties(element, names, findings)
+
+
+def _note_followers(
+    block: XmlElement, joints: Mapping[str, XmlElement], findings: Findings
+) -> None:
+    """Note what makes joints follow each other for a simulator alone: joints that have their own
+    <mimic> are known.
+    """
+    for element in block.walk():
+        if element.tag not in MOTION and _FOLLOWS.search(element.tag):
+            reported = [n for n in _named(element) if n in joints]
+            if not reported or any(not joints[n].of("mimic") for n in reported):
+                said = (
+                    f"<{element.tag}> in a <gazebo> block is not "
+                    f"read{f': {reported[0]!r}' if reported else ''}"
+                )
+                findings.note(f"{said}; there joints follow each other", "", element.where)
+
+
+def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) -> None:
+    """Note what ties links or joints for a simulator alone, such as MuJoCo's <equality>: each tie
+    once.
+    """
+    seen: set[int] = set()
+    for element in block.walk():
+        local = element.tag.rpartition(":")[2]
+        if id(element) in seen or element is block or not _TIES.search(local.lower()):
+            continue
+        seen |= {id(part) for part in element.walk()}
+        tied = [n for n in _named(element) if n in names]
+        if tied:
+            shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
+            said = (
+                f"<{element.tag}> in a <{block.tag}> block is not read{_speaks_of(element)}; there "
+                f"it ties {shown}"
+            )
+            findings.note(said, "", element.where)
+
+
+def _check_inside(outer: XmlElement, findings: Findings) -> None:
+    """Refuse definitions of links, joints and followers deeper than they are read; note them in
+    <gazebo> blocks.
+    """
+    joint = outer.tag == "joint"
+    holders = [c for c in outer.children if c.children] if joint or outer.tag == "link" else [outer]
+    for holder in holders:  # what stands directly in a link or joint is judged with it
+        for element in holder.children:
+            if joint or element.tag in MOTION or ":" in element.tag:
+                _judge_inside(outer, holder, element, findings)
+            if element.children:
+                holders.append(element)
+
+
+def _judge_inside(
+    outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings
+) -> None:
+    local = element.tag.rpartition(":")[2]
+    joint = outer.tag == "joint"
+    defines = local in MOTION and (joint or _defines(element, local))
+    urdf = (
+        local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
+    )
+    if not (defines or joint or urdf):
+        return
+    subject = (
+        f"{outer.tag} {outer.attributes['name']!r}"
+        if outer.attributes.get("name")
+        else f"<{outer.tag}>"
+    )
+    said = f"<{element.tag}> inside <{holder.tag}> is not read{_speaks_of(element)}"
+    if defines and outer.tag != "gazebo":
+        findings.add(said, subject, element.where, MOTION[local])
+    elif joint or urdf:
+        findings.note(said, subject, element.where)
+
+
+def _held(element: XmlElement) -> set[str]:
+    """Names of its children, without prefixes."""
+    return {child.tag.rpartition(":")[2] for child in element.children}
+
+
+def _defines(element: XmlElement, local: str) -> bool:
+    """Whether an element says what a link or joint is, rather than naming one."""
+    if local == "joint":
+        return _held(element) >= {"parent", "child"}
+    if local == "link":
+        return bool(_held(element) & {"inertial", "visual", "collision"})
+    return local == "mimic" and "joint" in element.attributes
+
+
+def _in_urdf_form(element: XmlElement) -> bool:
+    """Whether an element has what URDF writes in attributes, where SDF in <gazebo> blocks has
+    elements.
+    """
+    return any(key in element.attributes for key in _NOT_READ if key not in ("name", "type"))
+
+
+def _named(element: XmlElement) -> Iterator[str]:
+    """Values of all attributes, and all texts between tags, of an element and those below it."""
+    for part in element.walk():
+        yield from part.attributes.values()
+    yield from (text.strip() for text in _CONTENT.findall(element.text))
+
+
+def _speaks_of(element: XmlElement) -> str:
+    """The tail of a message: what an element that is not read says, as far as that fits into a
+    line.
+    """
+    said = [
+        f"{p.tag.rpartition(':')[2]} {k}={shorten(v, 30)}"
+        if p is not element
+        else f"{k}={shorten(v, 30)}"
+        for p in element.walk()
+        for k, v in p.attributes.items()
+        if not k.startswith("xmlns") and p.tag not in ("mass", "inertia", "mesh", "material")
+    ]
+    return f" ({', '.join(said[:5])}{', ...' if len(said) > 5 else ''})" if said else ""
+
+
+UNLIMITED = 1e308
+"""A limit of this size or more stands for none: URDF has no other way to say so for a prismatic
+joint."""
+
+LENIENT = "lenient_limits=True"
+"""The option of readers for limits that hold no range, as messages name it."""
+
+AXIS_TOLERANCE = 1e-5
+"""An axis whose length differs from 1 by more than rounding in the file is worth a note."""
+
+WITHOUT_AXIS = ("fixed", "floating", "spherical")
+"""Types whose <axis> says nothing."""
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
+"""Text in which `float` reads what `_NUMBER` matches, and nothing else."""
+_BLANKS = re.compile(r"[ \t\r\n]+")
+
+_IN_LINK = (
+    "inertial",
+    "visual",
+    "collision",
+    "contact",
+    "self_filter",
+    "gravity",
+    "surface",
+    "kinematic",
+    "self_collide",
+    "collision_checking",
+    "self_collision_checking",
+    "verbose",
+)
+"""Elements of a link that are read or change no motion; others are noted. Likewise in joints."""
+
+_IN_JOINT = (
+    "parent",
+    "child",
+    "origin",
+    "axis",
+    "limit",
+    "mimic",
+    "dynamics",
+    "calibration",
+    "safety_controller",
+    "hardwareInterface",
+    "physics",
+    "joint_properties",
+)
+_ONCE = ("parent", "child", "origin", "axis", "limit", "mimic")
+ATTRIBUTES = {
+    "joint": ("name", "type"),
+    "parent": ("link",),
+    "child": ("link",),
+    "origin": ("xyz", "rpy", "quat_xyzw"),
+    "axis": ("xyz",),
+    "mimic": ("joint", "multiplier", "offset"),
+    "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
+}
+"""Attributes of the elements that decide on the motion."""
+
+
+# ---- numbers
+
+
+def numbers(
+    element: XmlElement, attribute: str, count: int, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
+    """The finite numbers of an attribute, or None after recording what is wrong with it."""
+    text = element.attributes[attribute]
+    if _PLAIN.fullmatch(text):
+        try:
+            found = tuple(map(float, text.split()))
+        except ValueError:
+            found = ()
+        if len(found) == count and math.isfinite(sum(found)):
+            return found
+    pieces = [p for p in _BLANKS.split(text) if p]
+    wrong = None
+    for piece in pieces:
+        if _NUMBER.fullmatch(piece):
+            if math.isinf(float(piece)):
+                wrong = f"{shorten(piece)} is not finite"
+        elif _special(piece) is not None:
+            wrong = f"{shorten(piece)} is not finite"
+        elif re.fullmatch(r"[+-]?[0-9]+,[0-9]+", piece):
+            wrong = f"{piece!r} is not a number (decimals take a point: {piece.replace(',', '.')})"
+        elif "," in piece:
+            wrong = f"{shorten(piece)} is not a number (no commas between numbers)"
+        else:
+            wrong = f"{shorten(piece)} is not a number"
+        if wrong:
+            break
+    if wrong is None and len(pieces) != count:
+        wrong = f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
+    if wrong is None:
+        return tuple(float(p) for p in pieces)
+    allowed = (
+        "it must be a finite number"
+        if count == 1
+        else f"it must be {count} finite numbers separated by blanks"
+    )
+    findings.add(
+        f"{element.tag} {attribute} is {shorten(text)}: {wrong}",
+        subject,
+        element.where_of(attribute),
+        allowed,
+    )
+    return None
+
+
+def _special(piece: str) -> float | None:
+    """Infinity or NaN where the text says so, in any of the usual spellings."""
+    match = re.fullmatch(r"([+-]?)(inf|infinity|nan)", piece, re.IGNORECASE)
+    return float(match[0]) if match else None
+
+
+def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str) -> float | None:
+    """A limit: a number, where infinity or a huge one stands for none; None where it is missing or
+    wrong.
+    """
+    if attribute not in element.attributes:
+        return None
+    text = element.attributes[attribute]
+    special = None if _PLAIN.fullmatch(text) else _special(text.strip())
+    if special is not None and not math.isnan(special):
+        return special
+    found = numbers(element, attribute, 1, findings, subject)
+    return (
+        None
+        if found is None
+        else found[0]
+        if abs(found[0]) < UNLIMITED
+        else math.copysign(math.inf, found[0])
+    )
+
+
+# ---- links
+
+
+def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
+    """Body of a <link>: its mass and centre of mass where given, its visuals as text."""
+    subject = f"link {name!r}"
+    mass = None
+    center = None
+    for child in element.children:
+        if child.tag == "origin":
+            findings.note(
+                "an <origin> directly in a link has no meaning and is not used",
+                subject,
+                child.where,
+            )
+        else:
+            check_known("element", child.tag, _IN_LINK, findings, subject, child)
+    inertials = element.of("inertial")
+    if len(inertials) > 1:
+        findings.note(
+            "it has two <inertial> elements; the first is used", subject, inertials[1].where
+        )
+    for inertial in inertials[:1]:
+        for part in inertial.of("mass")[:1]:
+            found = (
+                numbers(part, "value", 1, findings, subject) if "value" in part.attributes else None
+            )
+            mass = found[0] if found else None
+            if mass is not None and mass < 0.0:
+                findings.add(
+                    f"mass is {mass:g}", subject, part.where_of("value"), "it must not be negative"
+                )
+        center = (0.0, 0.0, 0.0)
+        for part in inertial.of("origin")[:1]:
+            if "xyz" in part.attributes:
+                center = numbers(part, "xyz", 3, findings, subject)
+    visuals = tuple(v.text for v in element.of("visual"))
+    return Body(name, False, mass, center, visuals, element.where)  # type: ignore[arg-type]
+
+
+# ---- joints
+
+
+def read_joint(
+    kind: str,
+    name: str,
+    element: XmlElement,
+    findings: Findings,
+    quaternions: bool = True,
+    lenient: bool = False,
+) -> dict[str, Any] | None:
+    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is
+    wrong.
+
+    `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older
+    ones. Limits that hold no range are none where `lenient`; else the keyword `unstated` tells
+    those that the file does not give.
+    """
+    subject = f"joint {name!r}"
+    before = len(findings.problems)
+    _check_joint(element, findings, subject)
+    out = _origin(element, findings, subject, quaternions)
+    out["axis"] = _axis(kind, element, findings, subject)
+    out |= _limit(kind, element, findings, subject, lenient)
+    return out if len(findings.problems) == before else None
+
+
+def _origin(
+    joint: XmlElement, findings: Findings, subject: str, quaternions: bool
+) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for origin in joint.of("origin")[:1]:
+        given = {
+            k: numbers(origin, k, n, findings, subject)
+            for k, n in (("xyz", 3), ("rpy", 3), ("quat_xyzw", 4))
+            if k in origin.attributes
+        }
+        if None in given.values():
+            return out
+        out["at"] = given.get("xyz", (0.0, 0.0, 0.0))
+        if "quat_xyzw" not in given:
+            out["rpy"] = given.get("rpy")
+        elif not quaternions:
+            said = (
+                "quat_xyzw is of URDF 1.1, and this file is of version 1.0, where readers pass "
+                "over it"
+            )
+            where = origin.where_of("quat_xyzw")
+            findings.add(said, subject, where, "write <robot version='1.1' ...>, or give rpy")
+        elif "rpy" in given:
+            findings.add("its origin has both rpy and quat_xyzw", subject, origin.where, "give one")
+        else:
+            turn: Any = given["quat_xyzw"]
+            x, y, z, w = turn
+            with findings.guard(subject, origin.where_of("quat_xyzw")):
+                out["at"] = place(out["at"], quat_wxyz=(w, x, y, z))
+    return out
+
+
+def _axis(
+    kind: str, joint: XmlElement, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
+    """Direction of the axis where the type has one; the default is x."""
+    found: tuple[float, ...] | None = (1.0, 0.0, 0.0)
+    axis = (joint.of("axis") or [None])[0]
+    if axis is not None and "xyz" not in axis.attributes:
+        findings.add(
+            "its <axis> has no xyz", subject, axis.where, "write <axis xyz='0 0 1'/>, for example"
+        )
+        return None
+    if axis is not None:
+        found = numbers(axis, "xyz", 3, findings, subject)
+    if kind in WITHOUT_AXIS or found is None or axis is None:
+        return None if kind in WITHOUT_AXIS else found
+    length = math.hypot(*found)
+    if length < 1e-150:
+        findings.add(
+            f"its axis is {shorten(axis.attributes['xyz'])}",
+            subject,
+            axis.where_of("xyz"),
+            "it must not be zero: an axis has a direction, such as 0 0 1",
+        )
+        return None
+    if abs(length - 1.0) > AXIS_TOLERANCE:
+        text = " ".join(f"{x:g}" for x in found)
+        findings.note(
+            f"its axis {text} has length {length:g}; it was normalised",
+            subject,
+            axis.where_of("xyz"),
+        )
+    return found
+
+
+def _limit(
+    kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool
+) -> dict[str, Any]:
+    """Keywords `limits`, `velocity`, `effort` and `unstated`."""
+    limit = (joint.of("limit") or [None])[0]
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            findings.note(
+                f"a {kind} joint should have a <limit>; without one it is taken as unlimited",
+                subject,
+                joint.where,
+            )
+        return {}
+    bounds = {
+        key: _bound(limit, key, findings, subject)
+        for key in ("lower", "upper", "velocity", "effort")
+    }
+    if kind in ("planar", "floating", "spherical"):
+        findings.note(
+            f"the <limit> of a {kind} joint has no defined meaning and is not used",
+            subject,
+            limit.where,
+        )
+    if kind in ("fixed", "planar", "floating", "spherical"):
+        return {}
+    out: dict[str, Any] = {}
+    for key in ("velocity", "effort"):
+        found = bounds[key]
+        if found is not None and found < 0.0:
+            findings.add(
+                f"{key} limit is {found:g}", subject, limit.where_of(key), "it must not be negative"
+            )
+        elif found is not None and not math.isinf(found):
+            out[key] = found
+    if kind == "continuous":
+        if any(bounds[key] and not math.isinf(bounds[key] or 0.0) for key in ("lower", "upper")):
+            findings.note(
+                "a continuous joint turns without end: its lower and upper limit are not used",
+                subject,
+                limit.where,
+            )
+        return out
+    return out | _range(limit, bounds, findings, subject, lenient)
+
+
+def _range(
+    limit: XmlElement,
+    bounds: dict[str, float | None],
+    findings: Findings,
+    subject: str,
+    lenient: bool,
+) -> dict[str, Any]:
+    """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by
+    the rules of URDF.
+    """
+    given = [key for key in ("lower", "upper") if key in limit.attributes]
+    lower = bounds["lower"] or 0.0
+    upper = bounds["upper"] or 0.0
+    both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
+    if lenient and (not given or lower > upper):
+        said = f"its limits are swapped ({both})" if given else "its <limit> has no lower and upper"
+        findings.note(f"{said}; it is read as unlimited, as requested", subject, limit.where)
+        return {}
+    if not given:
+        said = (
+            "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint "
+            "cannot move"
+        )
+        findings.note(f"{said} ({LENIENT} reads it as unlimited)", subject, limit.where)
+        return {"limits": (0.0, 0.0), "unstated": True}
+    if lower > upper or lower == math.inf or upper == -math.inf:
+        missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
+        meant = (
+            f"; for Bullet and MuJoCo that means unlimited: {LENIENT} reads it so"
+            if lower > upper
+            else ""
+        )
+        findings.add(
+            f"its limits are swapped: {both}{missing}",
+            subject,
+            limit.where_of(given[0]),
+            f"lower must not be above upper{meant}",
+        )
+        return {}
+    return {} if (lower, upper) == (-math.inf, math.inf) else {"limits": (lower, upper)}
+
+
+# ---- what is not known
+
+
+def _check_joint(joint: XmlElement, findings: Findings, subject: str) -> None:
+    for part in (joint, *joint.children):
+        if part is not joint and part.tag not in _IN_JOINT:
+            check_known("element", part.tag, _IN_JOINT, findings, subject, part)
+        known = ATTRIBUTES.get(part.tag)
+        for key in part.attributes if known else ():
+            if key not in known:  # type: ignore[operator]
+                check_known(f"{part.tag} attribute", key, known, findings, subject, part)  # type: ignore[arg-type]
+    tags = [child.tag for child in joint.children]
+    for tag in _ONCE if len(set(tags)) < len(tags) else ():
+        found = joint.of(tag)
+        for other in found[1:2]:
+            message = f"it has two <{tag}> elements, on line {found[0].where.line} and here"
+            if all(o.attributes == found[0].attributes for o in found):
+                findings.note(f"{message}, which say the same", subject, other.where)
+            else:
+                findings.add(message, subject, other.where, "one is allowed")

@@ -1,0 +1,556 @@
+"""URDF text -> Mechanism. Strict: what changes the motion is understood exactly, or refused with
+its line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from kempe.description.formats import URDF, by_contents, joined
+from kempe.description.mechanism import Mechanism
+from kempe.description.source import Findings, fail, folders_of, shorten
+from kempe.description.urdf_elements import (
+    ATTRIBUTES,
+    check_top,
+    check_version,
+    has_quaternions,
+    numbers,
+    read_joint,
+    read_link,
+    strip_namespaces,
+)
+from kempe.description.xacro import XACRO_ADVICE
+from kempe.description.xml import XmlElement, parse_xml
+from kempe.errors import InputError, UnknownNameError
+from kempe.words import counted
+
+# ---- link graph
+
+# Who is joined to whom, for readers and writers of tree-shaped formats; without recursion, for any
+# size.
+
+
+def choose_root(
+    links: Mapping[str, XmlElement],
+    ends: Mapping[str, tuple[str, str]],
+    findings: Findings,
+    root: str | None,
+) -> str | None:
+    """Name of the link that is the ground, or None after recording why there is none.
+
+    `ends` are (parent, child) of each joint. The root is the only link that is nobody's child, or
+    `root`. Links that no joint connects to it are a problem.
+    """
+    if not links:
+        return None
+    children = {child for _, child in ends.values()}
+    roots = [root] if root is not None else [n for n in links if n not in children]
+    parts = components(links, ends.values())
+    if not roots:
+        cycle = find_cycle(links, ends)
+        shown = " -> ".join(map(repr, cycle))
+        allowed = f"name the link that does not move, with root={cycle[0]!r}"
+        message = f"no link is the root, since each is the child of a joint: {shown}"
+        findings.add(message, "robot", links[cycle[0]].where, allowed)
+        return None
+    if len(roots) > 1:
+        listed = _listed(roots, links)
+        separate = len({parts[n] for n in roots}) > 1
+        cure = (
+            "join them by joints (type fixed where they do not move)"
+            if separate
+            else f"choose with root={roots[0]!r}"
+        )
+        findings.add(
+            f"{len(roots)} links are nobody's child: {listed}",
+            "robot",
+            links[roots[1]].where,
+            f"one link must be the root; {cure}",
+        )
+        return None
+    detached = [n for n in links if parts[n] != parts[roots[0]]]
+    if detached:
+        message = f"no joints lead from the root {roots[0]!r} to {_listed(detached, links)}"
+        findings.add(
+            message, "robot", links[detached[0]].where, "join them by joints, or remove them"
+        )
+        return None
+    return roots[0]
+
+
+def _listed(names: list[str], links: Mapping[str, XmlElement]) -> str:
+    shown = ", ".join(f"{n!r} (line {links[n].where.line})" for n in names[:8])
+    return shown + (f", ... ({len(names)} in all)" if len(names) > 8 else "")
+
+
+def components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[str, int]:
+    """For each body the number of the connected part that it belongs to."""
+    neighbours: dict[str, list[str]] = {b: [] for b in bodies}
+    for a, b in ends:
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    part: dict[str, int] = {}
+    for number, start in enumerate(neighbours):
+        if start in part:
+            continue
+        part[start] = number
+        queue = deque([start])
+        while queue:
+            for there in neighbours[queue.popleft()]:
+                if there not in part:
+                    part[there] = number
+                    queue.append(there)
+    return part
+
+
+def find_cycle(bodies: Iterable[str], ends: Mapping[str, tuple[str, str]]) -> list[str]:
+    """A cycle of bodies, its first repeated at the end, where every body is some joint's child."""
+    parent: dict[str, str] = {}
+    for a, b in ends.values():
+        parent.setdefault(b, a)
+    here = next(iter(bodies))
+    seen: dict[str, None] = {}
+    while here not in seen:
+        seen[here] = None
+        here = parent[here]
+    path = list(seen)
+    cycle = path[path.index(here) :][::-1]
+    first = min(range(len(cycle)), key=lambda i: cycle[i])
+    cycle = cycle[first:] + cycle[:first]
+    return [*cycle, cycle[0]] if len(cycle) <= 10 else [*cycle[:9], "...", cycle[0]]
+
+
+def reachable(start: str, ends: Iterable[tuple[str, str]]) -> set[str]:
+    """The bodies that can be reached from `start`, walking joints from parent to child only."""
+    children: dict[str, list[str]] = {}
+    for a, b in ends:
+        children.setdefault(a, []).append(b)
+    reached = {start}
+    queue = deque([start])
+    while queue:
+        for there in children.get(queue.popleft(), ()):
+            if there not in reached:
+                reached.add(there)
+                queue.append(there)
+    return reached
+
+
+TYPES = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": "fixed",
+    "floating": "free",
+    "planar": "planar",
+    "spherical": "spherical",
+}
+"""URDF's joint types and the types of the zoo that they are. "spherical" is not of ROS, but of
+MuJoCo and Bullet."""
+
+WORLD = "world"
+"""A link that a file need not have: for some readers, such as Drake and Simbody, it is the ground
+of all models."""
+
+_XACRO = re.compile(r"\$\{|\$\(")
+_GENERATED = re.compile(r"autogenerated by xacro from\s+(\S+)")
+
+
+@dataclass
+class _Urdf:
+    """The file while it is read: its elements by name, and what was found."""
+
+    robot: XmlElement
+    lenient: bool = False
+    findings: Findings = field(default_factory=Findings)
+    links: dict[str, XmlElement] = field(default_factory=dict[str, XmlElement])
+    joints: dict[str, XmlElement] = field(default_factory=dict[str, XmlElement])
+    ends: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+    types: dict[str, str] = field(default_factory=dict[str, str])
+
+
+def read_urdf(
+    text: str | bytes,
+    source: str = "<text>",
+    *,
+    base: str | None = None,
+    root: str | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    beside: Iterable[str] = (),
+    lenient_limits: bool = False,
+) -> Mechanism:
+    """Mechanism that a URDF text describes; its root link becomes the ground.
+
+    `source` names the text in messages. ``base="free"`` puts a ground called 'world' under the root
+    link and joins them by a free joint called 'base'. `root` names the link to take as root where
+    the file leaves it open. `package_dirs` are the folders in which meshes may lie, `beside` the
+    names of other files to suggest. Two joints that lead to one link are a loop. `lenient_limits`
+    reads limits that hold no range as none: a <limit> without lower and upper (else 0 to 0, as URDF
+    has it), and lower above upper (else refused). What was noticed but changes nothing is in
+    `notes` of the mechanism. Errors: `DescriptionError` with all problems; `UnknownNameError` for a
+    `root` that is no link.
+    """
+    if base not in (None, "free"):
+        raise InputError(
+            f"base is {base!r}; it must be None (the root link does not move) or 'free'"
+        )
+    robot = parse_xml(text, source)
+    strip_namespaces(robot)
+    _check_is_urdf(robot)
+    _refuse_xacro(robot)
+    urdf = _Urdf(robot, bool(lenient_limits))
+    check_version(robot, urdf.findings)
+    _scan_top(urdf)
+    if not urdf.links and not urdf.findings.problems:
+        raise _no_links(robot, tuple(beside))
+    if root is not None and root not in urdf.links:
+        raise UnknownNameError("link", root, urdf.links, source)
+    _scan_joints(urdf)
+    # where a joint's ends are wrong, links that look detached may not be
+    sound = len(urdf.ends) == len(robot.of("joint"))
+    ground = choose_root(urdf.links, urdf.ends, urdf.findings if sound else Findings(), root)
+    mechanism = _assemble(urdf, ground, base)
+    _note_unused(urdf)
+    urdf.findings.finish()
+    mechanism.notes = urdf.findings.notes
+    mechanism.roots = tuple(map(str, folders_of(package_dirs)))
+    return mechanism
+
+
+# ---- is it URDF at all
+
+
+def _check_is_urdf(robot: XmlElement) -> None:
+    if robot.tag == "robot":
+        return
+    format = by_contents(f"<{robot.tag}/>")
+    said = "" if format in (None, URDF) else f": it is a file in {format.title}"
+    raise fail(
+        f"the outermost element is <{robot.tag}>{said}",
+        robot.where,
+        "URDF starts with <robot name=...>",
+    )
+
+
+def _refuse_xacro(robot: XmlElement) -> None:
+    """Refuse text that has to be expanded first: xacro elements, or expressions for a name or
+    number.
+    """
+    text = robot.source.text
+    if "xacro:" not in text and not _XACRO.search(text):
+        return
+    for element in robot.walk():
+        found = where = None
+        if element.tag.startswith("xacro:"):
+            found = f"<{element.tag}>"
+            where = element.where
+        elif element.tag in (*ATTRIBUTES, "link", "robot"):
+            for key, text in element.attributes.items():
+                if not key.startswith("xmlns") and _XACRO.search(text):
+                    found = f"{key}={shorten(text)}"
+                    where = element.where_of(key)
+                    break
+        if found and where:
+            raise fail(
+                f"this is xacro, a program that writes URDF: {found} has to be expanded first",
+                where,
+                XACRO_ADVICE,
+            )
+
+
+_SRDF = {
+    "group",
+    "group_state",
+    "end_effector",
+    "virtual_joint",
+    "passive_joint",
+    "disable_collisions",
+    "enable_collisions",
+    "disable_default_collisions",
+    "link_sphere_approximation",
+    "joint_property",
+}
+"""Elements that MoveIt's semantic descriptions have in the outermost one, named <robot> as in
+URDF."""
+
+
+def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
+    generated = _GENERATED.search(robot.source.text)
+    joints = len(robot.of("joint"))
+    if found := sorted({e.tag for e in robot.children} & _SRDF):
+        parts = joined([f"<{tag}>" for tag in found], "and")
+        return fail(
+            f"this is an SRDF: groups, postures and pairs of links ({parts}), but no links or "
+            "joints",
+            robot.where,
+            "load the URDF of the robot that it belongs to",
+        )
+    holds = f"only {counted(joints, 'joint')}" if joints else "nothing but an empty <robot> element"
+    message = (
+        f"there is no robot in this file: it holds {holds}, and without a <link> there is no body "
+        "to move"
+    )
+    allowed = "a robot has at least one <link name=...> and a <joint> for each further link"
+    if generated:
+        stem = generated[1].split(".")[0]
+        allowed = (
+            f"its header says that xacro made it from {generated[1]!r}, which probably only "
+            "defines macros: expand the file that calls them (often "
+            f"{stem + '_robot.urdf.xacro'!r})"
+        )
+    if beside:
+        allowed += f", or load another file of the same folder: {', '.join(sorted(beside)[:8])}"
+    return fail(message, robot.where, allowed)
+
+
+# ---- names and connections
+
+
+def _scan_top(urdf: _Urdf) -> None:
+    """Fill `links` and `joints`: unique, non-empty names."""
+    findings = urdf.findings
+    if not urdf.robot.attributes.get("name", "").strip():
+        findings.note("the robot has no name", where=urdf.robot.where)
+    for element in urdf.robot.children:
+        if element.tag not in ("link", "joint"):
+            continue
+        table = urdf.links if element.tag == "link" else urdf.joints
+        name = element.attributes.get("name")
+        if name is None or not name.strip():
+            what = "has no name" if name is None else "has an empty name"
+            where = element.where if name is None else element.where_of("name")
+            findings.add(
+                f"a {element.tag} {what}",
+                where=where,
+                allowed="every link and joint needs a name of its own",
+            )
+        elif name in table:
+            message = f"there is another {element.tag} of this name, at {table[name].where}"
+            findings.add(
+                message, f"{element.tag} {name!r}", element.where_of("name"), "names must be unique"
+            )
+        else:
+            table[name] = element
+    check_top(urdf.robot, urdf.links, urdf.joints, findings)
+
+
+def _scan_joints(urdf: _Urdf) -> None:
+    """Fill `types` and `ends` (parent and child) of the joints that have sound ones."""
+    findings = urdf.findings
+    _add_world(urdf)
+    for name, element in urdf.joints.items():
+        subject = f"joint {name!r}"
+        given = element.attributes.get("type")
+        if given in TYPES:
+            urdf.types[name] = given
+            if given == "spherical":
+                findings.note(
+                    "'spherical' is a type of MuJoCo and Bullet; ROS refuses it",
+                    subject,
+                    element.where,
+                )
+        else:
+            said = urdf.findings.hint(given, TYPES) if given else ""
+            wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
+            allowed = (
+                "" if "did you mean" in said else f"URDF has {', '.join(TYPES)} (TOML has more)"
+            )
+            findings.add(wrong, subject, element.where_of("type"), allowed)
+        ends = [_end(urdf, element, tag, subject) for tag in ("parent", "child")]
+        if None in ends:
+            continue
+        if ends[0] == ends[1]:
+            findings.add(
+                f"it connects link {ends[0]!r} to itself",
+                subject,
+                element.of("child")[0].where,
+                "it must connect two links",
+            )
+            continue
+        urdf.ends[name] = (ends[0], ends[1])  # type: ignore[assignment]
+
+
+def _add_world(urdf: _Urdf) -> None:
+    """Add the link 'world' where a joint's parent is called so and no link is, in whatever letters."""
+    if any(name.casefold() == WORLD for name in urdf.links):
+        return
+    for name, joint in urdf.joints.items():
+        for parent in joint.of("parent")[:1]:
+            if parent.attributes.get("link") == WORLD:
+                urdf.links[WORLD] = parent
+                said = (
+                    f"its parent link {WORLD!r} is not in the file; it is taken for the ground, as "
+                    "Drake takes it"
+                )
+                urdf.findings.note(said, f"joint {name!r}", parent.where)
+                return
+
+
+def _end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
+    element = (joint.of(tag) or [None])[0]
+    link = element.attributes.get("link") if element is not None else None
+    if element is None or not link:
+        where = element.where if element is not None else joint.where
+        urdf.findings.add(
+            f"it has no <{tag} link=...>",
+            subject,
+            where,
+            "a joint names its parent and its child link",
+        )
+        return None
+    if link not in urdf.links:
+        urdf.findings.add(
+            f"its {tag} link {shorten(link)} does not exist{urdf.findings.hint(link, urdf.links)}",
+            subject,
+            element.where_of("link"),
+        )
+        return None
+    return link
+
+
+# ---- the mechanism
+
+
+def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
+    """The mechanism with everything that is sound; what is not goes to the findings."""
+    name = urdf.robot.attributes.get("name", "").strip() or "robot"
+    bodies = {n: read_link(n, e, urdf.findings) for n, e in urdf.links.items()}
+    root = ground if ground is not None else next(iter(bodies), "ground")
+    mechanism = Mechanism(name, ground=_fresh("world", bodies) if base else root)
+    for link, body in bodies.items():
+        if link == mechanism.ground.name:
+            mechanism.bodies[link] = body
+        else:
+            mechanism._add_body(body)
+    if base:
+        mechanism.free(_fresh("base", urdf.joints), mechanism.ground, root)
+    quaternions = has_quaternions(urdf.robot)
+    for joint, element in urdf.joints.items():
+        kind = urdf.types.get(joint, "fixed")
+        settings = read_joint(kind, joint, element, urdf.findings, quaternions, urdf.lenient)
+        if joint in urdf.ends and joint in urdf.types and settings is not None:
+            unstated = settings.pop("unstated", False)
+            with urdf.findings.guard(f"joint {joint!r}", element.where):
+                made = mechanism.joint(
+                    joint, TYPES[kind], *urdf.ends[joint], where=element.where, **settings
+                )
+                mechanism.joints[joint] = replace(made, unstated=True) if unstated else made
+    _mimics(urdf, mechanism)
+    return mechanism
+
+
+def _fresh(name: str, taken: Mapping[str, object]) -> str:
+    """`name`, with a number where it is taken."""
+    number = 1
+    out = name
+    while out in taken:
+        number += 1
+        out = f"{name}_{number}"
+    return out
+
+
+# ---- mimic
+
+
+def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
+    findings = urdf.findings
+    follows: dict[str, tuple[str, XmlElement]] = {}
+    for name, element in urdf.joints.items():
+        mimic = (element.of("mimic") or [None])[0]
+        subject = f"joint {name!r}"
+        if mimic is None:
+            continue
+        leader = mimic.attributes.get("joint")
+        if not leader:
+            findings.add(
+                "its <mimic> names no joint", subject, mimic.where, "write <mimic joint=.../>"
+            )
+            continue
+        factor, offset = (
+            numbers(mimic, key, 1, findings, subject) if key in mimic.attributes else (default,)
+            for key, default in (("multiplier", 1.0), ("offset", 0.0))
+        )
+        if leader not in urdf.joints:
+            said = findings.hint(leader, urdf.joints, but=name)
+            message = f"it mimics joint {shorten(leader)}, which does not exist{said}"
+            findings.add(message, subject, mimic.where_of("joint"))
+        elif urdf.types.get(name) == "fixed":
+            findings.note(
+                "a fixed joint does not move: its <mimic> is not used", subject, mimic.where
+            )
+        elif _one_coordinate(urdf, name, leader, subject, mimic):
+            follows[name] = (leader, mimic)
+            if factor and offset:
+                with findings.guard(subject, mimic.where):
+                    mechanism.couple(name, {leader: factor[0]}, offset[0], where=mimic.where)
+    _refuse_cycles(follows, findings)
+
+
+def _one_coordinate(urdf: _Urdf, name: str, leader: str, subject: str, mimic: XmlElement) -> bool:
+    for joint, role in ((name, "it"), (leader, f"joint {leader!r}")):
+        kind = urdf.types.get(joint)
+        if kind in ("fixed", "planar", "floating", "spherical"):
+            has = "no coordinate" if kind == "fixed" else "several coordinates"
+            urdf.findings.add(
+                f"it mimics joint {leader!r}, but {role} is {kind} and has {has}",
+                subject,
+                mimic.where_of("joint"),
+                "revolute, continuous and prismatic joints can mimic each other",
+            )
+            return False
+    return True
+
+
+def _refuse_cycles(follows: Mapping[str, tuple[str, XmlElement]], findings: Findings) -> None:
+    """Record each cycle of joints that mimic each other, once."""
+    done: set[str] = set()
+    for start in follows:
+        path: dict[str, None] = {}
+        name = start
+        while name in follows and name not in done and name not in path:
+            path[name] = None
+            name = follows[name][0]
+        if name in path:
+            order = list(path)
+            cycle = [*order[order.index(name) :], name]
+            shown = " mimics ".join(
+                repr(n) for n in (cycle if len(cycle) < 12 else [*cycle[:10], "...", name])
+            )
+            findings.add(
+                f"it mimics itself: {shown}",
+                f"joint {name!r}",
+                follows[name][1].where,
+                "one of them must be free",
+            )
+        done.update(path)
+
+
+# ---- what is not read
+
+
+def _note_unused(urdf: _Urdf) -> None:
+    """Note blocks that speak of joints: those of missing joints, and joints that only simulators
+    know.
+    """
+    for block in urdf.robot.children:
+        if block.tag not in ("transmission", "ros2_control", "gazebo"):
+            continue
+        for joint in block.walk():
+            name = joint.attributes.get("name", "")
+            if joint.tag != "joint":
+                continue
+            if block.tag == "gazebo" and joint.of("child"):
+                urdf.findings.note(
+                    "a joint inside a <gazebo> block is not read; if it closes a loop, give the "
+                    "link a second <joint> or use TOML",
+                    f"joint {name!r}",
+                    joint.where,
+                )
+            elif name not in urdf.joints and block.tag != "gazebo":
+                urdf.findings.note(
+                    f"a <{block.tag}> speaks of joint {shorten(name)}, which does not exist",
+                    where=joint.where,
+                )

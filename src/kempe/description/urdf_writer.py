@@ -1,0 +1,429 @@
+"""Mechanism -> URDF text where URDF can say it; what it cannot say is refused, all of it at once."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.formats import URDF
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body, Joint
+from kempe.description.source import Findings
+from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
+from kempe.description.urdf_reader import reachable
+from kempe.description.xml import parse_xml
+from kempe.errors import DescriptionError
+from kempe.joints import Q, R
+from kempe.poses import Placement
+from kempe.values import evaluate
+
+ON_AXIS = 1e-12
+"""Metres that a body's origin may lie off the axis of its joint and still count as on it."""
+
+_FORBIDDEN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """Numbers of an <origin>: where a joint's frame sits on its parent link."""
+
+    xyz: Sequence[float]
+    rpy: Sequence[float]
+
+
+def write_urdf(mechanism: Mechanism) -> str:
+    """URDF text of a mechanism; read again by `read_urdf`, all bodies and frames have the same
+    poses.
+
+    Parameters are evaluated, locked joints become fixed ones, named frames become links without
+    mass. A body whose origin lies off the axis of its joint gets a link of its own for the joint's
+    frame. Unlimited prismatic joints get limits of +-1e308, since URDF demands some. Postures,
+    notes and the marks of actuated joints are left out. Errors: `DescriptionError` listing all that
+    URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
+    """
+    return _Writer(mechanism).text()
+
+
+class _Writer:
+    def __init__(self, mechanism: Mechanism):
+        self.m = mechanism
+        self.findings = Findings()
+        self.lines: list[str] = []
+        self.links = {*mechanism.bodies, *mechanism.frames}
+        self.joints = set(mechanism.joints)
+        self.held = dict(mechanism.locks)
+        self.mimics: dict[str, tuple[str, float, float]] = {}
+
+    def text(self) -> str:
+        self.check_tree()
+        for constraint in self.m.constraints.values():
+            self.findings.add(
+                f"a {constraint.kind} does not exist in URDF",
+                f"constraint {constraint.name!r}",
+                constraint.where,
+                URDF.cannot["constraints that are not joints"],
+            )
+        self.resolve_couplings()
+        left_out = [f"posture {name!r}" for name in self.m.postures]
+        if left_out:
+            said = ", ".join(left_out).replace("--", "- -")
+            self.lines.append(f"  <!-- left out, since URDF cannot say it: {said} -->")
+        for body in self.m.bodies.values():
+            self.body(body)
+        for joint in self.m.joints.values():
+            try:
+                self.joint(joint)
+            except FloatingPointError as error:
+                self.findings.add(
+                    str(error), f"joint {joint.name!r}", joint.where, "check its parameters"
+                )
+        for frame in self.m.frames.values():
+            self.link(frame.name)
+            origin = self.origin(frame.X_BF)
+            self.fixed(fresh(f"{frame.name}_fixed", self.joints), frame.body, frame.name, origin)
+        self.findings.finish()
+        head = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name={self.quoted(self.m.name)}>\n'
+        self.findings.finish()
+        return head + "\n".join(self.lines) + "\n</robot>\n"
+
+    # ---- what must hold
+
+    def check_tree(self) -> None:
+        """Refuse what is no tree: each body but the ground must be the child of one joint, led to
+        from ground.
+        """
+        incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
+        for joint in self.m.joints.values():
+            incoming[joint.child].append(joint)
+        ground = self.m.ground.name
+        loops = False
+        for body, joints in incoming.items():
+            if len(joints) > (body != ground):
+                loops = True
+                last = joints[-1]
+                names = ", ".join(repr(j.name) for j in joints)
+                what = (
+                    f"{len(joints)} joints lead to it ({names}): a loop, or a joint given from "
+                    "child to parent"
+                    if body != ground
+                    else f"joint {names} leads to it"
+                )
+                allowed = URDF.cannot["loops, joints from child to parent"]
+                self.findings.add(
+                    what,
+                    f"body {body!r}" if body != ground else f"ground {body!r}",
+                    last.where,
+                    allowed,
+                )
+        reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
+        lost = [b for b in self.m.bodies if b not in reached]
+        if lost and not loops:
+            shown = ", ".join(map(repr, lost[:8])) + (", ..." if len(lost) > 8 else "")
+            self.findings.add(
+                f"no joints lead from the ground to {shown} in their own direction, from parent to "
+                "child",
+                "mechanism",
+                self.m.bodies[lost[0]].where,
+                URDF.cannot["bodies that no joint carries"],
+            )
+
+    def resolve_couplings(self) -> None:
+        """Sort couplings into constants (all sources locked) and mimics (one left); others are
+        problems.
+        """
+        pending = dict(self.m.couplings)
+        while True:
+            open_: dict[str, tuple[dict[str, float], float]] = {}
+            for of, c in pending.items():
+                sources = {k: float(evaluate(v, self.m.parameters)) for k, v in c.sources.items()}
+                offset = float(evaluate(c.offset, self.m.parameters))
+                offset += sum(v * self.held[k] for k, v in sources.items() if k in self.held)
+                free = {k: v for k, v in sources.items() if k not in self.held}
+                if of not in self.held and not free:
+                    self.held[of] = offset
+                    continue
+                open_[of] = (free, offset)
+            if len(open_) == len(pending):
+                break
+            pending = {of: self.m.couplings[of] for of in open_}
+        for of, (free, offset) in open_.items():
+            subject = f"coordinate {of!r}"
+            where = self.m.couplings[of].where
+            if of in self.held:
+                allowed = URDF.cannot["locks of coordinates that follow others"]
+                self.findings.add("it is locked, but follows others", subject, where, allowed)
+            elif len(free) > 1:
+                self.findings.add(
+                    f"it follows several coordinates ({', '.join(free)})",
+                    subject,
+                    where,
+                    URDF.cannot["couplings with several sources"],
+                )
+            elif not {of, *free} <= self.m.joints.keys():
+                self.findings.add(
+                    "it is one of several coordinates of a joint, or follows one",
+                    subject,
+                    where,
+                    URDF.cannot["couplings of a part of a joint"],
+                )
+            else:
+                source, factor = next(iter(free.items()))
+                self.mimics[of] = (source, factor, offset)
+
+    # ---- links
+
+    def quoted(self, text: str) -> str:
+        if _FORBIDDEN.search(text):
+            allowed = URDF.cannot["control characters in names"]
+            self.findings.add(
+                "it has a character that XML forbids", f"name {text!r}", None, allowed
+            )
+        return quoteattr(text)
+
+    def link(self, name: str, inside: Iterable[str] = ()) -> None:
+        lines = list(inside)
+        if not lines:
+            self.lines.append(f"  <link name={self.quoted(name)}/>")
+            return
+        self.lines += [
+            f"  <link name={self.quoted(name)}>",
+            *(f"    {line}" for line in lines),
+            "  </link>",
+        ]
+
+    def body(self, body: Body) -> None:
+        subject = f"body {body.name!r}"
+        if body.particle:
+            self.findings.add("it is a particle", subject, body.where, URDF.cannot["particles"])
+        inside: list[str] = []
+        if body.mass is not None or body.center is not None:
+            center = f'<origin xyz="{_numbers(body.center)}"/>' if body.center is not None else ""
+            mass = f'<mass value="{(body.mass or 0.0)!r}"/>'
+            inertia = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+            inside.append(f"<inertial>{center}{mass}{inertia}</inertial>")
+        for visual in body.visuals:
+            try:
+                if parse_xml(visual, subject).tag != "visual":
+                    self.findings.add(
+                        "a visual is not one <visual> element",
+                        subject,
+                        body.where,
+                        "correct its text",
+                    )
+            except DescriptionError as error:
+                self.findings.add(
+                    f"a visual is not XML ({error.problems[0].message})",
+                    subject,
+                    body.where,
+                    "correct its text",
+                )
+            inside.append(visual)
+        self.link(body.name, inside)
+
+    # ---- joints
+
+    def joint(self, joint: Joint) -> None:
+        coordinates = self.coordinates(joint)
+        held = [c for c in coordinates if c in self.held]
+        if held and len(held) < len(coordinates):
+            self.findings.add(
+                f"only {', '.join(held)} of its coordinates are locked",
+                f"joint {joint.name!r}",
+                joint.where,
+                URDF.cannot["locks of a part of a joint"],
+            )
+        if len(held) == len(coordinates):
+            X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
+            self.fixed(
+                joint.name,
+                joint.parent,
+                joint.child,
+                self.origin(X_PC if held else _difference(joint)),
+            )
+            return
+        kind = self.urdf_type(joint)
+        if kind is None:
+            return
+        inside = self.limit(joint, kind)
+        if joint.name in self.mimics:
+            source, factor, offset = self.mimics[joint.name]
+            inside.append(
+                f'<mimic joint={self.quoted(source)} multiplier="{factor!r}" offset="{offset!r}"/>'
+            )
+        direct = self.direct(joint, kind)
+        if direct is not None:
+            self.write(joint.name, kind, joint.parent, joint.child, *direct, inside)
+            return
+        between = fresh(f"{joint.name}_frame", self.links)
+        self.link(between)
+        self.write(
+            joint.name,
+            kind,
+            joint.parent,
+            between,
+            self.origin(joint.X_PF),
+            (0.0, 0.0, 1.0),
+            inside,
+        )
+        end = self.origin(joint.X_CM.inverse())
+        self.fixed(fresh(f"{joint.name}_fixed", self.joints), between, joint.child, end)
+
+    def coordinates(self, joint: Joint) -> list[str]:
+        names = joint.type.coordinates(self.m.dim, self.m.bodies[joint.child].particle)
+        return [f"{joint.name}.{n}" if n else joint.name for n in names]
+
+    def locked_pose(self, joint: Joint, coordinates: list[str]) -> Placement:
+        """X_FM of a joint whose coordinates are all locked."""
+        steps: list[tuple[str, tuple[float, ...]]] = []
+        primitives = joint.type.layout(self.m.dim, self.m.bodies[joint.child].particle)[1]
+        for kind, axis, first, multiplier in primitives:
+            if kind == Q:
+                steps.append(
+                    ("quat_wxyz", tuple(self.held[c] for c in coordinates[first : first + 4]))
+                )
+            else:
+                steps.append(
+                    ("r" * (kind == R) + axis, (multiplier * self.held[coordinates[first]],))
+                )
+        return Placement(tuple(steps))
+
+    def urdf_type(self, joint: Joint) -> str | None:
+        subject = f"joint {joint.name!r}"
+        name = joint.type.type_name
+        if name == "free" and self.m.dim == 2:
+            name = "planar"
+        kinds = {
+            "revolute": "revolute" if joint.limits else "continuous",
+            "prismatic": "prismatic",
+            "planar": "planar",
+            "free": "floating",
+            "spherical": "spherical",
+        }
+        if name not in kinds or joint.type.options:
+            angles = " by angles" if joint.type.options.get("angles") else ""
+            self.findings.add(
+                f"a {name} joint{angles} does not exist in URDF",
+                subject,
+                joint.where,
+                URDF.cannot["joints of other types"],
+            )
+            return None
+        bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
+        if name in ("planar", "free", "spherical") and bounded:
+            allowed = URDF.cannot["limits of joints with several coordinates"]
+            self.findings.add(
+                f"limits of a {name} joint do not exist in URDF", subject, joint.where, allowed
+            )
+        return kinds[name]
+
+    def limit(self, joint: Joint, kind: str) -> list[str]:
+        given = {"velocity": joint.velocity_limits.get(""), "effort": joint.effort_limits.get("")}
+        if kind in ("planar", "floating", "spherical") or (
+            kind == "continuous" and set(given.values()) == {None}
+        ):
+            return []
+        lower, upper = joint.limits.get("", (-math.inf, math.inf))
+        bounds = {} if kind == "continuous" else {"lower": lower, "upper": upper}
+        bounds |= {k: math.inf if v is None else v for k, v in given.items()}
+        said = " ".join(f'{k}="{max(-UNLIMITED, min(UNLIMITED, v))!r}"' for k, v in bounds.items())
+        return [f"<limit {said}/>"]
+
+    def direct(self, joint: Joint, kind: str) -> tuple[_Origin, Sequence[float]] | None:
+        """Origin and axis of a joint that needs no link of its own for its frame, or None where it
+        does.
+        """
+        on_child = joint.X_CM.steps
+        before = joint.X_PF.steps[: len(joint.X_PF.steps) - len(on_child)]
+        if joint.X_PF.steps == before + on_child and len(on_child) <= 1:
+            motion, numbers = on_child[0] if on_child else ("align", (0.0, 0.0, 1.0))
+            if motion == "align" and kind not in WITHOUT_AXIS:
+                return self.origin(Placement(before)), [float(x) for x in numbers]  # type: ignore[arg-type]
+        X_CM = joint.X_CM.evaluate(self.m.parameters)
+        a = X_CM[:3, 2]
+        p = X_CM[:3, 3]
+        fits = {
+            "revolute": np.linalg.norm(p - (p @ a) * a) <= ON_AXIS,
+            "prismatic": True,
+            "planar": np.allclose(X_CM, spatial.pose(spatial.align_z(a)), rtol=0.0, atol=ON_AXIS),
+            "floating": np.allclose(X_CM, np.eye(4), rtol=0.0, atol=ON_AXIS),
+            "spherical": np.allclose(X_CM, np.eye(4), rtol=0.0, atol=ON_AXIS),
+        }
+        if not fits["revolute" if kind == "continuous" else kind]:
+            return None
+        return self.origin(joint.X_PF @ joint.X_CM.inverse()), a.tolist()
+
+    # ---- elements
+
+    def origin(self, X: Placement) -> _Origin:
+        """Numbers of a placement: its own where it is a shift, roll, pitch, yaw; else worked out."""
+        steps = X.simplified().steps
+        if [s[0] for s in steps] == [
+            k for k in ("x", "y", "z", "rz", "ry", "rx") if k in dict(steps)
+        ]:
+            given = {k: float(evaluate(v[0], self.m.parameters)) for k, v in steps}
+            numbers = [given.get(k, 0.0) for k in ("x", "y", "z", "rx", "ry", "rz")]
+        else:
+            numbers = spatial.xyz_rpy_from_pose(X.evaluate(self.m.parameters)).tolist()
+        if not all(map(math.isfinite, numbers)):
+            raise FloatingPointError("its placement is not a number with these parameters")
+        return _Origin(numbers[:3], numbers[3:])
+
+    def fixed(self, name: str, parent: str, child: str, origin: _Origin) -> None:
+        self.write(name, "fixed", parent, child, origin, None, [])
+
+    def write(
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        origin: _Origin,
+        axis: Sequence[float] | None,
+        inside: list[str],
+    ) -> None:
+        if kind == "spherical":
+            self.lines.append(
+                "  <!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->"
+            )
+        self.lines.append(f'  <joint name={self.quoted(name)} type="{kind}">')
+        self.lines.append(
+            f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>"
+        )
+        self.lines.append(
+            f'    <origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>'
+        )
+        if axis is not None and kind not in WITHOUT_AXIS:
+            self.lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
+        self.lines += [f"    {line}" for line in inside]
+        self.lines.append("  </joint>")
+
+
+def _difference(joint: Joint) -> Placement:
+    """X_PF X_CM^-1 of a fixed joint, without what cancels."""
+    a = joint.X_PF.steps
+    b = joint.X_CM.steps
+    while a and b and a[-1] == b[-1]:
+        a = a[:-1]
+        b = b[:-1]
+    return Placement(a) @ Placement(b).inverse()
+
+
+def fresh(name: str, taken: set[str]) -> str:
+    """`name`, with a number where it is taken; from now on it is taken."""
+    number = 1
+    out = name
+    while out in taken:
+        number += 1
+        out = f"{name}_{number}"
+    taken.add(out)
+    return out
+
+
+def _numbers(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(x)) for x in numbers)

@@ -1,0 +1,253 @@
+"""The equations of a system's loops as those of a curve: some coordinates held, or inputs that
+follow a line.
+
+Turns are in radians, slides and positions divided by the characteristic length of the system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from kempe.equations import closure_rows
+from kempe.model.characteristic_length import origin_of
+from kempe.model.own_tree import own_tree
+from kempe.numerics.clock import TimeLimit
+from kempe.numerics.curves import BLUNT, CLOSED, Curve
+from kempe.numerics.newton import gauss_newton
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+LEAST = 0.1
+"""What the largest singular value counts as at least: equations are scaled, and where all vanish it
+is rounding."""
+ANGLES = ("rx", "ry", "rz", "x.y")
+"""Names of equations that are angles."""
+
+
+class Further(Protocol):
+    """Equations of a curve besides those of the loops."""
+
+    @property
+    def count(self) -> int:
+        """Number of these further equations."""
+        ...
+
+    def write(
+        self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
+    ) -> None:
+        """Write the residuals of these equations into F (rows,) and their derivatives into J (rows,
+        n).
+
+        `x` is the point of the curve; row `at` is the first to be written, and the rows before `at`
+        are filled already. Without `with_matrix` J is left as it is.
+        """
+        ...
+
+
+class Closure(Curve):
+    """The closure equations of a system, some of its coordinates held at the values of a
+    configuration.
+
+    `unit` (nv,) are the velocity coordinates of one unit of the numbers used here; `closed` is the
+    residual below which the equations hold, up to what rounding adds. `held` are indices of
+    velocity
+    coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget`
+    is spent.
+    """
+
+    least = LEAST
+
+    def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
+        self.system = system
+        self.held = tuple(held)
+        self.tree = own_tree(system)
+        self._held = np.array(self.held, dtype=np.int64)
+        layout = system.structure.layout
+        turning = system.structure.coordinates.turning
+        length = closure_rows.characteristic_length(system)
+        self.rounding = (
+            4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
+        )
+        self.unit = np.where(turning, 1.0, length)
+        for iv in layout.quaternion_v:
+            self.unit[iv : iv + 3] = 1.0
+        self.place = np.full(system.nv, -1, dtype=np.int64)
+        self.place[layout.vector_v] = layout.vector_q
+        self.n = system.nv
+        index = {n: i for i, n in enumerate(system.structure.velocity_names)}
+        self.weight = np.array(
+            [
+                1.0
+                if row in ANGLES or (tie.plain and tie.relation is None)
+                else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
+                for tie in closure_rows.full(self.tree, False).ties
+                for row in tie.rows
+            ]
+        )
+        self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
+        self.closed = CLOSED
+        self.budget = TimeLimit(None)
+        self.more: tuple[Further, ...] = ()
+        self._count()
+
+    def _count(self) -> None:
+        self.real = len(self.weight) + len(self.held) + sum(m.count for m in self.more)
+        self.rows = max(self.real, self.n)
+
+    def add(self, further: Further) -> None:
+        """Add further equations to those that hold."""
+        self.more = (*self.more, further)
+        self._count()
+
+    def leave_out(self, further: Further) -> None:
+        """Take out further equations that `add` has added."""
+        self.more = tuple(m for m in self.more if m is not further)
+        self._count()
+
+    def values(self, x: Array) -> Array:
+        """Residuals (rows,) of all equations at the point `x`."""
+        return self.both(x, False)[0]
+
+    def both(
+        self, x: Array, with_matrix: bool = True, further: int | None = None
+    ) -> tuple[Array, Array]:
+        """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further
+        equations only the first so many are written, where their number is given.
+        """
+        self.budget.check()
+        F = np.zeros(self.rows)
+        J = np.zeros((self.rows, self.n))
+        m = len(self.weight)
+        if m:
+            F[:m], columns = self.loops(x, with_matrix)
+            if with_matrix:
+                J[:m] = columns
+        if self.held:
+            F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[
+                self._held
+            ]
+            J[m + np.arange(len(self.held)), self._held] = 1.0
+        if self.more:
+            self._further(x, F, J, with_matrix, further)
+        return F, J
+
+    def loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+        """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty
+        unless requested.
+        """
+        values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+        if with_matrix:  # in place: the matrix of a long chain is most of the memory
+            columns *= self.weight[:, None]
+            columns *= self.unit
+        return self.weight * values, columns
+
+    def many(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+        """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless
+        requested.
+        """
+        self.budget.check()
+        k = len(x)
+        m = len(self.weight)
+        F = np.zeros((k, self.rows))
+        J = np.zeros((k, self.rows if with_matrix else 0, self.n))
+        if m:
+            values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+            F[:, :m] = self.weight * values
+            if with_matrix:
+                J[:, :m] = self.weight[:, None] * columns * self.unit
+        if self.held:
+            F[:, m : m + len(self.held)] = (
+                x[:, self.place[self._held]] - self.targets
+            ) / self.unit[self._held]
+            if with_matrix:
+                J[:, m + np.arange(len(self.held)), self._held] = 1.0
+        for one, f, j in zip(x, F, J, strict=True) if self.more else ():
+            self._further(one, f, j, with_matrix, None)
+        return F, J
+
+    def _further(self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None) -> None:
+        """Write residuals and derivatives of the further equations, the first `most` of them."""
+        at = len(self.weight) + len(self.held)
+        for more in self.more[:most]:
+            more.write(self, x, F, J, at, with_matrix)
+            at += more.count
+
+    def tolerance(self, x: Array) -> float:
+        """Residual below which the equations hold at `x`: angles of many turns are known less well."""
+        return self.closed * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
+
+    def move(self, x: Array, y: Array) -> Array:
+        """The point reached from `x` by the tangent vector `y` (n,)."""
+        return self.system.structure.layout.integrate(x, y * self.unit)
+
+    def between(self, x: Array, other: Array) -> Array:
+        """The tangent vector (n,) from `x` to `other`, turns as many as they are."""
+        return self.system.structure.layout.difference(x, other) / self.unit
+
+    def index(self, names: Sequence[str]) -> list[int]:
+        """Indices, among the velocity coordinates, of angles and prismatic coordinates given by
+        name.
+        """
+        number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
+        return [number[n] for n in names]
+
+
+class DrivenClosure(Closure):
+    """Closure, and inputs that follow a straight line: a point is a configuration and the length
+    along that line.
+
+    Point: (nq + 1,) = [q, length]; input i has the value
+    `origin[i] + unit * direction[i] * length`.
+    """
+
+    def __init__(self, closure: Closure, inputs: Sequence[int], origin: Array, direction: Array):
+        vars(self).update(vars(closure))
+        self.base = closure
+        self.inputs = list(inputs)
+        self.origin = origin
+        self.direction = direction
+        self.n = closure.n + 1
+        self.rows = max(self.real + len(self.inputs), self.n)
+
+    def at(self, length: float) -> Array:
+        """Values of the inputs, in radians and metres, at a length of their line."""
+        return self.origin + self.unit[self.inputs] * self.direction * length
+
+    def both(
+        self, x: Array, with_matrix: bool = True, further: int | None = None
+    ) -> tuple[Array, Array]:
+        """`values` and `matrix` in one pass; the latter is all zero unless requested."""
+        F = np.zeros(self.rows)
+        J = np.zeros((self.rows, self.n))
+        k = self.real
+        inner, columns = self.base.both(x[:-1], with_matrix, further)
+        F[:k] = inner[:k]
+        J[:k, :-1] = columns[:k]
+        at = x[self.place[self.inputs]]
+        unit = self.unit[self.inputs]
+        place = k + np.arange(len(self.inputs))
+        F[place] = (at - self.origin) / unit - self.direction * x[-1]
+        J[place, self.inputs] = 1.0
+        J[place, -1] = -self.direction
+        return F, J
+
+    def move(self, x: Array, y: Array) -> Array:
+        """The point reached from `x` by the tangent vector `y` (n,)."""
+        return np.append(self.base.move(x[:-1], y[:-1]), x[-1] + y[-1])
+
+    def between(self, x: Array, other: Array) -> Array:
+        """The tangent vector (n,) from `x` to `other`."""
+        return np.append(self.base.between(x[:-1], other[:-1]), other[-1] - x[-1])
+
+
+def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
+    """The configuration with closed loops near `x`, by steps of least size, or None."""
+    found = gauss_newton(
+        equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move
+    )
+    return found.x if found.size < equations.tolerance(found.x) else None

@@ -1,0 +1,177 @@
+"""All constraint equations of a system at once: residual and Jacobian over all velocity
+coordinates.
+
+*Full* form: each joint that the tree left out ties its frame M, led there through its own
+coordinates, to its child. The unknowns are all coordinates, those of cut joints included, so that
+nothing depends on where a loop was cut, and the nullity of the Jacobian is the number of freedoms
+that the rank sees.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import explained, flag
+from kempe.kernels.compiled import closure_batch
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import as_q
+from kempe.model.constraint_program import PackedLoops
+from kempe.model.own_tree import own_tree
+from kempe.model.packed_loops import loops_of, must_be_explicit
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+RANK_TOLERANCE = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+
+__all__ = [
+    "SystemConstraint",
+    "characteristic_length",
+    "evaluate",
+    "freedoms_left",
+    "jacobian",
+    "of_system",
+    "residual",
+    "row_names",
+    "scales",
+]
+
+
+def residual(system: Model, q: Any) -> Array:
+    """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero
+    where all loops close.
+
+    For each joint that the tree left out: position and rotation vector of its frame M on the child,
+    in axes of the M that its own coordinates predict (in planar systems two positions and an angle;
+    for particles the position); then the declared constraints and the relations between several
+    coordinates. `row_names` says which row is which.
+    """
+    return evaluate(system, q, False)[0]
+
+
+def jacobian(system: Model, q: Any) -> Array:
+    """Jacobian (..., m, nv) of `residual` by the velocity coordinates, exact at every q, closed or
+    not.
+    """
+    return evaluate(system, q, True)[1]
+
+
+def evaluate(
+    system: Model,
+    q: Any,
+    with_jacobian: bool = True,
+    scaled: bool = False,
+    loops: PackedLoops | None = None,
+) -> tuple[Array, Array]:
+    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless
+    requested.
+
+    `scaled`: lengths, those of sliding coordinates included, are measured in characteristic
+    lengths, and loops are cut where solvers cut them (`own_tree`), so that nothing depends on the
+    unit or on joints marked `cut`. `loops` are the equations in another form than the full one.
+    """
+    q = as_q(system, q)
+    loops = loops or full(system, scaled)
+    lead = q.shape[:-1]
+    m = len(loops.names)
+    flat = q.reshape(math.prod(lead), system.nq)
+    out = np.empty((len(flat), m))
+    columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
+    pins = np.zeros((1, 0))
+    packed = loops.ints, loops.floats, loops.plan, loops.weights
+    closure_batch.equations(*packed, pins, flat, with_jacobian, out, columns)
+    loops.check()
+    return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
+
+
+def row_names(system: Model) -> list[tuple[str, str]]:
+    """For each equation the name of its joint, constraint or coupling, and the component: 'x',
+    'rz', 'distance', ...
+    """
+    return list(full(system, False).names)
+
+
+def full(system: Model, scaled: bool) -> PackedLoops:
+    """The packed loops in full form, in metres or `scaled`."""
+    tree = own_tree(system) if scaled else system
+    return loops_of(tree, frozenset(tree.structure.closures), length=None if scaled else 1.0)
+
+
+def scales(system: Model) -> Array:
+    """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a
+    prismatic one.
+    """
+    return full(system, True).scale
+
+
+@dataclass(frozen=True, eq=False)
+class SystemConstraint:
+    """A constraint f(q) = 0 of a system, as rows of the packed equations."""
+
+    name: str
+    loops: PackedLoops
+    rows: tuple[int, ...]
+
+    def __repr__(self) -> str:
+        return f"SystemConstraint({self.name!r}: {', '.join(self.names)})"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The component that each row holds: 'x', 'rz', 'distance', ..."""
+        return tuple(self.loops.names[i][1] for i in self.rows)
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    def residual(self, system: Model, q: Any) -> Array:
+        """Residual (..., size) of the constraint at q (..., nq), in metres and radians."""
+        return evaluate(system, q, False, loops=self.loops)[0][..., list(self.rows)]
+
+    def jacobian(self, system: Model, q: Any) -> Array:
+        """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact for all q."""
+        return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
+
+
+@explained
+def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
+    """The constraints of a system: its closures, the declared ones, the relations of several
+    coordinates.
+
+    With `own=False` the coordinates of the joints that close loops are left out where nothing else
+    depends on them.
+    """
+    loops = (
+        full(system, False)
+        if flag(own, "own")
+        else loops_of(system, must_be_explicit(system), length=1.0)
+    )
+    rows: dict[tuple[str, bool], list[int]] = {}
+    for i, (name, what) in enumerate(loops.names):
+        rows.setdefault((name, what == "relation"), []).append(i)
+    order = [(n, False) for n in (*system.structure.closures, *system.mechanism.constraints)]
+    order += [(r.of, True) for r in system.structure.relations]
+    return [SystemConstraint(key[0], loops, tuple(rows[key])) for key in order if key in rows]
+
+
+def freedoms_left(system: Model, q: Array, held: frozenset[str] = frozenset()) -> int:
+    """Nullity of the constraint Jacobian at q over the coordinates that are not held.
+
+    The angles of a ball near their own singularity are measured from q, unless some of them are
+    held.
+    """
+    from kempe.model.ball_angles import regular_chart  # only here: to assemble needs none of it
+
+    system, q, _ = regular_chart(system, q, held)
+    free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
+    J = evaluate(system, q, True, True)[1][:, free]
+    values = svd(J, compute_uv=False) if J.size else np.zeros(0)
+    return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())

@@ -1,0 +1,524 @@
+"""The judge: how far constraints are missed, by plain numpy from poses. It shares nothing with the
+kernels.
+
+Each operation of a row has one measure here. Tasks of `ik` are judged by it at poses of the forward
+model; `judge` measures all that a system declares (joints that the tree left out, constraints,
+couplings) at poses that are multiplied out joint by joint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from kempe import spatial
+from kempe.arguments import explained
+from kempe.arrays import plain, reals
+from kempe.constraints.base import Constraint, Op, Row, one_sided, tilt_of
+from kempe.constraints.tape import POSE, TIME
+from kempe.description.mechanism import Mechanism, resolved
+from kempe.description.parts import Declared, Joint
+from kempe.forward.fk import fk
+from kempe.joints import JointType, P, Primitive, R
+from kempe.kernels.constraints import loop_layout as L
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import as_q
+from kempe.model.constraint_program import TURNS, between, numbers_of, value_of
+from kempe.model.coordinates import Follower, coordinate_names
+from kempe.model.model import Model
+from kempe.spatial import Array
+from kempe.words import InWords
+
+# ---- closure errors
+
+# How far loops are open: the joints that the spanning tree left out, as residuals of a
+# configuration.
+
+
+def coordinate_value(system: Model, q: spatial.Array, name: str) -> spatial.Array:
+    """Value (...) of a joint coordinate at q (..., nq), also of a coupled or locked one."""
+    follower: Follower | None = system.structure.couplings.get(name)
+    if follower is None:
+        return q[..., system.coordinate_names.index(name)]
+    source = (
+        0.0 if follower.source is None else q[..., system.coordinate_names.index(follower.source)]
+    )
+    return np.broadcast_to(follower.multiplier * source + follower.offset, q.shape[:-1])
+
+
+@explained
+def closure_error(system: Model, q: Any) -> spatial.Array:
+    """How far each loop is open (..., len(closures), 6).
+
+    For each joint that the tree left out: the twist [v; w] in metres and radians, in axes of its
+    frame M, that leads from where its own coordinates put M to where the tree puts it. Zero where
+    the loop is closed. The angular part of a particle is zero.
+    """
+    q = as_q(system, q)
+    bodies = fk(system, q)
+    out = np.zeros((*q.shape[:-1], len(system.structure.closures), 6))
+    number = {b: i for i, b in enumerate(system.body_names)}
+    mechanism = system.mechanism
+    for k, name in enumerate(system.structure.closures):
+        joint = mechanism.joints[name]
+        names = coordinate_names(mechanism, joint)
+        local = (
+            np.stack([coordinate_value(system, q, c) for c in names], axis=-1)
+            if names
+            else q[..., :0]
+        )
+        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        X_FM = joint_pose(joint.type, local, system.dim, mechanism.bodies[joint.child].particle)
+        X_WM = bodies[..., number[joint.parent], :, :] @ X_PF @ X_FM
+        X_MM = spatial.inverse(X_WM) @ bodies[..., number[joint.child], :, :] @ X_CM
+        if mechanism.bodies[joint.child].particle:  # it has a position only
+            out[..., k, :3] = X_MM[..., :3, 3]
+        else:
+            out[..., k, :] = spatial.log_se3(X_MM)
+    return out
+
+
+def joint_pose(
+    kind: JointType, q: spatial.Array, dim: int = 3, particle: bool = False
+) -> spatial.Array:
+    """Pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., number of coordinates)."""
+    mechanism = Mechanism("joint", dim)
+    child = mechanism.particle("M") if particle else mechanism.body("M")
+    # not by `Mechanism.joint`: a slider of the plane slides along z of its frame F, which is not
+    # the plane's z
+    mechanism.joints["joint"] = Joint("joint", kind, mechanism.ground.name, child.name)
+    return fk(Model(mechanism), q, "M")
+
+
+WITHIN = 1e-6
+"""Error in radians, or as a part of the characteristic length, up to which what is declared counts
+as held."""
+ROUNDING = 1e-12
+"""Error as a part of the largest coordinate of a point, that rounding alone may make."""
+SHOWN = 4
+"""Names that a sentence lists."""
+
+
+class RowShape(NamedTuple):
+    """Which parts of a pose rows hold: directions, parts of the rotation, the distance."""
+
+    mask: int
+    turns: int
+    lengths: bool
+    angles: bool
+    axes: tuple[int, ...]
+    point: bool
+    """Whether they hold a point of the frame, or the whole frame."""
+    turned: bool
+    """Whether they hold the orientation."""
+
+
+@lru_cache(maxsize=512)
+def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
+    """Which parts of the pose of frame B in A the rows hold; `dim` is 2 in the plane, 3 in space."""
+    sorts = {
+        Op.ROTATION: L.ANGLE if dim == 2 else L.FULL,
+        Op.TILT: L.ALIGN,
+        Op.LOOK: L.LOOK,
+        Op.DISTANCE: L.DISTANCE,
+    }
+    axes = tuple(r.args[0] for r in rows if r.op is Op.POINT)
+    turns = next((sorts[r.op] for r in rows if r.op in sorts), L.NO_TURN)
+    units = {r.unit for r in rows}
+    mask = sum(1 << a for a in axes)
+    whole = mask == (3 if dim == 2 else 7)
+    turned = turns in (L.FULL, L.ANGLE)
+    return RowShape(mask, turns, "m" in units, "rad" in units, axes, whole, turned)
+
+
+def size_of(p: Array) -> Array:
+    """Lengths (...) of vectors (..., k)."""
+    if p.ndim == 1:
+        return math.sqrt(p.dot(p))  # type: ignore[return-value]
+    return np.sqrt(np.vecdot(p, p))
+
+
+def angle_between(R: Array, S: Array) -> Array:
+    """Angle (...) between two rotations, from the Frobenius norm of their difference: sqrt(8)
+    sin(angle / 2).
+    """
+    d = R - S
+    if d.ndim == 2:
+        return 2.0 * math.asin(min(size_of(d.ravel()) / math.sqrt(8.0), 1.0))  # type: ignore[return-value]
+    d = d.reshape(*d.shape[:-2], 9)
+    return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
+
+
+def apart(
+    A: Array,
+    B: Array,
+    shape: RowShape,
+    whole: bool,
+    number: Array | float | None = None,
+    bounds: Sequence[tuple[float, float]] = (),
+) -> tuple[Array, Array]:
+    """How far (...) rows of a pose are missed by frame B (..., 4, 4) against A (..., 4, 4), in
+    metres and in radians.
+
+    `whole`: their directions are all there are. A distance is compared with `number`; with
+    `bounds`, values between these are no miss.
+    """
+    turned = shape.turns in (L.FULL, L.ANGLE)
+    if whole and turned:
+        return size_of(B[..., :3, 3] - A[..., :3, 3]), angle_between(B[..., :3, :3], A[..., :3, :3])
+    none = np.zeros(np.broadcast_shapes(A.shape[:-2], B.shape[:-2]))
+    if not bounds and shape.turns != L.DISTANCE:
+        if (whole or not shape.mask) and (turned or shape.turns == L.NO_TURN):
+            size = size_of(B[..., :3, 3] - A[..., :3, 3]) if whole else none
+            return size, angle_between(B[..., :3, :3], A[..., :3, :3]) if turned else none
+    if shape.turns in (L.ALIGN, L.LOOK):
+        seen = spatial.inverse(A) @ B
+        look = (
+            np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3])
+            if shape.turns == L.LOOK
+            else None
+        )
+        return none, tilt_of(seen[..., :3, 2] if look is None else look)
+    p = B[..., :3, 3] - A[..., :3, 3]
+    if shape.turns == L.DISTANCE:
+        values = np.asarray(size_of(p))[..., None]
+        values = values if number is None else values - number
+    else:
+        values = (p[..., None, :] @ A[..., :3, list(shape.axes)])[..., 0, :]
+    if bounds:
+        low, high = np.array(bounds).T
+        values = values - np.clip(values, low, high)
+    return np.sqrt(np.vecdot(values, values)), none
+
+
+# ---- rows that are expressions or functions
+
+
+def pose_inputs(X: Array) -> dict[str, Array]:
+    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by
+    row.
+    """
+    values = [X[..., i, 3] for i in range(3)] + [X[..., i, j] for i in range(3) for j in range(3)]
+    return dict(zip(POSE, values, strict=True))
+
+
+def missed(
+    system: Model,
+    made: Constraint,
+    rows: Iterable[Row],
+    q: Array,
+    A: Array | None = None,
+    B: Array | None = None,
+    given: Mapping[str, Array] | None = None,
+    t: Array | float = 0.0,
+) -> tuple[Array, Array]:
+    """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain
+    numbers.
+
+    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has
+    any; t (...) are the times of equations in time.
+    """
+    total = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])]
+    dim = system.dim
+    X = None if A is None or B is None else spatial.inverse(A) @ B
+    known: dict[str, Any] = (
+        {TIME: t} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
+    )
+    for row in rows:
+        if row.op in TURNS:
+            assert A is not None and B is not None
+            size = apart(A, B, shape_of((row,), dim), False)
+        else:
+            value = _value(system, made, row, q, X, known)
+            low, high = (
+                between(made, row)
+                if one_sided(made, row)
+                else (number := value_of(made, row), number)
+            )
+            off = np.abs(value - np.clip(value, low, high))
+            size = (off, 0.0) if row.unit == "m" else (0.0, off)
+        total = [x + np.square(y) for x, y in zip(total, size, strict=True)]
+    return np.sqrt(total[0]), np.sqrt(total[1])
+
+
+def _value(
+    system: Model,
+    made: Constraint,
+    row: Row,
+    q: Array,
+    X: Array | None,
+    known: Mapping[str, Any],
+) -> Array:
+    """The values (...) of a row that measures one number; X (..., 4, 4) is where frame B is in A."""
+    if row.op in (Op.POINT, Op.DISTANCE):
+        assert X is not None
+        return size_of(X[..., :3, 3]) if row.op is Op.DISTANCE else X[..., row.args[0], 3]
+    what, k = row.args
+    if row.op is Op.TAPE:
+        own = {
+            n: coordinate_value(system, q, n)
+            for n in what.inputs
+            if n not in known or n in made.reads
+        }
+        return what.evaluate({**known, **own})[..., k]
+    whole = getattr(what, "at", None)  # a function of the whole configuration
+    own = {n: coordinate_value(system, q, n) for n in made.reads}
+    out = np.empty(q.shape[:-1])
+    if TIME in known:
+        own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
+    for index in np.ndindex(out.shape):
+        out[index] = (
+            whole(q[index]) if whole else what({**known, **{n: x[index] for n, x in own.items()}})
+        )[k]
+    return out
+
+
+# ---- poses, joint by joint
+
+
+def motion(primitives: Sequence[Primitive], values: Array) -> Array:
+    """Pose X_FM (..., 4, 4) of a product of primitives at coordinates `values` (..., k)."""
+    X = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
+    for p in primitives:
+        if p.kind == P:
+            shift = np.zeros((*values.shape[:-1], 3))
+            shift[..., "xyz".index(p.axis)] = p.multiplier * values[..., p.coordinate]
+            step = spatial.pose(p=shift)
+        elif p.kind == R:
+            turn = (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)]
+            step = spatial.pose(turn(p.multiplier * values[..., p.coordinate]))
+        else:
+            step = spatial.pose(
+                spatial.quat_wxyz_to_matrix(values[..., p.coordinate : p.coordinate + 4])
+            )
+        X = X @ step
+    return X
+
+
+class Poses:
+    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along
+    the tree.
+
+    Equations in time are read at the times t (...).
+    """
+
+    def __init__(self, system: Model, q: Array, t: Array | float = 0.0):
+        self.system = system
+        self.q = q
+        self.mechanism = system.mechanism
+        tree = system.structure.topology
+        self.t = t
+        self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
+        for body, parent, name, back in zip(
+            tree.bodies[1:], tree.parent, tree.parent_joints, tree.reversed_, strict=True
+        ):
+            F, M = self.frames(self.mechanism.joints[name])
+            X = F @ spatial.inverse(M)
+            self.bodies[body] = self.bodies[tree.bodies[parent]] @ (
+                spatial.inverse(X) if back else X
+            )
+
+    def frames(self, joint: Joint) -> tuple[Array, Array]:
+        """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4,
+        4) on its child.
+        """
+        system = self.system
+        m = self.mechanism
+        names, primitives = joint.type.layout(m.dim, m.bodies[joint.child].particle)
+        whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
+        own = [coordinate_value(system, self.q, n) for n in whole]
+        values = np.stack(own, axis=-1) if own else self.q[..., :0]
+        return joint.X_PF.evaluate(m.parameters) @ motion(primitives, values), joint.X_CM.evaluate(
+            m.parameters
+        )
+
+    def __call__(self, name: str | Sequence[str] | None) -> Array:
+        """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n,
+        4, 4).
+        """
+        if not isinstance(name, str):
+            return np.stack([self(n) for n in (self.bodies if name is None else name)], axis=-3)
+        frame = self.mechanism.frames.get(name)
+        if frame is None:
+            return self.bodies[name]
+        return self.bodies[frame.body] @ frame.X_BF.evaluate(self.mechanism.parameters)
+
+    def joint(self, joint: Joint) -> tuple[Array, Array]:
+        """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a
+        particle.
+        """
+        F, M = self.frames(joint)
+        A = self.bodies[joint.parent] @ F
+        B = self.bodies[joint.child] @ M
+        size = size_of(B[..., :3, 3] - A[..., :3, 3])
+        if self.mechanism.bodies[joint.child].particle:
+            return size, np.zeros_like(size)
+        return size, angle_between(A[..., :3, :3], B[..., :3, :3])
+
+    def declared(self, declared: Declared) -> tuple[Array, Array]:
+        """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
+        m = self.mechanism
+        dim = self.system.dim
+        made = resolved(declared, m.parameters, dim)
+        A = None
+        B = None
+        if declared.parent:
+            F, M = declared.frames(m.parameters, dim)
+            A = self.bodies[declared.parent] @ F
+            B = self.bodies[declared.child] @ M
+        return missed(
+            self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B, t=self.t
+        )
+
+    def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
+        """Error (...) of a relation of several coordinates, relative to its largest factor."""
+        off = coordinate_value(self.system, self.q, of) - offset
+        for name, factor in sources.items():
+            off = off - factor * coordinate_value(self.system, self.q, name)
+        off = np.abs(off) / max(1.0, *map(abs, sources.values()))
+        turning = self.system.structure.coordinates.turning[
+            self.system.structure.coordinates.first[of][1]
+        ]
+        return (np.zeros_like(off), off) if turning else (off, np.zeros_like(off))
+
+
+# ---- all of it
+
+
+class MeasuredTask(Protocol):
+    """Protocol of a task that can be measured, as `kempe.equations.tasks.Task`."""
+
+    label: str
+
+    def measure(
+        self,
+        system: Model,
+        q: Array,
+        goals: Any = None,
+        at: Callable[[Any], Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Errors (...) of the task at q (..., nq), in metres and radians; `at` gives poses of
+        frames.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement(InWords):
+    """Errors of all constraints and tasks at configurations, from poses computed in numpy, and
+    whether they hold.
+
+    `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an
+    equation); those above `allowed` are violations.
+    """
+
+    names: tuple[str, ...]
+    errors: Array
+    allowed: Array = field(repr=False)
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Whether (n, ...) an error is above what is allowed, or NaN."""
+        return np.asarray(~(self.errors <= self.allowed).all(axis=-1))
+
+    @property
+    def holds(self) -> Any:
+        """Whether (...) all constraints and tasks hold."""
+        return plain(~self.missed.any(axis=0))
+
+    def of(self, which: np.ndarray) -> Judgement:
+        """The judgement of some of the configurations only: those where `which` (...) is true."""
+        return Judgement(self.names, self.errors[:, which], self.allowed[:, which])
+
+    def __bool__(self) -> bool:
+        return bool(np.all(self.holds))
+
+    def __str__(self) -> str:
+        """The sentence that names the largest violation, or says that all hold."""
+        n = len(self.names)
+        if not n:
+            return "nothing is declared or requested that poses could miss"
+        each = self.errors.reshape(n, -1, 2)
+        if self:
+            names = ", ".join(map(repr, self.names[:SHOWN])) + (
+                f", ... ({n} in all)" if n > SHOWN else ""
+            )
+            most = "{:.1g} m and {:.1g} rad".format(*each.max(axis=(0, 1), initial=0.0))
+            return (
+                f"judged by poses multiplied out in numpy: {names} {'holds' if n == 1 else 'hold'} "
+                f"to {most}"
+            )
+        share = (each / self.allowed.reshape(n, -1, 2)).max(axis=-1)
+        k, row = np.unravel_index(
+            int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape
+        )
+        far = "{:.3g} m and {:.3g} rad".format(*each[k, row])
+        return f"judged by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
+
+    def data(self) -> dict[str, Any]:
+        """The largest error by name, in metres and radians; whether all hold; and the sentence."""
+        worst = (
+            self.errors.reshape(len(self.names), -1, 2).max(axis=1, initial=0.0)
+            if self.names
+            else np.zeros((0, 2))
+        )
+        return {
+            "holds": np.asarray(self.holds).tolist(),
+            "errors": dict(zip(self.names, worst.tolist(), strict=True)),
+            "text": str(self),
+        }
+
+
+def judge(
+    system: Model,
+    q: Any,
+    requested: Sequence[tuple[MeasuredTask, Any, Any]] = (),
+    more: Array | float = 0.0,
+    t: Array | float = 0.0,
+    closing: Model | None = None,
+) -> Judgement:
+    """The judgement of all that a system declares, and of what is required, at q (..., nq) and
+    times t (...).
+
+    That is: joints that the tree left out, rows of position of constraints, couplings with several
+    sources. `requested` has tasks with their goals (or None) and what (2,) each may be missed by;
+    `more` (...) is what solvers left of others, in radians and characteristic lengths. Rows of
+    velocity are about motions, not about a configuration. Where another system is `closing`, what
+    is declared is judged in its dimensions, and what is required in those of `system`.
+    """
+    q = as_q(system, q)
+    t = reals(t, "t")
+    at = drawn = Poses(system, q, t)
+    if closing is not None and closing is not system:
+        system = closing
+        at = Poses(closing, q, t)
+    m = at.mechanism
+    found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
+    found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
+    found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.structure.relations]
+    far = max(
+        (float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0
+    )
+    within = (WITHIN + 10.0 * np.asarray(more, dtype=float))[..., None] * [
+        characteristic_length(system),
+        1.0,
+    ]
+    within = within + ROUNDING * np.array([far, 1.0])
+    lead = (*q.shape[:-1], 2)
+    allowed = [np.broadcast_to(within, lead) for _ in found]
+    for task, goals, most in requested:
+        found.append((task.label, task.measure(drawn.system, q, goals, drawn)))
+        allowed.append(
+            np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead)
+        )
+    errors = np.array([np.stack(np.broadcast_arrays(*e), axis=-1) for _, e in found]).reshape(
+        len(found), *lead
+    )
+    return Judgement(
+        tuple(n for n, _ in found), errors, np.array(allowed).reshape(len(found), *lead)
+    )

@@ -1,0 +1,240 @@
+"""One-sided rows of a system, low <= f(q) <= high: declared constraints and limits of coordinates,
+as values and rates.
+
+They are read before their bounds: whether a row is active, and how far it is from its bound, is for
+others to say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.equations.closure_rows import full
+from kempe.model.configurations import as_q
+from kempe.model.constraint_program import PackedLoops
+from kempe.model.model import kept
+from kempe.model.packed_loops import loops_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+CLOSED = 1e-6
+"""Slack in radians, or as a part of the characteristic length, up to which a row counts as
+closed."""
+ROUNDING = 1e-9
+"""By how much more than a bound, of 1 or less, a value may be and still respect it."""
+
+
+class Violation(NamedTuple):
+    """A violated inequality `name`: outside its bounds by `far` in `unit`, or by `size` in
+    characteristic lengths.
+    """
+
+    name: str
+    far: float
+    unit: str
+    size: float
+
+    @property
+    def amount(self) -> str:
+        """Size of the violation, with the unit, as text."""
+        return f"{self.far:.6g} {self.unit}".removesuffix(" 1")
+
+    @property
+    def text(self) -> str:
+        """Name of the violated row and size of the violation, as text."""
+        return f"{self.name!r} by {self.amount}"
+
+
+@dataclass(frozen=True, eq=False)
+class OneSided:
+    """The one-sided rows of a system: `declared` ones first, then the limited coordinates.
+
+    Row k is called `names[k]`, measured in `units[k]` ("m", "rad" or "1") and holds where its value
+    is between `low[k]` and `high[k]`.
+    """
+
+    system: Model = field(repr=False)
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    low: Array
+    high: Array
+    declared: int
+    loops: PackedLoops | None = field(repr=False)
+    chosen: np.ndarray = field(repr=False)
+    """Which equations of `loops` are rows."""
+    at: np.ndarray = field(repr=False)
+    """Places in q of the coordinates that are rows."""
+    moved: np.ndarray = field(repr=False)
+    """Their velocities."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def scale(self) -> Array:
+        """Factors (k,) by which rows become comparable: 1 / characteristic length for rows in
+        metres, else 1.
+        """
+        return np.where(np.array(self.units) == "m", 1.0 / full(self.system, True).length, 1.0)
+
+    @cached_property
+    def well_inside(self) -> tuple[Array, Array]:
+        """Bounds (low, high) of the rows, each `CLOSED` farther inside than their own."""
+        return self.low + CLOSED / self.scale, self.high - CLOSED / self.scale
+
+    @cached_property
+    def slack(self) -> Array:
+        """Rounding error (k,) by which each row may be outside its bounds."""
+        bounds = np.where(np.isfinite([self.low, self.high]), np.abs([self.low, self.high]), 0.0)
+        return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
+
+    def values(self, q: Any, declared: bool = False) -> Array:
+        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`,
+        if so requested.
+        """
+        return self._read(q, False, declared)[0]
+
+    def rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
+        """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at
+        q (..., nq).
+        """
+        return self._read(q, True, declared)
+
+    def beyond(self, q: Any, declared: bool = False) -> Array:
+        """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0
+        where they hold.
+
+        Only those that are `declared`, if so requested.
+        """
+        k = self.declared if declared else len(self)
+        x = self._read(q, False, declared)[0]
+        out = np.maximum(np.maximum(self.low[:k] - x, x - self.high[:k]), 0.0)
+        return np.where(out <= self.slack[:k], 0.0, out)
+
+    def violated(self, q: Array, allowed: Array) -> tuple[Array, Array]:
+        """How far (m,) the declared rows that are violated at q (nq,) are outside, by more than
+        `allowed`, and rates.
+
+        Both as `rates` has them, positive above an upper end.
+        """
+        k = self.declared
+        x, J = self.rates(q, declared=True)
+        off = np.minimum(x - self.low[:k] + allowed, 0.0) + np.maximum(
+            x - self.high[:k] - allowed, 0.0
+        )
+        out = np.flatnonzero(off)
+        return (self.scale[:k] * off)[out], J[out]
+
+    def violations(self, q: Array) -> list[Violation]:
+        """The violations of declared rows at q (nq,)."""
+        far = self.beyond(q, declared=True)
+        return [
+            Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
+            for k in np.flatnonzero(far)
+        ]
+
+    def left_out(self, beyond: np.ndarray) -> str:
+        """Sentence on configurations left out because they violate rows; `beyond` (n, k) is by how
+        much.
+        """
+        count = int(beyond.any(axis=1).sum())
+        which = ", ".join(repr(self.names[k]) for k in np.flatnonzero(beyond.any(axis=0)))
+        those = (
+            "1 is left out that violates" if count == 1 else f"{count} are left out that violate"
+        )
+        return f"; {those} {which}" if count else ""
+
+    def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
+        q = as_q(self.system, q)
+        nv = self.system.nv
+        lead = q.shape[:-1]
+        n = self.declared
+        k = self.declared if declared else len(self)
+        flat = q.reshape(math.prod(lead), self.system.nq)
+        values = np.empty((len(flat), k))
+        J = np.zeros((len(flat) if rates else 0, k, nv))
+        if self.loops is not None:
+            from kempe.kernels.compiled import closure_batch
+
+            loops = self.loops
+            m = len(self.loops.names)
+            out = np.empty((len(flat), m))
+            columns = np.empty((len(J), m, nv))
+            none = np.zeros((1, 0))
+            packed = loops.ints, loops.floats, loops.plan, loops.weights
+            closure_batch.equations(*packed, none, flat, rates, out, columns)
+            values[:, :n] = out[:, self.chosen] / self.scale[:n]
+            J[:, :n] = columns[:, self.chosen]
+        if not declared:
+            values[:, n:] = flat[:, self.at]
+            if rates:
+                J[:, np.arange(n, k), self.moved] = 1.0
+        return values.reshape(*lead, k), J.reshape(*lead, k, nv) if rates else J
+
+    def side(self, k: int, upper: bool) -> str:
+        """Name of the lower or `upper` bound of row k, as messages write it."""
+        end = "upper" if upper else "lower"
+        if k >= self.declared:
+            return f"{end} limit of {self.names[k]}"
+        both = np.isfinite(self.low[k]) and np.isfinite(self.high[k])
+        return f"{self.names[k]}, {end} end" if both else self.names[k]
+
+
+@kept
+def one_sided_rows(system: Model) -> OneSided:
+    """The one-sided rows of a system, packed."""
+    at = system.structure.layout.vector_q
+    v = system.structure.layout.vector_v
+    limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
+    at = at[limited]
+    v = v[limited]
+    names, units, bounds, chosen, loops = (
+        _declared(system) if system._mechanism.constraints else ([], [], [], [], None)
+    )
+    low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
+    names += [system.structure.velocity_names[i] for i in v]
+    units += ["rad" if system.structure.coordinates.turning[i] else "m" for i in v]
+    return OneSided(
+        system,
+        tuple(names),
+        tuple(units),
+        np.append(low, system.lower[v]),
+        np.append(high, system.upper[v]),
+        len(bounds),
+        loops if bounds else None,
+        np.array(chosen, dtype=np.int64),
+        at,
+        v,
+    )
+
+
+def _declared(
+    system: Model,
+) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
+    """Names, units, bounds and places of the declared rows between bounds, and the ties that they
+    are among.
+    """
+    loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
+    several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
+    at = 0
+    every = loops.units
+    names: list[str] = []
+    units: list[str] = []
+    bounds: list[tuple[float, float]] = []
+    chosen: list[int] = []
+    for tie in loops.ties:
+        for i, row in enumerate(tie.rows if tie.bounds else ()):
+            names.append(tie.name if several[tie.name] == 1 else f"{tie.name} {row}")
+            units.append(every[at + i])
+            bounds.append(tie.bounds[i])
+            chosen.append(at + i)
+        at += len(tie.rows)
+    return names, units, bounds, chosen, loops

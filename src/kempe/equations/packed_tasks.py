@@ -1,0 +1,274 @@
+"""Several tasks as one set of equations, packed with the loops of their system, which always hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import explained
+from kempe.arrays import within_range
+from kempe.constraints.base import Constraint
+from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.tasks import GROUND, TILTS, Goals, Task, task_of
+from kempe.errors import InputError
+from kempe.model.configurations import as_q
+from kempe.model.constraint_program import PackedLoops, Tie
+from kempe.model.coordinates import distinct
+from kempe.model.own_tree import own_tree
+from kempe.model.packed_loops import pack
+from kempe.model.primitive_table import Table
+from kempe.poses import refuse_no_poses
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+ROUNDING = 1e-9
+"""How far a coordinate may be outside its limits."""
+
+
+def refuse(goals: Goals, what: str) -> None:
+    """Say what is wrong with goals that a kernel refused. Errors: `InputError`."""
+    for pose, number in goals:
+        if pose is not None:
+            refuse_no_poses(pose, f"the goal of {what}")
+        if number is not None:
+            within_range(number, f"the goal of {what}")
+
+
+def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
+    """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
+    shapes = {
+        x.shape[:-k]
+        for g in goals
+        for pair in g
+        for x, k in zip(pair, (2, 1), strict=True)
+        if x is not None
+    }
+    try:
+        return shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise InputError(
+            f"the goals have leading shapes that do not fit together: {sorted(shapes)}"
+        ) from None
+
+
+def _wide(system: Model, tasks: Sequence[Task]) -> np.ndarray:
+    """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in
+    anything else.
+    """
+    table = own_tree(system).structure.table
+    c = system.structure.coordinates
+    with np.errstate(invalid="ignore"):
+        wide = c.turning & np.isfinite(c.upper - c.lower) & (c.upper - c.lower >= 2.0 * np.pi)
+    for v in np.flatnonzero(wide):
+        rows = table.iv == v
+        wide[v] = np.sum(rows) == 1 and abs(table.multiplier[rows][0]) == 1.0
+    bound = {n for r in system.structure.relations for n in (r.of, *r.sources)}
+    for task in tasks:
+        bound |= task.coordinates(system)
+    wide = wide & ~distinct(system.mechanism, c)
+    return wide & np.array(
+        [name not in bound for name in system.structure.velocity_names], dtype=bool
+    )
+
+
+class Packed:
+    """Tasks of a system as ties, together with its loops and relations, which always hold.
+
+    Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the
+    number of the task of each tie, -1 for a loop. With `turns`, angles with limits a whole turn
+    apart or more count as having none (`wide`): `inside` brings them back. `levels` are those of
+    the tasks: ties stand in their order, loops with the first. Tasks are about the frames of
+    `system`, loops are those of `closing`, by default the same (see `ideal_of`).
+    """
+
+    def __init__(
+        self,
+        system: Model,
+        tasks: Sequence[Task | Constraint],
+        length: float | None = None,
+        turns: bool = False,
+        levels: Sequence[int] = (),
+        closing: Model | None = None,
+    ):
+        made_of = (task_of(t, system.dim) if isinstance(t, Constraint) else t for t in tasks)
+        self.system = system
+        self.tasks = tuple(made_of)
+        self.turns = turns
+        owner: dict[int, tuple[int, int]] = {}
+        made: list[Tie] = []
+
+        def further(table: Table) -> list[Tie]:
+            for i, task in enumerate(self.tasks):
+                for j, tie in enumerate(task.ties(system, table)):
+                    owner[id(tie)] = i, j
+                    made.append(tie)
+            return made
+
+        self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
+        self.closing = closing or system
+        tree = own_tree(self.closing)
+        explicit = frozenset(tree.structure.closures)
+        drawn = own_tree(system) if self.closing is not system else None
+        of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0  # noqa: E731
+        level = of if any(levels) else None
+        self.one_sided = one_sided_rows(self.closing)
+        """One-sided rows of the system; those that are declared hold, too."""
+        bounded = self.one_sided.declared > 0
+        self.loops: PackedLoops = pack(
+            tree,
+            explicit,
+            length=length,
+            further=further,
+            wide=self.wide,
+            level=level,
+            one_sided=bounded,
+            drawn=drawn,
+        )
+        self.stages: dict[Hashable, Any] = {}
+        """What solvers have worked out of weights and priorities."""
+        self.scale: Array = self.loops.scale
+        self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
+        self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
+        self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
+        """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones
+        between bounds."""
+        bounds = [
+            i < 0 and bool(t.bounds) for i, t in zip(self.owner, self.loops.ties, strict=True)
+        ]
+        self.rows[np.repeat(bounds, [len(t.rows) for t in self.loops.ties])] = -3
+        ends = np.cumsum([len(t.rows) for t in self.loops.ties], dtype=np.int64) - 1
+        self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
+        self.closed = bool(np.any(self.rows == -1))
+        """Whether loops or relations hold, too."""
+        at = system.structure.layout.vector_q
+        v = system.structure.layout.vector_v
+        which = slice(len(at)) if np.array_equal(at, np.arange(len(at))) else at
+        self.limits = which, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
+        """Places in q of what has limits, and these."""
+        wide = self.wide[v]
+        self._turning = list(
+            zip(at[wide], system.lower[v][wide], system.upper[v][wide], strict=True)
+        )
+
+    def inside(self, q: Array) -> Array:
+        """The configurations (N, nq) with wide angles brought into their limits by whole turns, in
+        place.
+        """
+        for i, a, b in self._turning:
+            x = q[:, i]
+            x -= 2.0 * np.pi * np.ceil(np.maximum(x - b, 0.0) / (2.0 * np.pi))
+            x += 2.0 * np.pi * np.ceil(np.maximum(a - x, 0.0) / (2.0 * np.pi))
+        return q
+
+    def count(self, tasks: Sequence[int], bounded: bool = False) -> int:
+        """Number of equations of some of the tasks; in the plane, those that hold of themselves do
+        not count.
+        """
+        trivial = TILTS if self.system.dim == 2 else ()
+        ties = [
+            t
+            for t, i in zip(self.loops.ties, self.owner, strict=True)
+            if i in tasks and (bounded or not t.bounds)
+        ]
+        return sum(len(t.rows) - (t.turns in trivial) for t in ties)
+
+    def pins(self, goals: Sequence[Goals], lead: tuple[int, ...] = ()) -> Array:
+        """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
+        given = [
+            (tie, goals[i][j])
+            for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True)
+            if i >= 0
+        ]
+        poses = [(tie, pose) for tie, (pose, _) in given if pose is not None]
+        numbers = [x for _, (_, x) in given if x is not None]
+        out = np.empty((*lead, 12 * len(poses) + sum(x.shape[-1] for x in numbers)))
+        at = 0
+        for tie, pose in poses:
+            top = out[..., at : at + 12].reshape(*lead, 3, 4)  # a view
+            fixed = (
+                tie.a is not GROUND and tie.a[0] < 0
+            )  # a frame that stands; kernels put the pin in its place
+            top[...] = (tie.a[1] @ pose if fixed else pose)[..., :3, :]
+            if tie.a is GROUND:
+                top[..., 3] -= self.loops.origin
+            at += 12
+        for x in numbers:
+            out[..., at : at + x.shape[-1]] = x
+            at += x.shape[-1]
+        return out.reshape(math.prod(lead), out.shape[-1])
+
+    def evaluate(
+        self, q: Any, pins: Array | None = None, closures: bool = False
+    ) -> tuple[Array, Array]:
+        """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures`
+        those of loops.
+        """
+        from kempe.kernels.compiled import closure_batch
+
+        q = as_q(self.system, q)
+        lead = q.shape[:-1]
+        loops = self.loops
+        m = len(self.rows)
+        flat_q = q.reshape(math.prod(lead), self.system.nq)
+        if pins is None:
+            goals = [t.goals(self.system) for t in self.tasks]
+            pins = self.pins(goals, lead if lead_of(goals) else ())
+        out = np.empty((len(flat_q), m))
+        J = np.empty((len(flat_q), m, self.system.nv))
+        closure_batch.equations(
+            loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J
+        )
+        loops.check()
+        use = self.rows == -1 if closures else self.rows >= 0
+        out = out[:, use]
+        J = J[:, use]
+        return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])
+
+
+# ---- one constraint at configurations
+
+
+@explained
+def error(system: Model, constraint: Constraint, q: Any) -> Array:
+    """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero
+    where they hold.
+    """
+    return _alone(system, constraint).evaluate(q)[0]
+
+
+@explained
+def jacobian(system: Model, constraint: Constraint, q: Any) -> Array:
+    """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
+    return _alone(system, constraint).evaluate(q)[1]
+
+
+@explained
+def count(system: Model, constraint: Constraint) -> int:
+    """Number of equations of a constraint, inequalities included."""
+    return _alone(system, constraint).count([0], True)
+
+
+@explained
+def units(system: Model, constraint: Constraint) -> tuple[str, ...]:
+    """The unit of each equation of `error`: "m", "rad" or "1"."""
+    alone = _alone(system, constraint)
+    return tuple(unit for unit, row in zip(alone.loops.units, alone.rows, strict=True) if row >= 0)
+
+
+@explained
+def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
+    """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the
+    forward model.
+
+    Where loops are open, bodies are where solvers place them (`kempe.model.own_tree`).
+    """
+    return task_of(constraint, system.dim).measure(own_tree(system), as_q(system, q))
+
+
+def _alone(system: Model, constraint: Constraint) -> Packed:
+    return Packed(system, [constraint], length=1.0)

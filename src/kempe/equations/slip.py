@@ -1,0 +1,162 @@
+"""Velocity constraints for solvers: whether there are any, their rows beside loops, and where a
+path slips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.equations.velocity import rates, row_names, velocity_rows
+from kempe.errors import InputError
+from kempe.model.model import kept
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from kempe.model.model import Model as System
+
+RELATIVE = 1e-6
+ABSOLUTE = 1e-9
+"""Slip, of the sizes that add up to it and in metres or radians, up to which a path counts as
+without."""
+EXPLAINED = 0.5
+"""Part of the change from one way to two by which a slip must exceed what the bend between samples
+explains."""
+CONTRADICTION = 1e-9
+"""By how much velocity rows may contradict loops, of rows of size 1."""
+
+
+@kept
+def rolls(system: System) -> bool:
+    """Whether the system has velocity constraints."""
+    return bool(row_names(system))
+
+
+def hard_rows(system: System, q: Array, scale: Array) -> tuple[Array, Array]:
+    """Velocity rows (m, nv) of size 1 over scaled velocities, and what they must give (m,), at q
+    (nq,) and time 0.
+    """
+    A, b = rates(system, q)
+    A = A * scale
+    size = np.linalg.norm(A, axis=1)
+    size = np.where(size > 0.0, size, 1.0)
+    return A / size[:, None], b / size
+
+
+def at_rest(C: Array, A: Array, b: Array) -> Array:
+    """The shortest velocity vector (nv,) that fulfils the loops C v = 0 and the velocity rows A v =
+    b.
+
+    Errors: `InputError` where they contradict each other.
+    """
+    if not b.any():
+        return np.zeros(len(A.T))
+    M = np.concatenate([C, A])
+    wanted = np.concatenate([np.zeros(len(C)), b])
+    u: Array = np.asarray(np.linalg.lstsq(M, wanted, rcond=1e-8)[0], dtype=float)
+    if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(
+        1.0, float(np.abs(b).max())
+    ):
+        raise InputError(
+            "the velocity constraints cannot be satisfied at q: they contradict loops or each "
+            f"other by {gap:.2g} (rows of size 1)"
+        )
+    return u
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Where a path slips first: before sample `index`, by `amount` of the row called `name`, within
+    the `time`.
+    """
+
+    index: int
+    name: str
+    amount: float
+    time: float
+    unit: str
+
+    @property
+    def text(self) -> str:
+        """Amount and place of the slip, in words."""
+        return f"slips by {abs(self.amount):.3g} {self.unit} across {self.name!r}"
+
+
+def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = None) -> Slip | None:
+    """Where configurations (n, nq), one after the other, slip first; None where they do not.
+
+    The rows times the way between two samples, at its middle, are what they slip there, but for the
+    third power of the distance. Ways over two samples are compared with those over one to tell that
+    apart (Richardson).
+    """
+    if len(q) < 2 or not rolls(system):
+        return None
+    clock = np.arange(float(len(q))) if times is None else np.asarray(times, dtype=float)
+    one = _ways(system, q, clock, 1)
+    if len(q) == 2:
+        way = system.structure.layout.difference(q[0], q[1])
+        bend = np.abs((rates(system, q[1], clock[1])[0] - rates(system, q[0], clock[0])[0]) @ way)
+        slips = one.slip
+        allowed = EXPLAINED * bend[None] + ABSOLUTE + RELATIVE * one.size
+        span = one.time
+        first = 1
+    else:
+        two = _ways(system, q, clock, 2)
+        h = one.length
+        a = h[:-1]
+        b = h[1:]
+        odd = (a + b) ** 3 - a**3 - b**3
+        share = np.where(odd > 0.0, (a**3 + b**3) / np.where(odd > 0.0, odd, 1.0), 0.0)
+        slips = one.slip[:-1] + one.slip[1:]
+        explained = (share + EXPLAINED)[:, None] * _around(system, two.slip - slips)
+        allowed = explained + ABSOLUTE + RELATIVE * (one.size[:-1] + one.size[1:])
+        span = two.time
+        first = 2
+    over = np.abs(slips) - allowed
+    bad = np.flatnonzero((over > 0.0).any(axis=1))
+    if not len(bad):
+        return None
+    k = int(bad[0])
+    row = int(np.argmax(over[k]))
+    name = velocity_rows(system).names[row].of
+    unit = velocity_rows(system).names[row].unit.removesuffix("/s")
+    return Slip(k + first, name, float(slips[k, row]), float(span[k]), unit)
+
+
+def _around(system: System, bend: Array) -> Array:
+    """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one
+    unit: one passes 0.
+    """
+    units = np.array([row.unit for row in velocity_rows(system).names])
+    out = np.empty_like(bend)
+    for unit in set(units.tolist()):
+        size = np.linalg.norm(bend[:, units == unit], axis=1)
+        near = np.pad(size, 1, mode="edge")
+        out[:, units == unit] = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])[:, None]
+    return out
+
+
+class _SlipVelocities(NamedTuple):
+    """Of each way between samples: what the rows make of it, the sizes that add up to that, length
+    and time.
+    """
+
+    slip: Array
+    size: Array
+    length: Array
+    time: Array
+
+
+def _ways(system: System, q: Array, clock: Array, step: int) -> _SlipVelocities:
+    way = system.structure.layout.difference(q[:-step], q[step:])
+    middle = q[1:-1] if step == 2 else system.structure.layout.integrate(q[:-1], 0.5 * way)
+    time = clock[step:] - clock[:-step]
+    when = 0.5 * (clock[step:] + clock[:-step])
+    A, b = rates(system, middle, when)
+    slip = np.einsum("nij,nj->ni", A, way) - b * time[:, None]
+    size = np.einsum("nij,nj->ni", np.abs(A), np.abs(way)) + np.abs(b) * time[:, None]
+    return _SlipVelocities(slip, size, np.linalg.norm(way, axis=1), time)

@@ -1,0 +1,378 @@
+"""Python functions of configurations and of poses as constraints of one system."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from inspect import signature
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.arguments import listed
+from kempe.arrays import is_sequence, reals
+from kempe.constraints.base import Constraint, Op, Row, ends_of
+from kempe.constraints.coordinates_and_centres import Function
+from kempe.description.parts import Declared
+from kempe.errors import InputError, shown
+from kempe.forward.fk import fk
+from kempe.forward.fk import jacobian as frame_jacobian
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import random
+from kempe.model.constraint_program import STEP, WEIGHTS, Callback
+from kempe.model.coordinates import Layout
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model, SystemType
+
+# ---- derivatives
+
+# Derivatives of functions that users give: supplied and checked, by complex steps, or by central
+# differences.
+
+
+SUPPLIED = "supplied"
+COMPLEX = "complex step"
+DIFFERENCES = "central differences"
+"""Where a derivative comes from."""
+IMAGINARY_STEP = 1e-30
+"""A complex step has no cancellation, so it can be this small (Squire, Trapp, 1998)."""
+REAL_STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
+"""Step of central differences: their error is of second order, that of rounding of order -1."""
+AGREE = 1e-5
+"""How far, relative to 1 and the largest entry, a derivative may be from central differences and be
+taken as right."""
+
+
+def tangent(layout: Layout, q: Array) -> Array:
+    """Matrix (nq, nv) that takes velocity coordinates to time derivatives of the entries of q."""
+    out = np.zeros((layout.nq, layout.nv))
+    out[layout.vector_q, layout.vector_v] = 1.0
+    for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
+        w, x, y, z = q[iq : iq + 4]
+        # q' = q (0, w) / 2
+        out[iq : iq + 4, iv : iv + 3] = 0.5 * np.array(
+            [[-x, -y, -z], [w, -z, y], [z, w, -x], [-y, x, w]]
+        )
+    return out
+
+
+def differences(function: Callable[[Array], Any], layout: Layout, q: Array) -> Array:
+    """Derivatives (m, nv) by the velocity coordinates, by central differences on the manifold of q."""
+    steps = REAL_STEP * np.eye(layout.nv)
+    ends = [
+        [np.asarray(function(layout.integrate(q, s * e)), dtype=float).ravel() for s in (1, -1)]
+        for e in steps
+    ]
+    if not ends:
+        return np.zeros((np.size(function(q)), 0))
+    return np.stack([(a - b) / (2.0 * REAL_STEP) for a, b in ends], axis=-1)
+
+
+def complex_steps(function: Callable[[Array], Any], layout: Layout, q: Array) -> Array:
+    """Derivatives (m, nv) by the velocity coordinates, by imaginary steps; the function must be
+    analytic.
+    """
+    steps = 1j * IMAGINARY_STEP * tangent(layout, q).T
+    out = [np.imag(function(q + step)).ravel() / IMAGINARY_STEP for step in steps]
+    return np.stack(out, axis=-1) if out else np.zeros((np.size(function(q)), 0))
+
+
+def jacobian_of(
+    function: Callable[[Array], Any],
+    derivative: Callable[[Array], Any] | None,
+    how: str,
+    layout: Layout,
+    q: Array,
+) -> Array:
+    """Derivatives (m, nv) of a function of q in the way that `how` says."""
+    if derivative is not None:
+        return reals(derivative(q), "the Jacobian of a constraint")
+    return (
+        complex_steps(function, layout, q) if how == COMPLEX else differences(function, layout, q)
+    )
+
+
+def way_of(function: Callable[[Array], Any], layout: Layout, q: Array) -> str:
+    """`COMPLEX` where the function takes complex numbers and derives rightly with them at q, else
+    `DIFFERENCES`.
+    """
+    real = differences(function, layout, q)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "error"
+            )  # numpy only warns where an imaginary part is thrown away
+            found = complex_steps(function, layout, q)
+    except (TypeError, ValueError, AttributeError, ArithmeticError, Warning):
+        return DIFFERENCES
+    return COMPLEX if found.shape == real.shape and _agree(found, real) else DIFFERENCES
+
+
+def checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Array:
+    """What the function of a constraint gives at q, () or (m,). Errors: `InputError` for anything
+    else.
+    """
+    found = function(q)
+    try:
+        value = reals(found, "the value")
+    except InputError:
+        value = np.full((), np.nan)
+    if value.ndim > 1 or not np.isfinite(value).all():
+        raise InputError(
+            f"constraint {name!r} gives {found!r}; it must give a number or an array (m,), finite"
+        )
+    return value
+
+
+def check_supplied(
+    name: str,
+    function: Callable[[Array], Any],
+    derivative: Callable[[Array], Any],
+    layout: Layout,
+    q: Array,
+    columns: tuple[str, ...],
+) -> None:
+    """Refuse a supplied Jacobian that differs from central differences at q, with its worst entry."""
+    real = np.atleast_2d(differences(function, layout, q))
+    given = reals(derivative(q), f"constraint {name!r}: its Jacobian")
+    if given.shape != real.shape:
+        raise InputError(
+            f"constraint {name!r}: its Jacobian has shape {given.shape}; it must have {real.shape}"
+        )
+    if not _agree(given, real):
+        off = np.where(np.isfinite(given), np.abs(given - real), math.inf)
+        i, k = np.unravel_index(np.argmax(off), off.shape)
+        raise InputError(
+            f"constraint {name!r}: its Jacobian is wrong: the derivative of row {i} by "
+            f"{columns[k]!r} is given as {given[i, k]:.6g}, central differences give "
+            f"{real[i, k]:.6g}"
+        )
+
+
+def _agree(a: Array, b: Array) -> bool:
+    scale = 1.0 + float(np.max(np.abs(b), initial=0.0))
+    return bool(np.all(np.abs(a - b) <= AGREE * scale))  # not a number fails
+
+
+class Whole:
+    """A user's function of q (nq,), or of poses (4, 4) of frames, with its derivatives (m, nv),
+    bound to one system.
+
+    It is called first at a random configuration, which finds how many numbers it gives and checks a
+    given Jacobian. Errors: `InputError` for what is no function, a wrong Jacobian, with its worst
+    entry, values that are not finite.
+    """
+
+    def __init__(self, system: Model, of: Any):
+        self.system = system
+        self.label = of.label
+        self.given = of.function
+        self.supplied = of.derivative
+        self.frames = tuple(
+            system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}")
+        )
+        takes = (
+            f"of {counted(len(self.frames), 'pose')} (4, 4)"
+            if self.frames
+            else f"of q ({system.nq},)"
+        )
+        if not callable(of.function):
+            raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
+        if not _takes(of.function, len(self.frames) or 1):
+            given = (
+                f"{counted(len(self.frames), 'pose')}, of {', '.join(self.frames)}"
+                if self.frames
+                else f"q ({system.nq},)"
+            )
+            raise InputError(f"{of.label} is called with {given}, which it does not take")
+        found = checked_value(self.label, self.raw, q := random(system, 0))
+        self.count = found.size
+        if not self.count:
+            raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
+        self.how = ""
+        if self.supplied is not None:
+            rows: Callable[[Array], Any] = self.derivative
+            if not found.ndim:
+                rows = lambda x: np.atleast_2d(self.derivative(x))  # noqa: E731
+            check_supplied(
+                self.label,
+                self.raw,
+                rows,
+                system.structure.layout,
+                q,
+                system.structure.velocity_names,
+            )
+            self.how = SUPPLIED
+        elif not self.frames:
+            self.how = way_of(of.function, system.structure.layout, q)
+        self.low, self.high = ends_of(of.low, of.high, f"bounds of {of.label}", self.count)
+
+    def raw(self, q: Array) -> Any:
+        """What the function gives at q."""
+        return self.given(*self._inputs(q))
+
+    def _inputs(self, q: Array) -> list[Array]:
+        return [fk(self.system, q, f) for f in self.frames] or [q]
+
+    def derivative(self, q: Array) -> Any:
+        """What the supplied derivative gives at q."""
+        assert self.supplied is not None
+        return self.supplied(*self._inputs(q))
+
+    def values(self, q: Array) -> Array:
+        """Values (m,) of the user's function at the configuration q (nq,).
+
+        Errors: `InputError` where their number is not m.
+        """
+        return self._checked(self.raw(q.copy()))
+
+    def _checked(self, found: Any) -> Array:
+        if np.size(found) != self.count:
+            raise InputError(
+                f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before"
+            )
+        return reals(found, f"the value of {self.label}").reshape(self.count)
+
+    def jacobian(self, q: Array) -> Array:
+        """The derivatives (m, nv) at q: through poses by differences of the function alone, six for
+        each.
+        """
+        shape = (self.count, self.system.nv)
+        if self.how:
+            layout = self.system.structure.layout
+            return reals(
+                jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
+                f"the Jacobian of {self.label}",
+            ).reshape(shape)
+        poses = self._inputs(q)
+        J = np.zeros(shape)
+        steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
+        for k, frame in enumerate(self.frames):
+            by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
+            for i, step in enumerate(steps):
+                ends = [(n * sign * step, w * sign) for n, w in WEIGHTS for sign in (1, -1)]
+                by[:, i] = (
+                    sum(w * self._checked(self.given(*_displaced(poses, k, i, x))) for x, w in ends)
+                    / step
+                )
+            J += by @ frame_jacobian(self.system, q, frame)
+        return J
+
+    def callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
+        """Some of its numbers, as kernels call them."""
+        own = list(rows)
+        made = Callback(
+            self.system,
+            len(own),
+            lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
+            alone=lambda q: self.values(q)[own] - offset,
+        )
+        return made.made_by(self.callback, rows, offset)
+
+    def off(self, q: Array) -> Array:
+        """How far (..., m) its numbers are from where they must be, at q (..., nq)."""
+        out = np.empty((*q.shape[:-1], self.count))
+        for index in np.ndindex(q.shape[:-1]):
+            value = self.values(q[index])
+            out[index] = value - np.clip(value, self.low, self.high)
+        return out
+
+
+def _takes(function: Callable[..., Any], n: int) -> bool:
+    """Whether a function can be called with so many arguments."""
+    try:
+        signature(function).bind(*range(n))
+    except TypeError:
+        return False
+    except ValueError:  # it has no signature
+        return not isinstance(function, type)
+    return True
+
+
+def _displaced(poses: list[Array], k: int, axis: int, step: float) -> list[Array]:
+    """The poses, one of them moved along or turned about an axis of the ground through its origin."""
+    X = poses[k].copy()
+    if axis < 3:
+        X[axis, 3] += step
+    else:
+        X[:3, :3] = spatial.exp_so3(step * np.eye(3)[axis - 3]) @ X[:3, :3]
+    return [*poses[:k], X, *poses[k + 1 :]]
+
+
+@dataclass(frozen=True, eq=False)
+class OfSystem(Constraint):
+    """A function that a system holds for one call."""
+
+    whole: Whole
+    low: Array
+    high: Array
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """One for each number; where both ends are the same it is held there."""
+        return tuple(
+            Row(Op.CALL, (self, k), str(k), "1")
+            if same
+            else Row(Op.CALL, (self, k), str(k), "1", "", "low", "high", k)
+            for k, same in enumerate(self.low == self.high)
+        )
+
+    def callback(self, rows: Sequence[int]) -> Callback:
+        """Some of its rows, as kernels call them."""
+        return self.whole.callback(rows, self._held[list(rows)])
+
+    @property
+    def _held(self) -> Array:
+        return np.where(self.low == self.high, self.low, 0.0)
+
+    def at(self, q: Array) -> Array:
+        """The values of its rows (m,) at q (nq,)."""
+        return self.whole.values(q) - self._held
+
+
+def bound(system: Model, made: Constraint) -> Constraint:
+    """The constraint as one of this system: of functions of its configurations, one whose rows are
+    numbers of these.
+    """
+    if not any(r.op is Op.CALL and len(r.args) == 1 for r in made.rows(system.dim)):
+        return made
+    whole = Whole(system, made)
+    return OfSystem(whole, whole.low, whole.high)
+
+
+def held_too(system: SystemType, further: Any) -> SystemType:
+    """The system with further constraints, or functions of q, with the same coordinates.
+
+    Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
+    """
+    given: tuple[Any, ...] = tuple(further) if is_sequence(further) else (further,)
+    if not given:
+        return system
+    m = system.mechanism
+    taken = {*system.mechanism.constraints, *system.mechanism.joints}
+    for c in given:
+        made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
+        if not isinstance(made, Constraint):
+            raise InputError(
+                f"also holds {shown(c)}, which is no constraint of kempe.constraints and no "
+                "function"
+            )
+        name = made.name or (made.about if made is not c else made.label)
+        while name in taken:
+            name += " again"
+        taken.add(name)
+        own = bound(system, made)
+        if own is made:
+            m.constrain(made, name)
+        elif made.weight is not None:
+            raise InputError(
+                f"{made.label} has a weight, which ik reads of a wish: what also holds, holds"
+            )
+        else:
+            m.constraints[name] = Declared(name, own, "", "")
+    return type(system)(m, system.structure.topology)

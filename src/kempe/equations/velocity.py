@@ -1,0 +1,726 @@
+"""Velocity constraints A(q) v = b(q, t) of a system, and the tangents of what holds positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained
+from kempe.arrays import reals
+from kempe.constraints.builder import Builder
+from kempe.constraints.tape import BINARY, POSE, RATE, TIME, TWIST, UNARY, Tape
+from kempe.description.mechanism import resolved
+from kempe.description.parts import Declared
+from kempe.errors import UnsupportedError
+from kempe.joints import P, Q
+from kempe.kernels.compiled import tape_evaluation as tape
+from kempe.kernels.constraints import loop_layout
+from kempe.kernels.constraints import tape_layout as L
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import as_q
+from kempe.model.constraint_program import Tie, ends_of, numbers_of
+from kempe.model.coordinates import Layout
+from kempe.model.model import kept
+from kempe.model.packed_loops import held_ties, moving
+from kempe.model.primitive_table import End, Table, lower
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+# ---- velocity rows
+
+# Rows A(q) v = b(q, t) recorded as one tape: values at any number of configurations, and what
+# brackets need.
+
+
+CLOCK = ""
+"""The name of the time among the inputs of the tape, which is no coordinate's."""
+
+
+@dataclass(frozen=True)
+class RowName:
+    """Where a row comes from: its constraint or joint, its name there, its unit.
+
+    `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held
+    between two ends; `written`: by the user, in units of his own.
+    """
+
+    of: str
+    name: str
+    unit: str = "m/s"
+    velocity: bool = True
+    sided: bool = False
+    written: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityRows:
+    """Rows A(q) v = b(q, t), recorded.
+
+    `tape` has inputs that are entries of q, by `coordinates`, or the time; its outputs are the
+    entries of A and b that are not zero. `entries` (k, 2) say row and column of each, the column nv
+    being that of -b.
+    """
+
+    layout: Layout
+    coordinates: tuple[str, ...]
+    tape: Tape
+    entries: np.ndarray
+    names: tuple[RowName, ...]
+    units: Array = field(repr=False)
+    """What (nv + 1,) velocities, and the time, are measured in: 1, or a length."""
+
+    @cached_property
+    def packed(self) -> tuple[np.ndarray, Array]:
+        """The arrays of the tape."""
+        return self.tape.arrays()
+
+    @cached_property
+    def inputs(self) -> np.ndarray:
+        """For each input of the tape its place in (q, t)."""
+        place = {name: i for i, name in enumerate((*self.coordinates, CLOCK))}
+        return np.array([place[name] for name in self.tape.inputs], dtype=np.int64)
+
+    @cached_property
+    def steady(self) -> bool:
+        """Whether neither A nor b depends on the time, and b is zero: no column nv is needed."""
+        return CLOCK not in self.tape.inputs and not bool(
+            np.any(self.entries[:, 1] == self.layout.nv)
+        )
+
+    def values(self, q: Array, t: Array | float = 0.0) -> tuple[Array, Array]:
+        """A (..., m, nv) and b (..., m) at configurations (..., nq) and times (...)."""
+        shape = np.broadcast_shapes(q.shape[:-1], np.shape(t))
+        n = int(np.prod(shape, dtype=np.int64))
+        points = np.empty((n, self.layout.nq + 1))
+        points[:, :-1] = np.broadcast_to(q, (*shape, self.layout.nq)).reshape(n, self.layout.nq)
+        points[:, -1] = np.broadcast_to(t, shape).reshape(n)
+        found = np.empty((n, len(self.entries)))
+        tape.tape_outputs(*self.packed, np.ascontiguousarray(points[:, self.inputs]), found)
+        whole = np.zeros((n, len(self.names), self.layout.nv + 1))
+        whole[:, self.entries[:, 0], self.entries[:, 1]] = found
+        whole = whole.reshape(*shape, len(self.names), self.layout.nv + 1)
+        return whole[..., :-1], -whole[..., -1]
+
+    def needed(self, outputs: Sequence[int]) -> np.ndarray:
+        """Places of the nodes that some outputs are computed from, the derivatives of functions
+        included, in order.
+        """
+        n = len(self.tape.inputs)
+        nodes = self.tape.nodes
+        todo = [self.tape.outputs[i] for i in outputs]
+        seen = set[int]()
+        while todo:
+            place = todo.pop()
+            if place < n or place in seen:
+                continue
+            seen.add(place)
+            op, left, right = nodes[place - n]
+            if op in UNARY:
+                todo += [left] if op == L.NEG else [left, right]
+            elif op in BINARY:
+                todo += [left, right]
+            if L.ATAN2 <= op <= L.NEAREST:
+                todo += nodes[place + 1 - n][1:]
+        return np.array(sorted(seen), dtype=np.int64)
+
+    @cached_property
+    def slots(self) -> np.ndarray:
+        """For each entry of (q, t) its velocity, -1 in a quaternion, and its place among the
+        inputs, -1 if none.
+        """
+        layout = self.layout
+        out = np.full((layout.nq + 1, 2), -1, dtype=np.int64)
+        out[layout.vector_q, 0] = layout.vector_v
+        out[-1, 0] = layout.nv
+        out[self.inputs, 1] = np.arange(len(self.inputs))
+        return out
+
+    @cached_property
+    def balls(self) -> np.ndarray:
+        """The first entry in q and the first velocity of each quaternion."""
+        pairs = np.stack([self.layout.quaternion_q, self.layout.quaternion_v], axis=-1)
+        return np.ascontiguousarray(pairs.reshape(-1, 2), dtype=np.int64)
+
+
+# ---- velocity recording
+
+# Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that
+# holds positions.
+#
+# A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted
+# with the twists that the joints between A and B give, as in
+# `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded, so that a tape holds
+# what moves only.
+
+
+Num = float | int
+"""A number that is known (float) or a place of the tape that is recorded (int)."""
+Form = dict[Any, Num]
+"""What is linear in velocities: coefficients by twist component (0 ... 5) or by ("v", velocity
+coordinate)."""
+
+PLACE = {"x": 0, "y": 1, "z": 2}
+
+
+class Numbers:
+    """Arithmetic with recorded numbers, in which known zeros and ones are folded."""
+
+    def __init__(self, builder: Builder):
+        self.builder = builder
+
+    def place(self, a: Num) -> int:
+        """The place of a number."""
+        return self.builder.number(a) if isinstance(a, float) else a
+
+    def of(self, op: int, a: Num, b: Num | None = None) -> Num:
+        """An operation of the tape."""
+        x = self.place(a)
+        build = self.builder
+        made = build.unary(op, x) if b is None else build.binary(op, x, self.place(b))
+        if made >= len(self.builder.inputs):
+            known = self.builder._constant(made)
+            return made if known is None else known
+        return made
+
+    def add(self, a: Num, b: Num) -> Num:
+        """The sum a + b."""
+        if isinstance(a, float) and isinstance(b, float):
+            return a + b
+        if isinstance(a, float) and a == 0.0:
+            return b
+        return a if isinstance(b, float) and b == 0.0 else self.of(L.ADD, a, b)
+
+    def neg(self, a: Num) -> Num:
+        """The negative -a."""
+        return -a if isinstance(a, float) else self.of(L.NEG, a)
+
+    def sub(self, a: Num, b: Num) -> Num:
+        """The difference a - b."""
+        if isinstance(a, float) and isinstance(b, float):
+            return a - b
+        if isinstance(b, float) and b == 0.0:
+            return a
+        return self.neg(b) if isinstance(a, float) and a == 0.0 else self.of(L.SUB, a, b)
+
+    def mul(self, a: Num, b: Num) -> Num:
+        """The product a b."""
+        if isinstance(a, float) and isinstance(b, float):
+            return a * b
+        for x, y in ((a, b), (b, a)):
+            if isinstance(x, float) and x in (0.0, 1.0, -1.0):
+                return 0.0 if x == 0.0 else y if x == 1.0 else self.neg(y)
+        return self.of(L.MUL, a, b)
+
+    def dot(self, a: Any, b: Any) -> Num:
+        """The sum of products."""
+        total: Num = 0.0
+        for x, y in zip(a, b, strict=True):
+            total = self.add(total, self.mul(x, y))
+        return total
+
+    def cross(self, a: Any, b: Any) -> list[Num]:
+        """The cross product of two vectors."""
+        m = self.mul
+        s = self.sub
+        return [
+            s(m(a[1], b[2]), m(a[2], b[1])),
+            s(m(a[2], b[0]), m(a[0], b[2])),
+            s(m(a[0], b[1]), m(a[1], b[0])),
+        ]
+
+
+@dataclass
+class RecordedPose:
+    """A recorded pose: rotation matrix by rows, and position."""
+
+    R: list[list[Num]]
+    p: list[Num]
+
+    def column(self, j: int) -> list[Num]:
+        """One axis of the frame."""
+        return [self.R[i][j] for i in range(3)]
+
+
+IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+class Recorder:
+    """The velocity constraints of one system while they are recorded as a tape.
+
+    `entries` are (row, velocity, number); the velocity nv stands for -b.
+    """
+
+    def __init__(self, table: Table, coordinates: tuple[str, ...], time: str):
+        self.table = table
+        self.builder = Builder([*coordinates, time])
+        self.numbers = Numbers(self.builder)
+        self.time = len(coordinates)
+        self.entries: list[tuple[int, int, Num]] = []
+        self.count = 0
+        self._before: dict[int, RecordedPose] = {}
+        self._after: dict[int, RecordedPose] = {-1: RecordedPose(IDENTITY, [0.0, 0.0, 0.0])}
+
+    # ---- poses
+
+    def moved(self, pose: RecordedPose, X: np.ndarray) -> RecordedPose:
+        """pose @ X for a known X (4, 4)."""
+        n = self.numbers
+        X = np.asarray(X, dtype=float)
+        R = [[n.dot(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
+        p = [n.add(pose.p[i], n.dot(pose.R[i], X[:3, 3].tolist())) for i in range(3)]
+        return RecordedPose(R, p)
+
+    def before(self, row: int) -> RecordedPose:
+        """The pose before the motion of a row of the table."""
+        self.after(row)
+        return self._before[row]
+
+    def after(self, row: int) -> RecordedPose:
+        """The pose after the motion of a row of the table."""
+        way: list[int] = []
+        while row not in self._after:
+            way.append(row)
+            row = int(self.table.parent[row])
+        for r in reversed(way):
+            self._before[r] = self.moved(
+                self._after[int(self.table.parent[r])], self.table.placement[r]
+            )
+            self._after[r] = self._moves(r, self._before[r])
+            row = r
+        return self._after[way[0] if way else row]
+
+    def _moves(self, r: int, at: RecordedPose) -> RecordedPose:
+        n = self.numbers
+        table = self.table
+        q = int(table.iq[r])
+        factor = float(table.multiplier[r])
+        if table.kind[r] == Q:
+            turn = self._ball(q, factor < 0.0)
+            return RecordedPose(
+                [[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R],
+                at.p,
+            )
+        theta = n.mul(factor, q)
+        if table.kind[r] == P:
+            return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
+        offset = float(table.offset[r])
+        theta = n.add(theta, offset)
+        s = n.of(L.SIN, theta)
+        c = n.of(L.COS, theta)
+        R = [
+            [n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z]
+            for x, y, z in at.R
+        ]
+        return RecordedPose(R, at.p)
+
+    def _ball(self, q: int, inverse: bool) -> list[list[Num]]:
+        """Rotation matrix (3 rows of 3) of the quaternion wxyz that begins at q[`q`], recorded as
+        polynomials.
+
+        With `inverse` it is the transpose. The quaternion is taken to have norm 1; at norm n the
+        matrix is n^2 times as large.
+        """
+        n = self.numbers
+        (w, x, y, z) = range(q, q + 4)
+        if inverse:
+            x = n.neg(x)
+            y = n.neg(y)
+            z = n.neg(z)
+        m = n.mul
+        a = n.add
+        s = n.sub
+        two: Callable[[Num], Num] = lambda u: m(2.0, u)  # noqa: E731
+        squares = [m(u, u) for u in (w, x, y, z)]
+        diagonal = [
+            a(squares[0], s(s(squares[1 + i], squares[1 + (i + 1) % 3]), squares[1 + (i + 2) % 3]))
+            for i in range(3)
+        ]
+        return [
+            [diagonal[0], two(s(m(x, y), m(w, z))), two(a(m(x, z), m(w, y)))],
+            [two(a(m(x, y), m(w, z))), diagonal[1], two(s(m(y, z), m(w, x)))],
+            [two(s(m(x, z), m(w, y))), two(a(m(y, z), m(w, x))), diagonal[2]],
+        ]
+
+    # ---- frames against frames
+
+    def end(self, end: End) -> RecordedPose:
+        """The pose of an end (row, placement, particle)."""
+        pose = self.moved(self.after(end[0]), end[1])
+        return RecordedPose(IDENTITY, pose.p) if end[2] else pose
+
+    def add_row(self, a: End, b: End, form: Form, value: Num = 0.0) -> None:
+        """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is
+        -b(q, t).
+        """
+        out: dict[int, Num] = {}
+        n = self.numbers
+        for key, x in form.items():
+            pair: Any = key
+            if isinstance(key, tuple):
+                out[pair[1]] = n.add(out.get(pair[1], 0.0), x)
+        c = [form.get(k, 0.0) for k in range(6)]
+        if any(not isinstance(x, float) or x != 0.0 for x in c):
+            self._twist(a, b, c, out)
+        out[self.table.nv] = n.add(out.get(self.table.nv, 0.0), value)
+        for column, x in out.items():
+            if not isinstance(x, float) or x != 0.0:
+                self.entries.append((self.count, column, x))
+        self.count += 1
+
+    def _twist(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
+        n = self.numbers
+        table = self.table
+        R = self.end(a).R
+        p = self.end(b).p
+        force = [n.dot(R[i], c[:3]) for i in range(3)]
+        moment = [n.dot(R[i], c[3:]) for i in range(3)]
+        for sign, row in moving(a[0], b[0], table.parent):
+            factor = sign * float(table.multiplier[row])
+            kind = table.kind[row]
+            column = int(table.iv[row])
+            reverse = kind == Q and factor * sign < 0.0
+            axes = self.before(row) if reverse else self.after(row)
+            arm = [n.sub(p[i], axes.p[i]) for i in range(3)]
+            turn = n.cross(arm, force)
+            if not (b[2] and sign > 0.0):  # a particle does not turn
+                turn = [n.add(turn[i], moment[i]) for i in range(3)]
+            for k in range(0 if kind == Q else 2, 3):
+                rate = n.mul(factor, n.dot(axes.column(k), force if kind == P else turn))
+                at = column + (k if kind == Q else 0)
+                out[at] = n.add(out.get(at, 0.0), rate)
+
+    # ---- expressions
+
+    def seen(self, a: End, b: End) -> Seen:
+        """The pose of b seen from a, by the names of its numbers."""
+        return Seen(self, a, b)
+
+    def linear(
+        self,
+        tape: Tape,
+        seen: Seen | None,
+        known: Mapping[str, Num],
+        rates: Mapping[str, Form],
+        which: int,
+    ) -> tuple[Num, Form]:
+        """An output of a tape, and its rate as what is linear in velocities.
+
+        Inputs are, where there is a pose `seen`, its numbers, and the components of the twist,
+        whose value is zero and whose rate is the component itself; `known` gives others by name,
+        `rates` the rates of some of them.
+        """
+        n = self.numbers
+        values: list[Num] = []
+        forms: list[Form] = []
+        for name in tape.inputs:
+            if seen is not None and name in TWIST:
+                value = 0.0
+                form = {TWIST.index(name): 1.0}
+            elif seen is not None and name in POSE:
+                value, form = seen(name)
+            else:
+                value = known[name]
+                form = rates.get(name, {})
+            values.append(value)
+            forms.append(form)
+        zero: Num = 0.0
+        needed = set(tape._needed())
+        for i, (op, left, right) in enumerate(tape.nodes, len(tape.inputs)):
+            if i not in needed:
+                value = zero
+                form = {}
+            elif op == L.NUMBER:
+                value = tape.numbers[left]
+                form = {}
+            elif op == L.TABLE:
+                value = self.builder.table(tape.numbers[left : left + right])
+                form = {}
+            elif op in BINARY:
+                value, form = self._two(op, values[left], values[right], forms[left], forms[right])
+            else:
+                value = n.neg(values[left]) if op == L.NEG else n.of(op, values[left])
+                form = {}
+                if forms[left]:
+                    slope = -1.0 if op == L.NEG else self._slope(op, values[left], value)
+                    form = {k: n.mul(slope, x) for k, x in forms[left].items()}
+            values.append(value)
+            forms.append(form)
+        at = tape.outputs[which]
+        return values[at], forms[at]
+
+    def sum_of(self, f: Form, by: Num, g: Form, other: Num) -> Form:
+        """by f + other g."""
+        n = self.numbers
+        out = {k: n.mul(by, x) for k, x in f.items()}
+        for k, x in g.items():
+            out[k] = n.add(out.get(k, 0.0), n.mul(other, x))
+        return out
+
+    def _two(self, op: int, a: Num, b: Num, f: Form, g: Form) -> tuple[Num, Form]:
+        n = self.numbers
+        if op in (L.ADD, L.SUB):
+            sign = 1.0 if op == L.ADD else -1.0
+            return (n.add if op == L.ADD else n.sub)(a, b), self.sum_of(f, 1.0, g, sign)
+        if op == L.MUL:
+            return n.mul(a, b), self.sum_of(f, b, g, a)
+        value = 0.0 if op == L.DIV and isinstance(a, float) and a == 0.0 else n.of(op, a, b)
+        if op in (L.AT, L.NEAREST, L.LOOKUP):
+            return value, self._nearest(op, value, f, g)
+        if not f and not g:
+            return value, {}
+        if op == L.DIV:
+            by = n.of(L.DIV, 1.0, b)
+            return value, self.sum_of(f, by, g, n.neg(n.mul(value, by)))
+        if op == L.POW:
+            slope = n.mul(b, n.of(L.POW, a, n.sub(b, 1.0)))
+            return value, self.sum_of(f, slope, g, n.mul(value, n.of(L.LOG, a)) if g else 0.0)
+        if op == L.HYPOT:
+            return value, self.sum_of(f, n.of(L.DIV, a, value), g, n.of(L.DIV, b, value))
+        square = n.add(n.mul(a, a), n.mul(b, b))
+        return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
+
+    def _nearest(self, op: int, place: Any, f: Form, g: Form) -> Form:
+        """The rate of the parameter of a nearest point; before it, the rates of x and y by which of
+        them it is.
+        """
+        n = self.numbers
+        build = self.builder
+        if op == L.LOOKUP:
+            return {}
+        if op == L.AT:
+            return f | {(len({i for i, _ in f}), k): x for k, x in g.items()}
+        rates = build.rates_of(place)
+        out: Form = {}
+        for i, key, x in [*((*k, x) for k, x in f.items()), *((2, k, x) for k, x in g.items())]:
+            known = build._constant(rates[i])
+            out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
+        return out
+
+    def _slope(self, op: int, x: Num, y: Num) -> Num:
+        """The derivative of y = f(x)."""
+        place = self.builder.unary(op, self.numbers.place(x))
+        nodes = self.builder._nodes
+        slope = nodes[place - len(self.builder.inputs)][2]
+        known = self.builder._constant(slope)
+        return slope if known is None else known
+
+    def finish(self) -> tuple[Tape, np.ndarray]:
+        """The tape, and row and velocity of each of its outputs."""
+        tape = self.builder.finish([self.numbers.place(x) for _, _, x in self.entries])
+        places = np.array([(row, column) for row, column, _ in self.entries], dtype=np.int64)
+        return tape, places.reshape(-1, 2)
+
+
+class Seen:
+    """Numbers of the pose of b seen from a by name, and their rates, as they are requested."""
+
+    def __init__(self, recorder: Recorder, a: End, b: End):
+        self.recorder = recorder
+        self.a = a
+        self.b = b
+        self._ends: tuple[RecordedPose, RecordedPose] | None = None
+
+    def __call__(self, name: str) -> tuple[Num, Form]:
+        """A number of the pose and its rate."""
+        n = self.recorder.numbers
+        if self._ends is None:
+            self._ends = self.recorder.end(self.a), self.recorder.end(self.b)
+        A, B = self._ends
+        if len(name) == 1:
+            away = [n.sub(B.p[i], A.p[i]) for i in range(3)]
+            return n.dot(A.column(PLACE[name]), away), {PLACE[name]: 1.0}
+        i = PLACE[name[0]]
+        j = PLACE[name[1]]
+        entry: Callable[[int], Num] = lambda k: n.dot(A.column(k), B.column(j))  # noqa: E731
+        # the rate of an axis is w x axis
+        y = (i + 1) % 3
+        z = (i + 2) % 3
+        return entry(i), {3 + y: entry(z), 3 + z: n.neg(entry(y))}
+
+
+@explained
+def rates(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
+    """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq)
+    and times t (...).
+
+    Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system
+    without such constraints has none. Errors: `InputError`.
+    """
+    return velocity_rows(system).values(as_q(system, q), reals(t, "t"))
+
+
+def row_names(system: Model) -> tuple[tuple[str, str], ...]:
+    """For each row of `rates` the name of its constraint, and of the row."""
+    return tuple((r.of, r.name) for r in velocity_rows(system).names)
+
+
+@kept
+def velocity_rows(system: Model) -> VelocityRows:
+    """The rows of the declared velocity constraints, recorded."""
+    return _recorded(system, system.structure.table, False)
+
+
+@kept
+def tangent_rows(system: Model) -> VelocityRows:
+    """The rows of all constraints, recorded: tangents of what holds positions, and velocity
+    constraints.
+
+    Joints that the tree left out are led on through their own motion, so that all coordinates
+    count. One-sided rows are there, as if they were active.
+    """
+    m = system._mechanism
+    table = lower(
+        m,
+        system.structure.topology,
+        system.structure.coordinates,
+        m.parameters,
+        dict.fromkeys(system.structure.closures, True),
+    )
+    return _recorded(system, table, True)
+
+
+def _recorded(system: Model, table: Table, positions: bool) -> VelocityRows:
+    mechanism = system._mechanism
+    made = _Recording(system, table, mechanism.parameters)
+    for tie in held_ties(system, table) if positions else ():
+        made.tangents(tie)
+    for declared in mechanism.constraints.values():
+        made.velocities(declared)
+    return made.rows()
+
+
+class _Recording:
+    """The rows of a system being recorded, with their names."""
+
+    def __init__(self, system: Model, table: Table, parameters: Mapping[str, float]):
+        self.system = system
+        self.parameters = parameters
+        self.names = list[RowName]()
+        self.recorder = Recorder(table, system.coordinate_names, CLOCK)
+        first = system.structure.coordinates.first
+        self.known: dict[str, Num] = {n: i for i, n in enumerate(system.coordinate_names)}
+        self.rates: dict[str, Form] = {n: {("v", iv): 1.0} for n, (_, iv) in first.items()}
+        for iq, iv in zip(
+            system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True
+        ):
+            self._quaternion(int(iq), int(iv))
+        numbers = self.recorder.numbers
+        for name, f in system.structure.couplings.items():
+            self.known[name] = float(f.offset)
+            self.rates[name] = {}
+            if f.source is not None:
+                self.known[name] = numbers.add(
+                    numbers.mul(f.multiplier, self.known[f.source]), float(f.offset)
+                )
+                self.rates[name] = {("v", first[f.source][1]): f.multiplier}
+        self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
+
+    def _quaternion(self, iq: int, iv: int) -> None:
+        """Add the rates of the entries of a quaternion: q' = q (0, w) / 2."""
+        half = [self.recorder.numbers.mul(0.5, iq + k) for k in range(4)]
+        w, x, y, z = half
+        minus = self.recorder.numbers.neg
+        rates = (
+            (minus(x), minus(y), minus(z)),
+            (w, minus(z), y),
+            (z, w, minus(x)),
+            (minus(y), x, w),
+        )
+        for k, rate in enumerate(rates):
+            self.rates[self.system.coordinate_names[iq + k]] = {
+                ("v", iv + i): c for i, c in enumerate(rate)
+            }
+
+    def tangents(self, tie: Tie) -> None:
+        """Add the rates of the equations of a tie."""
+        for name, form in zip(tie.rows, self._forms(tie), strict=True):
+            self.recorder.add_row(tie.a, tie.b, form)
+            self.names.append(RowName(tie.name, name, "m", False, bool(tie.bounds)))
+
+    def _forms(self, tie: Tie) -> Iterator[Form]:
+        r = self.recorder
+        turns = tie.turns
+        seen = r.seen(tie.a, tie.b)
+        if tie.tape is not None:
+            known = {**self.known}
+            rates = {TIME: {("v", r.table.nv): 1.0}, **self.rates}
+            for k in range(len(tie.tape.names)):
+                yield r.linear(tie.tape.tape, seen if tie.tape.posed else None, known, rates, k)[1]
+            return
+        if turns == loop_layout.LINEAR and tie.relation is not None:
+            form: Form = {}
+            for name, factor in (
+                (tie.relation.of, 1.0),
+                *((n, -m) for n, m in tie.relation.sources.items()),
+            ):
+                form = r.sum_of(form, 1.0, self.rates[name], factor)
+            yield form
+            return
+        if turns == loop_layout.DISTANCE:
+            yield {i: seen("xyz"[i])[0] for i in range(3)}
+            return
+        yield from ({i: 1.0} for i in range(3) if tie.mask >> i & 1)
+        if turns in (loop_layout.FULL, loop_layout.ANGLE):
+            yield from ({3 + i: 1.0} for i in range(0 if turns == loop_layout.FULL else 2, 3))
+        elif turns == loop_layout.ALIGN:
+            yield from (seen(entry)[1] for entry in ("yz", "xz"))
+        elif turns == loop_layout.CROSS:
+            yield seen("xy")[1]
+        elif turns == loop_layout.LOOK:
+            for axis in "xy":  # the axis across the line of sight
+                form = {}
+                for i in "xyz":
+                    (u, du) = seen(i + axis)
+                    (p, dp) = seen(i)
+                    form = r.sum_of(form, 1.0, r.sum_of(du, p, dp, u), 1.0)
+                yield form
+        elif turns != loop_layout.NO_TURN:
+            raise UnsupportedError(
+                f"constraint {tie.name!r} is no recorded expression: its series are needed here"
+            )
+
+    def velocities(self, declared: Declared) -> None:
+        """Add the rows of velocity of a declared constraint."""
+        system = self.system
+        made = resolved(declared, self.parameters, system.dim)
+        rows = [row for row in made.rows(system.dim) if row.velocity]
+        if not rows:
+            return
+        a, b = ends_of(system, self.recorder.table, declared)
+        seen = self.recorder.seen(a, b) if made.ends[1] is not None else None
+        numbers = numbers_of(made)
+        known: dict[str, Num] = {**self.known, **numbers}
+        speeds = {n + RATE: form for n, form in self.rates.items()}
+        known |= dict.fromkeys(speeds, 0.0)
+        for row in rows:
+            tape, which = row.args
+            value, form = self.recorder.linear(tape, seen, known, speeds, which)
+            self.recorder.add_row(a, b, form, value)
+            self.names.append(
+                RowName(declared.name, row.name, row.unit, written=not declared.of.scaled)
+            )
+
+    def rows(self) -> VelocityRows:
+        """What was recorded."""
+        system = self.system
+        table = self.recorder.table
+        tape, entries = self.recorder.finish()
+        turning = set(table.iv[table.kind != P].tolist())
+        turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}
+        length = characteristic_length(system)
+        units = np.array([1.0 if v in turning else length for v in range(system.nv)] + [1.0])
+        return VelocityRows(
+            system.structure.layout,
+            system.coordinate_names,
+            tape,
+            entries,
+            tuple(self.names),
+            units,
+        )

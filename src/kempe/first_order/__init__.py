@@ -1,0 +1,1 @@
+"""Velocities at one configuration: constraint graph, screws, ranks, idle freedoms."""

@@ -1,0 +1,521 @@
+"""The graph of a system as mobility sees it: joints and constraints as edges, loops, and clusters
+of loops.
+
+Nothing here depends on the configuration. A cluster is a set of loops and laws that share
+velocities, directly or through others: its rank, its redundancy and its freedoms are its own
+affair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.description.parts import Declared, Joint
+from kempe.equations.closure_rows import full
+from kempe.joints import P, Primitive, Q
+from kempe.model.constraint_program import PackedLoops, Tie
+from kempe.model.coordinates import Relation
+from kempe.model.model import kept
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- cycles
+
+# Shorter loops: what singular values and bounds of a mechanism of many loops are read from.
+#
+# Loops that a spanning tree closes may be long, however small the cells are. Any of them may be
+# replaced by its sum with another one that is closed by a whole joint: the equations stay equivalent
+# (Kirchhoff, 1847).
+
+
+MOST = 400
+"""Loops of a cluster up to which shorter ones are sought."""
+
+
+def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.ndarray) -> Array:
+    """Signs (loops, edges) of loops, each shortened by others that are `whole` (mask) as far as
+    that goes at once.
+
+    `parent` and `child` are the bodies of the edges. Each loop stays a simple one, and keeps the
+    edge that closes it.
+    """
+    if not 1 < len(signs) <= MOST:
+        return signs
+    out = signs.copy()
+    length = np.abs(signs).sum(axis=1)
+    for k in np.argsort(-length, kind="stable"):  # the longest first: the others are as they were
+        while True:
+            shared = signs @ out[k]
+            gain = np.where(whole, 2.0 * np.abs(shared) - length, 0.0)
+            gain[k] = 0.0
+            best = int(np.argmax(gain))
+            shorter = out[k] - np.sign(shared[best]) * signs[best]
+            shrinks = np.abs(shorter).sum() < np.abs(out[k]).sum()
+            if (
+                gain[best] <= 0.0
+                or not shrinks
+                or not _simple(shorter, parent, child)
+                or length[best] > length[k]
+            ):
+                break
+            if (
+                length[best] == length[k] and best > k
+            ):  # of two alike only one is replaced by the other
+                break
+            out[k] = shorter
+    return out
+
+
+def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
+    """Whether edges with signs 1, 0, -1 are one closed walk that meets no body twice."""
+    edges = np.flatnonzero(loop)
+    if np.abs(loop[edges]).max() > 1.0:
+        return False
+    ahead = loop[edges] > 0.0
+    start = np.where(ahead, parent[edges], child[edges])
+    end = np.where(ahead, child[edges], parent[edges])
+    after = dict(zip(start.tolist(), end.tolist(), strict=True))
+    if len(after) < len(edges):
+        return False
+    body = int(start[0])
+    steps = 0
+    while steps < len(edges) and body in after:
+        body = after[body]
+        steps = steps + 1
+        if body == int(start[0]):
+            break
+    return steps == len(edges)
+
+
+NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One velocity of a joint: its name, its index among the system's (-1: held), multiplier,
+    whether it slides.
+    """
+
+    name: str
+    index: int
+    multiplier: float
+    slides: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A joint or declared constraint of the graph: its bodies by number, frames on them, and its
+    own velocities.
+
+    `columns` are its velocities, all of them, those that follow others or are held too.
+    """
+
+    name: str
+    of: Joint | Declared
+    parent: int
+    child: int
+    X_PF: Array
+    X_CM: Array
+    particle: bool
+    primitives: tuple[Primitive, ...] = ()
+    values: tuple[tuple[int, float, float], ...] = ()
+    """For each coordinate of the joint its index in q (-1: none), multiplier and offset."""
+    columns: tuple[Column, ...] = ()
+    drives: tuple[int, ...] = ()
+    """For each primitive the column that moves it (a quaternion: the first of three)."""
+
+    @property
+    def joint(self) -> bool:
+        """Whether it is a joint, not a declared constraint."""
+        return isinstance(self.of, Joint)
+
+    @property
+    def actuated(self) -> bool:
+        """Whether a motor drives it."""
+        return isinstance(self.of, Joint) and self.of.actuated is True
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """Equations of coordinates or of a pose that are no loop: a coupling with several sources, or a
+    written constraint.
+
+    `support` are the velocities that it depends on, `places` those of its rows among all equations
+    in full form.
+    """
+
+    name: str
+    of: Relation | Declared
+    support: tuple[int, ...]
+    places: list[int]
+    names: tuple[str, ...]
+    linear: bool
+    """Whether its equations are linear in coordinates."""
+
+    @property
+    def rows(self) -> int:
+        """Number of its equations."""
+        return len(self.places)
+
+    @property
+    def title(self) -> str:
+        """How sentences call it."""
+        return f"coupling of {self.name}" if isinstance(self.of, Relation) else self.name
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One closed loop: the edge that closes it, and all its edges with the sign in which it passes
+    them.
+    """
+
+    edge: int
+    path: tuple[tuple[int, float], ...]
+    rows: int
+
+
+class LoopSizes(NamedTuple):
+    """How large the loops of a cluster are: sums of squares of what their velocities move, the most
+    of them, times the square root of how many loops share a joint; joints of the longest; edges
+    that are rods.
+    """
+
+    most: float
+    joints: int
+    rods: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Loops and laws that share velocities, directly or through others: `velocities` are their
+    columns.
+    """
+
+    loops: tuple[int, ...]
+    laws: tuple[int, ...]
+    velocities: np.ndarray
+    edges: tuple[int, ...]
+    signs: Array = field(repr=False)
+    """(loops, edges): +1, -1 or 0, how each loop passes each edge."""
+    cells: Array = field(repr=False)
+    """The same for loops that are shortened by others."""
+    moving: np.ndarray = field(repr=False)
+    """Of all velocities of the edges, one edge after the other, those that are not held (mask)."""
+    owner: np.ndarray = field(repr=False)
+    """For each moving velocity, its edge (index into `edges`)."""
+    local: np.ndarray = field(repr=False)
+    """For each moving velocity, the velocity of the system that it follows (index into
+    `velocities`)."""
+    factor: Array = field(repr=False)
+    """For each moving velocity, the factor by which it follows that."""
+    sliding: np.ndarray = field(repr=False)
+    """Whether each moving velocity is a slide."""
+    bent: tuple[str, ...] = ()
+    """Laws that are not linear in coordinates."""
+
+    def paths(self, s: ConstraintGraph, short: bool) -> list[np.ndarray]:
+        """The edges of each loop, shortened or as the tree closes it."""
+        if short:
+            return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
+        return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
+
+    def size_of_loops(self, s: ConstraintGraph, short: bool) -> LoopSizes:
+        """The `LoopSizes`, found once."""
+        found = self.__dict__.setdefault("sizes", {})
+        if short not in found:
+            found[short] = self._sizes(s, self.paths(s, short))
+        return found[short]
+
+    def _sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
+        most = 0.0
+        joints = 1
+        rods: list[int] = []
+        for k, path in zip(self.loops, paths, strict=True):
+            moving = [c for i in path for c in s.edges[int(i)].columns if c.index >= 0]
+            own = len({c.index for c in moving}) == len(moving)
+            sizes = [abs(c.multiplier) for c in moving]
+            most = max(most, sum(x * x for x in sizes) if own else sum(sizes) ** 2)
+            joints = max(joints, len(path))
+            edge = s.edges[s.loops[k].edge]
+            if isinstance(edge.of, Declared) and edge.of.rod:
+                rods.append(s.loops[k].edge)
+        passed = float(np.bincount(np.concatenate(paths)).max()) if paths else 1.0
+        return LoopSizes(most * float(np.sqrt(passed)), joints, np.array(rods, dtype=np.int64))
+
+    @cached_property
+    def shared(self) -> bool:
+        """Whether several velocities of joints follow one of the system."""
+        return len(np.unique(self.local)) < len(self.local)
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintGraph:
+    """What does not depend on the configuration: edges, loops, laws, clusters."""
+
+    edges: tuple[Edge, ...]
+    loops: tuple[Loop, ...]
+    laws: tuple[Law, ...]
+    clusters: tuple[Cluster, ...]
+    parent: np.ndarray
+    child: np.ndarray
+    X_PF: Array
+    X_CM: Array
+
+    slides: np.ndarray
+    """Which velocities (nv,) of the system are slides; screws count as turns."""
+
+
+@kept
+def structure(system: System) -> ConstraintGraph:
+    """Edges, loops and clusters of a system."""
+    return _structure(system)
+
+
+def called(system: System) -> tuple[str, ...]:
+    """Constraints that are Python functions without series."""
+    return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
+
+
+def _structure(system: System) -> ConstraintGraph:
+    edges = _edges(system)
+    loops = _loops(system, edges)
+    laws = _laws(system)
+    clusters = _clusters(system, edges, loops, laws)
+    stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
+    ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
+    slides = np.zeros(system.nv, dtype=bool)
+    for column in (c for e in edges for c in e.columns):
+        if column.index >= 0 and column.name == system.structure.velocity_names[column.index]:
+            slides[column.index] = column.slides
+    return ConstraintGraph(
+        tuple(edges),
+        tuple(loops),
+        laws,
+        clusters,
+        ends[:, 0],
+        ends[:, 1],
+        stack[:, 0],
+        stack[:, 1],
+        slides,
+    )
+
+
+def _edges(system: System) -> list[Edge]:
+    m = system.mechanism
+    dim = system.dim
+    number = {b: i for i, b in enumerate(system.body_names)}
+    in_q = {n: i for i, n in enumerate(system.coordinate_names)}
+    in_v = {n: i for i, n in enumerate(system.structure.velocity_names)}
+    followers = system.structure.couplings
+    out: list[Edge] = []
+    for joint in m.joints.values():
+        particle = m.bodies[joint.child].particle
+        names, primitives = joint.type.layout(dim, particle)
+        values: list[tuple[int, float, float]] = []
+        columns: list[Column] = []
+        for name in names:
+            f = followers.get(_full(joint.name, name))
+            if f is None:
+                values.append((in_q[_full(joint.name, name)], 1.0, 0.0))
+            else:
+                values.append((in_q[f.source] if f.source else -1, f.multiplier, f.offset))
+        velocities = joint.type.velocities(dim, particle)
+        drives = tuple(
+            velocities.index("wx" if p.kind == Q else names[p.coordinate]) for p in primitives
+        )
+        turning = {
+            k + n
+            for k, p in zip(drives, primitives, strict=True)
+            if p.kind != P
+            for n in range(3 if p.kind == Q else 1)
+        }
+        for k, name in enumerate(velocities):
+            full = _full(joint.name, name)
+            slides = k not in turning
+            f = followers.get(full)
+            if full in in_v:
+                columns.append(Column(full, in_v[full], 1.0, slides))
+            elif f is not None and f.source is not None:
+                columns.append(Column(full, in_v[f.source], f.multiplier, slides))
+            else:
+                columns.append(Column(full, -1, 0.0, slides))
+        X_PF = joint.X_PF.evaluate(m.parameters)
+        X_CM = joint.X_CM.evaluate(m.parameters)
+        out.append(
+            Edge(
+                joint.name,
+                joint,
+                number[joint.parent],
+                number[joint.child],
+                X_PF,
+                X_CM,
+                particle,
+                primitives,
+                tuple(values),
+                tuple(columns),
+                drives,
+            )
+        )
+    for c in (c for c in m.constraints.values() if c.links):
+        X_PF, X_CM = c.frames(m.parameters, dim)
+        out.append(Edge(c.name, c, number[c.parent], number[c.child], X_PF, X_CM, False))
+    return out
+
+
+def _full(joint: str, coordinate: str) -> str:
+    return f"{joint}.{coordinate}" if coordinate else joint
+
+
+def _loops(system: System, edges: list[Edge]) -> list[Loop]:
+    index = {e.name: i for i, e in enumerate(edges)}
+    up = [-1, *(index[n] for n in system.structure.parent_joints)]
+    parent = (-1, *system.parent)
+    depth = [0] * len(parent)
+    for body in _tree_order(parent):
+        depth[body] = depth[parent[body]] + 1 if body else 0
+    out: list[Loop] = []
+    closing = [index[n] for n in system.structure.closures] + [
+        i for i, e in enumerate(edges) if not e.joint
+    ]
+    for k in closing:
+        a = edges[k].parent
+        b = edges[k].child
+        from_b: list[tuple[int, float]] = []
+        to_a: list[tuple[int, float]] = []
+        while a != b:  # back along the tree from the child to the parent
+            if depth[b] >= depth[a]:
+                from_b.append((up[b], 1.0 if edges[up[b]].parent == b else -1.0))
+                b = parent[b]
+            else:
+                to_a.append((up[a], 1.0 if edges[up[a]].child == a else -1.0))
+                a = parent[a]
+        path = (
+            *reversed(to_a),
+            (k, 1.0),
+            *from_b,
+        )  # from the joint nearest to the ground, around and back
+        out.append(Loop(k, path, rows_of(edges[k], system.dim)))
+    return out
+
+
+def _laws(system: System) -> tuple[Law, ...]:
+    """Couplings with several sources, and what constraints say by expressions and functions."""
+    loops = full(system, True)
+    first = 0
+    found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
+    order = {c.name: i for i, c in enumerate(system.mechanism.constraints.values())}
+    for tie in loops.ties:
+        places = list(range(first, first + len(tie.rows)))
+        first += len(tie.rows)
+        if tie.relation is not None:
+            key = (0, system.structure.relations.index(tie.relation))
+            of = tie.relation
+        elif tie.written:
+            key = (1, order[tie.name])
+            of = system.mechanism.constraints[tie.name]
+        else:
+            continue
+        _, own, ties = found.setdefault(key, (of, [], []))
+        own += places
+        ties.append(tie)
+    return tuple(_law(loops, *found[key]) for key in sorted(found))
+
+
+def _law(loops: PackedLoops, of: Relation | Declared, places: list[int], ties: list[Tie]) -> Law:
+    support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.columns(k)}
+    tapes = [t.tape for t in ties]
+    linear = all(
+        t.relation is not None
+        or (r is not None and not r.moved and r.tape.linear_in(r.tape.inputs))
+        for t, r in zip(ties, tapes, strict=True)
+    )
+    name = of.of if isinstance(of, Relation) else of.name
+    return Law(
+        name, of, tuple(sorted(support)), places, tuple(loops.names[i][1] for i in places), linear
+    )
+
+
+def _tree_order(parent: tuple[int, ...]) -> list[int]:
+    children: dict[int, list[int]] = {}
+    for body, above in enumerate(parent):
+        children.setdefault(above, []).append(body)
+    order = [0]
+    for body in order:
+        order += children.get(body, [])
+    return order
+
+
+def rows_of(edge: Edge, dim: int) -> int:
+    """Number of equations with which an edge closes a loop, its own velocities among the unknowns."""
+    if isinstance(edge.of, Declared):
+        return edge.of.of_pose(dim)
+    return dim if edge.particle else (6 if dim == 3 else 3)
+
+
+def _clusters(
+    system: System, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
+) -> tuple[Cluster, ...]:
+    supports = [
+        sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0})
+        for loop in loops
+    ]
+    supports += [list(law.support) for law in laws]
+    root = list(range(system.nv + len(supports)))
+
+    def find(i: int) -> int:
+        while root[i] != i:
+            root[i] = i = root[root[i]]
+        return i
+
+    for k, support in enumerate(supports):
+        for i in support:
+            root[find(i)] = find(system.nv + k)
+    groups: dict[int, list[int]] = {}
+    for k in range(len(supports)):
+        groups.setdefault(find(system.nv + k), []).append(k)
+    out: list[Cluster] = []
+    for members in groups.values():
+        own = [k for k in members if k < len(loops)]
+        velocities = sorted({i for k in members for i in supports[k]})
+        inside = sorted({i for k in own for i, _ in loops[k].path})
+        place = {i: n for n, i in enumerate(inside)}
+        signs = np.zeros((len(own), len(inside)))
+        for n, k in enumerate(own):
+            for i, sign in loops[k].path:
+                signs[n, place[i]] = sign
+        whole = np.array(
+            [edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own],
+            dtype=bool,
+        )
+        ends = np.array(
+            [(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64
+        ).reshape(-1, 2)
+        cells = shortened(signs, whole, ends[:, 0], ends[:, 1])
+        laws_ = tuple(k - len(loops) for k in members if k >= len(loops))
+        columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
+        moving = np.array([c.index >= 0 for _, c in columns], dtype=bool)
+        at = {v: n for n, v in enumerate(velocities)}
+        out.append(
+            Cluster(
+                tuple(own),
+                laws_,
+                np.array(velocities, dtype=np.int64),
+                tuple(inside),
+                signs,
+                cells,
+                moving,
+                np.array([n for n, c in columns if c.index >= 0], dtype=np.int64),
+                np.array([at[c.index] for _, c in columns if c.index >= 0], dtype=np.int64),
+                np.array([c.multiplier for _, c in columns if c.index >= 0]),
+                np.array([c.slides for _, c in columns if c.index >= 0], dtype=bool),
+                tuple(laws[k].name for k in laws_ if not laws[k].linear),
+            )
+        )
+    return tuple(out)

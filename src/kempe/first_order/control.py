@@ -1,0 +1,189 @@
+"""Whether some joints, when driven, control a mechanism: what they leave free, and which of them
+are too many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.errors import InputError, UnknownNameError
+from kempe.first_order.constraint_graph import structure
+from kempe.first_order.rank import NOTHING, Rank
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.first_order.idle_freedoms import IdleFreedom
+    from kempe.model.model import Model as System
+
+SHOWN = 1e-6
+"""Part of the largest velocity of a motion below which a coordinate is said to rest."""
+
+
+@dataclass(frozen=True)
+class Control(InWords):
+    """What a set of actuated velocity coordinates does, to first order.
+
+    `controlled` of the `useful` freedoms (idle ones left out) follow the actuated coordinates;
+    `excess` actuated coordinates depend on the others (redundant actuation). `free` are motions
+    with all actuators held, each as velocities by coordinate name, the largest 1. `singular`: at
+    this configuration fewer are controlled than at others of the same branch.
+    """
+
+    actuated: tuple[str, ...]
+    useful: int
+    controlled: int
+    excess: int
+    singular: bool
+    free: tuple[dict[str, float], ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether all useful freedoms are controlled."""
+        return self.controlled == self.useful
+
+    def __bool__(self) -> bool:
+        return self.complete
+
+    def __str__(self) -> str:
+        who = " and ".join(self.actuated) if len(self.actuated) < 3 else ", ".join(self.actuated)
+        one = len(self.actuated) == 1
+        useful = counted(self.useful, "freedom")
+        if not self.actuated:
+            return "no joint is actuated" + (f": {useful} not controlled" if self.useful else "")
+        if self.complete:
+            text = f"{who} control{'s' if one else ''} the mechanism ({useful})"
+        else:
+            text = f"{who} control{'s' if one else ''} {self.controlled} of {useful}"
+        if self.excess and len(self.actuated) == 1:
+            text += "; to first order it does not move (redundant actuation)"
+        elif self.excess:
+            text += (
+                f"; {self.excess} of the {len(self.actuated)} actuated coordinates "
+                f"depend{'s' * (self.excess == 1)}"
+            )
+            text += " on the others (redundant actuation)"
+        if self.singular:
+            text += "; singular for these inputs: at other configurations they control more"
+        return text + "".join(f"\n  free with them held: {motion_text(m)}" for m in self.free)
+
+
+def control(
+    system: System,
+    rank: Rank,
+    generic: Sequence[Rank],
+    idle: Sequence[IdleFreedom],
+    actuated: Iterable[str] | None = None,
+) -> Control | None:
+    """What the `actuated` joints or coordinates (default: those that the file marks) control; None
+    where none are.
+    """
+    indices = driven(system, actuated)
+    if indices is None:
+        return None
+    lazy = (
+        np.stack([f.velocity / rank.units for f in idle], axis=1)
+        if idle
+        else np.zeros((system.nv, 0))
+    )
+    N = rank.null_space
+    A = N[indices]
+    controlled, inside = _rank_and_null_space(A)
+    left = N @ inside
+    Q = np.linalg.qr(lazy)[0] if lazy.shape[1] else lazy
+    left = _span(left - Q @ (Q.T @ left))
+    most = max(
+        (_rank_and_null_space(r.null_space[indices])[0] for r in generic), default=controlled
+    )
+    useful = rank.nullity - len(idle)
+    patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
+    names = tuple(system.structure.velocity_names[i] for i in indices)
+    fewer = (
+        useful - controlled
+        > min((r.nullity for r in generic), default=rank.nullity) - len(idle) - most
+    )
+    return Control(names, useful, controlled, len(indices) - max(controlled, most), fewer, patterns)
+
+
+def driven(system: System, actuated: Iterable[str] | None) -> list[int] | None:
+    """Indices of the velocity coordinates of joints or coordinates by name, or of joints marked as
+    actuated.
+
+    A name that follows another coordinate stands for that. None where no name is given and no joint
+    is marked.
+    """
+    edges = structure(system).edges
+    if actuated is None:
+        marked = [c.index for e in edges if e.actuated for c in e.columns if c.index >= 0]
+        return list(dict.fromkeys(marked)) if any(e.actuated for e in edges) else None
+    if isinstance(actuated, str) or not isinstance(actuated, Iterable):
+        raise InputError(
+            f"actuated is {actuated!r}; it must be a list of names of joints or coordinates"
+        )
+    joints = {e.name: e for e in edges if e.joint}
+    columns = {c.name: c for e in edges for c in e.columns}
+    out: list[int] = []
+    for name in actuated:
+        name = str(name)
+        if name not in joints and name not in columns:
+            raise UnknownNameError("joint or coordinate", name, [*joints, *columns], system.name)
+        chosen = joints[name].columns if name in joints else [columns[name]]
+        if chosen and all(c.index < 0 for c in chosen):
+            raise InputError(f"{name!r} is held: it cannot be actuated")
+        out += [c.index for c in chosen if c.index >= 0]
+    return list(dict.fromkeys(out))
+
+
+def _rank_and_null_space(A: Array) -> tuple[int, Array]:
+    """Rank of the actuated rows of an orthonormal null space, and what of the null space they do
+    not see.
+    """
+    if not A.size:
+        return 0, np.eye(A.shape[1])
+    _, values, Vt = svd(A)
+    rank = int((values > NOTHING).sum())
+    return rank, Vt[rank:].T
+
+
+def _span(X: Array) -> Array:
+    if not X.size:
+        return X
+    U, s, _ = svd(X, full_matrices=False)
+    return U[:, s > NOTHING]
+
+
+def _sparse(X: Array) -> Array:
+    """The same space by a basis in which each vector has a coordinate that the others do not move."""
+    if not X.shape[1]:
+        return X
+    Y = X.copy()
+    for k in range(Y.shape[1]):
+        pivot = int(np.argmax(np.max(np.abs(Y[:, k:]), axis=1)))
+        best = k + int(np.argmax(np.abs(Y[pivot, k:])))
+        Y[:, [k, best]] = Y[:, [best, k]]
+        Y[:, k] /= Y[pivot, k]
+        for other in range(Y.shape[1]):
+            if other != k:
+                Y[:, other] -= Y[pivot, other] * Y[:, k]
+    return Y
+
+
+def _pattern(system: System, v: Array) -> dict[str, float]:
+    largest = v[np.argmax(np.abs(v))]
+    return {
+        n: float(x / largest)
+        for n, x in zip(system.structure.velocity_names, v, strict=True)
+        if abs(x / largest) > SHOWN
+    }
+
+
+def motion_text(motion: dict[str, float]) -> str:
+    """'B 1, C -0.5': the velocities of a motion, the largest first."""
+    ordered = sorted(motion.items(), key=lambda kv: (-abs(round(kv[1], 9)), kv[0]))
+    more = ", ..." if len(ordered) > 8 else ""
+    return ", ".join(f"{n} {x:.3g}" for n, x in ordered[:8]) + more

@@ -1,0 +1,289 @@
+"""Degrees of freedom by counting: bodies times 3 or 6, less what each joint takes away; for all,
+and for each loop.
+
+The count is Gruebler's (1917) and Kutzbach's (1929). It assumes that all constraints are
+independent, which only the rank can tell. A loop whose joints move its links in a smaller group of
+motions (all in one plane, all about one point, ...) is closed by as many equations as that group
+has dimensions (Herve, 1978): the count by loop uses them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.description.parts import Declared
+from kempe.first_order.constraint_graph import ConstraintGraph, Edge, rows_of, structure
+from kempe.numerics.rank import column_space
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.words import InWords, counted, verb
+
+if TYPE_CHECKING:
+    from kempe.first_order.screws import Screws
+    from kempe.model.model import Model as System
+
+SAME = 1e-7
+"""Singular values of unit screws below this are zero: they lie in a smaller group of motions."""
+
+GROUPS = {
+    (0, 0): "no motion",
+    (1, 0): "one slide",
+    (1, 1): "one screw",
+    (2, 0): "slides in a plane",
+    (2, 1): "turns and slides along one axis",
+    (3, 0): "slides in space",
+    (3, 1): "motions of a plane",
+    (3, 3): "turns about one point",
+    (4, 1): "slides in space and turns about one direction",
+}
+"""Groups of motions by dimension and dimension of their turns; what is missing is all motions of
+space."""
+
+
+@dataclass(frozen=True)
+class LoopCount(InWords):
+    """Count of one loop: its joints in the order around it, their freedoms, less the equations that
+    close it.
+
+    `equations` is 3 in the plane and 6 in space, or the dimension of the smaller group that the
+    joints move in, whose name is `motion` ('' where it is not known: the mechanism is open).
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    freedoms: int
+    equations: int
+    motion: str
+
+    @property
+    def count(self) -> int:
+        """Freedoms less equations."""
+        return self.freedoms - self.equations
+
+    def __str__(self) -> str:
+        why = f" ({self.motion})" if self.motion else ""
+        return f"{' - '.join(self.joints)}: {self.freedoms} - {self.equations} = {self.count}{why}"
+
+
+@dataclass(frozen=True)
+class Counting(InWords):
+    """The count in words. `gruebler` is the result; `gruebler_spatial` what a planar system would
+    count to in space.
+    """
+
+    dim: int
+    free: int
+    taken: int
+    gruebler: int
+    gruebler_spatial: int
+    steps: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self.steps)
+
+
+def counting(system: System) -> Counting:
+    """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
+    s = structure(system)
+    m = system.mechanism
+    dim = system.dim
+    whole, point = (6, 3) if dim == 3 else (3, 2)
+    particles = [m.bodies[b].particle for b in system.body_names[1:]]
+    bodies = particles.count(False)
+    points = particles.count(True)
+    free = bodies * whole + points * point
+    takes = [(*_takes(e, dim), e) for e in s.edges]
+    held = _held(s, system)
+    taken = sum(n for n, _, _ in takes) + sum(n for n, _ in held)
+    gruebler = free - taken
+    closing = Counter(e.dim_lost for e in _closing(s, dim))
+    spatial = gruebler - (sum(closing.elements()) if dim == 2 else 0)
+    steps = (
+        _free_text(bodies, points, whole, point, free, dim),
+        _taken_text(takes, held, taken, free, gruebler),
+        _lecture_text(system, s, takes, held, particles, gruebler),
+    )
+    return Counting(dim, free, taken, gruebler, spatial, tuple(t for t in steps if t))
+
+
+@dataclass(frozen=True)
+class _Closing:
+    dim_lost: int
+
+
+def _closing(s: ConstraintGraph, dim: int) -> list[_Closing]:
+    """How many more equations each loop of a planar system has in space."""
+    edges = (s.edges[loop.edge] for loop in s.loops)
+    return [_Closing(rows_of(e, 3) - rows_of(e, 2)) for e in edges]
+
+
+def _takes(edge: Edge, dim: int) -> tuple[int, str]:
+    """How many freedoms an edge takes away, and what it is."""
+    if isinstance(edge.of, Declared):
+        return rows_of(edge, dim), f"{edge.of.kind.replace('_', '-')} constraint"
+    return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
+
+
+def _held(s: ConstraintGraph, system: System) -> list[tuple[int, str]]:
+    """What couplings, locks and constraints that are expressions take away."""
+    locked = sum(c.index < 0 for e in s.edges for c in e.columns)
+    follow = sum(
+        c.index >= 0 and c.name != system.structure.velocity_names[c.index]
+        for e in s.edges
+        for c in e.columns
+    )
+    written = sum(law.rows for law in s.laws if isinstance(law.of, Declared))
+    found = [
+        (locked, "locked coordinate"),
+        (follow + len(system.structure.relations), "coupling"),
+        (written, "equation"),
+    ]
+    return [(n, what) for n, what in found if n]
+
+
+def _free_text(bodies: int, points: int, whole: int, point: int, free: int, dim: int) -> str:
+    who = [counted(n, what) for n, what in ((bodies, "body"), (points, "particle")) if n]
+    if not who:
+        return "There is no body that moves: 0 DoF."
+    sums = " + ".join(f"{n} x {k}" for n, k in ((bodies, whole), (points, point)) if n)
+    place = "the plane" if dim == 2 else "space"
+    return f"Without joints, {' and '.join(who)} could move freely in {place}: {sums} = {free} DoF."
+
+
+def _taken_text(
+    takes: Sequence[tuple[int, str, Edge]],
+    held: Sequence[tuple[int, str]],
+    taken: int,
+    free: int,
+    gruebler: int,
+) -> str:
+    groups = Counter((what, n) for n, what, _ in takes)
+    parts = [f"{counted(k, what)} x {n}" for (what, n), k in groups.items()]
+    parts += [f"{counted(n, what)} x 1" for n, what in held]
+    first = next(iter(groups.values())) if groups else held[0][0] if held else 0
+    if not parts:
+        return ""
+    sums = f"{' + '.join(parts)} = {taken}, which leaves {free} - {taken} = {gruebler}"
+    return f"Taken away {verb(first, 'is', 'are')} {sums}."
+
+
+def _lecture_text(
+    system: System,
+    s: ConstraintGraph,
+    takes: Sequence[tuple[int, str, Edge]],
+    held: Sequence[tuple[int, str]],
+    particles: Sequence[bool],
+    gruebler: int,
+) -> str:
+    """The sum body by body: each is held by one joint, what closes loops takes away more."""
+    whole, point = (6, 3) if system.dim == 3 else (3, 2)
+    by_name = {e.name: n for n, _, e in takes}
+    tree = Counter(
+        (point if p else whole, by_name[j])
+        for p, j in zip(particles, system.structure.parent_joints, strict=True)
+    )
+    if not tree:
+        return ""
+    extra = Counter(takes[loop.edge][0] for loop in s.loops)
+    more = sum(n for n, _ in held)
+    text = " + ".join(f"{k} x ({free} - {n})" for (free, n), k in tree.items())
+    text += "".join(f" - {k} x {n}" if k > 1 else f" - {n}" for n, k in extra.items() if n)
+    text += f" - {more}" if more else ""
+    loops = sum(extra.values())
+    if loops == 1 and len(tree) == 1:
+        who = "Each body is held by one joint (the last by two)"
+    elif loops:
+        who = (
+            f"Each body is held by one joint, and {loops} more "
+            f"{verb(loops, 'closes a loop', 'close loops')}"
+        )
+    else:
+        who = "Each body is held by one joint"
+    if held:
+        how = "take away one each" if more > 1 else "takes away one"
+        who += f", and {' and '.join(counted(n, what) for n, what in held)} {how}"
+    return f"{who}: {text} = {gruebler}."
+
+
+# ---- loops
+
+
+def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
+    """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of
+    motions.
+    """
+    s = structure(system)
+    out: list[LoopCount] = []
+    for loop in s.loops:
+        inside = [i for i, _ in loop.path]
+        freedoms = len({c.index for i in inside for c in s.edges[i].columns if c.index >= 0})
+        equations = loop.rows
+        motion = ""
+        edge = s.edges[loop.edge]
+        if at is not None and edge.joint and not edge.particle:
+            equations, turns = group_of(np.concatenate([at.twists[i] for i in inside], axis=1))
+            whole = 3 if system.dim == 2 else 6
+            motion = GROUPS.get((equations, turns), "") if equations < whole else ""
+        out.append(
+            LoopCount(
+                edge.name, tuple(s.edges[i].name for i in inside), freedoms, equations, motion
+            )
+        )
+    return tuple(out)
+
+
+def group_of(twists: Array) -> tuple[int, int]:
+    """Dimension of the smallest group of motions that contains these screws (6, n), and of its
+    turns.
+    """
+    basis = group_basis(twists, SAME)
+    return basis.shape[1], column_space(basis[3:], SAME, SAME).shape[1]
+
+
+def group_basis(twists: Array, same: float) -> Array:
+    """Orthonormal basis (6, d) of the smallest algebra that contains these screws (6, n).
+
+    The span is completed by Lie brackets until it no longer grows by more than `same`.
+    """
+    basis = column_space(twists, same, same)
+    while True:
+        if basis.shape[1] in (0, 1, 6):
+            return basis
+        grown = column_space(np.hstack([basis, _brackets(basis)]), same, same)
+        if grown.shape[1] == basis.shape[1]:
+            return basis
+        basis = grown
+
+
+def fills_group(twists: Array, same: float, clear: float) -> bool:
+    """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span,
+    which is clear.
+    """
+    U, s, _ = svd(twists, full_matrices=False)
+    basis = U[:, s > same * s[0]]
+    d = basis.shape[1]
+    if s[d - 1] < clear * s[0]:
+        return False
+    if d in (1, 6):
+        return True
+    return basis.shape[1] == column_space(np.hstack([basis, _brackets(basis)]), same, same).shape[1]
+
+
+def _brackets(basis: Array) -> Array:
+    """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x
+    w'; w x w'].
+    """
+    i, k = zip(*combinations(range(basis.shape[1]), 2), strict=True)
+    a = basis[:, i]
+    b = basis[:, k]
+    out = np.empty_like(a)
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[x] = a[y + 3] * b[z] - a[z + 3] * b[y] + a[y] * b[z + 3] - a[z] * b[y + 3]
+        out[x + 3] = a[y + 3] * b[z + 3] - a[z + 3] * b[y + 3]
+    return out

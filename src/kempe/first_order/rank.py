@@ -1,0 +1,281 @@
+"""The rank of all loop equations at one closed configuration, decided by a gap between singular
+values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.description.parts import Declared
+from kempe.equations import closure_rows
+from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, structure
+from kempe.first_order.screws import Screws, screws
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+NOTHING = 1e-6
+"""Singular values below this part of the largest count as zero: a point found to 1e-14 of a
+singular one, where equations are quadratic, is 1e-7 away from it."""
+SOMETHING = 1e-4
+"""Singular values above this part of the largest count as not zero; between the two the widest gap
+decides."""
+CLEAR_GAP = 1e3
+"""Ratio of the last singular value that counts to the first that does not, below which the rank is
+doubtful."""
+AROUND = 0.2
+POINTS = 8
+"""How far around a configuration, in scaled velocities, and at how many points the sizes of written
+rows are looked at.
+"""
+FLOOR = 1e-15
+"""Singular values below this part of the largest are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClusterRank:
+    """Rank of one cluster: singular values (descending), rank, gap; self-stress and the null space.
+
+    `values` are parts of the largest, or of what turns and slides do to frames: where rows of
+    constraints all vanish, the largest is rounding.
+    """
+
+    cluster: Cluster
+    jacobian: Array = field(repr=False)
+    values: Array
+    rank: int
+    gap: float
+    stresses: Array = field(repr=False)
+    """Left null space (equations, k): the wrenches that can run around the loops with no load."""
+    null_space: Array = field(repr=False)
+    """Null space (velocities of the cluster, k), slides in lengths of a link."""
+    size: float = 1.0
+    """What `values` are parts of."""
+
+    @property
+    def nullity(self) -> int:
+        """Freedoms to first order."""
+        return len(self.cluster.velocities) - self.rank
+
+    @property
+    def dependent(self) -> int:
+        """Equations that depend on others."""
+        return len(self.jacobian) - self.rank
+
+
+@dataclass(frozen=True, eq=False)
+class Rank:
+    """Rank of the loop equations of a whole system at the closed configuration `q` (nq,)."""
+
+    q: Array
+    clusters: tuple[ClusterRank, ...]
+    screws: Screws = field(repr=False)
+    units: Array = field(repr=False)
+    """Units (nv,) of the scaled velocities: the length of a link for slides, 1 for turns."""
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of independent equations."""
+        return sum(c.rank for c in self.clusters)
+
+    @cached_property
+    def nullity(self) -> int:
+        """Freedoms to first order: velocities that keep all loops closed."""
+        return len(self.units) - self.rank
+
+    @cached_property
+    def dependent(self) -> int:
+        """Equations that depend on others to first order."""
+        return sum(c.dependent for c in self.clusters)
+
+    @property
+    def gap(self) -> float:
+        """Smallest ratio, over the clusters, of the last singular value that counts to the first
+        that does not.
+        """
+        return min((c.gap for c in self.clusters), default=np.inf)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether some gap is too small, or a singular value too near to zero, to be sure of the
+        rank.
+        """
+        return self.gap < CLEAR_GAP or self.smallest < 10.0 * NOTHING or self.rest > 0.1 * NOTHING
+
+    @property
+    def rest(self) -> float:
+        """Largest singular value that does not count, as a part of the largest of its cluster; 0 if
+        there is none.
+        """
+        found = [c.values[c.rank] for c in self.clusters if c.rank < len(c.values)]
+        return float(max(found, default=0.0))
+
+    @property
+    def smallest(self) -> float:
+        """Smallest singular value that counts, as a part of the largest of its cluster; 1 where
+        there is none.
+        """
+        found = [c.values[c.rank - 1] for c in self.clusters if c.rank]
+        return float(min(found, default=1.0))
+
+    @cached_property
+    def null_space(self) -> Array:
+        """Orthonormal basis (nv, nullity) of the scaled velocities that keep all loops closed."""
+        nv = len(self.units)
+        out = np.zeros((nv, self.nullity))
+        free = np.ones(nv, dtype=bool)
+        k = 0
+        for c in self.clusters:
+            free[c.cluster.velocities] = False
+            out[c.cluster.velocities, k : k + c.nullity] = c.null_space
+            k += c.nullity
+        out[np.flatnonzero(free), np.arange(k, self.nullity)] = 1.0
+        return out
+
+
+def decide(values: Array, size: float = 0.0) -> tuple[int, float]:
+    """Rank and gap of a matrix with these singular values (descending).
+
+    `size` is what the largest would be if the matrix were not singular; where it is 0 the largest
+    counts always.
+    """
+    if not len(values) or values[0] <= 0.0:
+        return 0, np.inf
+    s = values / max(values[0], size)
+    above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
+    first = 0 if size else 1
+    allowed = [
+        r
+        for r in range(first, len(above))
+        if above[r] > NOTHING and (r == len(s) or s[r] < SOMETHING)
+    ]
+    gaps = [above[r] / max(s[r], FLOOR) if r < len(s) else above[r] / FLOOR for r in allowed]
+    best = int(np.argmax(gaps))
+    return allowed[best], float(gaps[best])
+
+
+def rank_at(system: System, q: Array) -> Rank:
+    """The rank of the loop equations at a closed configuration `q` (nq,)."""
+    s = structure(system)
+    at = screws(system, q)
+    units = np.where(s.slides, at.length, 1.0)
+    written = written_rows(system, q)
+    return Rank(q, tuple(_cluster(system, s, at, c, units, written) for c in s.clusters), at, units)
+
+
+def _cluster(
+    system: System,
+    s: ConstraintGraph,
+    at: Screws,
+    c: Cluster,
+    units: Array,
+    written: Mapping[str, Array],
+) -> ClusterRank:
+    J, size = _jacobian(system, s, at, c, units, written)
+    if not J.size:
+        n = J.shape[1]
+        return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
+    U, values, Vt = svd(J)
+    r, gap = decide(values, size)
+    size = max(values[0], size, 1e-300)
+    return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)
+
+
+def _jacobian(
+    system: System,
+    s: ConstraintGraph,
+    at: Screws,
+    c: Cluster,
+    units: Array,
+    written: Mapping[str, Array],
+) -> tuple[Array, float]:
+    """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a
+    velocity.
+    """
+    n = len(c.velocities)
+    around = np.zeros((len(c.loops), 6, n))
+    if c.loops and len(c.local):
+        twists = np.concatenate([at.twists[i] for i in c.edges], axis=1)[:, c.moving]
+        own = np.where(c.sliding, at.length, 1.0)
+        twists = twists * (c.factor * units[c.velocities[c.local]] / own)
+        each = c.cells[:, None, c.owner] * twists
+        if c.shared:
+            for k, local in enumerate(c.local):
+                around[:, :, local] += each[:, :, k]
+        else:
+            around[:, :, c.local] = each
+    near = at.moved([s.loops[k].edge for k in c.loops]) @ around
+    size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
+    closing = [s.edges[s.loops[k].edge] for k in c.loops]
+    blocks: list[Array] = []
+    for k, edge, twists, there in zip(c.loops, closing, around, near, strict=True):
+        if edge.joint and not edge.particle:
+            blocks.append(there if system.dim == 3 else there[_PLANE])
+        else:
+            blocks.append(rows_of_loop(system, s, at, k) @ twists)
+    blocks += [_law(system, s.laws[k], written, c.velocities, units) for k in c.laws]
+    return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
+
+
+def _law(
+    system: System, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array
+) -> Array:
+    """The rows (rows, velocities of the cluster) of a law."""
+    if isinstance(law.of, Declared):
+        return written[law.name][:, columns]
+    row = np.zeros((1, system.nv))
+    for name, m in ((law.of.of, -1.0), *law.of.sources.items()):
+        v = system.structure.velocity_names.index(name)
+        row[0, v] += m * units[v]
+    return row[:, columns] / np.abs(row).max()
+
+
+def written_rows(system: System, q: Array) -> dict[str, Array]:
+    """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they
+    are around q.
+
+    So their size does not depend on units, and where they vanish they are small.
+    """
+    laws = [law for law in structure(system).laws if isinstance(law.of, Declared)]
+    if not laws:
+        return {}
+    rng = np.random.default_rng(0)  # the same around each q
+    scale = closure_rows.full(system, True).scale
+    steps = np.concatenate(
+        [np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale]
+    )
+    there = system.structure.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
+    J = closure_rows.evaluate(system, there, True, True)[1]
+    out: dict[str, Array] = {}
+    for law in laws:
+        size = np.linalg.norm(J[:, law.places], axis=2)
+        largest = np.max(np.where(np.isfinite(size), size, 0.0), axis=0)
+        out[law.name] = J[0, law.places] / np.where(largest > 0.0, largest, 1.0)[:, None]
+    return out
+
+
+_PLANE = [0, 1, 5]
+
+
+def rows_of_loop(system: System, s: ConstraintGraph, at: Screws, loop: int) -> Array:
+    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose
+    gives wrenches.
+
+    They read the twist where the loop is closed, so that loops far away in a large mechanism are
+    seen as others are.
+    """
+    i = s.loops[loop].edge
+    edge = s.edges[i]
+    if isinstance(edge.of, Declared):
+        return at.wrench_rows(i, edge.of, system.dim)
+    if edge.particle:
+        return at.point_rows(i, system.dim)
+    whole = at.moved([i])[0]
+    return whole if system.dim == 3 else whole[_PLANE]

@@ -1,0 +1,410 @@
+"""Which constraints are redundant: the self-stresses in each joint's own axes, and a smallest set
+of releases.
+
+A self-stress is a set of joint reactions in balance without any load. Each redundant constraint is
+one; a joint direction that carries no self-stress is needed. Releasing a direction lets the joint
+move in it; releases are chosen so that no self-stress is left, and none of them gives the mechanism
+a new freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from itertools import permutations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.constraints.base import COUNTS, Op, position_rows
+from kempe.description.parts import Declared, Joint
+from kempe.first_order.constraint_graph import Edge, structure
+from kempe.first_order.rank import ClusterRank, Rank, rows_of_loop
+from kempe.first_order.screws import Screws
+from kempe.model.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
+from kempe.model.structural_order import natural
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.words import InWords, counted, in_words
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+CARRIES = 1e-6
+"""Part of a unit self-stress below which a joint direction carries nothing."""
+WELL = 0.05
+"""Part of a release, measured across those taken before it, from which on it is taken at once: so
+no two are nearly the same."""
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+REACTIONS = {"x": "Fx", "y": "Fy", "z": "Fz", "rx": "Mx", "ry": "My", "rz": "Mz"}
+"""What a joint that does not move in a direction can carry: a force along it, or a moment about
+it."""
+
+_ORDER = ("rx", "ry", "rz", "z", "x", "y")
+"""Directions in the order in which they are released: turns cost least, then the slide along the
+joint's axis."""
+
+_TURNS = {"xyz": "", "z": "", "xy": "z", "x.y": "xy", "": "xyz"}
+"""About which axes a joint turns, by the turns that it holds."""
+
+PAIRS = {
+    "rz": "a revolute joint",
+    "z": "a prismatic joint",
+    "z rz": "a cylindrical joint",
+    "rx rz": "a universal joint",
+    "rx ry rz": "a spherical joint",
+    "z rx ry rz": "a point-on-axis pair (a ball in a tube)",
+    "x z": "a cross slide",
+    "x y rz": "a planar joint",
+    "x y z": "three slides",
+    "x y rx rz": "a line-on-plane pair (a roller on a plate)",
+    "x y rx ry rz": "a point-on-plane pair (a ball on a plate)",
+    "z rx rz": "a universal joint that slides",
+    "x rz": "a pin in a slot",
+    "x z rz": "a cylinder in a slot",
+    "x y z rz": "a planar joint that also lifts",
+}
+"""Names of pairs by the directions in which they move, up to the names of the axes."""
+
+
+@dataclass(frozen=True)
+class Release(InWords):
+    """Directions that one joint (or constraint) need not hold, as reactions such as 'Mx', and what
+    could replace it.
+
+    `pair` names the joint that is left, such as 'a point-on-axis pair'.
+    """
+
+    joint: str
+    reactions: tuple[str, ...]
+    pair: str
+
+    def __str__(self) -> str:
+        if not self.pair:
+            return f"{self.joint}: leave it out"
+        return (
+            f"{self.joint}: {count_words(self.reactions)} ({', '.join(self.reactions)}): use "
+            f"{self.pair}"
+        )
+
+
+@dataclass(frozen=True)
+class Redundancy(InWords):
+    """Redundant constraints to first order: how many, what carries self-stress, and releases that
+    remove them all.
+
+    `stressed` gives for each joint the reactions that carry self-stress, in the joint's own axes
+    (forces F and moments M in axes of frame F, at the origin of M; of a universal joint in those of
+    its cross).
+    """
+
+    number: int
+    stressed: tuple[tuple[str, tuple[str, ...]], ...]
+    releases: tuple[Release, ...]
+
+    def __str__(self) -> str:
+        if not self.number:
+            return "no constraint is redundant"
+        lines = [f"{counted(self.number, 'redundant constraint')}; released by"]
+        return "\n".join(lines + [f"  {r}" for r in self.releases])
+
+
+@dataclass(frozen=True, eq=False)
+class _JointReaction:
+    """One constraint direction: its joint, its name, and the reaction in it of each self-stress of
+    the cluster.
+    """
+
+    owner: str
+    label: str
+    passive: bool
+    edge: Edge | None
+    stress: Array
+    free: frozenset[str] = frozenset()
+    """Directions in which the owner moves, where it is a joint."""
+
+    @property
+    def rank(self) -> tuple[int, Any]:
+        """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by
+        name.
+        """
+        kind = (
+            3
+            if self.edge is None
+            else 0
+            if isinstance(self.edge.of, Declared)
+            else 1
+            if self.passive
+            else 2
+        )
+        return kind, natural(self.owner)
+
+
+def redundancy(system: System, rank: Rank) -> Redundancy:
+    """The redundant constraints of a system at a closed configuration, whose `rank` is known."""
+    stressed: dict[str, list[str]] = {}
+    releases: list[Release] = []
+    for c in rank.clusters:
+        if not c.dependent:
+            continue
+        rows = [r for r in _rows(system, rank, c) if np.abs(r.stress).max() > CARRIES]
+        for r in rows:
+            stressed.setdefault(r.owner, []).append(r.label)
+        releases += [_release(chosen, system.dim) for chosen in _choose(rows, c.dependent)]
+    order = {e.name: i for i, e in enumerate(structure(system).edges)}
+    named = sorted(stressed.items(), key=lambda kv: (order.get(kv[0], len(order)), kv[0]))
+    releases.sort(key=lambda r: (order.get(r.joint, len(order)), r.joint))
+    return Redundancy(rank.dependent, tuple((k, tuple(v)) for k, v in named), tuple(releases))
+
+
+# ---- self-stress in each joint's axes
+
+
+def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
+    """One record for each constraint direction of a cluster of loops, with the reaction of each
+    self-stress in it.
+
+    `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same
+    configuration.
+    """
+    s = structure(system)
+    at = rank.screws
+    wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
+    n = 0
+    rows: list[_JointReaction] = []
+    for k, loop in enumerate(c.cluster.loops):
+        R = rows_of_loop(system, s, at, loop)
+        own = c.stresses[n : n + len(R)]
+        n += len(R)
+        wrenches[k] = R.T @ own
+        edge = s.edges[s.loops[loop].edge]
+        if isinstance(edge.of, Declared):
+            labels = _reactions(edge.of, system.dim)
+            rows += [
+                _JointReaction(edge.name, label, True, edge, x)
+                for label, x in zip(labels, own, strict=True)
+            ]
+    inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
+    for i, wrench in zip(c.cluster.edges, inside, strict=True):
+        edge = s.edges[i]
+        if isinstance(edge.of, Declared):
+            continue
+        names, twists = directions(at, i, edge, system.dim)
+        free = _free(edge, system.dim)
+        free = _not_held(names, twists, at.twists[i]) if free is None else free
+        for name, twist in zip(names, twists, strict=True):
+            if name not in free:
+                rows.append(
+                    _JointReaction(
+                        edge.name, REACTIONS[name], not edge.actuated, edge, twist @ wrench, free
+                    )
+                )
+        for column, twist in zip(edge.columns, at.twists[i].T, strict=True):
+            if column.index < 0 or column.name != system.structure.velocity_names[column.index]:
+                what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
+                rows.append(_JointReaction(what, "", False, None, twist @ wrench))
+    for law in (s.laws[k] for k in c.cluster.laws):
+        labels = law.names if law.rows > 1 else ("",)
+        own = c.stresses[n : n + law.rows]
+        rows += [
+            _JointReaction(law.title, label, False, None, x)
+            for label, x in zip(labels, own, strict=True)
+        ]
+        n += law.rows
+    return rows
+
+
+def _reactions(of: Declared, dim: int) -> tuple[str, ...]:
+    """Names of what the rows of a declared constraint can carry, in the order of its screws."""
+    out: list[str] = []
+    for row in position_rows(of.of, dim):
+        if row.op in COUNTS:
+            count = COUNTS[row.op][dim]
+            out += ["Mx", "My", "Mz"][-count:] if row.op is Op.ROTATION else ["Mx", "My"][:count]
+        elif row.op not in (Op.TAPE, Op.CALL):
+            out.append(REACTIONS["xyz"[row.args[0]]] if row.op is Op.POINT else "F")
+    return tuple(out) if len(out) > 1 else (out[0][0],)
+
+
+def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...], Array]:
+    """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the
+    origin of its M.
+    """
+    form = _form(edge, dim)
+    R = at.cross[i] if form is not None and form.turns == "x.y" else at.F[i, :3, :3]
+    names = DIRECTIONS if dim == 3 else ("x", "y", "rz")
+    if _slider(edge, dim):  # its z lies in the plane: y is across it, x is the plane's normal
+        names = ("z", "y", "rx")
+        R = np.stack([[0.0, 0.0, 1.0], np.cross([0.0, 0.0, 1.0], R[:, 2]), R[:, 2]], axis=1)
+    if edge.particle:
+        names = tuple(n for n in names if not n.startswith("r"))
+    r = (at.M[i, :3, 3] - at.center) / at.length
+    both = np.zeros((6, 6))
+    both[:3, :3] = R.T
+    both[3:, :3], both[3:, 3:] = (spatial.skew(r) @ R).T, R.T
+    return names, both[[DIRECTIONS.index(n) for n in names]]
+
+
+def _form(edge: Edge, dim: int) -> ImplicitForm | None:
+    assert isinstance(edge.of, Joint)
+    return implicit_form(edge.of.type, dim, edge.particle)
+
+
+def _slider(edge: Edge, dim: int) -> bool:
+    """Whether an edge of the plane slides along z of its frame F."""
+    assert isinstance(edge.of, Joint)
+    return slides_along_z(edge.of.type, dim, edge.particle)
+
+
+def _free(edge: Edge, dim: int) -> frozenset[str] | None:
+    """Directions in which a joint moves, in axes of F, or of its cross; None where they are not
+    always the same.
+    """
+    assert isinstance(edge.of, Joint)
+    form = _form(edge, dim)
+    if form is None:
+        return frozenset({"rz"}) if dim == 3 and screw(edge.of.type) is not None else None
+    slides = {how for _, how in form.readings if how in DIRECTIONS}
+    if _slider(edge, dim):
+        return frozenset({"z"})
+    turns = "" if edge.particle else "z" if dim == 2 and not form.turns else _TURNS[form.turns]
+    return frozenset(slides | {f"r{a}" for a in turns})
+
+
+def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
+    """Directions (by their `twists`) that need not be held besides others for a joint that only
+    `moves` (6, n).
+    """
+    U, size, _ = svd(moves, full_matrices=False)
+    basis = U[:, size > CARRIES * size.max(initial=0.0)]
+    held: set[str] = set()
+    for part in (WELL, CARRIES):
+        for name, twist in zip(names, twists, strict=True):
+            rest = twist - basis @ (basis.T @ twist)
+            far = float(np.linalg.norm(rest))
+            if name not in held and far > part * float(np.linalg.norm(twist)):
+                basis = np.column_stack([basis, rest / far])
+                held.add(name)
+    return frozenset(names) - held
+
+
+# ---- releases
+
+
+def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:
+    """Constraint directions, grouped by joint, whose removal leaves no self-stress.
+
+    Joints that remove most come first, so that they are few.
+    """
+    owners: dict[str, list[_JointReaction]] = {}
+    for r in rows:
+        owners.setdefault(r.owner, []).append(r)
+    for own in owners.values():
+        own.sort(key=lambda r: _ORDER.index(_direction(r)) if _direction(r) in _ORDER else -1)
+    left = np.eye(count)
+    chosen: list[list[_JointReaction]] = []
+    while left.shape[1]:
+        found = None
+        for part in (WELL, CARRIES):
+            options = [(own, _independent(own, left, part)) for own in owners.values()]
+            options = [(own, picked) for own, picked in options if picked]
+            if options:
+                found = min(options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].rank))[
+                    1
+                ]
+                break
+        if found is None:
+            break
+        chosen.append(found)
+        held = np.stack([r.stress for r in found]) @ left
+        left = left @ svd(held)[2][len(found) :].T
+    return chosen
+
+
+def _independent(rows: Sequence[_JointReaction], left: Array, part: float) -> list[_JointReaction]:
+    """Rows that are independent on the self-stresses that are `left`, in the given order, each by
+    `part` at least.
+    """
+    basis: list[Array] = []
+    out: list[_JointReaction] = []
+    for r in rows:
+        if len(basis) == left.shape[1]:
+            break
+        x = r.stress @ left
+        for b in basis:
+            x = x - (x @ b) * b
+        size = np.linalg.norm(x)
+        if size > part:
+            basis.append(x / size)
+            out.append(r)
+    return out
+
+
+_DIRECTION_OF = {reaction: direction for direction, reaction in REACTIONS.items()}
+
+
+def _direction(row: _JointReaction) -> str:
+    return _DIRECTION_OF.get(row.label, "")
+
+
+def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
+    """The release of some constraint directions of one joint or constraint."""
+    edge = rows[0].edge
+    labels = tuple(r.label for r in rows if r.label)
+    if edge is None:
+        return Release(rows[0].owner, (), "")
+    if isinstance(edge.of, Declared):
+        held = _reactions(edge.of, dim)
+        every: set[str] = set(DIRECTIONS if dim == 3 else ("x", "y", "rz"))
+        free = every - {_DIRECTION_OF.get(name, "") for name in held if name not in labels}
+        return Release(rows[0].owner, labels, "" if len(rows) == len(held) else pair_name(free))
+    more = {_direction(r) for r in rows}
+    free = (rows[0].free & _existing(edge, dim)) | more
+    if free == _existing(edge, dim):
+        return Release(rows[0].owner, labels, "")
+    if _free(edge, dim) is None:
+        return Release(
+            rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}"
+        )
+    return Release(rows[0].owner, labels, pair_name(set(free)))
+
+
+def _existing(edge: Edge, dim: int) -> AbstractSet[str]:
+    """Directions in which the child of a joint could move at all."""
+    if dim == 3:
+        return set(DIRECTIONS[:3] if edge.particle else DIRECTIONS)
+    if _slider(edge, dim):
+        return {"z", "y"} if edge.particle else {"z", "y", "rx"}
+    return {"x", "y"} if edge.particle else {"x", "y", "rz"}
+
+
+def pair_name(free: set[str]) -> str:
+    """Name of the pair that moves in these directions ('x', ..., 'rz'), whatever its axes are
+    called.
+    """
+    for axes in permutations("xyz"):
+        renamed = dict(zip("xyz", axes, strict=True))
+        turned = {d[:-1] + renamed[d[-1]] for d in free}
+        found = PAIRS.get(" ".join(d for d in DIRECTIONS if d in turned))
+        if found:
+            return found
+    return f"a joint that {motions(free)}"
+
+
+def motions(free: set[str]) -> str:
+    """'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
+    slides, turns = (
+        ", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2)
+    )
+    parts = [f"slides along {slides}" * bool(slides), f"turns about {turns}" * bool(turns)]
+    return " and ".join(p for p in parts if p)
+
+
+def count_words(reactions: Sequence[str]) -> str:
+    """'two moments and one force' for ('Mx', 'My', 'Fz')."""
+    moments = sum(r.startswith("M") for r in reactions)
+    parts = [(moments, "moment"), (len(reactions) - moments, "force")]
+    return " and ".join(in_words(n, what) for n, what in parts if n)

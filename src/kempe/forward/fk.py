@@ -1,0 +1,548 @@
+"""The forward geometric model: where bodies and frames are (poses) and how they move (Jacobians)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import wraps
+from types import MethodType
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.arguments import explained, known, quiet
+from kempe.errors import InputError, UnknownNameError, shown
+from kempe.kernels.compiled import bound, chain, maker, table_sweep
+from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse
+from kempe.model.configurations import as_q
+from kempe.model.gauge import regauge
+from kempe.model.model import kept
+from kempe.numerics.pool import over_chunks
+from kempe.spatial import Array, matrix_to_quat_wxyz
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike, Model
+
+# ---- forms
+
+# Forms in which the forward model is written: whole poses, their upper three rows, positions, with
+# quaternions.
+
+
+FEW = 2048
+"""Configurations whose poses, or numbers of another type, are held at once: a block that stays in
+the cache."""
+FORM_CHUNK = 16384
+FORM_SERIAL_BELOW = 20_000
+
+
+class Form(NamedTuple):
+    """What of a pose is written: an array of this `shape`, as `of` makes it from poses (..., 4, 4)."""
+
+    shape: tuple[int, ...]
+    of: Callable[[Array], Array]
+
+
+def _pose(X: Array) -> Array:
+    return X
+
+
+def _upper_rows(X: Array) -> Array:
+    return X[..., :3, :]
+
+
+def _position(X: Array) -> Array:
+    return X[..., :3, 3]
+
+
+def _position_quat_wxyz(X: Array) -> Array:
+    return np.concatenate([X[..., :3, 3], matrix_to_quat_wxyz(X[..., :3, :3])], axis=-1)
+
+
+FORMS = {
+    "matrix": Form((4, 4), _pose),
+    "3x4": Form((3, 4), _upper_rows),
+    "position": Form((3,), _position),
+    "position_quat_wxyz": Form((7,), _position_quat_wxyz),
+}
+"""The forms by their names."""
+TYPES = ("float64", "float32")
+
+
+@kept
+def chain_table(system: Model, frame: str) -> tuple[np.ndarray, Array]:
+    """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest
+    form.
+    """
+    return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
+
+
+@quiet
+def in_form(
+    system: Model,
+    q: Any,
+    frame: Any,
+    out: Array | None,
+    threads: int | None,
+    form: str | None,
+    dtype: Any,
+    relative_to: Any = None,
+) -> Array:
+    """Poses of a frame in a chosen form and number type; arguments and errors as in `fk.fk`."""
+
+    wanted = FORMS[known("form", "matrix" if form is None else form, FORMS)]
+    try:
+        kind = np.dtype(dtype)  # of None float64
+    except (TypeError, ValueError, SyntaxError):
+        kind = np.dtype(object)
+    if kind.name not in TYPES:
+        raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
+    q = as_q(system, q)
+    one: Any = frame
+    several = frame is None or isinstance(frame, (list, tuple))
+    base = None if relative_to is None else system.structure.frame_name(relative_to)
+
+    def poses(at: Array) -> Array:
+        X = fk(system, at, one, threads=1)
+        if base is None:
+            return X
+        back = spatial.inverse(fk(system, at, base, threads=1))
+        return (back[..., None, :, :] if several else back) @ X
+
+    lead = q.shape[:-1] + ((len(system.body_names if frame is None else one),) if several else ())
+    out = _taken(out, (*lead, *wanted.shape), kind)
+    if q.ndim == 1:
+        out[...] = wanted.of(poses(q))
+        return out
+    flat = q.reshape(math.prod(q.shape[:-1]), system.nq)
+    rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
+    if np.may_share_memory(q, out):
+        flat = flat.copy()
+    table = (
+        None
+        if several or base is not None
+        else chain_table(system, system.structure.frame_name(one))
+    )
+    width = math.prod(wanted.shape)
+
+    def some(start: int, stop: int) -> int:
+        if table is None:
+            rows[start:stop] = wanted.of(poses(flat[start:stop]))
+            return 0
+        made = rows[start:stop] if kind == np.float64 else np.empty((stop - start, *wanted.shape))
+        bad = chain.chain_poses(*table, flat[start:stop], made.reshape(stop - start, width))
+        if kind != np.float64:
+            rows[start:stop] = made
+        return bad
+
+    def work(start: int, stop: int) -> int:
+        if table is not None and kind == np.float64:
+            return some(start, stop)
+        return sum(some(i, min(i + FEW, stop)) for i in range(start, stop, FEW))
+
+    over_chunks(work, len(flat), FORM_CHUNK, threads, FORM_SERIAL_BELOW)
+    return out
+
+
+def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
+    """The array `out`, checked, or a new array where `out` is None."""
+    if out is None:
+        return np.empty(shape, dtype=kind)
+    if (
+        isinstance(out, np.ndarray)
+        and out.shape == shape
+        and out.dtype == kind
+        and out.flags.carray
+    ):
+        return out
+    given = (
+        f"{out.dtype} array of shape {out.shape}"
+        if isinstance(out, np.ndarray)
+        else type(out).__name__
+    )
+    raise InputError(
+        f"out is a {given}; it must be a writable, C-contiguous {kind} array of shape {shape}"
+    )
+
+
+Verb = TypeVar("Verb", bound=Callable[..., Any])
+
+SERIAL_BELOW = 20_000
+"""Configurations below which a batch stays on one thread: starting others would cost more than it
+saves."""
+ARRAY = np.ndarray
+"""Looked up once: single calls take half a microsecond."""
+CHUNK = 16384
+"""Configurations in one piece of work of a thread."""
+IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
+"""Frames in which a Jacobian can be expressed, with the number that the kernels use."""
+
+
+class Query(Protocol):
+    """Forward kinematics of one frame of one system, with names looked up and arrays packed only
+    once.
+    """
+
+    frame: str
+    system: Model
+
+    def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
+        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq), or what the `form` of
+        the query says.
+
+        `out`, where given, is a C-contiguous array of this shape and type; it is filled and
+        returned.
+        """
+        ...
+
+    def jacobian(
+        self,
+        q: ArrayLike,
+        in_frame: str = "world_aligned",
+        out: Array | None = None,
+        threads: int | None = None,
+    ) -> Array:
+        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this
+        module.
+        """
+        ...
+
+    def pose_and_jacobian(
+        self, q: ArrayLike, in_frame: str = "world_aligned", threads: int | None = None
+    ) -> tuple[Array, Array]:
+        """Pose (..., 4, 4) and Jacobian (..., 6, nv) in one pass."""
+        ...
+
+
+@explained
+def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
+    """A function that computes the forward kinematics of one frame, in a form and number type as of
+    `fk`.
+
+    Errors: `UnknownNameError` for names, `InputError` for types.
+    """
+    if form is not None or dtype is not None:
+        in_form(system, system.neutral, frame, None, 1, form, dtype)
+    chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
+    bound_to: Any = MethodType(
+        _model(chain_of), chain_of
+    )  # a method, for it is pickled as an attribute of its object
+    return bound_to
+
+
+def _model(chain_of: _ChainQuery) -> Any:
+    """The forward model of a chain, as a function of an object that is not read, q, out and
+    threads.
+
+    A closure over the packed arrays, not an object: for one configuration the way into a method and
+    back would cost as much as the forward model itself. The kernels check shapes; whatever they
+    refuse goes the general way.
+    """
+    new_pose = maker(4, 4)
+    new_columns = maker(6, chain_of.system.nv)
+    tables = chain_of.tables
+    usual = "world_aligned"
+    table = tables[usual]
+    table_in = tables.get
+    pose_kernel = bound.pose
+    jacobian_kernel = bound.jacobian
+    both_kernel = bound.pose_jacobian
+
+    def pose(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
+        try:
+            if q.ndim == 1:
+                X = new_pose() if out is None else out
+                if not pose_kernel(table, q, X):
+                    return X
+        except (TypeError, AttributeError):
+            pass  # not float64, not contiguous, not a plain array
+        return chain_of.pose(q, out, threads)
+
+    def jacobian(
+        q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None
+    ) -> Array:
+        try:
+            if q.ndim == 1:
+                J = new_columns() if out is None else out
+                if not jacobian_kernel(table if in_frame is usual else table_in(in_frame), q, J):
+                    return J
+        except (TypeError, AttributeError):
+            pass
+        return chain_of.jacobian(q, in_frame, out, threads)[1]
+
+    def pose_and_jacobian(
+        q: Any, in_frame: str = "world_aligned", threads: int | None = None
+    ) -> tuple[Array, Array]:
+        try:
+            if q.ndim == 1:
+                X = new_pose()
+                J = new_columns()
+                if not both_kernel(table if in_frame is usual else table_in(in_frame), q, X, J):
+                    return X, J
+        except (TypeError, AttributeError):
+            pass
+        return chain_of.jacobian(q, in_frame, None, threads)
+
+    def formed(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
+        return in_form(chain_of.system, q, chain_of.name, out, threads, *chain_of.form)
+
+    function: Any = pose if all(part is None for part in chain_of.form) else formed
+    function.jacobian = jacobian
+    function.pose_and_jacobian = pose_and_jacobian
+    function.system = chain_of.system
+    function.frame = chain_of.name
+    function.__name__ = "query"
+    function.__qualname__ = f"query({chain_of.system.name!r}, {chain_of.name!r})"
+    function.__doc__ = Query.__call__.__doc__
+    return function
+
+
+class _ChainQuery:
+    """The packed chain of one frame, and the general ways through it: conversions, batches,
+    threads, errors.
+    """
+
+    def __init__(self, system: Model, name: str, form: str | None = None, dtype: Any = None):
+        self.system = system
+        self.name = name
+        self.form = (form, dtype)
+        self.ints, self.floats = system.structure.table.pack(
+            [name], system.structure.table.path(name)
+        )
+        self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
+        self.regauged = chain_table(system, name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _ChainQuery, (self.system, self.name, *self.form)
+
+    def __repr__(self) -> str:
+        return repr(self.system)
+
+    @property
+    def query(self) -> Query:
+        """The bound forward model of the frame."""
+        return query(self.system, self.name, *self.form)
+
+    def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
+        q = as_q(self.system, q)
+        out, q = _out(out, (*q.shape[:-1], 4, 4)), _apart(q, out)
+        if q.ndim == 1:
+            if bound.pose(self.tables["world_aligned"], q, out):
+                refuse_bad(self.system, q)
+            return out
+        flat_q = _rows(q, 1)
+        flat_out = _rows(out, 2).reshape(-1, 16)
+        ints, floats = self.regauged
+
+        def work(start: int, stop: int) -> int:
+            return chain.chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+
+        over_chunks(work, len(flat_q), CHUNK, threads, SERIAL_BELOW)
+        return out
+
+    def jacobian(
+        self, q: Any, in_frame: str, out: Array | None, threads: int | None
+    ) -> tuple[Array, Array]:
+        kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
+        if kind is None:
+            raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
+        q = as_q(self.system, q)
+        nv = self.system.nv
+        pose = np.empty((*q.shape[:-1], 4, 4))
+        columns = _out(out, (*q.shape[:-1], 6, nv))
+        q = _apart(q, out)
+        if q.ndim == 1:
+            if bound.pose_jacobian(self.tables[in_frame], q, pose, columns):
+                refuse_bad(self.system, q)
+            return pose, columns
+        flat = _rows(q, 1), _rows(pose, 2), _rows(columns, 2)
+
+        def work(start: int, stop: int) -> int:
+            a, b, c = (x[start:stop] for x in flat)
+            return table_sweep.jacobian(self.ints, self.floats, a, kind, b, c)
+
+        over_chunks(work, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
+        return pose, columns
+
+
+def _query(system: Model, frame: FrameLike) -> Any:
+    """The forward model of a frame, made once."""
+    try:
+        found = system._queries.get(frame)
+    except TypeError:  # nothing that could be a key is a name
+        found = None
+    if found is None:
+        found = system._queries[frame] = _model(
+            _ChainQuery(system, system.structure.frame_name(frame))
+        )
+    return found
+
+
+@kept
+def _packed(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
+    return system.structure.table.pack(system.body_names if frames is None else frames)
+
+
+def _poses_at_once(function: Verb) -> Verb:
+    """The function `fk`, explained; plain calls go to the query of the frame that is known already.
+
+    What explains errors would cost such a call a third of its time.
+    """
+    general = explained(function, fast=True)
+
+    @wraps(function)
+    def call(system: Model, q: Any, frame: Any = None, *args: Any, **options: Any) -> Any:
+        if frame.__class__ is str and q.__class__ is ARRAY and not args and not options:
+            model = system._queries.get(frame)
+            if model is not None:
+                return model(None, q)
+        return general(system, q, frame, *args, **options)
+
+    return call  # type: ignore[return-value]
+
+
+def _columns_at_once(function: Verb) -> Verb:
+    """The function `jacobian` in the same way."""
+    general = explained(function, fast=True)
+
+    @wraps(function)
+    def call(
+        system: Model,
+        q: Any,
+        frame: Any,
+        in_frame: Any = "world_aligned",
+        *args: Any,
+        **options: Any,
+    ) -> Any:
+        if frame.__class__ is str and q.__class__ is ARRAY and not args and not options:
+            model = system._queries.get(frame)
+            if model is not None:
+                return model.jacobian(q, in_frame)
+        return general(system, q, frame, in_frame, *args, **options)
+
+    return call  # type: ignore[return-value]
+
+
+@_poses_at_once
+def fk(
+    system: Model,
+    q: Any,
+    frame: FrameLike | list[Any] | tuple[Any, ...] | None = None,
+    out: Array | None = None,
+    threads: int | None = None,
+    form: str | None = None,
+    dtype: Any = None,
+    relative_to: FrameLike | None = None,
+) -> Array:
+    """Poses in the ground frame, or in the frame `relative_to` (the forward geometric model).
+
+    `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a
+    body or frame: then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their
+    order; None gives all bodies by number, (..., n_bodies + 1, 4, 4), the ground included. `out`,
+    where given, must be a C-contiguous float64 array of that shape. Large batches run in `threads`
+    threads (default: as many as there are processors).
+
+    `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three
+    numbers, "position_quat_wxyz" seven, "matrix" (the same as None) all. `dtype` float32 halves
+    what is written, and what `out` must be; it is computed in float64. "position" of one frame is
+    less work than a pose, the others are less to write.
+
+    A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch
+    the first three rows of such a pose are NaN and all others are right. Errors: `UnknownNameError`
+    for names, `InputError` for shapes.
+    """
+    if form is not None or dtype is not None or relative_to is not None:
+        return in_form(system, q, frame, out, threads, form, dtype, relative_to)
+    if frame is not None and not isinstance(frame, (list, tuple)):
+        return _query(system, frame)(None, q, out, threads)
+    key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)
+    ints, floats = _packed(system, key)
+    q = as_q(system, q)
+    k = len(system.body_names) if key is None else len(key)
+    out, q = _out(out, (*q.shape[:-1], k, 4, 4)), _apart(q, out)
+    if q.ndim == 1:
+        if table_sweep.poses1(ints, floats, q, out):
+            refuse_bad(system, q)
+        return out
+    flat_q = _rows(q, 1)
+    flat_out = _rows(out, 3)
+
+    def work(start: int, stop: int) -> int:
+        return table_sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+
+    over_chunks(
+        work,
+        len(flat_q),
+        max(1, min(CHUNK, 4 * CHUNK // max(k, 1))),
+        threads,
+        max(1, SERIAL_BELOW // max(k, 1)),
+    )
+    return out
+
+
+@_columns_at_once
+def jacobian(
+    system: Model,
+    q: Any,
+    frame: FrameLike,
+    in_frame: str = "world_aligned",
+    threads: int | None = None,
+) -> Array:
+    """Jacobian (..., 6, nv) of a frame: twist [v; w] of the frame = J times the velocity
+    coordinates.
+
+    `in_frame` says where the twist is read: "world_aligned" (velocity of the frame's origin, axes
+    of the ground), "world" (velocity of the point that is at the ground's origin, axes of the
+    ground) or "body" (velocity of the frame's origin, axes of the frame). Velocity coordinates are
+    time derivatives of `q`, and for a quaternion the angular velocity in the turned axes. Source:
+    Featherstone, 2008, section 2.8. Errors: as `fk`.
+    """
+    return _query(system, frame).jacobian(q, in_frame, threads=threads)
+
+
+def refuse_bad(system: Model, q: Array) -> None:
+    """Raise an `InputError` that names what is wrong in one configuration."""
+    for name, x in zip(system.coordinate_names, q.tolist(), strict=True):
+        if not np.isfinite(x):
+            raise InputError(f"q[{name!r}] is {x}; it must be a finite number")
+    for i in system.structure.layout.quaternion_q:
+        if not np.any(q[i : i + 4]):
+            raise InputError(
+                f"the quaternion at q[{system.coordinate_names[i]!r}] is zero; (1, 0, 0, 0) is no "
+                "rotation"
+            )
+    raise InputError("q leads to poses that are not finite: a coordinate is too large")
+
+
+def _rows(x: Array, core: int) -> Array:
+    """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is
+    empty.
+    """
+    return x.reshape(math.prod(x.shape[:-core]), *x.shape[-core:])
+
+
+def _apart(q: Array, out: Array | None) -> Array:
+    """`q`, copied where writing to `out` would change it before it is read."""
+    return q.copy() if out is not None and np.may_share_memory(q, out) else q
+
+
+def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
+    """The array `out`, checked, or a new array where `out` is None."""
+    if out is None:
+        return np.empty(shape)
+    if not (
+        isinstance(out, np.ndarray)
+        and out.shape == shape
+        and out.dtype == np.float64
+        and out.flags.carray
+    ):
+        given = (
+            f"{out.dtype} array of shape {out.shape}"
+            if isinstance(out, np.ndarray)
+            else type(out).__name__
+        )
+        needed = f"writable, C-contiguous float64 array of shape {shape}, aligned in memory"
+        raise InputError(f"out is a {given}; it must be a {needed}")
+    return out

@@ -1,0 +1,325 @@
+"""The closing of three joints in the plane in steps: two circles, a line and a circle, two lines.
+
+An arm that reaches a point or a pose, and a dyad between two links, are the same triangle (Assur,
+1914).
+"""
+
+from __future__ import annotations
+
+import itertools
+import keyword
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.errors import InputError
+from kempe.forward.symbolic import aligned, in_latex, sympy
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+# ---- derivation
+
+# Formulas one after another, as a derivation on paper: evaluated, in LaTeX, and as a function for
+# numpy.
+
+
+class FormulaStep(NamedTuple):
+    """One line of a derivation: `symbol` = `formula`, what was done, and the condition under which
+    it holds.
+    """
+
+    symbol: Any
+    formula: Any
+    says: str
+    condition: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Derivation:
+    """Steps that lead from given symbols to coordinates; lengths are parameters of the system."""
+
+    system: Model
+    steps: tuple[FormulaStep, ...]
+    given: tuple[Any, ...]
+    """Symbols of what is given."""
+    signs: tuple[Any, ...]
+    """Symbols of the signs, -1 or +1, that choose among the solutions."""
+    coordinates: tuple[str, ...]
+    """Names of the coordinates that are found."""
+
+    def evaluate(self, given: Array, signs: Array) -> Array:
+        """The coordinates (..., k) for what is given (..., n) and signs (..., m); nan where a
+        condition fails.
+
+        Errors: `InputError` for lengths without a number.
+        """
+        known: dict[Any, Any] = {
+            sympy.Symbol(n): v for n, v in self.system.structure.parameters.items()
+        }
+        unknown = sorted(map(str, self._lengths() - set(known)))
+        if unknown:
+            raise InputError(
+                f"no numbers are known for {', '.join(unknown)}; they are no parameters of the "
+                "system"
+            )
+        known |= {s: given[..., i] for i, s in enumerate(self.given)}
+        known |= {s: signs[..., i] for i, s in enumerate(self.signs)}
+        lead = np.broadcast_shapes(given.shape[:-1], signs.shape[:-1])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for step, (symbols, function) in zip(self.steps, self._functions, strict=True):
+                known[step.symbol] = function(*(known[s] for s in symbols))
+        columns = [np.broadcast_to(known[sympy.Symbol(name)], lead) for name in self.coordinates]
+        out = np.stack(columns, axis=-1).astype(float)
+        out[np.isnan(out).any(axis=-1)] = np.nan
+        return out
+
+    @cached_property
+    def _functions(self) -> list[tuple[list[Any], Any]]:
+        """Of each step the symbols that its formula has, and the formula as a function of their
+        numbers.
+        """
+        each = [(sorted(step.formula.free_symbols, key=str), step.formula) for step in self.steps]
+        return [(symbols, sympy.lambdify(symbols, formula, "numpy")) for symbols, formula in each]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without `_functions`: sympy makes these in the process, and they belong to no module."""
+        return {name: value for name, value in vars(self).items() if name != "_functions"}
+
+    def latex(self) -> str:
+        """The formulas in LaTeX, one line each, with plus and minus in the place of signs; numbers
+        have six digits.
+        """
+        names = {
+            s: r"\pm" + (f"_{{{k}}}" if len(self.signs) > 1 else "")
+            for k, s in enumerate(self.signs, 1)
+        }
+        lines = (
+            f"{in_latex(step.symbol)} &= {in_latex(_readable(step.formula), names)}"
+            for step in self.steps
+        )
+        return aligned(line.replace(r"- \pm", r"\mp") for line in lines)
+
+    def code(self) -> str:
+        """A Python function of the formulas, which needs numpy alone; names that Python does not
+        allow are changed.
+        """
+        from sympy.printing.numpy import NumPyPrinter
+
+        given = [*self.given, *self.signs, *sorted(self._lengths(), key=str)]
+        words: dict[Any, Any] = {}
+        for symbol in [*given, *(step.symbol for step in self.steps)]:
+            words[symbol] = sympy.Symbol(
+                _variable(str(symbol), {str(word) for word in words.values()})
+            )
+        arguments = ", ".join(str(words[symbol]) for symbol in given)
+        printer: Any = NumPyPrinter()
+        printed = printer.doprint
+        lines = [
+            f"    {words[step.symbol]} = {printed(step.formula.xreplace(words))}"
+            for step in self.steps
+        ]
+        last = (
+            f"    return {', '.join(str(words[sympy.Symbol(name)]) for name in self.coordinates)}"
+        )
+        return (
+            "\n".join(["import numpy", "", "", f"def inverse({arguments}):", *lines, last]) + "\n"
+        )
+
+    def _lengths(self) -> set[Any]:
+        own = {step.symbol for step in self.steps} | {*self.given, *self.signs}
+        return {s for step in self.steps for s in step.formula.free_symbols} - own
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def __str__(self) -> str:
+        return "\n".join(
+            f"{step.symbol} = {_readable(step.formula)}"
+            + f": {step.says}" * bool(step.says)
+            + (f", if {step.condition}" if step.condition else "")
+            for step in self.steps
+        )
+
+
+def _readable(formula: Any) -> Any:
+    """A formula with six digits of each number, as it is printed."""
+    return formula.xreplace({x: sympy.Float(f"{float(x):.6g}") for x in formula.atoms(sympy.Float)})
+
+
+def _variable(name: str, taken: set[str]) -> str:
+    """The name as Python takes it, with underscores in front of keywords, digits, and names that
+    are taken.
+    """
+    word = re.sub(r"\W", "_", name)
+    while not word.isidentifier() or keyword.iskeyword(word) or word in {*taken, "numpy"}:
+        word = f"_{word}"
+    return word
+
+
+Vector = tuple[Any, Any]
+"""Two expressions, along x and y."""
+
+
+def turned(v: Vector, angle: Any) -> Vector:
+    """A vector, turned by an angle."""
+    c = sympy.cos(angle)
+    s = sympy.sin(angle)
+    return c * v[0] - s * v[1], s * v[0] + c * v[1]
+
+
+def plus(a: Vector, b: Vector) -> Vector:
+    """The sum of two vectors."""
+    return a[0] + b[0], a[1] + b[1]
+
+
+def minus(a: Vector, b: Vector) -> Vector:
+    """The difference of two vectors."""
+    return a[0] - b[0], a[1] - b[1]
+
+
+def cross(a: Vector, b: Vector) -> Any:
+    """What spans a parallelogram: a_x b_y - a_y b_x."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def polar(v: Vector) -> tuple[Any, Any]:
+    """Length and angle of a vector; of one along x, or with parameters along an axis, without a
+    root.
+    """
+    x, y = map(sympy.expand, v)
+    if y == 0:
+        sense = x.could_extract_minus_sign()
+        return (-x if sense else x), sympy.pi if sense else sympy.Integer(0)
+    if x == 0:
+        sense = y.could_extract_minus_sign()
+        return (-y if sense else y), (-1 if sense else 1) * sympy.pi / 2
+    return sympy.sqrt(x**2 + y**2), sympy.atan2(y, x)
+
+
+def unless_zero(*lengths: Any, named: Any = None) -> str:
+    """The condition that none of some expressions is zero, without those that are other numbers; of
+    one its name.
+    """
+    left = [x if named is None else named for x in lengths if not x.is_number or x.is_zero]
+    return " and ".join(f"{x} != 0" for x in left)
+
+
+def endings() -> Iterator[str]:
+    """What is put after the names of symbols, until a system has none of them: nothing, '_0', '_1',
+    ...
+    """
+    return itertools.chain([""], (f"_{k}" for k in itertools.count()))
+
+
+class Names(NamedTuple):
+    """The symbols of one triangle."""
+
+    r2: Any
+    c2: Any
+    s2: Any
+    alpha: Any
+    beta: Any
+    sign: Any
+    u: Any
+
+    @classmethod
+    def ending(cls, end: str) -> Names:
+        """The symbols with an ending such as '_1'."""
+        return cls(*(sympy.Symbol(f"{name}{end}") for name in cls._fields))
+
+    @classmethod
+    def among(cls, names: dict[str, Any]) -> Names:
+        """Those of several symbols, by their words, that are of a triangle."""
+        return cls(*(names[name] for name in cls._fields))
+
+
+def two_circles(
+    n: Names, to: Vector, l1: Any, l2: Any, says: str, sense: int = 1
+) -> tuple[list[FormulaStep], Any, Any]:
+    """Two bars of lengths l1, l2 that end at `to`: steps, the angle of the first, and that from it
+    to the second.
+
+    Where `sign` times `sense` is +1 the second is turned to the left against the first.
+    """
+    x, y = to
+    steps = [
+        FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
+        FormulaStep(
+            n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", unless_zero(l1, l2)
+        ),
+        FormulaStep(n.s2, sense * n.sign * sympy.sqrt(1 - n.c2**2), says, f"-1 <= {n.c2} <= 1"),
+        FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
+        FormulaStep(
+            n.beta,
+            sympy.atan2(l2 * n.s2, l1 + l2 * n.c2),
+            "angle from the first link to the target",
+        ),
+    ]
+    return steps, n.alpha - n.beta, sympy.atan2(n.s2, n.c2)
+
+
+def line_and_circle(
+    n: Names, to: Vector, along: Vector, length: Any
+) -> tuple[list[FormulaStep], Any, Any]:
+    """A slide u along a direction, then a bar that ends at `to`: steps, u, and the angle of the
+    bar.
+
+    Where `sign` is +1 it slides farther than where both roots meet.
+    """
+    ahead = to[0] * along[0] + to[1] * along[1]
+    aside = cross(along, to)
+    steps = [
+        FormulaStep(n.s2, aside / length, "part of the way across the slide", unless_zero(length)),
+        FormulaStep(
+            n.c2, -n.sign * sympy.sqrt(1 - n.s2**2), "+1 slides farther", f"-1 <= {n.s2} <= 1"
+        ),
+        FormulaStep(
+            n.u, ahead - length * n.c2, "the slide: part of the way along it, less that of the bar"
+        ),
+        FormulaStep(n.beta, sympy.atan2(n.s2, n.c2), "angle from the slide to the bar"),
+    ]
+    return steps, n.u, n.beta + polar(along)[1]
+
+
+def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep], Any, Any]:
+    """A rail that turns, on which a point slides at a distance `across`, to `to`: steps, the slide,
+    the rail's angle.
+
+    Where `sign` is +1 it slides farther than where both roots meet, the foot of the rail's normal.
+    """
+    (x, y) = to
+    least = across**2
+    far = f"{n.r2} >= {float(least):.6g}" if least.is_number else f"{n.r2} >= {least}"
+    steps = [
+        FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
+        FormulaStep(
+            n.u,
+            n.sign * sympy.sqrt(n.r2 - least),
+            "the slide, by Pythagoras",
+            far * (not least.is_zero),
+        ),
+        FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
+        FormulaStep(n.beta, sympy.atan2(across, n.u), "angle from the rail to the target"),
+    ]
+    return steps, n.u, n.alpha - n.beta
+
+
+def two_lines(n: Names, to: Vector, one: Vector, two: Vector) -> tuple[list[FormulaStep], Any, Any]:
+    """Two slides along directions that add up to `to`: steps, none for slides at right angles, and
+    both slides.
+    """
+    area = sympy.simplify(cross(one, two))
+    if area in (1, -1):
+        return [], area * cross(to, two), area * cross(one, to)
+    steps = [
+        FormulaStep(
+            n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2)
+        )
+    ]
+    return steps, cross(to, two) / n.c2, cross(one, to) / n.c2

@@ -1,0 +1,161 @@
+"""Other limits: the same system with other ranges and speeds of its coordinates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kempe.arguments import explained
+from kempe.arrays import named, reals
+from kempe.description import checks
+from kempe.description.parts import Joint
+from kempe.errors import InputError, UnknownNameError
+from kempe.model.coordinates import HELD_TOLERANCE
+from kempe.model.model import Model, SystemType
+
+UNLIMITED = (-math.inf, math.inf)
+
+
+@explained
+def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) -> SystemType:
+    """The system with other limits; tree, coordinates, parameters and postures are the same.
+
+    `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit
+    (of a pair, or of one of its ends); or, as in `system.structure.limits`, an array (nv, 2) of
+    all. `velocity` are largest speeds by name, None for no limit; or one number for all, or an
+    array (nv,). What is not named keeps its limits. A coordinate that follows another can be named,
+    too. Errors: `UnknownNameError`; `InputError` for values, and where a coordinate that moves with
+    a named one would not let it have the limits that are given.
+    """
+    pairs = _by_name(system, limits, "limits", 2)
+    speeds = _by_name(system, velocity, "velocity", 1)
+    mechanism = system.mechanism
+    for name in (*pairs, *speeds):
+        joint, local = _owner(system, name)
+        now = mechanism.joints[joint.name]
+        particle = mechanism.bodies[joint.child].particle
+        if name in pairs:
+            pair = UNLIMITED if pairs[name] is None else pairs[name]
+            subject = f"limits of {name!r}"
+            names = {local: pair}
+            found = checks.limits(subject, names, joint.type, system.dim, particle, None)
+            now = replace(now, limits={**now.limits, **found})
+        if name in speeds:
+            speed = math.inf if speeds[name] is None else speeds[name]
+            found = checks.bounds(
+                f"velocity of {name!r}",
+                "velocity",
+                {local: speed},
+                joint.type.velocities(system.dim, particle),
+                None,
+            )
+            now = replace(now, velocity_limits={**now.velocity_limits, **found})
+        mechanism.joints[joint.name] = now
+    made = type(system)(mechanism, system.structure.topology, system.structure.table)
+    for name in pairs:
+        _check(made, name, mechanism.joints[_owner(system, name)[0].name])
+    for name in speeds:
+        _check_speed(made, name, mechanism.joints[_owner(system, name)[0].name])
+    return made
+
+
+def _by_name(system: Model, given: Any, what: str, width: int) -> dict[str, Any]:
+    """Limits by coordinate name, from a dict or an array for all coordinates. Errors: `InputError`."""
+    if given is None:
+        return {}
+    found = named(given)
+    if found is not None:
+        return dict(found)
+    array = reals(given, what, "a dict by coordinate name, or an array")
+    shape = (system.nv, 2)[:width]
+    if width == 1 and not array.ndim:
+        array = np.broadcast_to(array, shape)
+    if array.shape != shape:
+        raise InputError(
+            f"{what} have shape {array.shape}; they must be a dict by coordinate name, or {shape}"
+        )
+    before = system.structure.limits if width == 2 else system.structure.velocity_limits
+    changed = (array != before).reshape(system.nv, width).any(axis=1)  # NaN, too
+    return {
+        system.structure.velocity_names[i]: tuple(array[i].tolist())
+        if width == 2
+        else array[i].item()
+        for i in np.flatnonzero(changed)
+    }
+
+
+def _owner(system: Model, name: str) -> tuple[Joint, str]:
+    """The joint that a velocity coordinate belongs to, and its name within the joint. Errors:
+    `UnknownNameError`.
+    """
+    bodies = system.mechanism.bodies
+    for joint in system.structure.joints.values():
+        for local in joint.type.velocities(system.dim, bodies[joint.child].particle):
+            if name == (f"{joint.name}.{local}" if local else joint.name):
+                follower = system.structure.couplings.get(name)
+                if follower is not None and follower.source is None:
+                    raise InputError(
+                        f"coordinate {name!r} is held at {follower.offset:g}: it has no limits"
+                    )
+                return joint, local
+    raise UnknownNameError("coordinate", name, system.structure.velocity_names, system.name)
+
+
+def _led(system: Model, name: str) -> tuple[int, float, float]:
+    """Index, multiplier and offset of the velocity coordinate that moves the coordinate `name`."""
+    follower = system.structure.couplings.get(name)
+    if follower is None:
+        return system.structure.velocity_names.index(name), 1.0, 0.0
+    return (
+        system.structure.velocity_names.index(follower.source),
+        follower.multiplier,
+        follower.offset,
+    )
+
+
+def _check(made: Model, name: str, joint: Joint) -> None:
+    """Refuse limits that a coordinate cannot have, because another one moves with it."""
+    i, m, offset = _led(made, name)
+    has = sorted((m * made.structure.limits[i] + offset).tolist())
+    requested = joint.limits[_local(joint, name)]
+    if not all(
+        a == b or abs(a - b) <= HELD_TOLERANCE * (1.0 + abs(b))
+        for a, b in zip(has, requested, strict=True)
+    ):
+        raise InputError(
+            f"{name!r} cannot have the limits [{requested[0]:g}, {requested[1]:g}]: what moves "
+            f"with it leaves [{has[0]:g}, {has[1]:g}]; give limits of {_others(made, name)}, too"
+        )
+
+
+def _check_speed(made: Model, name: str, joint: Joint) -> None:
+    """Refuse a speed that a coordinate cannot have, because another one moves with it."""
+    i, m, _ = _led(made, name)
+    has = abs(m) * float(made.structure.velocity_limits[i])
+    requested = joint.velocity_limits[_local(joint, name)]
+    if not (has == requested or abs(has - requested) <= HELD_TOLERANCE * (1.0 + requested)):
+        raise InputError(
+            f"{name!r} cannot have the speed {requested:g}: what moves with it leaves {has:g}; "
+            f"give that of {_others(made, name)}, too"
+        )
+
+
+def _local(joint: Joint, name: str) -> str:
+    return name[len(joint.name) + 1 :]
+
+
+def _others(system: Model, name: str) -> str:
+    """Names, as text, of the coordinates that are coupled with this one."""
+    i = _led(system, name)[0]
+    moved = [
+        system.structure.velocity_names[i],
+        *(
+            n
+            for n, f in system.structure.couplings.items()
+            if f.source == system.structure.velocity_names[i]
+        ),
+    ]
+    return ", ".join(repr(n) for n in moved if n != name)

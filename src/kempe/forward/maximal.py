@@ -1,0 +1,128 @@
+"""Maximal coordinates: every body on its own, as n_b pairs (r, R) that the joints hold together by
+m_c constraints.
+
+They are a system like any other: its tree is a free joint for each body, its loops are all the
+joints. So forward kinematics, closure errors, mobility and assembly of this system are the general
+ones: its count is
+6 n_b - m_c, and to assemble it is to project bodies onto the constraints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.arguments import explained, numbers
+from kempe.errors import InputError
+from kempe.forward.fk import fk
+from kempe.model.characteristic_length import origin_of
+from kempe.model.configurations import as_q, home_of, q_from_dict
+from kempe.model.model import kept
+from kempe.poses import arrays, sound
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model, SystemType
+
+
+@explained
+@kept
+def maximal(system: SystemType) -> SystemType:
+    """The system in maximal coordinates: each body hangs on a free joint from the ground, and all
+    joints are cut.
+
+    The free joints have the names of their bodies (with a number where a joint has that name) and
+    come first; then come the joints of the system, as they are: `q` is the pairs, then the q of the
+    system. Particles have their positions only; where the system stands far from the ground's
+    origin, they are measured from a point in its midst. Couplings, locks, limits, declared
+    constraints and parameters are those of the system; so are the postures, and where there is none
+    'closed' is home, bodies in place.
+    """
+    m = system.mechanism.copy()
+    joints = m.joints
+    m.joints = {}
+    m.name = f"{m.name}, maximal"
+    m.bodies = {body: m.bodies[body] for body in system.body_names}
+    taken = {*joints, *m.constraints}
+    origin = origin_of(system)[: system.dim]
+    for body in system.body_names[1:]:
+        name = body
+        number = 2
+        while name in taken:
+            name = f"{body}_{number}"
+            number = number + 1
+        m.free(name, m.ground, body, at=origin)
+        taken.add(name)
+    m.joints |= {name: replace(joint, cut=True) for name, joint in joints.items()}
+    at = {"closed": home_of(system)} | {
+        name: q_from_dict(system, name) for name in system.structure.posture_names
+    }
+    m.postures = {}
+    names = type(system)(m).coordinate_names
+    for name, q in at.items():
+        m.posture(
+            name, dict(zip(names, _joined(system, q, to_maximal(system, q)).tolist(), strict=True))
+        )
+    return type(system)(m)
+
+
+@explained
+def to_maximal(system: Model, q: Any) -> Array:
+    """Poses (..., n_b, 4, 4) of all bodies but the ground; where loops are open, along the spanning
+    tree.
+    """
+    return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
+
+
+@explained
+def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> Array:
+    """Configuration (..., nq) of `maximal(system)`: the joints as at `q`, the bodies at `poses`
+    (..., n_b, 4, 4).
+
+    Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing
+    needs to be closed.
+    """
+    q = home_of(system) if q is None else as_q(system, q)
+    return _joined(system, q, to_maximal(system, q) if poses is None else as_poses(system, poses))
+
+
+def _joined(system: Model, q: Array, poses: Array) -> Array:
+    points = [system.mechanism.bodies[b].particle for b in system.body_names[1:]]
+    poses = poses - np.pad(origin_of(system)[:, None], ((0, 1), (3, 0)))
+    parts = [
+        x
+        for i, p in enumerate(points)
+        for x in coordinates_of_pose(poses[..., i, :, :], system.dim, p)
+    ]
+    lead = np.broadcast_shapes(poses.shape[:-3], q.shape[:-1])
+    return np.concatenate([np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*parts, q)], axis=-1)
+
+
+def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
+    """The coordinates of a free joint at the pose X (..., 4, 4), as a list of arrays."""
+    p = X[..., :dim, 3]
+    R = X[..., :3, :3]
+    if particle:
+        return [p]
+    return [
+        p,
+        spatial.matrix_to_quat_wxyz(R)
+        if dim == 3
+        else np.arctan2(R[..., 1, 0], R[..., 0, 0])[..., None],
+    ]
+
+
+def as_poses(system: Model, poses: ArrayLike) -> Array:
+    """Poses as an array. Errors: `InputError` where they are not of all bodies but the ground."""
+    array = numbers(arrays(poses, "poses"), "poses")
+    n = len(system.body_names) - 1
+    if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
+        raise InputError(
+            f"poses have shape {array.shape}; {system.name} needs (..., {n}, 4, 4): all bodies but "
+            "the ground"
+        )
+    return sound(array, "poses")

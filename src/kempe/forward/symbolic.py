@@ -1,0 +1,607 @@
+"""The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2), from the
+same description.
+
+The chain is walked as a product of turns and slides, see
+`kempe.forward.symbolic`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.arguments import explained
+from kempe.description.parts import Joint
+from kempe.errors import InputError, MissingExtraError, UnknownNameError, UnsupportedError
+from kempe.joints import Q, R
+from kempe.model.coordinates import coordinate_names
+from kempe.poses import Placement
+from kempe.values import FUNCTIONS, Expression, Value
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike, Model
+
+# ---- symbolic turns
+
+# Products of turns and slides in symbols, with parallel turns merged into one by the sum of their
+# angles.
+#
+# Quarter turns only rename axes, so they are kept apart as a signed permutation at the right end;
+# what is left is a list of turns about axes that stand still in the frame before, and neighbours
+# about the same axis are merged.
+
+
+try:
+    import sympy as _sympy
+except ImportError:
+    raise MissingExtraError("sympy", "symbolic") from None
+
+sympy: Any = _sympy
+"""The package without types, of which it has only some."""
+
+TURN_LIMIT = 100
+"""Turns about different axes in one formula; it doubles in length with each, and nobody reads
+that."""
+
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+
+
+@dataclass(frozen=True)
+class SymbolicStep:
+    """A turn by the angle or a slide by the length `amount` about or along an axis, or a rotation
+    matrix.
+    """
+
+    kind: str
+    axis: Any = None
+    amount: Any = None
+    subject: str = ""
+
+
+def unwrapped(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
+    """The steps with 'align, motion about or along z, unalign' rewritten as that motion about or
+    along the axis.
+    """
+    out: list[SymbolicStep] = []
+    for step in steps:
+        if step.kind == "unalign":
+            k = len(out)
+            while (
+                k
+                and out[k - 1].kind in ("turn", "slide")
+                and tuple(out[k - 1].axis or ()) == AXES["z"]
+            ):
+                k -= 1
+            if k and out[k - 1].kind == "align" and out[k - 1].axis == step.axis:
+                out[k - 1 :] = [
+                    SymbolicStep(s.kind, step.axis, s.amount, s.subject) for s in out[k:]
+                ]
+                continue
+        out.append(step)
+    return out
+
+
+@dataclass
+class _Turn:
+    """A rotation (about `axis` by `angle`, or `matrix`) and the way from it to the next one, in
+    turned axes.
+    """
+
+    way: Any
+    axis: Any = None
+    angle: Any = 0
+    matrix: Any = None
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is a rotation by numbers, other than the ground's."""
+        if self.matrix is None:
+            return self.axis is not None and bool(self.angle.is_number)
+        return not self.matrix.free_symbols
+
+    def rotation(self) -> Any:
+        """Its matrix (3, 3)."""
+        if self.matrix is not None or self.axis is None:
+            return sympy.eye(3) if self.matrix is None else self.matrix
+        along = self.axis * self.axis.T
+        x, y, z = self.axis
+        across = sympy.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        # Rodrigues, 1840
+        return (
+            along + sympy.cos(self.angle) * (sympy.eye(3) - along) + sympy.sin(self.angle) * across
+        )
+
+
+class TurnProduct:
+    """Orientation = turns[0] turns[1] ... corner, where `corner` is a signed permutation."""
+
+    def __init__(self) -> None:
+        self.turns = [_Turn(sympy.zeros(3, 1))]
+        self.corner = sympy.eye(3)
+
+    def add(self, step: SymbolicStep, leaves: SymbolLeaves) -> None:
+        """Go on by a step."""
+        if step.kind == "slide":
+            self.turns[-1].way += _product(self.corner, step.axis) * step.amount
+        elif step.kind == "turn":
+            self.turn(step.axis, step.amount)
+        elif step.kind == "rotation":
+            self.rotate(step.amount)
+        else:
+            R_align = spatial.align_z([float(x) for x in step.axis])
+            self.rotate(
+                leaves.constant(R_align if step.kind == "align" else R_align.T, step.subject)
+            )
+
+    def turn(self, axis: Any, angle: Any) -> None:
+        """Turn by an angle about an axis of the frame reached so far."""
+        axis = self.corner * axis
+        quarters = 2 * angle / sympy.pi
+        if quarters.is_Integer and _is_corner(axis):
+            self.corner = _Turn(sympy.zeros(3, 1), axis, angle).rotation() * self.corner
+            return
+        if _is_corner(axis) and min(axis) < 0:
+            axis = -axis
+            angle = -angle
+        last = self.turns[-1]
+        if last.axis is not None and last.axis in (axis, -axis):
+            # turn(a) way turn(b) = [turn(a) way], then turn(a + b)
+            self.turns[-2].way += _product(last.rotation(), last.way)
+            last.way = sympy.zeros(3, 1)
+            last.angle = sympy.expand(last.angle + (angle if last.axis == axis else -angle))
+            if (2 * last.angle / sympy.pi).is_Integer and _is_corner(axis):
+                self.turns.pop()
+                self.turn(self.corner.T * last.axis, last.angle)
+        elif angle != 0:
+            self._append(_Turn(sympy.zeros(3, 1), axis, angle))
+
+    def rotate(self, matrix: Any) -> None:
+        """Turn by a rotation matrix."""
+        if all(x in (-1, 0, 1) for x in matrix):
+            self.corner = self.corner * matrix
+        else:
+            turned = self.corner * matrix * self.corner.T
+            self._append(_Turn(sympy.zeros(3, 1), matrix=turned))
+
+    def _append(self, turn: _Turn) -> None:
+        last = self.turns[-1]
+        if last.constant and turn.constant:  # one matrix of numbers instead of a product
+            self.turns[-2].way += _product(last.rotation(), last.way)
+            self.turns[-1] = _Turn(
+                sympy.zeros(3, 1), matrix=_product(last.rotation(), turn.rotation())
+            )
+            return
+        self.turns.append(turn)
+        if len(self.turns) > TURN_LIMIT + 1:
+            raise UnsupportedError(
+                f"the formula has more than {TURN_LIMIT} turns of different axes; take a subchain"
+            )
+
+    def pose(self) -> tuple[Any, Any]:
+        """Rotation (3, 3) and position (3, 1)."""
+        rotation = self.corner
+        position = sympy.zeros(3, 1)
+        for turn in reversed(self.turns):
+            R_turn = turn.rotation()
+            rotation = _product(R_turn, rotation)
+            position = _product(R_turn, turn.way + position)
+        return rotation, position
+
+
+def _product(a: Any, b: Any) -> Any:
+    """Matrix product. Most entries are zero, and sympy asks of each factor of a zero whether it is
+    finite.
+    """
+
+    def entry(i: int, j: int) -> Any:
+        pairs = zip(a.row(i), b.col(j), strict=True)
+        return sympy.Add(*(_times(x, y) for x, y in pairs if x != 0 and y != 0))
+
+    return sympy.Matrix(a.rows, b.cols, entry)
+
+
+def _times(x: Any, y: Any) -> Any:
+    """Product in which a sum of negative terms gives its sign to the other factor."""
+    return (
+        -x * -y if y.is_Add and all(term.could_extract_minus_sign() for term in y.args) else x * y
+    )
+
+
+def _is_corner(axis: Any) -> bool:
+    return all(x in (-1, 0, 1) for x in axis)
+
+
+def pose_of(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
+    """The product of steps as a pose (4, 4)."""
+    chain = TurnProduct()
+    for step in unwrapped(steps):
+        chain.add(step, leaves)
+    rotation, position = chain.pose()
+    return sympy.Matrix(
+        sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]])
+    )
+
+
+WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z.]+")
+"""What is a word in the LaTeX of a name, not a letter or a command."""
+SPECIAL = re.compile(r"(?<!\\)[%#$&]")
+"""What LaTeX would read as a command in a name of which sympy has set the indices."""
+ESCAPED = str.maketrans(
+    {c: "\\" + c for c in "%#$&_{}"} | {"^": r"\wedge ", "\\": r"\backslash ", "~": r"\sim "}
+)
+"""All that LaTeX would read as a command in a name."""
+
+
+def _hypot(x: Any, y: Any) -> Any:
+    return sympy.sqrt(x**2 + y**2)
+
+
+def _radians(x: Any) -> Any:
+    return x * sympy.pi / 180
+
+
+def _degrees(x: Any) -> Any:
+    return x * 180 / sympy.pi
+
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)
+}
+_FUNCTIONS |= {"hypot": _hypot, "radians": _radians, "degrees": _degrees}
+
+
+@explained
+def symbolic_fk(
+    system: Model,
+    frame: FrameLike,
+    *,
+    relative_to: FrameLike | None = None,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> Any:
+    """Pose of a body or frame as a sympy Matrix (4, 4), in coordinates and named parameters.
+
+    It is the pose in the ground frame, or in the frame `relative_to`, by the joints between the
+    two.
+
+    Symbols are called like the coordinates and the parameters; `symbols` replaces some of them, by
+    name, by other symbols, expressions or numbers. Parallel joints come out merged: cos(q1 + q2).
+    Coordinates that follow one other or are locked are replaced by what they follow. Quaternions
+    are taken to have norm one (`fk` normalises them). Angles that are the nearest double to a
+    multiple of pi/12 become exact; other numbers stay decimals. With `snap`, angles within that
+    many radians of a multiple of pi/2 become that multiple (robot files write 1.5708), and axes
+    that near to x, y or z become these; the attribute `snapped` of the result says which, one
+    sentence each. Jupyter shows the result as a formula; `sympy.latex` prints it.
+
+    Errors: `UnknownNameError` for names; `InputError` for a `snap` that is not in [0, pi/4), and
+    where a parameter and a coordinate share a name; `UnsupportedError` beyond `TURN_LIMIT` turns;
+    `MissingExtraError`
+    without sympy, `UnsupportedError` for particles where a frame is given that they are relative
+    to.
+
+    >>> from kempe import Mechanism
+    >>> arm = Mechanism("arm", dim=2)
+    >>> l1 = arm.parameter("l1", 0.5)
+    >>> _ = arm.revolute("q1", arm.ground, arm.body("upper"))
+    >>> _ = arm.revolute("q2", "upper", arm.body("lower"), at=(l1, 0))
+    >>> symbolic_fk(arm.build(), "lower")[:2, 3]
+    Matrix([
+    [l1*cos(q1)],
+    [l1*sin(q1)]])
+    """
+    name = system.structure.frame_name(frame)
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    out: Any = pose_of(_between(system, name, relative_to, leaves), leaves)
+    if system.structure.table.at[name][2]:
+        out[:3, :3] = sympy.eye(3)  # a particle has no orientation
+    out.snapped = tuple(dict.fromkeys(leaves.snapped))
+    return out
+
+
+def in_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
+    """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names`
+    says other ones.
+    """
+    own = {
+        s: SPECIAL.sub(
+            r"\\\g<0>",
+            WORD.sub(r"\\mathrm{\g<0>}", sympy.latex(s)).replace(r" \mathrm", r"\,\mathrm"),
+        )
+        for s in formula.free_symbols
+    }
+    return str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
+
+
+def upright(name: str) -> str:
+    """A name of a body or frame in LaTeX, in upright letters."""
+    return rf"\mathrm{{{name.translate(ESCAPED)}}}"
+
+
+def aligned(lines: Iterable[str]) -> str:
+    """Formulas in LaTeX, one below the other at their `&`."""
+    return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+
+# ---- the way from the ground to the frame, as turns, slides and constant rotations
+
+
+def _between(
+    system: Model, name: str, base: FrameLike | None, leaves: SymbolLeaves
+) -> list[SymbolicStep]:
+    """Motions from the ground, or from a frame, to another one."""
+    if base is None:
+        return [step for _, steps in way_to(system, name, leaves) for step in steps]
+    there, since = (oriented_way(system, x, leaves) for x in (name, base))
+    shared = 0
+    while shared < min(len(there), len(since)) and there[shared][0] == since[shared][0]:
+        shared += 1
+    back = inverse_of([step for _, steps in since[shared:] for step in steps])
+    return back + [step for _, steps in there[shared:] for step in steps]
+
+
+def oriented_way(
+    system: Model, frame: FrameLike, leaves: SymbolLeaves
+) -> list[tuple[str, list[SymbolicStep]]]:
+    """The way to a frame that has an orientation, see `way_to`; `UnsupportedError` for particles."""
+    name = system.structure.frame_name(frame)
+    if system.structure.table.at[name][2]:
+        raise UnsupportedError(
+            f"{name!r} is a particle and has no orientation; symbolic.fk gives its position"
+        )
+    return way_to(system, name, leaves)
+
+
+def inverse_of(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
+    """The motions that undo others."""
+    return [_inverse(step) for step in reversed(list(steps))]
+
+
+def _inverse(step: SymbolicStep) -> SymbolicStep:
+    """The motion that undoes another one."""
+    if step.kind in ("turn", "slide"):
+        return SymbolicStep(step.kind, step.axis, -step.amount, step.subject)
+    if step.kind == "rotation":
+        return SymbolicStep(step.kind, amount=step.amount.T, subject=step.subject)
+    return SymbolicStep(
+        {"align": "unalign", "unalign": "align"}[step.kind], step.axis, None, step.subject
+    )
+
+
+def way_to(system: Model, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
+    """Each body on the way from the ground to a body or frame, with the motions from the body
+    before it.
+    """
+    mechanism = system.mechanism
+    tree = system.structure.topology
+    frame = mechanism.frames.get(name)
+    number = tree.bodies.index(frame.body if frame else name)
+    out: list[tuple[str, list[SymbolicStep]]] = []
+    while number:
+        i = number - 1
+        joint = mechanism.joints[tree.parent_joints[i]]
+        out.append(
+            (tree.bodies[number], list(_joint_steps(system, joint, tree.reversed_[i], leaves)))
+        )
+        number = tree.parent[i]
+    out.reverse()
+    if frame:
+        out.append((name, list(placement_steps(frame.X_BF, f"frame {name!r}", leaves))))
+    return out
+
+
+def _joint_steps(
+    system: Model, joint: Joint, backwards: bool, leaves: SymbolLeaves
+) -> Iterator[SymbolicStep]:
+    subject = f"joint {joint.name!r}"
+    first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
+    yield from placement_steps(first, subject, leaves)
+    yield from joint_motions(system, joint, backwards, leaves)
+    yield from placement_steps(last.inverse(), subject, leaves)
+
+
+def joint_motions(
+    system: Model, joint: Joint, backwards: bool, leaves: SymbolLeaves
+) -> Iterator[SymbolicStep]:
+    """The motions of a joint from its frame F to M, or back."""
+    mechanism = system.mechanism
+    subject = f"joint {joint.name!r}"
+    names = coordinate_names(mechanism, joint)
+    primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
+    sign = -1 if backwards else 1
+    for p in reversed(primitives) if backwards else primitives:
+        if p.kind == Q:
+            turned = leaves.ball(names[p.coordinate : p.coordinate + 4], subject)
+            yield SymbolicStep(
+                "rotation", amount=turned.T if backwards else turned, subject=subject
+            )
+        else:
+            amount = sign * _number(p.multiplier) * leaves.coordinate(names[p.coordinate])
+            yield SymbolicStep(
+                "turn" if p.kind == R else "slide", sympy.Matrix(AXES[p.axis]), amount, subject
+            )
+
+
+def placement_steps(X: Placement, subject: str, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+    """The motions of a placement."""
+    for motion, numbers in X.steps:
+        if motion in AXES:
+            yield SymbolicStep(
+                "slide", sympy.Matrix(AXES[motion]), leaves.value(numbers[0]), subject
+            )
+        elif motion in ("rx", "ry", "rz"):
+            yield SymbolicStep(
+                "turn", sympy.Matrix(AXES[motion[1]]), leaves.angle(numbers[0], subject), subject
+            )
+        elif motion in ("align", "unalign"):
+            yield SymbolicStep(motion, leaves.direction(numbers, subject), None, subject)
+        elif motion == "quat_wxyz" and any(isinstance(x, Expression) for x in numbers):
+            any_length = [leaves.value(x) for x in numbers]
+            length = sympy.sqrt(sum(x**2 for x in any_length))
+            yield SymbolicStep(
+                "rotation", amount=_ball([x / length for x in any_length]), subject=subject
+            )
+        else:
+            constant = Placement(((motion, numbers),)).evaluate({})[:3, :3]
+            yield SymbolicStep(
+                "rotation", amount=leaves.constant(constant, subject), subject=subject
+            )
+
+
+def _ball(quat_wxyz: list[Any]) -> Any:
+    """Rotation of a quaternion of norm one (Euler and Rodrigues)."""
+    w, x, y, z = quat_wxyz
+    return sympy.Matrix([
+        [1 - 2 * (y**2 + z**2), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)],
+    ])  # fmt: skip
+
+
+# ---- numbers, parameters and coordinates as sympy expressions
+
+
+class SymbolLeaves:
+    """What the names and numbers of a description are in the formula, and the angles that were
+    snapped.
+    """
+
+    def __init__(self, system: Model, symbols: Mapping[str, Any], snap: float):
+        if (
+            isinstance(snap, bool)
+            or not isinstance(snap, (int, float))
+            or not 0.0 <= snap < math.pi / 4
+        ):
+            raise InputError(
+                f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4"
+            )
+        mechanism = system.mechanism
+        self.snap = float(snap)
+        self.locks = mechanism.locks
+        self.snapped: list[str] = []
+        allowed = (*system.coordinate_names, *mechanism.parameters)
+        for name in symbols:
+            if name not in allowed:
+                raise UnknownNameError("coordinate or parameter", name, allowed, system.name)
+        given = {k: sympy.sympify(v) for k, v in symbols.items()}
+        self.given = given
+        if None in given.values():
+            raise InputError(
+                f"symbols is {symbols}; its values must be symbols, expressions or numbers"
+            )
+        self.parameters = {n: given.get(n, sympy.Symbol(n)) for n in mechanism.parameters}
+        self.coordinates = {n: given.get(n, sympy.Symbol(n)) for n in system.coordinate_names}
+        for name in self.parameters.keys() & self.coordinates.keys():
+            raise InputError(
+                f"{name!r} is the name of a parameter and of a coordinate; rename one of them"
+            )
+        turning = _turning(system)
+        for name in system.structure.couplings:  # each comes after those that it depends on
+            self.coordinates[name] = self._follower(system, name, name in turning)
+
+    def _follower(self, system: Model, name: str, turning: bool) -> Any:
+        """The coordinate `name` in terms of what it follows."""
+        mechanism = system.mechanism
+        read = self.angle if turning else self.value
+        if name in mechanism.locks:
+            return read(mechanism.locks[name], f"lock of {name!r}")
+        coupling = mechanism.couplings[name]
+        out = read(coupling.offset, f"coupling of {name!r}")
+        for source, multiplier in coupling.sources.items():
+            out += self.value(multiplier) * self.coordinates[source]
+        return out
+
+    def coordinate(self, name: str) -> Any:
+        """A coordinate, or what it follows."""
+        return self.coordinates[name]
+
+    def ball(self, names: list[str], subject: str) -> Any:
+        """Rotation of a quaternion coordinate, constant where that is locked."""
+        if names[0] in self.locks:
+            return self.constant(
+                spatial.quat_wxyz_to_matrix([self.locks[n] for n in names]), subject
+            )
+        return _ball([self.coordinates[n] for n in names])
+
+    def value(self, x: Value, subject: str = "") -> Any:
+        """A length or factor."""
+        if not isinstance(x, Expression):
+            return _number(x)
+        return x.fold({**self.parameters, "pi": sympy.pi}, _FUNCTIONS, _number)
+
+    def angle(self, x: Value, subject: str) -> Any:
+        """An angle: exact where it is a multiple of pi/12, or of pi/2 after snapping."""
+        if isinstance(x, Expression):
+            formula = self.value(x)
+            return (
+                self._exact(float(formula), subject)
+                if formula.is_Float or formula.is_Integer
+                else formula
+            )
+        return self._exact(x, subject)
+
+    def _exact(self, angle: float, subject: str) -> Any:
+        k = round(angle * 12.0 / math.pi)
+        exact = sympy.pi * sympy.Rational(k, 12)
+        if angle in (float(exact), k * math.pi / 12.0, k * (math.pi / 12.0)):
+            return exact
+        quarters = sympy.pi * sympy.Rational(round(angle * 2.0 / math.pi), 2)
+        if abs(angle - float(quarters)) <= self.snap:
+            self.snapped.append(f"{subject}: angle {angle!r} taken as {quarters}")
+            return quarters
+        return sympy.Float(angle)
+
+    def direction(self, axis: tuple[Any, ...], subject: str) -> Any:
+        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all
+        but one zero.
+        """
+        unit = spatial.unit(axis)
+        nearest = np.rint(unit)
+        off = float(np.linalg.norm(unit - nearest))
+        if np.abs(nearest).sum() == 1.0 and off <= self.snap:
+            if off:
+                self.snapped.append(f"{subject}: axis {axis} taken as {tuple(nearest.tolist())}")
+            return sympy.Matrix([int(x) for x in nearest])
+        if all(x.is_integer() for x in axis):
+            whole = sympy.Matrix([int(x) for x in axis])
+            return whole / sympy.sqrt(whole.dot(whole))
+        return sympy.Matrix([_number(x) for x in unit.tolist()])
+
+    def constant(self, matrix: np.ndarray, subject: str) -> Any:
+        """A constant rotation matrix: a signed permutation after snapping, if it is near enough to
+        one.
+        """
+        nearest = np.rint(matrix)
+        if self.snap and abs(np.linalg.det(nearest)) == 1.0 and not np.array_equal(nearest, matrix):
+            angle = float(np.linalg.norm(spatial.log_so3(nearest.T @ matrix)))
+            if angle <= self.snap:
+                self.snapped.append(
+                    f"{subject}: rotation matrix moved by {angle:.3g} rad to quarter turns"
+                )
+                matrix = nearest
+        return sympy.Matrix(3, 3, [_number(float(x)) for x in matrix.ravel()])
+
+
+def _turning(system: Model) -> set[str]:
+    """Names of the coordinates that are angles."""
+    mechanism = system.mechanism
+    out: set[str] = set()
+    for joint in mechanism.joints.values():
+        names = coordinate_names(mechanism, joint)
+        primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
+        out |= {names[p.coordinate] for p in primitives if p.kind == R}
+    return out
+
+
+def _number(x: Any) -> Any:
+    """A number as sympy prints it best: whole numbers exactly, others as decimals of the same
+    double.
+    """
+    if isinstance(x, str):
+        return sympy.nan
+    return sympy.Integer(int(x)) if float(x).is_integer() else sympy.Float(float(x))

@@ -1,0 +1,175 @@
+"""The equations f(q) = 0 of closed loops in symbols: of each joint that the tree left out, and of
+rods and slots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import explained
+from kempe.constraints.base import Op, held, position_rows, with_numbers
+from kempe.description.parts import Declared, Joint
+from kempe.errors import UnsupportedError
+from kempe.forward.symbolic import (
+    SymbolicStep,
+    SymbolLeaves,
+    aligned,
+    in_latex,
+    inverse_of,
+    joint_motions,
+    placement_steps,
+    pose_of,
+    sympy,
+    way_to,
+)
+from kempe.model.implicit_form import ImplicitForm, implicit_form, slides_along_z
+from kempe.model.packed_loops import must_be_explicit
+from kempe.poses import placement_of_pose
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+Steps = list[SymbolicStep]
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolicClosure:
+    """The equations f(q) = 0 of a system by the names of its cut joints, constraints and relations.
+
+    Each is a sympy Matrix (m, 1) that is zero where it holds.
+    """
+
+    equations: dict[str, Any]
+
+    @property
+    def matrix(self) -> Any:
+        """All equations, one below the other, as a sympy Matrix (m, 1)."""
+        return sympy.Matrix([f for own in self.equations.values() for f in own])
+
+    def __getitem__(self, name: str) -> Any:
+        return self.equations[name]
+
+    def latex(self) -> str:
+        """The equations in LaTeX, one line each."""
+        return aligned(f"{in_latex(f)} &= 0" for f in self.matrix)
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name}: {f} = 0" for name, own in self.equations.items() for f in own)
+
+
+@explained
+def symbolic_closure(
+    system: Model, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+) -> SymbolicClosure:
+    """The equations f(q) = 0 that closed configurations satisfy, in coordinates and named
+    parameters.
+
+    A joint that the tree left out holds places and directions of its frame M in its frame F; where
+    the coordinates of this joint are not needed for that they do not occur. Places are in metres,
+    in axes of the ground where all of them are held, else in those of F; turns are sines of angles,
+    so that they are zero half a turn off, too. A rod gives the difference of the squares of two
+    lengths. `symbols` and `snap` are those of `kempe.forward.symbolic.symbolic_fk`;
+    besides its errors, `UnsupportedError` for constraints of other kinds.
+
+    >>> import kempe
+    >>> symbolic_closure(kempe.load("four_bar"))["C"][0]
+    a*cos(A) + b*cos(A + B) - c*cos(D) - d
+    """
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    m = system.mechanism
+    explicit = must_be_explicit(system)
+    out = dict[str, Any]()
+    for name in system.structure.closures:
+        out[name] = _of_joint(system, m.joints[name], name in explicit, leaves)
+    for constraint in m.constraints.values():
+        if position_rows(constraint.of, system.dim):
+            out[constraint.name] = _of_constraint(system, constraint, leaves)
+    for r in system.structure.relations:
+        sources = sum(leaves.value(k) * leaves.coordinate(s) for s, k in r.sources.items())
+        out[r.of] = sympy.Matrix([leaves.coordinate(r.of) - sources - leaves.value(r.offset)])
+    return SymbolicClosure(out)
+
+
+def _way(system: Model, body: str, leaves: SymbolLeaves) -> Steps:
+    return [step for _, steps in way_to(system, body, leaves) for step in steps]
+
+
+def _of_joint(system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves) -> Any:
+    m = system.mechanism
+    dim = system.dim
+    subject = f"joint {joint.name!r}"
+    particle = m.bodies[joint.child].particle
+    form = None if explicit else implicit_form(joint.type, dim, particle)
+    F = [*_way(system, joint.parent, leaves), *placement_steps(joint.X_PF, subject, leaves)]
+    M = [*_way(system, joint.child, leaves), *placement_steps(joint.X_CM, subject, leaves)]
+    if form is None:  # F is led on by the joint's own motion, and all of M is held there
+        F += joint_motions(system, joint, False, leaves)
+        form = ImplicitForm("xyz"[:dim], "" if particle else "z" if dim == 2 else "xyz", ())
+    X_F = pose_of(F, leaves)
+    X_M = pose_of(M, leaves)
+    gap = X_F[:3, 3] - X_M[:3, 3]
+    R = X_F[:3, :3]
+    if len(form.position) == dim:
+        places = list(gap[:dim, :])
+    elif slides_along_z(joint.type, dim, particle):
+        places = [-R[1, 2] * gap[0] + R[0, 2] * gap[1]]
+    else:
+        places = [R[:, "xyz".index(axis)].dot(gap) for axis in form.position]
+    return sympy.Matrix([sympy.expand(f) for f in [*places, *_turns(form.turns, F, M, leaves)]])
+
+
+def _turns(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[Any]:
+    """What is zero where M is turned against F only as a joint allows; parallel turns on both ways
+    are merged.
+    """
+    if held_turns == "z":
+        return [pose_of([*M, *inverse_of(F)], leaves)[1, 0]]
+    R = pose_of([*inverse_of(F), *M], leaves)[:3, :3] if held_turns else sympy.eye(3)
+    if held_turns == "xyz":
+        return [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
+    return {"": [], "xy": [R[0, 2], R[1, 2]], "x.y": [R[0, 1]]}[held_turns]
+
+
+def _of_constraint(system: Model, constraint: Declared, leaves: SymbolLeaves) -> Any:
+    dim = system.dim
+    of = constraint.of
+    subject = f"constraint {constraint.name!r}"
+    rows = position_rows(of, dim)
+    other = [r for r in rows if r.op not in (Op.POINT, Op.DISTANCE)]
+    if other or not constraint.parent:
+        raise UnsupportedError(
+            f"constraint {constraint.name!r} is of kind {of.kind}; formulas are known of distances "
+            "and of points on lines and planes; loops.constraints() has numbers"
+        )
+    made = with_numbers(of, system.structure.parameters)
+    ends: list[Any] = []
+    goal = made.goal(dim)
+    tool = np.reshape(made.tool(dim), (4, 4))
+    for body, X, more in (
+        (constraint.parent, constraint.X_PF, goal),
+        (constraint.child, constraint.X_CM, tool),
+    ):
+        steps = [
+            *_way(system, body, leaves),
+            *placement_steps(X @ placement_of_pose(more), subject, leaves),
+        ]
+        ends.append(pose_of(steps, leaves))
+    gap = ends[1][:3, 3] - ends[0][:3, 3]
+    out: list[Any] = []
+    for row in rows:
+        name = held(of, row)
+        value: Any = getattr(of, name) if name else 0.0
+        value = leaves.value(value if row.part is None else value[row.part])
+        out.append(
+            gap.dot(gap) - value**2
+            if row.op is Op.DISTANCE
+            else ends[0][:3, int(row.args[0])].dot(gap) - value
+        )
+    return sympy.Matrix([sympy.expand(f) for f in out])

@@ -1,0 +1,368 @@
+"""Denavit-Hartenberg tables of chains: from the lines of the axes at q = 0, lengths in named
+parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.arguments import explained, known
+from kempe.description.dh import CONVENTIONS, DHRow, from_dh
+from kempe.errors import UnsupportedError
+from kempe.forward.symbolic import (
+    SymbolicStep,
+    SymbolLeaves,
+    oriented_way,
+    pose_of,
+    sympy,
+    unwrapped,
+)
+from kempe.poses import placement_of_pose
+from kempe.report import Cells, Report
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
+    from kempe.model.model import FrameLike, Model
+
+SMALL = 1e-12
+"""Numbers below this are rounding."""
+PARALLEL = 1e-8
+NEARLY = 1e-3
+"""Directions nearer than the first [rad] are parallel: the feet of their common normal would be so
+far away that their digits say less. Of those nearer than the second the normal is small."""
+
+
+@dataclass(frozen=True, eq=False)
+class DHTable(Report):
+    """The table of a chain: a `DHRow` for each joint, with the pose of frame 0 and that of the tip
+    in the last frame.
+
+    Lengths are numbers or text in parameters, angles radians; `base` and `tool` are numbers (4, 4).
+    """
+
+    system: Model
+    frame: str
+    convention: str
+    rows: tuple[DHRow, ...]
+    base: Array
+    tool: Array
+
+    def mechanism(self) -> Mechanism:
+        """The chain that `kempe.from_dh` makes of it; its frame 'tool' is where the frame was."""
+        parameters = self.system.structure.parameters
+        ends = (placement_of_pose(X) for X in (self.base, self.tool))
+        return from_dh(self.rows, self.convention, self.system.name, *ends, parameters=parameters)
+
+    @property
+    def status(self) -> str:
+        """What it is the table of."""
+        return f"{self.frame} of {self.system.name}, {self.convention} Denavit-Hartenberg"
+
+    def _cells(self) -> Cells:
+        rows: list[list[str]] = []
+        for row in self.rows:
+            turns = row.type == "revolute"
+            theta, d = (
+                f"{_shown(x)} + {row.name}"
+                if moves and _shown(x) != "0"
+                else row.name
+                if moves
+                else _shown(x)
+                for x, moves in ((row.theta, turns), (row.d, not turns))
+            )
+            rows.append([str(row.name), _shown(row.a), _shown(row.alpha), str(d), str(theta)])
+        return ("joint", "a", "alpha", "d", "theta"), rows
+
+    def _notes(self) -> list[str]:
+        said = (
+            ("frame 0 in the ground", self.base),
+            (f"{self.frame} in the last frame", self.tool),
+        )
+        return [f"{what}: {_place(X)}" for what, X in said if np.abs(X - np.eye(4)).max() > SMALL]
+
+    def _data(self) -> dict[str, Any]:
+        numbers = [
+            {k: getattr(row, k) for k in ("name", "type", "a", "alpha", "d", "theta")}
+            for row in self.rows
+        ]
+        return {
+            "frame": self.frame,
+            "convention": self.convention,
+            "rows": numbers,
+            "base": self.base,
+            "tool": self.tool,
+        }
+
+
+class JointLine(NamedTuple):
+    """The line of a joint at q = 0: a point and a unit direction, its coordinate, whether it turns,
+    its limits.
+    """
+
+    point: Any
+    along: Any
+    coordinate: str = ""
+    turns: bool = True
+    limits: tuple[float, float] | None = None
+
+    @property
+    def name(self) -> str:
+        """The coordinate as a name of a joint."""
+        return self.coordinate.replace(".", "_")
+
+
+@explained
+def to_dh(
+    system: Model,
+    frame: FrameLike,
+    convention: str = "standard",
+    *,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> DHTable:
+    """The Denavit-Hartenberg table of the chain that moves a frame; ``print`` it.
+
+    Frames stand on the common normals of neighbouring axes (Denavit and Hartenberg, 1955); where
+    axes are parallel, d is zero; of axes that are nearly so the common normal is far away, unless
+    `snap` makes them parallel. `convention` is "standard" or "modified", as `kempe.from_dh`
+    explains it. Parameters on which directions depend are replaced by their numbers. `symbols` and
+    `snap` are those of `symbolic_fk`, for files whose angles are rounded. Errors: those of
+    `symbolic_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing moves
+    the frame.
+
+    >>> import kempe
+    >>> print(to_dh(kempe.load("two_link"), "e"))
+    e of two_link, standard Denavit-Hartenberg
+      joint = q1, a = l1, alpha = 0, d = 0, theta = q1
+      joint = q2, a = l2, alpha = 0, d = 0, theta = q2
+    """
+    convention = known("convention", convention, CONVENTIONS)
+    name = system.structure.frame_name(frame)
+    given = dict(symbols or {})
+    values = system.structure.parameters
+    while True:
+        found = _tabled(system, name, convention, SymbolLeaves(system, given, snap))
+        if isinstance(found, DHTable):
+            return found
+        given |= {str(s): values[str(s)] for s in found}  # directions depend on these lengths
+
+
+def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) -> DHTable | set[Any]:
+    """The table, or the parameters on which directions of normals depend."""
+    axes, tip = joint_lines(system, frame, leaves)
+    unknown = set[Any]().union(
+        tip.free_symbols, *(a.point.free_symbols | a.along.free_symbols for a in axes)
+    )
+    if unknown := sorted(set(map(str, unknown)) - set(system.structure.parameters)):
+        raise UnsupportedError(
+            f"no numbers are known for {', '.join(unknown)}: a table needs the sense of each length"
+        )
+    tip_R = np.array(tip[:3, :3], dtype=float)
+    lines = [*axes, JointLine(tip[:3, 3], tip[:3, 2])]
+    start, x = _first(lines[0])
+    # feet of the normal on the axis and on the next one
+    ends = [(start, start)]
+    x_axes = [x]
+    for i, (one, two) in enumerate(zip(lines[:-1], lines[1:], strict=True)):
+        foot, other, x = _normal(one, two, ends[-1][1], x_axes[-1], system, last=i == len(axes) - 1)
+        if x.free_symbols:
+            return x.free_symbols
+        ends.append((foot, other))
+        x_axes.append(x)
+    rows = list[DHRow]()
+    before = (0.0, 0.0)
+    for i, axis in enumerate(axes):
+        (_, at) = ends[i]
+        (foot, other) = ends[i + 1]
+        h = axis.along
+        x = x_axes[i + 1]
+        a = _value(_chopped((other - foot).dot(x)))
+        d = _value(_chopped((foot - at).dot(h)))
+        alpha = _value(angle_about(h, lines[i + 1].along, x))
+        theta = _value(angle_about(x_axes[i], x, h))
+        held = (a, alpha) if convention == "standard" else before
+        before = (a, alpha)
+        rows.append(
+            DHRow(
+                *held,
+                d,
+                theta,
+                "revolute" if axis.turns else "prismatic",
+                axis.name,
+                limits=axis.limits,
+            )
+        )
+    base = _pose(x_axes[0], lines[0].along, start, system)
+    last = ends[-1][1 if convention == "standard" else 0]
+    X_n = _pose(x_axes[-1], lines[-1 if convention == "standard" else -2].along, last, system)
+    X_tip = spatial.pose(tip_R, _numbers(tip[:3, 3], system))
+    return DHTable(system, frame, convention, tuple(rows), base, spatial.inverse(X_n) @ X_tip)
+
+
+def joint_lines(
+    system: Model, frame: str, leaves: SymbolLeaves, none: str = "there is no table"
+) -> tuple[list[JointLine], Any]:
+    """The lines of the joints at q = 0, and the pose of the frame there; directions are numbers.
+
+    Errors: `UnsupportedError` for joints that are no turn or slide of their own, and, with the
+    words `none`, where nothing moves the frame.
+    """
+    steps = unwrapped(
+        step for _, motions in oriented_way(system, frame, leaves) for step in motions
+    )
+    names = {
+        leaves.coordinate(n): n for n in system.coordinate_names if leaves.coordinate(n).is_Symbol
+    }
+    still: list[SymbolicStep] = []
+    at: list[tuple[SymbolicStep, int, int, str]] = []
+    for step in steps:
+        amount: Any = step.amount
+        moving = [name for s, name in names.items() if amount is not None and amount.has(s)]
+        if amount is not None and moving:
+            rate: Any = (
+                sympy.diff(amount, leaves.coordinate(moving[0]))
+                if step.kind != "rotation"
+                else None
+            )
+            if len(moving) > 1 or rate not in (1, -1) or any(moving[0] == name for *_, name in at):
+                raise UnsupportedError(
+                    f"{step.subject} has no row in a table: each has a turn or a slide of its own"
+                )
+            at.append((step, len(still), int(rate), moving[0]))
+            step = replace(step, amount=amount.xreplace(dict.fromkeys(names, 0)))
+        still.append(step)
+    if not at:
+        raise UnsupportedError(f"no joint moves {frame!r}: {none}")
+    values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
+    poses = [pose_of(still[:k], leaves) for _, k, _, _ in at] + [pose_of(still, leaves)]
+    poses = [X.applyfunc(_decimal) for X in poses]
+    directions = [
+        X[:3, :3] * step.axis * rate for X, (step, _, rate, _) in zip(poses[:-1], at, strict=True)
+    ]
+    bent = set[Any]().union(*(v.free_symbols for v in [*directions, poses[-1][:3, :3]]))
+    fixed = {s: values[s] for s in bent if s in values}
+    bounds: dict[str, Any] = dict(
+        zip(system.structure.velocity_names, system.structure.limits.tolist(), strict=True)
+    )
+    out: list[JointLine] = []
+    for X, h, (step, _, _, name) in zip(poses[:-1], directions, at, strict=True):
+        low, high = bounds[name]
+        bounded = None if math.isinf(low) and math.isinf(high) else (low, high)
+        out.append(
+            JointLine(X[:3, 3].subs(fixed), tidy(h.subs(fixed)), name, step.kind == "turn", bounded)
+        )
+    tip = poses[-1].subs(fixed)
+    tip[:3, :3] = tidy(tip[:3, :3])
+    return out, tip
+
+
+def _first(axis: JointLine) -> tuple[Any, Any]:
+    """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground
+    if it can be.
+    """
+    h = axis.along
+    foot = axis.point - axis.along * axis.along.dot(axis.point)
+    ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
+    x = ground - h * h.dot(ground)
+    return foot, tidy(x / sympy.sqrt(x.dot(x)))
+
+
+def _normal(
+    one: JointLine, two: JointLine, at: Any, x: Any, system: Model, last: bool
+) -> tuple[Any, Any, Any]:
+    """The feet of the common normal of two axes, and its direction, from the first to the second.
+
+    `at` is a point of the first axis, through which the normal of parallel axes goes, and `x` the
+    direction that it has where the axes are one; the last normal of parallel axes goes through the
+    tip. Where the direction depends on lengths these are its symbols.
+    """
+    h = one.along
+    k = two.along
+    gap = two.point - at
+    n = h.cross(k)
+    sine = math.sqrt(float(n.dot(n)))
+    if sine < PARALLEL:
+        foot = at + h * h.dot(gap) if last else at
+        other = two.point if last else two.point - k * k.dot(gap)
+        way = tidy(other - foot)
+        if way.is_zero_matrix:
+            return foot, foot, x
+        sizes = np.abs(_numbers(way, system))
+        pivot = way[int(sizes.argmax())] if sizes.max() > 0.0 else next(w for w in way if w != 0)
+        ratio = sympy.simplify(way / pivot)
+        sense = -1 if float(_numbers(sympy.Matrix([pivot]), system)[0]) < 0.0 else 1
+        return foot, other, tidy(sense * ratio / sympy.sqrt(ratio.dot(ratio)))
+    n = tidy(n) if sine > NEARLY else n  # else what is tidied away may count
+    size = n.dot(n)
+    foot = at + h * (gap.cross(k).dot(n) / size)
+    other = two.point + k * (gap.cross(h).dot(n) / size)
+    unit = n / sympy.sqrt(size)
+    if float(unit.dot(x)) < -SMALL:  # the sense that turns the frame least
+        unit = -unit
+    return foot, other, tidy(unit)
+
+
+def angle_about(a: Any, b: Any, about: Any) -> Any:
+    """The angle from a to b about an axis that is perpendicular to both; multiples of 15 degrees
+    exactly.
+    """
+    angle = sympy.atan2(about.dot(a.cross(b)), a.dot(b))
+    exact = sympy.pi * sympy.Rational(round(float(angle) / math.pi * 12), 12)
+    return exact if abs(float(angle - exact)) < SMALL else angle
+
+
+def tidy(matrix: Any) -> Any:
+    """Expanded, without terms that are rounding."""
+    return matrix.applyfunc(_chopped)
+
+
+def _chopped(x: Any) -> Any:
+    x = sympy.expand(x)
+    return x.xreplace({f: sympy.Integer(0) for f in x.atoms(sympy.Float) if abs(f) < SMALL})
+
+
+def _decimal(x: Any) -> Any:
+    """Sines of numbers that sympy leaves as they are, as decimals: exact ones multiply out to
+    pages.
+    """
+    return x.xreplace({f: f.evalf() for f in x.atoms(sympy.sin, sympy.cos) if f.is_number})
+
+
+def _value(x: Any) -> Any:
+    return str(x) if x.free_symbols or x.has(sympy.pi) else float(x)
+
+
+def _numbers(v: Any, system: Model) -> Array:
+    values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
+    return np.array(v.subs(values), dtype=float).reshape(v.shape)[:, 0]
+
+
+def _pose(x: Any, z: Any, origin: Any, system: Model) -> Array:
+    across = _numbers(x, system)
+    along = _numbers(z, system)
+    across = across - along * (
+        along @ across
+    )  # of axes that are nearly parallel x is a rounded normal
+    across = across / np.linalg.norm(across)
+    axes = [across, np.cross(along, across), along]
+    return spatial.pose(np.stack(axes, axis=1), _numbers(origin, system))
+
+
+def _place(X: Array) -> str:
+    """A pose as the keywords by which a frame is placed."""
+    p, rpy = (
+        ", ".join(_shown(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v))
+        for v in (X[:3, 3], spatial.matrix_to_rpy(X[:3, :3]))
+    )
+    return f"at ({p}), rpy ({rpy})"
+
+
+def _shown(x: Any) -> str:
+    return str(x) if isinstance(x, str) else f"{x + 0.0:.6g}"

@@ -1,0 +1,303 @@
+"""The forward geometric model in symbols, step by step: the pose of each body in the body before
+it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.arguments import explained, flag, known
+from kempe.errors import InputError, UnsupportedError, shown
+from kempe.forward.symbolic import (
+    SymbolLeaves,
+    aligned,
+    in_latex,
+    oriented_way,
+    pose_of,
+    symbolic_fk,
+    sympy,
+    unwrapped,
+    upright,
+)
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike, Model
+
+LONG = 3000
+"""Operations from which on a Jacobian is not multiplied out: each general joint makes it five times
+as long."""
+FORMS = ("matrices", "separate", "products")
+"""How `SymbolicSteps.latex` writes the model."""
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolicSteps:
+    """The way from the ground to a frame: `T[i]` is the pose of `names[i + 1]` in `names[i]`, a
+    sympy Matrix (4, 4).
+    """
+
+    system: Model
+    names: tuple[str, ...]
+    T: tuple[Any, ...]
+    merged: Any
+    """Their product as `symbolic.fk` gives it: the angles of parallel joints are summed."""
+
+    @property
+    def R(self) -> tuple[Any, ...]:
+        """Orientation (3, 3) of each step."""
+        return tuple(T[:3, :3] for T in self.T)
+
+    @property
+    def p(self) -> tuple[Any, ...]:
+        """Position (3, 1) of each step."""
+        return tuple(T[:3, 3] for T in self.T)
+
+    @property
+    def products(self) -> tuple[Any, ...]:
+        """Pose in the ground frame after each step, multiplied out and not simplified."""
+        out = [sympy.eye(4)]
+        for T in self.T:
+            out.append(out[-1] * T)
+        return tuple(out[1:])
+
+    def numbers(self, q: Any) -> Array:
+        """The same matrices at configurations (..., nq) as numbers (..., n, 4, 4), from `fk`."""
+        from kempe.forward.fk import fk  # only here: formulas need no kernels
+
+        X = fk(self.system, q, list(self.names))
+        return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
+
+    def latex(self, form: str = "matrices") -> str:
+        """The model in LaTeX, with the names of both frames at the left of each symbol, and the
+        merged result.
+
+        `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each
+        step and how they combine, "products" the pose in the ground frame after each step. Errors:
+        `UnknownNameError` for other forms.
+        """
+        ground = self.names[0]
+        tip = self.names[-1]
+        ways = list(zip(self.names[:-1], self.names[1:], strict=True))
+        form = known("form", form, FORMS)
+        if form == "separate":
+            lines: list[str] = []
+            for (a, b), T in zip(ways, self.T, strict=True):
+                p = in_latex(T[:3, 3])
+                R = in_latex(T[:3, :3])
+                lines.append(f"{_left(a, b, 'p')} &= {p}, \\quad {_left(a, b, 'R')} = {R}")
+            place = _left(*ways[-1], "p")
+            for a, b in reversed(ways[:-1]):
+                place = rf"\left({place}\right)" if "+" in place else place
+                place = f"{_left(a, b, 'p')} + {_left(a, b, 'R')} {place}"
+            lines.append(f"{_left(ground, tip, 'p')} &= {place} = {in_latex(self.merged[:3, 3])}")
+            lines.append(
+                f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = "
+                f"{in_latex(self.merged[:3, :3])}"
+            )
+            return aligned(lines)
+        shown = zip([(ground, b) for _, b in ways], self.products, strict=True)
+        if form == "matrices":
+            shown = zip(ways, self.T, strict=True)
+        lines = [f"{_left(a, b)} &= {in_latex(T)}" for (a, b), T in shown]
+        return aligned(
+            [*lines, f"{_left(ground, tip)} &= {_product(ways)} = {in_latex(self.merged)}"]
+        )
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def __str__(self) -> str:
+        lines: list[str] = []
+        for a, b, T in zip(self.names[:-1], self.names[1:], self.T, strict=True):
+            lines.append(f"{b} in {a}: p = {tuple(T[:3, 3])}, R = {T[:3, :3].tolist()}")
+        return "\n".join(lines)
+
+
+@explained
+def symbolic_steps(
+    system: Model,
+    frame: FrameLike,
+    *,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> SymbolicSteps:
+    """The matrices whose product is the forward model of a body or frame, one for each joint on the
+    way.
+
+    A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and
+    errors are those of `kempe.forward.symbolic.symbolic_fk`; besides,
+    `UnsupportedError` for a frame of a particle, which has no orientation.
+
+    >>> from kempe import Mechanism
+    >>> arm = Mechanism("arm", dim=2)
+    >>> l1 = arm.parameter("l1", 0.5)
+    >>> _ = arm.revolute("q1", arm.ground, arm.body("upper"))
+    >>> _ = arm.revolute("q2", "upper", arm.body("lower"), at=(l1, 0))
+    >>> symbolic_steps(arm.build(), "lower").p[1].T
+    Matrix([[l1, 0, 0]])
+    """
+    merged = symbolic_fk(system, frame, symbols=symbols, snap=snap)
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    parts = oriented_way(system, frame, leaves)
+    names = (system.structure.topology.bodies[0], *(name for name, _ in parts))
+    return SymbolicSteps(system, names, tuple(pose_of(steps, leaves) for _, steps in parts), merged)
+
+
+def _left(upper: str, lower: str, what: str = "T") -> str:
+    """T, R or p with the names of its two frames at its left; of p the second one at its right."""
+    a, b = (upright(name) for name in (upper, lower))
+    return f"{{}}^{{{a}}}p_{{{b}}}" if what == "p" else f"{{}}^{{{a}}}_{{{b}}}{what}"
+
+
+def _product(ways: list[tuple[str, str]], what: str = "T") -> str:
+    return r" \, ".join(_left(a, b, what) for a, b in ways)
+
+
+@explained
+def symbolic_jacobian(
+    system: Model,
+    frame: FrameLike,
+    *,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> Any:
+    """Jacobian of a body or frame in symbols: a sympy Matrix (6, nv), rows [linear; angular] in
+    axes of the ground.
+
+    A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that
+    slides along a has [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied
+    with velocities it gives what `system.jacobian` gives in numbers. It is multiplied out where
+    that is short. `symbols`, `snap` and errors are those of `symbolic_steps`; besides,
+    `UnsupportedError` where a ball with a quaternion moves the frame.
+    """
+    leaves = SymbolLeaves(system, {}, snap)
+    given = SymbolLeaves(system, symbols or {}, snap).given
+    parts = oriented_way(system, frame, leaves)
+    steps = unwrapped(step for _, motions in parts for step in motions)
+    names = system.structure.velocity_names
+    end: Any = pose_of(steps, leaves)[:3, 3]
+    J = sympy.zeros(6, len(names))
+    for k, step in enumerate(steps):
+        if step.kind == "rotation" and step.amount.has(*map(sympy.Symbol, system.coordinate_names)):
+            raise UnsupportedError(
+                f"{step.subject} turns by a quaternion; see joint type 'spherical' with angles=True"
+            )
+        moves = step.kind in ("turn", "slide")
+        rates = [sympy.diff(step.amount, sympy.Symbol(name)) for name in names] if moves else []
+        if any(rates):
+            here: Any = pose_of(steps[:k], leaves)
+            a = here[:3, :3] * step.axis
+            column = [*a.cross(end - here[:3, 3]), *a] if step.kind == "turn" else [*a, 0, 0, 0]
+            J += sympy.Matrix(column) * sympy.Matrix([rates])
+    if int(sympy.count_ops(J)) < LONG:
+        J = J.applyfunc(sympy.expand)
+    return J.xreplace({sympy.Symbol(n): x for n, x in given.items()})
+
+
+class ShortForm(NamedTuple):
+    """A formula in which c1 stands for cos(q1) and s12 for sin(q1 + q2), and what each of them
+    stands for.
+    """
+
+    formula: Any
+    legend: dict[Any, Any]
+
+    def __str__(self) -> str:
+        matrix = isinstance(self.formula, sympy.MatrixBase)
+        lines = [sympy.pretty(self.formula, use_unicode=False) if matrix else str(self.formula)]
+        return "\n".join(lines + [f"{short} = {long}" for short, long in self.legend.items()])
+
+    def _repr_latex_(self) -> str:
+        lines = [f"& {in_latex(self.formula)}"]
+        lines += [f"{in_latex(short)} &= {in_latex(long)}" for short, long in self.legend.items()]
+        return f"$\\displaystyle {aligned(lines)}$"
+
+
+@explained
+def short_form(system: Model, formula: Any) -> ShortForm:
+    """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and
+    the legend.
+
+    A coordinate is named by the digit at the end of its name, where that tells it from the others,
+    else after an underscore by its name. Functions of anything else, and those whose short name the
+    formula has already or another angle has taken, stay as they are. Errors: `InputError` for what
+    is no formula.
+
+    >>> import kempe
+    >>> arm = kempe.load("two_link")
+    >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
+    c1*l1 + c12*l2
+    """
+    number: Any = getattr(
+        formula, "item", None
+    )  # one of numpy, which older versions of sympy do not read
+    given: Any = number() if callable(number) and np.ndim(formula) == 0 else formula
+    try:
+        read = sympy.sympify(given, strict=True)  # text would be evaluated
+    except (sympy.SympifyError, TypeError):  # the latter from containers of what has no hash
+        read = None
+    if not isinstance(read, (sympy.Expr, sympy.Rel, sympy.MatrixBase)):
+        raise InputError(
+            f"formula is {shown(formula)}; it must be an expression or a matrix of sympy"
+        )
+    formula = read
+    legend: dict[Any, Any] = {}
+    words = _words(system)
+    angles = dict[str, Any]()
+    for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
+        angle = found.args[0]
+        label = _label(words, angle)
+        if "-" in label:  # c1-2 would be a difference
+            label = f"_{{{label.replace('-_', '-').lstrip('_').replace('_', ',')}}}"
+        symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
+        if (
+            label
+            and angles.setdefault(label, angle) == angle
+            and symbol not in formula.free_symbols
+        ):
+            legend[symbol] = found
+    return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
+
+
+@explained
+def short_fk(system: Model, frame: FrameLike, short: bool, **options: Any) -> Any:
+    """`symbolic_fk`, or its `short_form`."""
+    formula = symbolic_fk(system, frame, **options)
+    return short_form(system, formula) if flag(short, "short") else formula
+
+
+def _words(system: Model) -> dict[Any, str]:
+    """Short names of the coordinates, in their order: digits where no two are the same and none has
+    two of them.
+    """
+    names = system.coordinate_names
+    ends = [re.search(r"\d+$", name) for name in names]
+    digits = [end[0] for end in ends if end]
+    short = len(set(digits)) == len(digits) and all(len(d) == 1 for d in digits)
+    return {
+        sympy.Symbol(n): end[0] if end and short else f"_{n}"
+        for n, end in zip(names, ends, strict=True)
+    }
+
+
+def _label(words: Mapping[Any, str], angle: Any) -> str:
+    """Short name of a sum of coordinates, each with the sign plus or minus; '' for other
+    expressions.
+    """
+    terms = {
+        symbol: sign
+        for sign, symbol in (x.as_coeff_Mul() for x in sympy.Add.make_args(sympy.expand(angle)))
+    }
+    if not all(sign in (1, -1) and symbol in words for symbol, sign in terms.items()):
+        return ""
+    return "".join(
+        [word for symbol, word in words.items() if terms.get(symbol) == 1]
+        + [f"-{word}" for symbol, word in words.items() if terms.get(symbol) == -1]
+    )

@@ -1,0 +1,643 @@
+"""Answers of the analytical inverse model: all configurations that reach a target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+
+from kempe.answers.answer import Answer, ConfigurationList, Row
+from kempe.answers.targets import TASKS, Z_AXIS, frame_of
+from kempe.arguments import explained_methods
+from kempe.constraints.kinds import of_target
+from kempe.equations.tasks import task_of
+from kempe.errors import InputError
+from kempe.forward.fk import fk, jacobian
+from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of, named
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.report import Cells, by_code
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import Status, member
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.inverse.closed_forms.plan import ChainPlan
+    from kempe.inverse.closed_forms.question import Question
+    from kempe.model.model import Model as System
+
+# ---- outcome
+
+# The outcome of `ik_all` for each target, and what its solutions must be judged by.
+
+
+def codes(solutions: Solutions) -> np.ndarray:
+    """The `Status` numbers (N,): that there is no solution is proven where the answer is complete.
+
+    Solutions that were left out, of a whole answer, are outside of limits or of one-sided
+    constraints. What is known of curves of solutions is no proof.
+    """
+    whole = solutions if solutions._whole is None else solutions._whole
+    used = whole._used
+    multiplicity = whole._code // int(A.MULTIPLICITY_UNIT)
+    curves = (used & (multiplicity == 0)).any(axis=1)
+    none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
+    complete = np.ravel(whole.complete) & np.ravel(
+        solutions.complete
+    )  # of the whole, and of what is left
+    none = np.where(complete & ~curves, none, Status.NOT_FOUND)
+    none = np.where(np.ravel(whole.late), Status.OUT_OF_TIME, none)
+    none = np.where(whole._counts[:, 0] < 0, Status.BAD_INPUT, none)
+    return np.where((solutions._code % 2 == 1).any(axis=1), Status.SOLVED, none)
+
+
+def goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
+    """Tasks, goals and tolerances of the target, for each of its solutions."""
+    question = solutions.question
+    lead = solutions._lead
+    X = question.targets[0] if lead is None else question.targets.reshape(*lead, 1, 4, 4)
+    allowed = (question.tolerance, max(question.tolerance, question.angular))
+    made = of_target(question.frame, question.task, question.axis, X)
+    return [(task_of(c, solutions.system.dim), None, allowed) for c in made]
+
+
+# ---- turns
+
+# Rows of an answer chosen or ordered: every turn inside the limits, only what is inside, branches
+# that continue.
+
+
+NEW = 1e3
+"""Change of the joints that is as bad as the beginning of a branch."""
+
+MOST_ROWS = 20_000
+"""Rows of one target, at most: limits of many turns multiply."""
+
+
+def inside_rows(rows: Array, single: bool) -> Array:
+    """The rows (N, K, n + 2) with those outside the limits not in use; of a single target these
+    come last.
+    """
+    code = rows[..., -A.INFO + A.CODE]
+    out = rows.copy()
+    out[(code >= 0.0) & (code.astype(np.int64) % 2 == 0), -A.INFO + A.CODE] = A.UNUSED
+    return packed(out) if single else out
+
+
+def packed(rows: Array) -> Array:
+    """The rows (N, K, n + 2) with those in use first, in their order."""
+    unused = rows[..., -A.INFO + A.CODE] < 0.0
+    order = np.argsort(unused, axis=1, kind="stable")
+    return np.take_along_axis(rows, order[..., None], axis=1)
+
+
+def expanded(rows: Array, lines: Lines) -> Array:
+    """The rows (N, K, n + 2) with every turn of each angle that is inside the limits; what is
+    outside stays as it is.
+
+    Errors: `InputError` where one target would have more than MOST_ROWS.
+    """
+    for i in range(len(lines) if rows.size else 0):
+        low, high = lines.limits[:, i]
+        period = 2.0 * math.pi / abs(lines.multiplier[i])
+        if lines.kinds[i] == SLIDE or not high - low < math.inf or high - low < period - 1e-9:
+            continue
+        code = rows[..., -A.INFO + A.CODE]
+        q = rows[..., i]
+        fits = (code >= 0.0) & (code.astype(np.int64) % 2 == 1)
+        first = np.where(fits, np.ceil((low - q) / period - 1e-12), 0.0)
+        last = np.where(fits, np.floor((high - q) / period + 1e-12), 0.0)
+        count = int(np.nanmax(last - first, initial=0.0)) + 1
+        if rows.shape[1] * count > MOST_ROWS:
+            raise InputError(
+                f"more than {MOST_ROWS} solutions: joint {lines.names[i]!r} alone has {count} turns"
+            )
+        turns = first[..., None] + np.arange(count)
+        more = np.repeat(rows[:, :, None], count, axis=2)
+        more[..., i] = np.where(
+            fits[..., None], np.clip(q[..., None] + turns * period, low, high), q[..., None]
+        )
+        more[..., -A.INFO + A.CODE] = np.where(
+            turns <= last[..., None], more[..., -A.INFO + A.CODE], A.UNUSED
+        )
+        rows = packed(more.reshape(len(rows), -1, rows.shape[2]))
+        used = rows[..., -A.INFO + A.CODE] >= 0.0
+        rows = rows[:, : max(int(used.sum(axis=1).max(initial=0)), 1)]
+    return rows
+
+
+def followed(rows: Array, lines: Lines, length: int) -> Array:
+    """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that
+    it continues.
+    """
+    from scipy import optimize
+
+    out = rows.copy()
+    n = len(lines)
+    unit = np.abs(lines.multiplier)
+    period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / unit)
+    for first in range(0, len(rows), max(length, 1)):
+        last = np.full((rows.shape[1], n), np.nan)  # where each place was last in use
+        for i in range(first, min(first + length, len(rows))):
+            used = out[i, :, n + A.CODE] >= 0.0
+            with np.errstate(invalid="ignore"):
+                d = out[i, None, :, :n] - last[:, None]
+                d = np.where(np.isinf(period), d, d - period * np.round(d / period))
+                cost = np.linalg.norm(d * unit, axis=-1)
+            cost = np.where(used, np.where(np.isnan(cost), NEW, np.minimum(cost, NEW)), 2.0 * NEW)
+            order: np.ndarray = cast(Any, optimize).linear_sum_assignment(cost)[1]
+            out[i] = out[i, order]
+            last = np.where((out[i, :, n + A.CODE] >= 0.0)[:, None], out[i, :, :n], last)
+    return out
+
+
+@dataclass(frozen=True)
+class SolutionsRow(Row):
+    """What `ik_all` says of its answers; targets are numbered along all axes of a batch."""
+
+    held: Callable[[Any], str]
+    """Where joints are held, in a sentence."""
+    nearest: Callable[[Any, int], tuple[Array, float, float]]
+    """What comes nearest to one target."""
+    families: Callable[[Any, int], tuple[list[Any], np.ndarray]]
+    """The self-motions of one target, a list of `Family`, and for each solution the number of its
+    own."""
+
+
+class Bound(Protocol):
+    """The bound form of a plain call, which tells the problem that was solved for a pose (4, 4)."""
+
+    system: System
+
+    def question(self, target: Array) -> Question:
+        """The problem that was solved."""
+        ...
+
+
+@explained_methods
+class Solutions(ConfigurationList, Answer):
+    """All configurations that reach a target, or each of a batch of targets.
+
+    For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to
+    `start`. For a batch: `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a
+    branch keeps its row. Of each solution: `residual` the norm of position error [m] and
+    orientation error [rad] by the forward model, `inside` whether it respects the limits,
+    `multiplicity` how many roots of the equations have merged in it (0: it is one of infinitely
+    many, see `families`), `branch` the number of its branch (-1 where branches have no numbers),
+    `names` its name ("" where there is none), `condition` the condition number of the Jacobian of
+    the task. `complete` says that there are no other isolated solutions.
+    """
+
+    def __init__(
+        self,
+        question: Question | tuple[Bound, Array],
+        plan: ChainPlan,
+        base: Array,
+        rows: Array,
+        counts: np.ndarray,
+        lead: tuple[int, ...] | None,
+        used: int | None = None,
+        locked: Array | None = None,
+        first: Array | None = None,
+        tried: np.ndarray | None = None,
+        late: tuple[float, np.ndarray] | None = None,
+    ):
+        self._question = question
+        self.plan = plan
+        self._base = base
+        self._rows = rows
+        self._counts = counts
+        self._lead = lead
+        self._count = used
+        self._locked = locked
+        self._first = first
+        self._tried = tried
+        self._ended = late
+        self._whole: Solutions | None = (
+            None  # the answer before some of it was chosen: what is said is about that
+        )
+        self._left_out: np.ndarray | None = (
+            None  # and what is said besides (N,) of those that were left out
+        )
+
+    @cached_property
+    def question(self) -> Question:
+        """The problem that was solved."""
+        if isinstance(self._question, tuple):
+            bound, target = self._question
+            return bound.question(target)
+        return self._question
+
+    @property
+    def system(self) -> System:
+        """The system of the problem."""
+        return (
+            self._question[0].system if isinstance(self._question, tuple) else self._question.system
+        )
+
+    @property
+    def single(self) -> bool:
+        """Whether one target was given, not a batch."""
+        return self._lead is None
+
+    @cached_property
+    def _code(self) -> np.ndarray:
+        """Codes of all rows (N, K), see `kempe.kernels.closed_form.analytic_layout`; 0 for rows not
+        in use.
+        """
+        code = self._rows[..., len(self.plan.lines) + A.CODE]
+        return np.where(code >= 0.0, code, 0.0).astype(np.int64)
+
+    @cached_property
+    def _used(self) -> np.ndarray:
+        """Which rows (N, K) are in use."""
+        return self._rows[..., len(self.plan.lines) + A.CODE] >= 0.0
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """Which rows (..., K) of a batch are in use; of a single target all (k,)."""
+        return self._pick(self._used)
+
+    def _pick(self, rows: Array) -> Any:
+        """Rows (N, K, ...) in the shape of the answer."""
+        if self._lead is None:
+            return rows[0, : int(self._used[0].sum()) if self._count is None else self._count]
+        return rows.reshape(*self._lead, *rows.shape[1:])
+
+    def _of(self, values: Array) -> Array:
+        """Numbers (N, K, ...) in the shape of the answer, NaN in rows not in use."""
+        if self._lead is not None and not self._used.all():
+            shape = (*self._used.shape, *[1] * (values.ndim - 2))
+            values = np.where(self._used.reshape(shape), values, np.nan)
+        return self._pick(values)
+
+    @cached_property
+    def q(self) -> Array:
+        """Configurations (k, nq), or (..., K, nq) of a batch."""
+        return self._of(self._full())
+
+    def _full(self) -> Array:
+        """Configurations (N, K, nq) of all rows."""
+        n = self.system.nq
+        index = self.plan.lines.q_index
+        own = self._rows[..., : len(index)]
+        if self.plan.plain and len(index) == n:
+            return own
+        full = np.empty((*own.shape[:2], n))
+        full[:] = self._base[:, None]
+        full[..., index] = own
+        return full
+
+    @cached_property
+    def residual(self) -> Array:
+        """Norm (k,) or (..., K) of position error [m] and orientation error [rad]."""
+        return self._of(self._rows[..., len(self.plan.lines) + A.ERROR])
+
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """Whether each is inside the limits, (k,) or (..., K)."""
+        return self._pick(self._code % 2 == 1)
+
+    @cached_property
+    def multiplicity(self) -> np.ndarray:
+        """How many roots each is, (k,) or (..., K); 0 for one of a family, and in rows not in use."""
+        return self._pick(self._code // int(A.MULTIPLICITY_UNIT))
+
+    @cached_property
+    def branch(self) -> np.ndarray:
+        """Number of the branch of each, (k,) or (..., K), -1 where there is none."""
+        unit = int(A.SLOT_UNIT)
+        return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns for a file: a row a solution, of a batch with the number of its target
+        before it.
+        """
+        names = list(self.system.coordinate_names)
+        mask = self.mask
+        if self.single:
+            return names, self.q
+        mask = mask.reshape(-1, mask.shape[-1])
+        q = self.q.reshape(*mask.shape, self.system.nq)[mask]
+        return ["target", *names], np.column_stack([np.nonzero(mask)[0].astype(float), q])
+
+    # ---- joints that are held
+
+    @property
+    def _where(self) -> tuple[Array | None, Array | None, np.ndarray | None]:
+        """Where joints are held, where they were held first, and how many values were tried."""
+        return self._locked, self._first, self._tried
+
+    @property
+    def spare(self) -> tuple[str, ...]:
+        """Names of the joints that are held since the chain has more than the task needs, not by
+        the caller.
+        """
+        plan = self.plan
+        return tuple(plan.lines.names[i] for i in plan.locked if i not in plan.fixed)
+
+    @cached_property
+    def held(self) -> dict[str, Any]:
+        """Where joints are held, by name: a number, or an array (...) with one for each target of a
+        batch.
+        """
+        out: dict[str, Any] = {}
+        locked = self._base[:, self.plan.lines.q_index] if self._locked is None else self._locked
+        for i in self.plan.locked:
+            values = np.broadcast_to(locked[:, i], len(self._rows))
+            out[self.plan.lines.names[i]] = (
+                float(values[0]) if self._lead is None else values.reshape(self._lead)
+            )
+        return out
+
+    @property
+    def tried(self) -> Any:
+        """At how many values of the `spare` joints solutions were requested: an int, or an array
+        (...) of a batch.
+        """
+        tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
+        return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
+
+    @cached_property
+    def _kind(self) -> Kind | None:
+        return kind_of(self.plan, self.system.dim == 2)
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Names of the configurations in pictures: of their branches, else numbers."""
+        return tuple(name or str(k) for k, name in enumerate(np.ravel(self.names).tolist(), 1))
+
+    @cached_property
+    def names(self) -> np.ndarray:
+        """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no
+        flip".
+
+        A name depends on the configuration alone, and says "singular" on the border of two
+        branches. It is "" where there is none: for other chains than planar arms, SCARAs, those of
+        six turns, the second and third about parallel axes, with a wrist of three axes that meet in
+        a point, or with a fourth axis parallel to the second and axes 5 and 6 that meet, Stanford
+        arms, and seven turns with a spherical shoulder and wrist ("elbow +").
+        """
+        lines = self.plan.lines
+        out = np.full(self._used.shape, "", dtype=object)
+        if self._kind is not None and self._used.any():
+            theta = lines.theta(self._rows[self._used][:, : len(lines)])
+            merged = self._code[self._used] // int(A.MULTIPLICITY_UNIT) != 1
+            out[self._used] = branch_names(self._kind, lines, theta, merged)
+        return self._pick(out)
+
+    def named(self, words: str | Iterable[str]) -> np.ndarray:
+        """Which solutions have these words in their names, (k,) or (..., K):
+        ``a.q[a.named("elbow up, no flip")]``.
+
+        Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for
+        other words.
+        """
+        return named(self._kind, self.names, words)
+
+    # ---- what is found out on demand
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Jacobians (k, 6, n) or (..., K, 6, n) of the chain's joints at the solutions, rows in the
+        frame of the tip.
+
+        Rows that the task does not read and columns of joints that are held are zero; in metres and
+        radians.
+        """
+        question = self.question
+        plan = self.plan
+        own = np.where(self._used[..., None], self._rows[..., : len(plan.lines)], 0.0)
+        q = np.broadcast_to(self._base[:, None], (*own.shape[:2], self.system.nq)).copy()
+        q[..., plan.lines.q_index] = own
+        J = jacobian(self.system, q, question.frame, "body")[..., plan.lines.v_index]
+        if question.axis != Z_AXIS:
+            R = frame_of(np.array(question.axis)).T
+            J = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:, :]], axis=-2)
+        J = J * np.array(TASKS[plan.task], dtype=float)[:, None]
+        J[..., list(plan.locked)] = 0.0
+        return self._of(J)
+
+    @cached_property
+    def condition(self) -> Array:
+        """Condition numbers (k,) or (..., K) of the Jacobian, lengths measured by the chain's;
+        infinite if singular.
+        """
+        plan = self.plan
+        J = np.nan_to_num(self.jacobian)
+        scale = np.array([1.0 / plan.lines.length] * 3 + [1.0] * 3)[:, None]
+        units = np.where(plan.lines.kinds == SLIDE, plan.lines.length, 1.0)
+        moves = [i for i in range(len(plan.lines)) if i not in plan.locked]
+        values = svd((J * scale * units)[..., moves], compute_uv=False)
+        rank = min(len(moves), int(np.sum(TASKS[plan.task])))
+        if self.system.dim == 2:
+            rank = min(rank, 2 if plan.task == "position" else 3)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = values[..., 0] / values[..., rank - 1]
+        return (
+            ratio
+            if self.single
+            else np.where(self.mask, np.where(np.isnan(ratio), np.inf, ratio), np.nan)
+        )
+
+    @cached_property
+    def derivative(self) -> Array:
+        """dq (k, nv, 6) or (..., K, nv, 6) for a twist [linear; angular] of the target, ground
+        axes, at its origin.
+
+        The pseudoinverse of the Jacobian where the task asks for less than a pose, or the chain has
+        fewer joints.
+        """
+        J = self.jacobian
+        used = self.mask[..., None, None]
+        inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
+        R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[
+            ..., :3, :3
+        ]
+        if self.question.axis != Z_AXIS:
+            R = R @ frame_of(np.array(self.question.axis))
+        R = np.swapaxes(R, -1, -2)
+        body = np.concatenate([inverse[..., :3] @ R, inverse[..., 3:] @ R], axis=-1)
+        out = np.zeros((*J.shape[:-2], self.system.nv, 6))
+        out[..., self.plan.lines.v_index, :] = body
+        return np.where(used, out, np.nan)
+
+    @cached_property
+    def complete(self) -> Any:
+        """Whether there are no other isolated solutions: bool, or (...) of a batch."""
+        proven = self.plan.method != "search" and self.plan.locked == self.plan.fixed
+        sure = (self._counts[:, 1] == 0) & proven & (self._counts[:, 0] >= 0)
+        return bool(sure[0]) if self._lead is None else sure.reshape(self._lead)
+
+    @property
+    def late(self) -> Any:
+        """Whether the time limit ended the work, so that there may be other solutions: bool, or
+        (...) of a batch.
+        """
+        if self._ended is None:
+            return False if self._lead is None else np.zeros(self._lead, dtype=bool)
+        return bool(self._ended[1][0]) if self._lead is None else self._ended[1].reshape(self._lead)
+
+    @cached_property
+    def _families(self) -> list[tuple[list[Any], np.ndarray]]:
+        """Families of each target, and the family of each row (-1: none)."""
+        spare = self.plan.locked != self.plan.fixed
+        weak = [spare or bool(row.any()) for row in self._used & (self._code % 4 >= 2)]
+        none: tuple[list[Any], np.ndarray] = ([], np.full(len(self._used.T), -1))
+        return [self._row.families(self, i) if weak[i] else none for i in range(len(weak))]
+
+    @property
+    def families(self) -> Any:
+        """Self-motions, curves of solutions: a list of `Family`; of a batch an array (...) of
+        lists.
+        """
+        if self._lead is None:
+            return self._families[0][0]
+        out = np.empty(len(self._families), dtype=object)
+        for i, (families, _) in enumerate(self._families):
+            out[i] = families
+        return out.reshape(self._lead)
+
+    @property
+    def family(self) -> np.ndarray:
+        """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated
+        solutions.
+        """
+        return self._pick(np.array([rows for _, rows in self._families]).reshape(self._used.shape))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self._lead or ()
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        i = int(np.ravel_multi_index(index, self._shape)) if index else 0
+        if self._whole is None:
+            return self._row.sentence(self, i)
+        return self._whole._sentence(index) + ("" if self._left_out is None else self._left_out[i])
+
+    success = by_code
+
+    @cached_property
+    def code(self) -> Any:
+        """The outcome (...): solved where a solution is inside the limits, failures proven where it
+        is `complete`.
+        """
+        code = codes(self)
+        return member(code[0]) if self._lead is None else code.reshape(self._lead)
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return goals(self)
+
+    def _claimed(self) -> np.ndarray:
+        return self.mask
+
+    def nearest(self, index: int = 0) -> tuple[Array, float, float]:
+        """The configuration (nq,) inside the limits that comes closest to a target, and how far it
+        is off: [m], [rad].
+
+        index: number of the target in a batch, counted along all its axes.
+        """
+        if not 0 <= index < len(self._rows):
+            raise InputError(
+                f"index is {index}; there are {counted(len(self._rows), 'target')}, from 0"
+            )
+        return self._row.nearest(self, index)
+
+    def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
+        """The same answer with every turn inside the limits listed, or without what is outside
+        them.
+        """
+
+        rows = self._rows
+        if inside_only:
+            rows = inside_rows(rows, self.single)
+        if expand_turns:
+            rows = expanded(rows, self.plan.lines)
+        return self._with(rows, self)
+
+    def along(self) -> Solutions:
+        """The same batch with its rows in the order in which branches continue along the last axis
+        of the targets.
+
+        Where branches have names (`branch`), rows do so already; others are matched by the smallest
+        change of the joints from one target to the next. A branch that ends leaves its row to the
+        next one that begins.
+        """
+
+        if self._lead is None or not self._lead:
+            return self
+        rows = followed(self._rows, self.plan.lines, self._lead[-1])
+        return self._with(rows, self._whole, self._left_out)
+
+    def _with(
+        self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None
+    ) -> Solutions:
+        """The same answer with other rows; what is said is about the `whole`, and what was left
+        out.
+        """
+        out = Solutions(
+            self._question,
+            self.plan,
+            self._base,
+            rows,
+            self._counts,
+            self._lead,
+            None,
+            *self._where,
+            late=self._ended,
+        )
+        out._whole = whole
+        out._left_out = left_out
+        return out
+
+    def __repr__(self) -> str:
+        what = counted(len(self) if self.single else int(self._used.sum()), "solution")
+        of = "" if self.single else f" of {counted(len(self._rows), 'target')}"
+        return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{of})"
+
+    row = "answers of ik_all"
+    what = "targets reached"
+    also = (
+        "complete",
+        "late",
+        "inside",
+        "multiplicity",
+        "branch",
+        "names",
+        "held",
+        "spare",
+        "tried",
+    )
+
+    def _headline(self) -> str:
+        text = super()._headline() + (
+            "" if self.single else f", {counted(int(self._used.sum()), 'solution')}"
+        )
+        return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
+
+    def _cells(self) -> Cells:
+        """What is shown of one target: coordinates of the chain, and what is special."""
+        if not self.single:
+            return (), ()
+        names = self.system.coordinate_names
+        at = self.plan.lines.q_index
+        rows: list[list[str]] = []
+        for q, name, inside, m in zip(
+            self.q, self.names, self.inside, self.multiplicity, strict=True
+        ):
+            notes = [name] if name else []
+            notes += [] if inside else ["outside limits"]
+            notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
+            rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
+        heads = [*(names[int(i)] for i in at), "note"]
+        return (
+            (heads, rows)
+            if any(row[-1] != "-" for row in rows)
+            else (heads[:-1], [row[:-1] for row in rows])
+        )

@@ -1,0 +1,376 @@
+"""Answers of solvers: the configuration, whether and how well it solves the task, and the sentence
+that says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from kempe.answers.answer import Answer, Row
+from kempe.arguments import brief, explained_methods, place_in
+from kempe.arrays import plain
+from kempe.equations.slip import rolls
+from kempe.errors import InputError
+from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.late import late
+from kempe.report import Report
+from kempe.spatial import Array
+from kempe.status import MEMBERS, PROOFS, Status
+from kempe.words import counted, cut
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.inverse.chain.problem import FrameProblem
+    from kempe.model.model import Model as System
+
+
+def _member(number: float) -> Status:
+    return MEMBERS[int(number)]
+
+
+_MEASURED: dict[str, tuple[int, Callable[..., Any]]] = {
+    "iterations": (STEPS, int),
+    "starts": (STARTS, int),
+    "code": (STATUS, _member),
+    "position_error": (LINEAR, float),
+    "orientation_error": (ANGULAR, float),
+}
+"""Fields of an answer for a single target, where the kernels leave them, and as what they are
+read."""
+
+
+@dataclass(frozen=True)
+class SolutionRow(Row):
+    """What `ik` says of its answers."""
+
+    proofs: Callable[[Any, tuple[int, ...]], tuple[Any, ...]]
+    """What proves that there is no answer for one target."""
+    derive: Callable[[Any], Any]
+    """How answers move with their targets."""
+    analyse: Callable[[Any], tuple[int, int, int, Array]]
+    """Equations, freedoms, rank of the equations and self-motions of one answer."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Solution(Answer):
+    """Answer of the inverse model: one configuration for each target.
+
+    `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found
+    inside the limits (NaN for targets that are not numbers). `position_error` in metres and
+    `orientation_error` in radians (0 for position targets) are measured by a forward pass;
+    `residual` is the norm of both. `iterations` and `starts` count the work. All have the leading
+    shape of the targets; for a single target they are plain Python numbers.
+
+    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for
+    when `q`, an error, `iterations`, `starts` or `status` is first requested: `success`, `code` and
+    `proven` need no search.
+    """
+
+    __repr__ = brief
+
+    row = "answers of ik"
+    what = "targets reached"
+    also = ("position_error", "orientation_error", "iterations", "starts")
+
+    q: Array
+    success: Any
+    code: Any
+    position_error: Any
+    orientation_error: Any
+    iterations: Any
+    starts: Any
+    problem: Any = field(repr=False)
+    """The `FrameProblem`, or a bound form and its target, which can tell it."""
+    history: ClassVar[IkHistory | None] = None
+    """The iterates, an `IkHistory`, where `ik` was given ``history=True``."""
+
+    @classmethod
+    def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
+        """The answer for a single target that was reached, in a fraction of the time that a frozen
+        class takes.
+
+        `measured` ends with errors, status, steps and starts, as the kernels leave them: they
+        become fields when one is requested.
+        """
+        out = object.__new__(cls)
+        own = out.__dict__
+        own["q"] = q
+        own["success"] = True
+        own["problem"] = problem
+        own["_measured"] = measured
+        return out
+
+    @classmethod
+    def postponed(
+        cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]
+    ) -> Solution:
+        """The answer for a batch of which only codes (...) are known yet; ``later[0](*later[1])``
+        computes the rest.
+        """
+        out = object.__new__(cls)
+        out.__dict__.update(success=code == Status.SOLVED, code=code, problem=problem, _later=later)
+        return out
+
+    if not TYPE_CHECKING:  # a type checker would take any name for a field
+
+        def __getattr__(self, name: str) -> Any:
+            if "_later" in self.__dict__ and name in self.__dataclass_fields__:
+                function, given = self.__dict__["_later"]
+                self.__dict__.update(function(*given).__dict__)
+                del self.__dict__["_later"]
+                return self.__dict__[name]
+            measured = self.__dict__.get("_measured")
+            if measured is None or name not in _MEASURED:
+                return object.__getattribute__(self, name)  # the error as it was
+            place, kind = _MEASURED[name]
+            value = self.__dict__[name] = kind(measured[place - ANSWER])
+            return value
+
+    @cached_property
+    def task(self) -> FrameProblem:
+        """The problem that was solved."""
+        problem = pair = self.problem
+        if isinstance(problem, tuple):
+            bound, target = pair
+            return bound.task(target)
+        return pair
+
+    @cached_property
+    def residual(self) -> Any:
+        """Error (...) of each configuration: the norm of its position error [m] and orientation
+        error [rad].
+        """
+        return plain(np.hypot(self.position_error, self.orientation_error))
+
+    @property
+    def proven(self) -> Any:
+        """Where (...) it is proven that no solution exists; elsewhere a failure only means that no
+        start found one.
+
+        Proofs are lengths, two tasks that contradict each other, and limits outside of which all
+        the answers are.
+        """
+        out = np.array(np.isin(self.code, PROOFS))
+        for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
+            out[tuple(index)] = bool(self._proofs(tuple(index.tolist())))
+        return plain(out)
+
+    def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
+        """What proves that there is no answer for one question, as data; empty where nothing does.
+
+        Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
+        Errors: `InputError` for a place that is not in the batch.
+        """
+        return self._proofs(place_in(index, self._shape))
+
+    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
+        return self._row.proofs(self, index)
+
+    @property
+    def system(self) -> System:
+        """The system that was solved for."""
+        return self.task.system
+
+    @cached_property
+    def _local(self) -> tuple[int, int, int, Array]:
+        """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis
+        of self-motions.
+        """
+        if np.ndim(self.success):
+            raise InputError(
+                "m, n, rank and self_motion are those of one answer: ask for one problem, not for "
+                "a batch"
+            )
+        return self._row.analyse(self)
+
+    @property
+    def m(self) -> int:
+        """Number of equations of the hard tasks, inequalities left out."""
+        return self._local[0]
+
+    @property
+    def n(self) -> int:
+        """Freedoms, at the answer, of the joints that move the tasks' frames, directly or through
+        loops.
+
+        Their velocity coordinates, less the rank of the loops and relations that these are in.
+        """
+        return self._local[1]
+
+    @property
+    def rank(self) -> int:
+        """Rank of the hard tasks' Jacobian at the answer, restricted to velocities that keep the
+        loops closed.
+        """
+        return self._local[2]
+
+    @property
+    def redundancy(self) -> int:
+        """Freedoms that the hard tasks leave to the joints that move their frames, n - rank."""
+        return self.n - self.rank
+
+    @property
+    def self_motion(self) -> Array:
+        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and
+        characteristic lengths.
+        """
+        return self._local[3]
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        from kempe.constraints.kinds import of_target
+        from kempe.equations.tasks import task_of
+
+        task = self.task
+        X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
+        made = of_target(task.frame, task.name, task.axis, X)
+        return [(task_of(c, task.system.dim), None, task.tolerance) for c in made]
+
+    def plot_history(self, ax: Any = None) -> Any:
+        """Matplotlib axes with the errors over the steps; for answers of ``ik(..., history=True)``."""
+        if self.history is None:
+            raise InputError("this answer has no history; ask for it by ik(..., history=True)")
+        return self.history.plot(ax)
+
+    @cached_property
+    def derivative(self) -> Any:
+        """dq (..., nv, 6) for a twist [linear; angular] of the target; see
+        `kempe.inverse.derivative`.
+        """
+        return self._row.derive(self)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        return self._row.sentence(self, index) + self._way_there(index)
+
+    def _way_there(self, index: tuple[int, ...]) -> str:
+        """End of a success sentence: under velocity constraints, that driving there needs a
+        manoeuvre; else ''.
+        """
+        if not np.asarray(self.success)[index] or not rolls(self.system):
+            return ""
+        return late("way_there")(self.system)
+
+
+# ---- reached
+
+# The answer for several tasks: the configuration, what each task misses, and what freedoms are
+# left.
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Reached(Solution):
+    """Answer of `System.ik` for tasks.
+
+    As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks.
+    `errors` gives for each task, by its label, how far it is missed (..., 2) in metres and radians.
+    `late` (...) says where the time limit ended the search, or the lowering of soft tasks and
+    preferences.
+    """
+
+    __repr__ = brief
+
+    row = "answers of ik, tasks"
+    what = "problems solved"
+
+    errors: dict[str, Array]
+    late: Any
+
+    @property
+    def _closing(self) -> Any:
+        return self.problem.packed.closing
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return self.problem.hard_tasks
+
+    @cached_property
+    def derivative(self) -> dict[str, Array]:
+        """For each task, by its label, dq (..., nv, k) for motions of its goal.
+
+        See `kempe.inverse.derivative`.
+        """
+        return self._row.derive(self)
+
+
+# ---- iterates
+
+# The iterates of the numerical inverse model: step by step what its starts found.
+
+
+MOST_STARTS = 64
+"""Starts whose iterates are kept: those of more fill no picture."""
+MOST_LINES = 32
+"""Lines of the text."""
+
+
+@dataclass(frozen=True, eq=False)
+class IkHistory(Report):
+    """What a search found after each of its steps, one row each.
+
+    `q` (k, nq) is the nearest configuration that its start had found by then (steps that lead away
+    are taken, too, and repeat the row before), `position_error` (k,) in metres, `orientation_error`
+    (k,) in radians, `start` (k,) the number of the start, `step` (k,) that of the step in it: 0 is
+    where it began.
+    """
+
+    system: System
+    q: Array
+    position_error: Array
+    orientation_error: Array
+    start: np.ndarray
+    step: np.ndarray
+    starts: int
+    """How many starts there were; of the first 64 there are rows."""
+
+    @property
+    def errors(self) -> Array:
+        """Position and orientation error (k, 2)."""
+        return np.stack([self.position_error, self.orientation_error], axis=-1)
+
+    @property
+    def status(self) -> str:
+        """How many steps and starts there are, and how the errors fell."""
+        last = (
+            f"{self.position_error[-1]:.2g} m"
+            + f" and {self.orientation_error[-1]:.2g} rad" * self._turns
+        )
+        kept = "" if self.starts <= MOST_STARTS else f", the first {MOST_STARTS} of {self.starts}"
+        count = int(self.start[-1]) + 1
+        return (
+            f"{counted(len(self.q) - count, 'step')} of {counted(count, 'start')}{kept}: at last "
+            f"{last}"
+        )
+
+    @property
+    def _turns(self) -> bool:
+        return bool(np.any(self.orientation_error > 0.0))
+
+    def _lines(self) -> list[str]:
+        rows = list(
+            zip(self.start, self.step, self.position_error, self.orientation_error, strict=True)
+        )
+        if self.start[-1] > 0:  # of each of several starts the last step
+            rows = [rows[k] for k in (*(np.flatnonzero(np.diff(self.start))), -1)]
+        lines = [
+            f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns
+            for s, k, p, a in rows
+        ]
+        return cut(lines, MOST_LINES)
+
+    def _data(self) -> dict[str, Any]:
+        names = ("q", "position_error", "orientation_error", "start", "step", "starts")
+        return {name: getattr(self, name) for name in names}
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the errors over the steps, a line for each start; see
+        `kempe.views.plots.plot_history`.
+
+        The iterates themselves are drawn by ``system.plot(history.q)``.
+        """
+        return late("plots").plot_history(self, ax)

@@ -1,0 +1,470 @@
+"""Arms with a shoulder and a wrist: all their configurations for a pose, over the angle of the
+arm's plane.
+
+Seven turns: three axes that meet in the shoulder point S, the elbow axis, three axes that meet in
+the wrist point W. A pose fixes W, and |SW| the elbow's angle; the arm can still turn about the line
+SW. The *arm angle* says how far:
+
+    E    the elbow point: the point of the elbow axis that is nearest to S
+    v    the direction from S to W
+    psi  the angle about v that brings the half plane through SW and `reference` to the half plane through SW and E
+
+`reference` is a direction in ground axes: that of the first joint's axis, where no other is named.
+For arms whose first axis is vertical, psi = 0 has the elbow straight above the line SW, in the
+vertical plane, where q3 = 0 in the usual designs (Kreutz-Delgado, Long and Seraji, IJRR 11(5),
+1992). Singular cases: where v lies along `reference`, the x axis of the ground stands for it (the y
+axis where that lies along v too), so that psi jumps there; where the arm is stretched, E lies on
+SW, and psi is the limit that is reached from the elbow's branch "+".
+
+Shoulder and wrist are rotations that depend on psi as M0 + Mc cos(psi) + Ms sin(psi). So a joint is
+at a limit where a sum of constant, cosine and sine of psi vanishes: a quadratic equation in
+tan(psi/2), as Shimizu, Kakuya, Yoon, Kitagaki and Kosuge ("Analytical inverse kinematic computation
+for 7-DOF redundant manipulators with joint limits", IEEE T-RO 24(5), 2008) found for axes at right
+angles. Here they may meet at any angles, and the elbow may be offset.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.answers.targets import Z_AXIS
+from kempe.arguments import explained
+from kempe.arrays import reals
+from kempe.errors import InputError, UnsupportedError
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.held import chain_lines
+from kempe.inverse.closed_forms.structure import Axes, keeps_point, meeting
+from kempe.kernels.forward.table_layout import TURN
+from kempe.model.configurations import as_q
+from kempe.model.model import kept
+from kempe.numerics.intervals import arcs, joined
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+SHOULDER = (0, 1, 2)
+ELBOW = 3
+WRIST = (4, 5, 6)
+"""Places of the joints."""
+
+BRANCHES = tuple((e, s, w) for e in (0, 1) for s in (0, 1) for w in (0, 1))
+"""Branches of elbow, shoulder and wrist: 0 where the middle joint is turned in its positive sense,
+counted from where its neighbours are closest to each other (for the elbow: the arm is longest), 1
+where in its negative sense."""
+
+ALONG = 1e-9
+STRETCHED = 1e-9
+"""Sine between v and the reference, distance of E from SW in lengths of the arm, below which these
+are singular."""
+
+MERGED = 1e-13
+"""Discriminants down to minus this are taken as zero: the two branches have merged."""
+
+FITS = 1e-10
+"""How far beyond a limit a joint may be and count as inside, as in `ik_all`."""
+
+ROUNDING = 1e-14
+"""Sine below which a direction lies along an axis."""
+
+AT_REACH = 4e-15
+"""Fraction of its reach by which an arm that counts as stretched, or folded, may fall short of
+it."""
+
+TWO_PI = 2.0 * math.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm: its lines, the points S, E and W at theta = 0, the reference, and |SW|^2 = size +
+    cosine c4 + sine s4.
+    """
+
+    lines: Lines
+    shoulder: Array
+    elbow: Array
+    wrist: Array
+    reference: Array
+    size: float
+    cosine: float
+    sine: float
+
+    def upper(self, theta: Array) -> tuple[Array, Array]:
+        """(W - S, E - S), both (..., 3), with the elbow at theta (...) and the shoulder at rest."""
+        o = self.elbow
+        W = o + turns(self.lines.h[ELBOW], theta) @ (self.wrist - o)
+        return W - self.shoulder, np.broadcast_to(o - self.shoulder, W.shape)
+
+    @property
+    def stretched(self) -> float:
+        """The elbow's angle at which the arm is longest."""
+        return math.atan2(self.sine, self.cosine)
+
+
+def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
+    """The arm that a chain is, or a sentence that says why it is none. Errors: `InputError` for the
+    reference.
+    """
+    if len(lines) != 7:
+        return f"it has {counted(len(lines), 'joint')}, not seven"
+    if np.any(lines.kinds != TURN):
+        return "not all of its joints turn"
+    axes = Axes(lines.kinds, lines.h, lines.o)
+    if not keeps_point(axes, 0):
+        return "its first three axes do not meet in a point"
+    if not keeps_point(axes, 4):
+        return "its last three axes do not meet in a point"
+    S = meeting(axes, SHOULDER)
+    W = meeting(axes, WRIST)
+    assert S is not None and W is not None
+    h = lines.h[ELBOW]
+    o = lines.o[ELBOW]
+    E = o + h * (h @ (S - o))
+    foot = E + h * (h @ (W - E))
+    out = W - foot
+    up = foot - S
+    cosine = 2.0 * up @ out
+    sine = 2.0 * up @ np.cross(h, out)
+    if math.hypot(cosine, sine) < 1e-6:
+        return "its fourth joint does not change the distance between shoulder and wrist"
+    return Arm(
+        lines,
+        S,
+        E,
+        W,
+        _reference(lines, reference),
+        float(up @ up + out @ out),
+        float(cosine),
+        float(sine),
+    )
+
+
+def _reference(lines: Lines, given: ArrayLike | None) -> Array:
+    if given is None:
+        return lines.h[0]
+    z = reals(given, "reference")
+    size = float(np.linalg.norm(z)) if z.shape == (3,) else math.nan
+    if not (math.isfinite(size) and size > 0.0):
+        raise InputError(
+            f"reference is {given!r}; it must be a direction, three numbers that are not all zero"
+        )
+    return z / size
+
+
+def find_arm(system: System, frame: str, reference: ArrayLike | None = None) -> Arm | str:
+    """The arm that moves a frame, or why there is none. Errors: `InputError`."""
+    if reference is not None:
+        return arm_of(chain_lines(system, frame, Z_AXIS), reference)
+    return _usual_arm(system, frame)
+
+
+@kept
+def _usual_arm(system: System, frame: str) -> Arm | str:
+    return arm_of(chain_lines(system, frame, Z_AXIS))
+
+
+def required_arm(system: System, frame: str, reference: ArrayLike | None = None) -> Arm:
+    """The arm that moves a frame. Errors: `UnsupportedError` for other chains, with the reason."""
+    arm = find_arm(system, frame, reference)
+    if isinstance(arm, str):
+        raise UnsupportedError(no_arm(system, frame, arm))
+    return arm
+
+
+def no_arm(system: System, frame: str, why: str) -> str:
+    """The sentence that a frame's chain has no arm angle."""
+    names = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    return f"the chain of {frame!r} has no arm angle: {why}; name one of its joints: {names}"
+
+
+@explained
+def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
+    """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module
+    for what it is.
+
+    reference: a direction (3,) in ground axes, by default that of the first joint's axis. Errors:
+    `UnsupportedError` for chains that are not shoulder, elbow and wrist of seven joints,
+    `InputError`.
+    """
+    arm = required_arm(system, system.structure.frame_name(frame), reference)
+    theta = arm.lines.theta(as_q(system, q)[..., arm.lines.q_index])
+    R = np.eye(3)
+    for i in SHOULDER:
+        R = R @ turns(arm.lines.h[i], theta[..., i])
+    along, out = _directions(arm, theta[..., ELBOW])
+    v = _applied(R, along)
+    e = _applied(R, out)
+    r = reference_plane(arm.reference, v)
+    psi = np.arctan2(np.sum(e * np.cross(v, r), axis=-1), np.sum(e * r, axis=-1))
+    return float(psi) if psi.ndim == 0 else psi
+
+
+def _applied(R: Array, x: Array) -> Array:
+    return np.einsum("...ij,...j->...i", R, x)
+
+
+def _directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
+    """Unit vectors (..., 3) from S to W, and across that to E, with the elbow at theta and the
+    shoulder at rest.
+    """
+    u, e = arm.upper(theta)
+    u = u / np.linalg.norm(u, axis=-1, keepdims=True)
+    out = e - u * np.sum(u * e, axis=-1, keepdims=True)
+    size = np.linalg.norm(out, axis=-1, keepdims=True)
+    h = arm.lines.h[ELBOW]
+    bent, over = arm.upper(np.array(arm.stretched + 1e-3))
+    across = np.cross(h, u)
+    across = across * np.sign(np.cross(h, bent) @ over)
+    out = np.where(size > STRETCHED, out / np.maximum(size, STRETCHED), across)
+    out = out - u * np.sum(u * out, axis=-1, keepdims=True)
+    return u, out / np.linalg.norm(out, axis=-1, keepdims=True)
+
+
+def reference_plane(z: Array, v: Array) -> Array:
+    """The unit vector (..., 3) across v (..., 3) towards z (3,), or the ground's x or y where v
+    lies along z.
+    """
+    out = np.zeros_like(v)
+    left = np.ones(v.shape[:-1], dtype=bool)
+    for other in (z, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])):
+        across = other - v * np.sum(v * other, axis=-1, keepdims=True)
+        size = np.linalg.norm(across, axis=-1)
+        good = left & (size > (ALONG if other is z else 0.5))
+        out[good] = across[good] / size[good][..., None]
+        left &= ~good
+    return out
+
+
+def turns(h: Array, theta: Any) -> Array:
+    """Rotations (..., 3, 3) about the unit vector h (3,) by theta (...)."""
+    theta = np.asarray(theta, dtype=float)[..., None, None]
+    K = spatial.skew(h)
+    return np.eye(3) + np.sin(theta) * K + 2.0 * np.sin(0.5 * theta) ** 2 * (K @ K)
+
+
+# ---- three axes that meet
+
+
+def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
+    """Angles (..., 2, 3) with E_a E_b E_c = R, and the discriminant (...) of the two solutions,
+    negative for none.
+
+    h (3, 3): the axes; R (..., 3, 3). The first has the middle angle turned in its positive sense.
+    Where the outer axes fall together the first angle is zero. Source: the problems 1 and 4 of
+    Elias and Wen ("IK-Geo", 2022), with the discriminant as Heron's formula on the sphere, which
+    keeps its digits where the outer axes nearly fall together.
+    """
+    a, b, c = h
+    w = R @ c
+    cos_ab = a @ b
+    cos_bc = b @ c
+    sin_ab = np.linalg.norm(np.cross(a, b))
+    sin_bc = np.linalg.norm(np.cross(b, c))
+    spread = (sin_ab - sin_bc) ** 2
+    d2 = 0.25 * (np.sum((a - w) ** 2, axis=-1) - (cos_ab - cos_bc) ** 2 - spread)
+    d2 = d2 * (np.sum((a + w) ** 2, axis=-1) - (cos_ab + cos_bc) ** 2 - spread)
+    x = a @ c - cos_ab * cos_bc
+    y = a @ np.cross(b, c)
+    k = w @ a - cos_ab * cos_bc
+    d = np.sqrt(np.maximum(d2, 0.0))
+    out = np.empty((*R.shape[:-2], 2, 3))
+    for i, sign in enumerate((1.0, -1.0)):
+        middle = np.arctan2(y * k + sign * x * d, x * k - sign * y * d)
+        first = _onto(a, _applied(turns(b, middle), np.broadcast_to(c, w.shape)), w)
+        back = np.einsum("...ji,...j->...i", R, turns(a, first) @ b)
+        out[..., i, 0], out[..., i, 1], out[..., i, 2] = first, middle, _onto(c, back, b)
+    return out, d2
+
+
+def _onto(h: Array, u: Array, v: Array) -> Array:
+    """The angle (...) about h (3,) that brings u into the half plane of v; 0 where one of them lies
+    along h.
+    """
+    # now no digits are lost where they come close to h
+    u = u - (u @ h)[..., None] * h
+    v = v - (v @ h)[..., None] * h
+    sine = np.sum((u @ spatial.skew(h).T) * v, axis=-1)
+    cosine = np.sum(u * v, axis=-1)
+    return np.where(np.hypot(sine, cosine) > ROUNDING**2, np.arctan2(sine, cosine), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """A rotation that depends on the arm angle: constant + cosine cos(psi) + sine sin(psi), each
+    (3, 3).
+    """
+
+    constant: Array
+    cosine: Array
+    sine: Array
+
+    def at(self, psi: Array) -> Array:
+        """Rotations (..., 3, 3) at psi (...)."""
+        psi = psi[..., None, None]
+        return self.constant + self.cosine * np.cos(psi) + self.sine * np.sin(psi)
+
+    def reaches(self, p: Array, x: Array, k: float) -> list[float]:
+        """Arm angles at which p . R x = k: none, or two."""
+        a = float(p @ self.cosine @ x)
+        b = float(p @ self.sine @ x)
+        m = float(p @ self.constant @ x)
+        r = math.hypot(a, b)
+        if r < 1e-14 or abs(k - m) > r:
+            return []
+        middle = math.atan2(b, a)
+        half = math.acos((k - m) / r)
+        return [middle - half, middle + half]
+
+
+def events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]:
+    """Arm angles at which three joints a, b, c with E_a E_b E_c = R(psi) reach limits, or their
+    branches merge.
+
+    h (3, 3): the axes; limits: (joint 0 to 2, angle).
+    """
+    a, b, c = h
+    out: list[float] = []
+    for j, angle in limits:
+        if j == 0:
+            out += R.reaches(turns(a, angle) @ b, c, float(b @ c))
+        elif j == 1:
+            out += R.reaches(a, c, float(a @ turns(b, angle) @ c))
+        else:
+            out += R.reaches(a, turns(c, -angle) @ b, float(a @ b))
+    r = float(np.linalg.norm(np.cross(a, b)) * np.linalg.norm(np.cross(b, c)))
+    middle = float((a @ b) * (b @ c))
+    return out + R.reaches(a, c, middle + r) + R.reaches(a, c, middle - r)
+
+
+# ---- an arm at a pose
+
+
+@dataclass(frozen=True, eq=False)
+class Half:
+    """One of the two ways to bend the elbow: its angle, and what shoulder and wrist have to be."""
+
+    theta: float
+    shoulder: Turning
+    wrist: Turning
+
+
+class Posed:
+    """An arm whose tip is held at a pose (4, 4): its configurations are functions of the arm angle.
+
+    `halves` has the ways to bend the elbow, with their place 0 or 1: two, one where the arm is
+    stretched or folded, or none where the pose is out of reach.
+    """
+
+    def __init__(self, arm: Arm, target: Array):
+        self.arm = arm
+        lines = arm.lines
+        X = np.array(target, dtype=float)
+        X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
+        goal = X @ spatial.inverse(lines.tip)
+        to = goal[:3, :3] @ arm.wrist + goal[:3, 3] - arm.shoulder
+        self.distance = float(np.linalg.norm(to))
+        r = math.hypot(arm.cosine, arm.sine)
+        k = self.distance**2 - arm.size
+        self.halves: list[tuple[int, Half]] = []
+        if abs(k) <= r * (1.0 + 1e-12) and self.distance > STRETCHED:
+            merged = 1.0 - abs(k) / r < AT_REACH  # less than rounding can tell
+            half = math.acos(math.copysign(1.0, k) if merged else k / r)
+            signs = (1.0,) if merged else (1.0, -1.0)
+            v = to / self.distance
+            across = reference_plane(arm.reference, v)
+            frame = np.stack([v, across, np.cross(v, across)], axis=1)
+            self.halves = [
+                (i, _half(arm, goal, frame, arm.stretched + s * half)) for i, s in enumerate(signs)
+            ]
+
+    def theta(self, psi: Array) -> tuple[Array, np.ndarray]:
+        """Variables (m, 8, 7) of the branches at arm angles psi (m,), and which are there (m, 8)."""
+        psi = np.asarray(psi, dtype=float)
+        out = np.full((len(psi), 8, 7), np.nan)
+        found = np.zeros((len(psi), 8), dtype=bool)
+        h = self.arm.lines.h
+        for i, half in self.halves:
+            shoulder, d2 = three_turns(h[:3], half.shoulder.at(psi))
+            wrist, e2 = three_turns(h[4:], half.wrist.at(psi))
+            rows = out[:, 4 * i : 4 * i + 4].reshape(len(psi), 2, 2, 7)
+            rows[..., :3] = shoulder[:, :, None]
+            rows[..., 3] = half.theta
+            rows[..., 4:] = wrist[:, None]
+            out[:, 4 * i : 4 * i + 4] = rows.reshape(len(psi), 4, 7)
+            found[:, 4 * i : 4 * i + 4] = ((d2 >= -MERGED) & (e2 >= -MERGED))[:, None]
+        return out, found
+
+    def intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
+        """For each branch, intervals of the arm angle in which it exists, and is inside the limits
+        if `limited`.
+
+        low is in [-pi, pi), high may be beyond pi; (-pi, pi) is the whole circle.
+        """
+        out: list[list[tuple[float, float]]] = [[] for _ in BRANCHES]
+        for i, half in self.halves:
+            marks = self._marks(half, limited)
+            middles = np.array([0.5 * (a + b) for a, b in marks])
+            theta, good = self.theta(middles)
+            if limited:
+                good &= inside(self.arm.lines, theta)
+            for k in range(4 * i, 4 * i + 4):
+                out[k] = joined(marks, good[:, k].tolist())
+        return out
+
+    def _marks(self, half: Half, limited: bool) -> list[tuple[float, float]]:
+        """Arcs of the circle between the events of one way to bend the elbow."""
+        lines = self.arm.lines
+        found: list[float] = []
+        for places, R in ((SHOULDER, half.shoulder), (WRIST, half.wrist)):
+            limits: list[tuple[int, float]] = []
+            for j, i in enumerate(places):
+                ends = (
+                    lines.theta(np.broadcast_to(lines.limits[:, i, None], (2, 7)))[:, i]
+                    if limited
+                    else ()
+                )
+                limits += [(j, float(x)) for x in ends if math.isfinite(x)]
+            found += events(lines.h[list(places)], R, limits)
+        return arcs(found)
+
+
+def _half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
+    """What shoulder and wrist have to be, with the elbow at theta; columns of frame: v, the
+    reference, the third.
+    """
+    u, e = _directions(arm, np.array(theta))
+    back = np.stack([u, e, np.cross(u, e)])  # rows: the transposed frame of the upper arm
+    v, x, y = frame.T
+    cosine = np.outer(x, back[1]) + np.outer(y, back[2])
+    parts = (np.outer(v, back[0]), cosine, np.outer(y, back[1]) - np.outer(x, back[2]))
+    E4 = turns(arm.lines.h[ELBOW], theta)
+    return Half(theta, Turning(*parts), Turning(*((M @ E4).T @ goal[:3, :3] for M in parts)))
+
+
+def inside(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
+    """Whether all joints (..., n) are inside their limits (...), by whichever turn."""
+    q = (theta - lines.offset) / lines.multiplier
+    low, high = lines.limits
+    period = TWO_PI / np.abs(lines.multiplier)
+    turned = (
+        low + np.mod(q - low, period) if np.isfinite(low).all() else _lifted(q, low, high, period)
+    )
+    return np.all((turned <= high + slack) | (turned - period >= low - slack), axis=-1)
+
+
+def _lifted(q: Array, low: Array, high: Array, period: Array) -> Array:
+    """q with whole turns added to be just above the lower limit, or just below the upper where
+    there is no lower.
+    """
+    with np.errstate(invalid="ignore"):
+        above = low + np.mod(q - low, period)
+        below = high - np.mod(high - q, period)
+    return np.where(np.isfinite(low), above, np.where(np.isfinite(high), below, q))

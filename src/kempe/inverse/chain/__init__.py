@@ -1,0 +1,1 @@
+"""One frame at the end of a chain, numerically."""

@@ -1,0 +1,147 @@
+"""The search for configurations that reach single targets: rounds of starts, then what is nearest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers.targets import TASKS, Z_AXIS, frame_of, points_along
+from kempe.inverse.chain.serial_chain import Chain
+from kempe.numerics.length_bounds import by_lengths
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+MOST = 1000
+"""Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs
+more than 100."""
+FEW = 64
+"""Starts after which it is checked whether lengths put a target out of reach: then it is given
+up."""
+ITERATIONS = 40
+"""Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are
+given up before."""
+TOLERANCE = (1e-6, 1e-6)
+"""Largest position error [m] and rotation angle [rad] of a success."""
+ROUND = 32
+"""Starts of a round where there is a time limit: all targets get these before one gets more."""
+LONG = 16
+"""Coordinates of a chain, twice which make it long: rounds are shorter by the square of its length
+in these."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameProblem:
+    """What was required of the solver: kept with the answer, so that it can say why it failed."""
+
+    system: System
+    frame: str
+    targets: Array = field(repr=False)
+    name: str
+    """One of `TASKS`."""
+    axis: tuple[float, float, float]
+    """The direction of the tool that is pointed, for tasks that point one."""
+    tolerance: tuple[float, float]
+    starts: int
+    rng: int
+    chain: Chain = field(repr=False)
+    """The chain of the frame, its z axis turned to `axis`."""
+    iterations: int = ITERATIONS
+    time_limit: float | None = None
+    end: float = math.inf
+    """When the time is up, by `time.monotonic`."""
+    usual: bool = False
+    """Whether nobody named the time limit."""
+
+    @property
+    def share(self) -> int:
+        """How many times as long a start takes as of a chain that is not long."""
+        return max(1, len(self.chain.q_index) // LONG) ** 2
+
+    @property
+    def round(self) -> int | None:
+        """Starts between two looks at the clock; None: as many as come next."""
+        no = self.time_limit is None or (self.usual and self.share == 1)
+        return None if no else max(1, ROUND // self.share)
+
+    @property
+    def mask(self) -> tuple[int, ...]:
+        """Which errors [linear; angular] in the frame of the tip count, its z axis being `axis`."""
+        return TASKS[self.name]
+
+
+def rows_of(task: FrameProblem) -> np.ndarray:
+    """What the kernel reads of a task: six rows, whether an axis is pointed, circular coordinates."""
+    pointed = points_along(task.name)
+    rows = (*task.mask[:5], 1, 1) if pointed else (*task.mask, 0)
+    return np.concatenate([np.array(rows, dtype=np.int64), task.chain.circular])
+
+
+def goals_of(task: FrameProblem, targets: Array) -> Array:
+    """Targets (N, 4, 4) with the z axis that kernels point."""
+    goals = targets
+    if task.axis != Z_AXIS:
+        goals = goals.copy()
+        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
+    return goals
+
+
+def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
+    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1,
+    n).
+    """
+    from kempe.forward.fk import fk
+
+    full = np.repeat(task.chain.base, len(q), axis=0)
+    full[:, task.chain.q_index] = q
+    X = fk(task.system, full, task.frame, threads=1)
+    out = np.zeros((len(targets), 2))
+    if any(task.mask[:3]):
+        out[:, 0] = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
+    if points_along(task.name):
+        a, b = (Y[:, :3, :3] @ np.array(task.axis) for Y in (X, targets))
+        out[:, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
+    elif any(task.mask[3:]):
+        out[:, 1] = np.linalg.norm(
+            spatial.log_so3(np.swapaxes(X[:, :3, :3], 1, 2) @ targets[:, :3, :3]), axis=-1
+        )
+    return out
+
+
+def outside(task: FrameProblem, targets: Array) -> Array:
+    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that
+    each one fixes.
+
+    Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the
+    position error.
+    """
+    if not task.mask[0]:
+        return np.zeros(len(targets))
+    out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
+    out[out <= task.tolerance[0]] = 0.0
+    return np.maximum(out, past_lengths(task, targets).max(axis=-1))
+
+
+def look_closer(task: FrameProblem, code: np.ndarray) -> None:
+    """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
+    failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
+    code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
+
+
+def past_lengths(task: FrameProblem, targets: Array) -> Array:
+    """How far (N, 2) in metres targets are past what the lengths of the links reach; see
+    `length_bounds.by_lengths`.
+    """
+    free = len(task.chain.v_index) >= (
+        3 if task.system.dim == 2 else sum(task.mask)
+    )  # else that is the reason
+    along = np.array(task.axis) if free and points_along(task.name) else None
+    return by_lengths(
+        task.chain.bounds, targets, task.tolerance, free and all(task.mask), along=along
+    )

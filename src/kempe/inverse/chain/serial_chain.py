@@ -1,0 +1,210 @@
+"""The chain that moves one frame, packed for the kernels of the numerical inverse model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.equations.closure_rows import full
+from kempe.errors import UnsupportedError
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    KIND,
+    Q_INDEX,
+    SLIDE,
+    TURN,
+    V_INDEX,
+    rows_of,
+    tip_of,
+)
+from kempe.model.gauge import regauge
+from kempe.model.model import kept
+from kempe.model.primitive_table import local_chain
+from kempe.numerics.length_bounds import ReachBound, Span, reach_bounds, span_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The chain that moves one frame, packed for the kernel with coordinates of its own.
+
+    `q_index` and `v_index` say which entries of the system's `q` and velocities they are.
+    """
+
+    ints: np.ndarray
+    floats: np.ndarray
+    q_index: np.ndarray
+    v_index: np.ndarray
+    limits: np.ndarray
+    circular: np.ndarray
+    base: Array
+    """Where (1, nq) coordinates rest that no seed names: neutral, inside the limits."""
+    no_seed: Array
+    bounds: tuple[ReachBound, ...]
+    span: Span
+
+
+def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
+    """The packed chain of a frame, its z axis turned to `axis`.
+
+    Errors: `UnsupportedError` where loops, declared constraints or relations move it.
+    """
+    return _packed(system, name, axis)
+
+
+@kept
+def _packed(system: System, name: str, axis: tuple[float, float, float]) -> Chain:
+    return _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
+
+
+def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
+    floats = chain.floats.copy()
+    turn = frame_of(np.array(axis))
+    tip = tip_of(chain.ints, floats)
+    tip[:, :3] = tip[:, :3] @ turn
+    return replace(chain, floats=floats)
+
+
+def _chain(system: System, name: str) -> Chain:
+    refusal = obstacle(system, name)
+    if refusal is not None:
+        raise UnsupportedError(refusal)
+    table, q_index, v_index = local_chain(system.structure.table, name)
+    packed = table.pack([name], table.path(name))
+    limits = np.ascontiguousarray(system.structure.limits[v_index].T)
+    largest = float(np.abs(packed[1]).max(initial=0.0))
+    if not largest < LARGEST:
+        raise UnsupportedError(
+            f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m"
+        )
+    ints, floats = regauge(*packed)
+    circular = np.zeros(len(v_index), dtype=np.int64)
+    wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi
+    for iv in range(len(v_index)):
+        rows = table.multiplier[table.iv == iv]
+        circular[iv] = (
+            wide[iv]
+            and len(rows) == 1
+            and abs(rows[0]) == 1.0
+            and table.kind[table.iv == iv][0] == TURN
+        )
+    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
+    base = inside(system, system.neutral[None].copy())
+    no_seed = np.empty((1, 0, len(q_index)))
+    return Chain(
+        ints,
+        floats,
+        q_index,
+        v_index,
+        limits,
+        circular,
+        base,
+        no_seed,
+        bounds,
+        span_of(ints, floats),
+    )
+
+
+def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """Masks (n,) of the chain's coordinates that rotate something and of those that translate it;
+    screws do both.
+    """
+    rows = rows_of(chain.ints)
+    each = np.arange(len(chain.v_index))
+    turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
+    return turns, slides
+
+
+def slides_of(system: System, frame: str) -> list[str]:
+    """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none
+    without a chain.
+    """
+    if obstacle(system, frame) is not None:
+        return []
+    chain = chain_of(system, frame)
+    rows = rows_of(chain.ints)
+    local = sorted(set(rows[rows[:, KIND] == SLIDE, V_INDEX].tolist()))
+    return [system.structure.velocity_names[int(chain.v_index[v])] for v in local]
+
+
+def of_loops(system: System, name: str) -> bool:
+    """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
+    why = obstacle(system, name) or ""
+    return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
+
+
+@kept
+def shared_by(system: System, frame: str) -> bool:
+    """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
+    if obstacle(system, frame) is not None:
+        return False
+    rows = rows_of(chain_of(system, frame).ints)
+    return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
+
+
+@kept
+def obstacle(system: System, name: str) -> str | None:
+    """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
+    moving = {int(i) for i in local_chain(system.structure.table, name)[2]}
+    used = {system.structure.velocity_names[i] for i in moving}
+    for closure in system.structure.closures:
+        if used & loop_coordinates(system, closure):
+            return (
+                f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of "
+                "its own leads there"
+            )
+    for relation in system.structure.relations:
+        if used & {relation.of, *relation.sources}:
+            return (
+                f"frame {name!r} moves with coordinate {relation.of!r}, which follows several "
+                "others: no chain of its own leads there"
+            )
+    if any(c.equations(system.dim) for c in system._mechanism.constraints.values()):
+        loops = full(system, False)
+        for k, tie in enumerate(loops.ties):
+            if tie.name in system._mechanism.constraints and moving & set(loops.columns(k)):
+                return (
+                    f"frame {name!r} moves with the constraint {tie.name!r}: no chain of its own "
+                    "leads there"
+                )
+    return None
+
+
+def loop_coordinates(system: System, closure: str) -> set[str]:
+    """Velocity coordinates of the joints of the loop that a left-out joint closes, its own
+    included.
+    """
+    number = {b: i for i, b in enumerate(system.body_names)}
+    joint = system.structure.joints[closure]
+    ways: list[set[int]] = []
+    for body in (joint.parent, joint.child):
+        i = number[body]
+        way: set[int] = set()
+        while i:
+            way.add(i)
+            i = system.parent[i - 1]
+        ways.append(way)
+    joints = {closure} | {system.structure.parent_joints[i - 1] for i in ways[0] ^ ways[1]}
+    names: set[str] = set()
+    for j in joints:
+        for c in system.structure.coordinates_of_joint(j):
+            follower = system.structure.couplings.get(c)
+            names.add(c if follower is None else follower.source or c)
+        names |= {v for v in system.structure.velocity_names if v.startswith(f"{j}.")}
+    return names
+
+
+def inside(system: System, q: Array) -> Array:
+    """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
+    at_q = system.structure.layout.vector_q
+    at_v = system.structure.layout.vector_v
+    q[:, at_q] = np.clip(q[:, at_q], system.lower[at_v], system.upper[at_v])
+    return q

@@ -1,0 +1,298 @@
+"""Names of branches: on which side of its singular configurations an arm is, from its axes as they
+lie at q.
+
+Each word is the sign of one factor of the determinant of the Jacobian, so it changes at a singular
+configuration and nowhere else. Nothing of it depends on where the joints have their zero, on the
+base, or on the tool.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.arguments import listed
+from kempe.errors import InputError, UnknownNameError
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.plan import ChainPlan, sweep
+from kempe.inverse.closed_forms.structure import EXACT, Axes, keeps_point, meets, parallel
+from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.spatial import Array
+
+BORDER = 1e-9
+"""Sine, or length in those of the chain, below which a configuration is singular and a word has no
+side to name."""
+
+MERGED = 1e-5
+"""The same for configurations in which solutions have merged, which rounding moves by the root of
+its size."""
+
+CENTRED = 1e-7
+"""Offset of an arm from its first axis, in lengths of the chain, that counts as none."""
+
+PLANAR = (("elbow-up", "elbow-down", "elbow singular"),)
+SPATIAL = (
+    ("shoulder left", "shoulder right", "shoulder singular"),
+    ("elbow up", "elbow down", "elbow singular"),
+    ("no flip", "flip", "wrist singular"),
+)
+"""Words of each side, and on the border between them."""
+
+SLIDING = (
+    SPATIAL[0],
+    ("slide ahead", "slide back", "slide singular"),
+    SPATIAL[2],
+)
+"""The same where the elbow slides, as of the Stanford arm."""
+
+WRIST = (SPATIAL[2],)
+"""The same of three slides and a wrist."""
+
+SEVEN = tuple(
+    (f"{name} +", f"{name} -", f"{name} singular") for name in ("shoulder", "elbow", "wrist")
+)
+"""Words of arms of seven turns with a spherical shoulder and wrist: signs of joints 2, 4 and 6."""
+
+NEITHER = ("elbow +", "elbow -")
+"""Words for an elbow that is bent about axis 2 in the positive or negative sense, where the
+shoulder is singular."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of arm whose branches have names: the `words` of each choice, and whether three axes
+    are parallel.
+    """
+
+    words: tuple[tuple[str, str, str], ...]
+    three_parallel: bool = False
+
+    @property
+    def known(self) -> list[str]:
+        """All words that its names can have."""
+        return [word for choice in self.words for word in choice] + list(NEITHER) * (
+            self.words == SPATIAL
+        )
+
+
+def kind_of(plan: ChainPlan, planar: bool) -> Kind | None:
+    """The kind of arm of a plan, None where its branches have no names."""
+    lines = plan.lines
+    n = len(lines)
+    turns = np.flatnonzero(lines.kinds == TURN)
+    if n == len(turns) == 7 and plan.task == "pose":
+        return _seven(lines)
+    if plan.locked:
+        return None
+    if planar:
+        bends = (n, plan.task) in ((2, "position"), (2, "pose"), (3, "pose"))
+        return Kind(PLANAR) if bends and len(turns) == n else None
+    axes = Axes(lines.kinds, lines.h, lines.o)
+    if all(parallel(h, axes.h[0]) for h in axes.h):  # as of a SCARA
+        bends = (len(turns), plan.task) in ((2, "position"), (3, "pose")) and n <= len(turns) + 1
+        return Kind(PLANAR) if bends else None
+    if len(turns) < n:
+        return _sliding(plan, axes)
+    if (
+        n != 6
+        or plan.task != "pose"
+        or parallel(axes.h[0], axes.h[1])
+        or not parallel(axes.h[1], axes.h[2])
+    ):
+        return None
+    three = parallel(axes.h[2], axes.h[3])
+    wrist = keeps_point(axes, 3) or (
+        three and not parallel(axes.h[3], axes.h[4]) and meets(axes, 4, 5)
+    )
+    if not wrist:
+        return None
+    kind = Kind(SPATIAL, three and not keeps_point(axes, 3))
+    _, h, o = sweep(lines, np.zeros((1, n)))
+    return kind if all(float(size[0]) > MERGED for size in _measures(kind, h, o)[1]) else None
+
+
+def _sliding(plan: ChainPlan, axes: Axes) -> Kind | None:
+    """The kind of an arm of six joints with slides: turn, turn and slide, or three slides, before a
+    spherical wrist.
+    """
+    if len(axes.kinds) != 6 or plan.task != "pose" or not keeps_point(axes, 3):
+        return None
+    before = axes.kinds[:3]
+    if np.all(before == SLIDE):
+        return Kind(WRIST)
+    across = not parallel(axes.h[0], axes.h[1]) and abs(float(axes.h[1] @ axes.h[2])) <= EXACT
+    return Kind(SLIDING) if before.tolist() == [TURN, TURN, SLIDE] and across else None
+
+
+def _seven(lines: Lines) -> Kind | None:
+    """The kind of an arm of seven turns: with names where the first three meet in a point, and the
+    last three do.
+    """
+    axes = Axes(lines.kinds, lines.h, lines.o)
+    if not (keeps_point(axes, 0) and keeps_point(axes, 4)):
+        return None
+    _, h, o = sweep(lines, np.zeros((1, 7)))
+    return Kind(SEVEN) if all(float(size[0]) > MERGED for size in _of_seven(h, o)[1]) else None
+
+
+def branch_names(
+    kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | None = None
+) -> np.ndarray:
+    """Names (m,) of configurations theta (m, n) of an arm; `merged` (m,) says where solutions have
+    merged.
+    """
+    tip, h, o = sweep(lines, theta)
+    border = np.where(np.zeros(len(theta), bool) if merged is None else merged, MERGED, BORDER)
+    bend: Array | None = None
+    if kind.words == PLANAR:
+        signs = [_bend_in_plane(h, o, tip[:, :3, 3], np.flatnonzero(lines.kinds == TURN))]
+    elif kind.words == WRIST:
+        signs = [_turned(h, 3)]
+    elif kind.words == SEVEN:
+        signs = list(_of_seven(h, o)[0])
+    elif kind.words == SLIDING:  # the wrist is ahead of axis 2, or on the other side of it
+        slid = np.einsum("mi,mi->m", _centre(h, o) - o[:, 1], h[:, 2])
+        signs = [_shoulder(h, o, _centre(h, o)), slid, _turned(h, 3)]
+    else:
+        (shoulder, bend, turn), _ = _measures(kind, h, o)
+        signs = [shoulder, np.sign(_ahead(h, o)) * bend, turn]
+    columns: list[Array] = []
+    for sign, (above, below, on) in zip(signs, kind.words, strict=True):
+        side = np.where(sign > 0.0, above, below)
+        columns.append(np.where(np.isnan(sign), "", np.where(np.abs(sign) > border, side, on)))
+    if (
+        bend is not None
+    ):  # with the wrist neither ahead nor behind, up and down cannot be distinguished
+        unclear = (np.abs(signs[0]) <= border) & (np.abs(bend) > border)
+        columns[1] = np.where(unclear, np.where(bend < 0.0, *NEITHER), columns[1])
+    return np.array([", ".join(row) for row in zip(*columns, strict=True)], dtype=object)
+
+
+def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> np.ndarray:
+    """Which of the names hold all these words, hyphens and spaces alike. Errors: `InputError`,
+    `UnknownNameError`.
+    """
+    if kind is None:
+        raise InputError(
+            "the branches of this chain have no names; `branch` has their numbers where there are "
+            "any"
+        )
+    wanted = words.split(",") if isinstance(words, str) else listed(words, "words")
+    wanted = [word.strip() for word in wanted]
+    known = kind.known
+    spelled = {_plain(word): word for word in known}
+    for word in wanted:
+        if _plain(word) not in spelled:
+            raise UnknownNameError("branch", word, known, "the chain")
+    wanted = [spelled[_plain(word)] for word in wanted]
+    flat = [all(word in name.split(", ") for word in wanted) for name in names.ravel()]
+    return np.array(flat, dtype=bool).reshape(names.shape)
+
+
+def _plain(word: str) -> str:
+    """A word as it is compared: hyphens between letters become spaces, and spaces single; "elbow -"
+    keeps its sign.
+    """
+    return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
+
+
+def _bend_in_plane(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
+    """Positive (m,) where the elbow lies to the left of the way from the first axis to the third,
+    or to the tip.
+
+    Of the joints `turns` turn; it is seen from where the first axis points to.
+    """
+    up = h[:, turns[0]]
+    first = o[:, turns[1]] - o[:, turns[0]]
+    second = (o[:, turns[2]] if len(turns) > 2 else tip) - o[:, turns[1]]
+    first, second = (v - up * np.einsum("mi,mi->m", v, up)[:, None] for v in (first, second))
+    size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sine = np.einsum("mi,mi->m", up, np.cross(second, first)) / size
+    return np.where(size > CENTRED, sine, np.nan)
+
+
+def _centre(h: Array, o: Array, k: int = 4) -> Array:
+    """The point (m, 3) in which axes k and k + 1 (from 0) meet: the one of the first that is next
+    to the other.
+    """
+    a = h[:, k]
+    b = h[:, k + 1]
+    d = o[:, k + 1] - o[:, k]
+    n = np.cross(a, b)
+    return (
+        o[:, k]
+        + a * (np.einsum("mi,mi->m", np.cross(d, b), n) / np.einsum("mi,mi->m", n, n))[:, None]
+    )
+
+
+def _ahead(h: Array, o: Array) -> Array:
+    """How far (m,) the wrist is from axis 1 along h1 x h2: zero where the turn of axis 1 moves it
+    along axis 2.
+    """
+    return np.einsum("mi,mi->m", _centre(h, o) - o[:, 0], np.cross(h[:, 0], h[:, 1]))
+
+
+def _shoulder(h: Array, o: Array, centre: Array) -> Array:
+    """Positive (m,) where the arm passes axis 1 on the right.
+
+    It counts the offset of the arm from axis 1, so that the sense of axis 2 does not matter where
+    there is one.
+    """
+    across = np.cross(h[:, 0], h[:, 1])
+    size2 = np.einsum("mi,mi->m", across, across)
+    foot = (
+        o[:, 0]
+        + h[:, 0]
+        * (np.einsum("mi,mi->m", np.cross(o[:, 1] - o[:, 0], h[:, 1]), across) / size2)[:, None]
+    )
+    offset = np.einsum("mi,mi->m", centre - foot, h[:, 1])
+    return -np.where(np.abs(offset) > CENTRED, np.sign(offset), 1.0) * _ahead(h, o)
+
+
+def _turned(h: Array, k: int) -> Array:
+    """The sine (m,) by which axis k + 1 turns axis k towards axis k + 2, in parts of the largest."""
+    turn = np.einsum("mi,mi->m", h[:, k + 1], np.cross(h[:, k], h[:, k + 2]))
+    parts = (np.linalg.norm(np.cross(h[:, i], h[:, i + 1]), axis=1) for i in (k, k + 1))
+    return turn / np.prod(list(parts), axis=0)
+
+
+def _bend(h: Array, upper: Array, lower: Array) -> tuple[Array, tuple[Array, Array]]:
+    """The sine (m,) of the turn about h from one way to the next, seen along h, and the lengths
+    (m,) of both ways.
+    """
+    upper, lower = (v - h * np.einsum("mi,mi->m", v, h)[:, None] for v in (upper, lower))
+    lengths = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.einsum("mi,mi->m", h, np.cross(upper, lower)) / (lengths[0] * lengths[1]), lengths
+
+
+def _of_seven(h: Array, o: Array) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Signed measures (m,) of shoulder, elbow and wrist of an arm of seven turns, and lengths (m,)
+    of its links.
+
+    Sines of the turns of joints 2, 4 and 6 from where the arm is stretched (Shimizu and others,
+    2008, equation 4).
+    """
+    shoulder = _centre(h, o, 0)
+    wrist = _centre(h, o)
+    bend, lengths = _bend(h[:, 3], o[:, 3] - shoulder, wrist - o[:, 3])
+    return (_turned(h, 0), bend, _turned(h, 4)), lengths
+
+
+def _measures(
+    kind: Kind, h: Array, o: Array
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Signed measures (m,) of shoulder, elbow and wrist, and the lengths (m,) of the two links of
+    the elbow.
+
+    The elbow is that of the plane across axis 2, seen from the side to which axis 2 points.
+    """
+    centre = _centre(h, o)
+    bend, lengths = _bend(
+        h[:, 1], o[:, 2] - o[:, 1], (o[:, 3] if kind.three_parallel else centre) - o[:, 2]
+    )
+    return (_shoulder(h, o, centre), -bend, _turned(h, 3)), lengths

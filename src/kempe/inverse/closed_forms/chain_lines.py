@@ -1,0 +1,221 @@
+"""A chain as lines: its joint axes in ground axes at the reference configuration, and the pose of
+its tip there.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.errors import UnsupportedError
+from kempe.inverse.chain.serial_chain import chain_of
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    COS_OFFSET,
+    KIND,
+    MULTIPLIER,
+    Q_INDEX,
+    SIN_OFFSET,
+    SLIDE,
+    numbers_of,
+    placements_of,
+    rows_of,
+)
+from kempe.numerics.length_bounds import Span, evened
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+
+NOISE = 1e-12
+"""Distances of axes, relative to those of their points and of the base, that are rounding: such
+axes meet."""
+
+LITTLE = 0.1
+"""The least unit of length of a chain with slides, relative to how far these may go."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """A serial chain T(theta) = E_1 ... E_n M, each joint a turn about a line or a slide along its
+    direction.
+
+    `kinds` (n,) TURN or SLIDE, `h` (n, 3) unit directions, `o` (n, 3) points, `tip` (4, 4) the pose
+    M at theta = 0, all seen from `origin` (3,) in the ground's axes and measured in `length` [m].
+    theta = multiplier q + offset, slides divided by the length. `limits` (2, n), `q_index` and
+    `v_index` (n,) into the system's q and velocities, `names`.
+    """
+
+    kinds: np.ndarray
+    h: Array
+    o: Array
+    tip: Array
+    offset: Array
+    multiplier: Array
+    limits: Array
+    q_index: np.ndarray
+    v_index: np.ndarray
+    names: tuple[str, ...]
+    origin: Array
+    length: float
+    span: Span
+    even: Lines | None = None
+    """The same axes with lengths of one size, by which freedoms are counted where lengths are far
+    apart."""
+
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+    def theta(self, q: Array) -> Array:
+        """Variables (..., n) of the lines at coordinates q (..., n) of the chain."""
+        return q * self.multiplier + self.offset
+
+
+def lines_of(system: System, frame: str) -> Lines:
+    """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and
+    shared coordinates.
+    """
+    chain = chain_of(system, frame)
+    ints = chain.ints
+    floats = chain.floats
+    rows = rows_of(ints)
+    numbers = numbers_of(ints, floats)
+    n = len(rows)
+    names = tuple(system.structure.velocity_names[int(i)] for i in chain.v_index)
+    if n == 0:
+        raise UnsupportedError(f"no joint moves frame {frame!r}")
+    if np.any(rows[:, KIND] == BALL):
+        raise UnsupportedError(
+            f"frame {frame!r} moves with a joint whose coordinates are a quaternion; `ik_all` "
+            "needs angles and slides (a spherical joint can be loaded with angles=True)"
+        )
+    if len(set(rows[:, Q_INDEX].tolist())) < n:
+        raise UnsupportedError(
+            f"two motions of the chain of {frame!r} share one coordinate (a helical joint, or a "
+            "joint that follows another): there is no plan for that; `ik` solves it, and `ik_all` "
+            "by `assembly_modes`"
+        )
+    placements = placements_of(ints, floats)
+    if chain.span.rounding > chain.span.largest > 0.0:
+        raise UnsupportedError(
+            f"all of the chain of {frame!r} is smaller than rounding: {chain.span.figures()}"
+        )
+    h, o, tip = _carried(placements)
+    order = np.argsort(rows[:, Q_INDEX])
+    if not np.array_equal(rows[order, Q_INDEX], np.arange(n)):
+        raise UnsupportedError(f"the coordinates of {frame!r} are not one for each joint")
+    at = rows[:, Q_INDEX]  # the joint in row i has the chain's coordinate at[i]
+    kinds = rows[:, KIND].copy()
+    multiplier = numbers[:, MULTIPLIER].copy()
+    offset = np.where(
+        kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_OFFSET], numbers[:, COS_OFFSET])
+    )
+
+    def scaled(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
+        origin, length = _unit_of(kinds, h, o, tip[:3, 3], chain.limits[:, at])
+        tip[:3, 3] = (tip[:3, 3] - origin) / length
+        return Lines(
+            kinds,
+            h,
+            (o - origin) / length,
+            tip,
+            offset,
+            np.where(kinds == SLIDE, multiplier / length, multiplier),
+            np.ascontiguousarray(chain.limits[:, at]),
+            chain.q_index[at],
+            chain.v_index[at],
+            tuple(names[int(i)] for i in at),
+            origin,
+            length,
+            chain.span,
+            even,
+        )
+
+    p = evened(ints, floats)
+    even = (
+        None
+        if p is None
+        else scaled(*_carried([_at(x, y) for x, y in zip(placements, p, strict=True)]), None)
+    )
+    return scaled(h, o, tip, even)
+
+
+def _carried(placements: Iterable[np.ndarray]) -> tuple[Array, Array, Array]:
+    """Directions and points (n, 3) of the axes and the pose (4, 4) of the tip, from placements
+    (12,) one by one.
+    """
+    poses = list(itertools.accumulate(map(_pose, placements), np.matmul))
+    X = np.array(poses[:-1])
+    return X[:, :3, 2].copy(), X[:, :3, 3].copy(), poses[-1]
+
+
+def _at(placement: np.ndarray, p: Array) -> np.ndarray:
+    """The placement (12,) at another point (3,)."""
+    rows = placement.reshape(3, 4).copy()
+    rows[:, 3] = p
+    return rows.ravel()
+
+
+def _pose(rows: np.ndarray) -> Array:
+    return np.vstack([rows.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+
+
+def _unit_of(
+    kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array
+) -> tuple[Array, float]:
+    """A point near the axes that turn, and a length: the way from axis to axis.
+
+    Where that is zero it is how far slides may go, and 1 without slides. Neither changes if the
+    points slide along their axes or the base moves. What slides go is no part of the way: where
+    that is much longer, offsets by which axes miss each other would be a unit in which slides are
+    immense.
+    """
+    turning = np.flatnonzero(kinds != SLIDE)
+    if turning.size == 0:
+        return np.zeros(3), 1.0
+    slides = np.flatnonzero(kinds == SLIDE)
+    all_points = o
+    o = o[turning]
+    h = h[turning]
+    # the point nearest to all axes
+    across = np.eye(3) - h[:, :, None] * h[:, None, :]
+    total: Array = np.einsum("nij,nj->i", across, o)
+    origin = np.asarray(np.linalg.lstsq(across.sum(axis=0), total, rcond=1e-9)[0], dtype=float)
+    free = o - origin
+    away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
+    steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
+    size = max(sum(steps), float(away.max()))
+    noise = NOISE * max(float(np.linalg.norm(x)) for x in (free, origin))
+    alone = not (size > noise and math.isfinite(size))
+    if slides.size:
+        travel = _travel(
+            limits[1, slides] - limits[0, slides], all_points[slides] - origin, tip - origin
+        )
+        size = travel if alone else max(size, LITTLE * travel)
+    elif alone:
+        return origin, 1.0
+    return origin, size if size > noise and math.isfinite(size) else 1.0
+
+
+def _travel(ranges: Array, offsets: Array, tip: Array) -> float:
+    """How far slides may go: by their limits, else by how far from the turning axes slides are, or
+    the tip is.
+    """
+    by_limits = float(np.where(np.isfinite(ranges), ranges, 0.0).max())
+    return by_limits if by_limits > 0.0 else max(float(np.linalg.norm(x)) for x in (*offsets, tip))
+
+
+def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
+    """The distance between two lines."""
+    n = np.cross(h, g)
+    d = p - o
+    size = float(np.linalg.norm(n))
+    if size < 1e-9:
+        return float(np.linalg.norm(d - h * (h @ d)))
+    return abs(float(n @ d)) / size

@@ -1,0 +1,202 @@
+"""The inverse geometric model, all of it: every configuration in which a frame reaches a target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.budget import look
+from kempe.inverse.closed_forms.chain_lines import Lines, lines_of
+from kempe.inverse.closed_forms.plan import ChainPlan, kernel_of, plan_holding, side_by_side_of
+from kempe.inverse.closed_forms.question import Question
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.model.model import kept
+from kempe.numerics.pool import over_chunks
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+TOLERANCE = 1e-9
+"""Largest position error [m] and rotation angle [rad] of a solution."""
+
+EPSILON = float(np.finfo(float).eps)
+CHUNK = 256
+SERIAL_BELOW = 4096
+PIECE = 512
+ELIMINATED = 64
+"""Targets of a chunk between two looks at the clock: in closed form, and by elimination, which
+takes ten times as long. Both are multiples of the targets that are solved side by side."""
+FAR = 300.0
+"""Lengths of a chain with slides beyond which these are so long that its equations may say nothing
+of the rest."""
+
+NONE = np.zeros(0, dtype=np.int64)
+"""No targets."""
+
+
+def attainable(targets: Array, lines: Lines) -> float:
+    """The error [m] that rounding leaves, given the size of targets and chain: far away it is above
+    the tolerance.
+    """
+    if len(targets) == 1:  # in Python: for three numbers arrays cost more
+        far = max([abs(x) for x in targets[0, :3, 3].tolist() if math.isfinite(x)], default=0.0)
+    else:
+        size = np.abs(targets[:, :3, 3])
+        far = float(size[np.isfinite(size)].max(initial=0.0))
+    return (
+        16.0
+        * EPSILON
+        * (far + lines.length * (1.0 + max(abs(x) for x in lines.tip[:3, 3].tolist())))
+    )
+
+
+@kept
+def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) -> Lines:
+    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
+    lines = lines_of(system, frame)
+    if axis == Z_AXIS:
+        return lines
+    tip = lines.tip.copy()
+    tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
+    return replace(lines, tip=tip)
+
+
+def plan_for(
+    system: System,
+    frame: str,
+    lines: Lines,
+    task: str,
+    axis: tuple[float, float, float],
+    fixed: tuple[str, ...],
+) -> ChainPlan:
+    """The plan for a task with these joints held; of redundant chains more are held, by choice."""
+    return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
+
+
+@kept
+def _plan(
+    system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
+) -> ChainPlan:
+    planar = system.dim == 2
+    return replace(
+        plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar
+    )
+
+
+def solve_held(
+    question: Question,
+    plan: ChainPlan,
+    chain_near: Array,
+    locked: Array,
+    threads: int | None,
+    starts: bool = True,
+) -> tuple[Array, np.ndarray]:
+    """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in
+    `locked` (1 or N, n).
+
+    chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a
+    search looks for solutions where the equations say nothing.
+    """
+    targets = question.targets
+    lines = plan.lines
+    n = len(targets)
+    single = question.lead is None
+    if question.axis != Z_AXIS:
+        targets = targets.copy()
+        targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
+    out = np.empty((n, plan.slots, len(lines) + A.INFO))
+    counts = np.zeros((n, 2), dtype=np.int64)
+    if plan.method == "search":
+        from kempe.inverse.closed_forms.start_search import search
+
+        search(question, plan, chain_near, locked, out, counts, np.arange(n))
+        return out, counts
+    side_by_side = side_by_side_of(plan)
+    piece = (
+        ELIMINATED if plan.method == "elimination" else PIECE if side_by_side is None else max(n, 1)
+    )
+    if not plan.locked:
+        locked = locked[:1]
+
+    def pieces(i: int, j: int) -> int:
+        for k in range(i, j, piece):
+            look()
+            last = min(k + piece, j)
+            if question.stopped(slice(k, last)):
+                out[k:last, :, -A.INFO + A.CODE] = A.UNUSED
+                counts[k:last, 1] = 1
+            else:
+                work(k, last)
+        return 0
+
+    def work(i: int, j: int) -> int:
+        some = chain_near[i:j] if len(chain_near) > 1 else chain_near
+        held_at = locked[i:j] if len(locked) > 1 else locked
+        which = np.arange(j - i)
+        if side_by_side:
+            padded = (
+                np.resize(some, (A.LANES, len(lines)))
+                if 1 < len(some) < A.LANES and len(locked) == 1
+                else some
+            )
+            left = side_by_side(
+                plan.ints, plan.floats, targets[i:j], padded, held_at, int(single), out[i:j], which
+            )
+            if left <= 0:
+                return 0
+            which = which[:left].copy()
+        kernel_of(plan)(
+            plan.ints,
+            plan.floats,
+            targets[i:j],
+            some,
+            held_at,
+            question.tolerance,
+            question.angular,
+            int(single),
+            which,
+            out[i:j],
+            counts[i:j],
+        )
+        return 0
+
+    over_chunks(pieces, n, CHUNK, threads, SERIAL_BELOW)
+    maybe_none = n != 1 or counts.item(0) == 0
+    if (lines.kinds == SLIDE).any():
+        counts[np.linalg.norm(targets[:, :3, 3] - lines.origin, axis=1) > FAR * lines.length, 1] = 1
+    none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.rests else NONE
+    if len(none) and (other := plan.other) is not None:  # two completions have to agree
+        for k in range(0, len(none), ELIMINATED):
+            some = none[k : k + ELIMINATED]
+            if question.stopped(some):
+                counts[some, 1] = 1
+                continue
+            kernel_of(other)(
+                other.ints,
+                other.floats,
+                targets,
+                chain_near,
+                locked,
+                question.tolerance,
+                question.angular,
+                int(single),
+                some,
+                out,
+                counts,
+            )
+    lost = (
+        np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none and starts else NONE
+    )
+    if len(lost):  # the equations said nothing: starts may
+        from kempe.inverse.closed_forms.start_search import search
+
+        search(question, plan, chain_near, locked, out, counts, lost)
+    if lines.span.wide or plan.blurred:  # a structure may be there by rounding alone
+        counts[:, 1] = 1
+    return out, counts

@@ -1,0 +1,187 @@
+"""The closest that a chain comes to a target, and the errors and Jacobians by which that is found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kempe import spatial
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.plan import ChainPlan
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.spatial import Array
+
+STARTS = 32
+STEPS = 40
+BEST = 4
+"""Starts of a descent, steps of each, and how many of the best are followed to their minimum."""
+
+SMALL_SINE = 0.1
+"""Sine of a rotation angle below which the rotation vector comes from the skew part alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """What one target asks of a chain: `lines`, `rows` of the task that count, `target` (4, 4)
+    scaled as the lines, and the joints `moves` that may move. Errors are [linear; angular] in the
+    frame of the tip.
+    """
+
+    lines: Lines
+    rows: np.ndarray
+    target: Array
+    moves: np.ndarray
+
+    @cached_property
+    def slides(self) -> np.ndarray:
+        """Which joints (n,) slide."""
+        return self.lines.kinds == SLIDE
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        """Matrices (n, 4, 16) of which 1, sine, cosine and value of a variable make its motion; the
+        lines (n, 4, 2).
+
+        A turn is 1 + sin K + (1 - cos) K^2 (Rodrigues, 1840).
+        """
+        lines = self.lines
+        turns = ~self.slides
+        C = np.zeros((len(lines), 4, 4, 4))
+        K = spatial.skew(lines.h) * turns[:, None, None]
+        C[:, 1, :3, :3] = K
+        C[:, 2, :3, :3] = -K @ K
+        C[:, 0, :3, :3] = K @ K
+        C[:, :3, :3, 3] = -np.einsum("nkij,nj->nki", C[:, :3, :3, :3], lines.o)
+        C[:, 0] += np.eye(4)
+        C[~turns, 3, :3, 3] = lines.h[~turns]
+        axes = np.zeros((len(lines), 4, 2))
+        axes[:, :3, 0] = lines.h
+        axes[:, :3, 1] = lines.o
+        axes[:, 3, 1] = 1.0
+        return C.reshape(len(lines), 4, 16), axes
+
+    def sweep(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the
+        lines there.
+        """
+        (N, n) = theta.shape
+        (parts, axes) = self._parts
+        terms = np.ones((N, n, 1, 4))
+        terms[..., 0, 1], terms[..., 0, 2], terms[..., 0, 3] = np.sin(theta), np.cos(theta), theta
+        E = (terms @ parts).reshape(N, n, 4, 4)
+        X = np.empty((N, n + 1, 4, 4))
+        X[:, 0] = np.eye(4)
+        if N == 1:  # plain products of matrices cost a third of stacked ones
+            before = X[0, 0]
+            steps = E[0]
+            after = X[0]
+            for i in range(n):
+                before = before @ steps[i]
+                after[i + 1] = before
+        else:
+            for i in range(n):
+                X[:, i + 1] = X[:, i] @ E[:, i]
+        T = X[:, n] @ self.lines.tip
+        there = X[:, :n] @ axes
+        return T[:, :3, :3], T[:, :3, 3], there[..., :3, 0], there[..., :3, 1]
+
+    def errors(self, R: Array, p: Array) -> Array:
+        """What is missing (N, 6) at poses of the tip; zero in rows that do not count."""
+        back = np.swapaxes(R, 1, 2)
+        full = np.zeros((len(R), 6))
+        full[:, :3] = (back @ (self.target[:3, 3] - p)[..., None])[..., 0]
+        if self.rows[-1] >= 3:
+            D = back @ self.target[:3, :3]
+            full[:, 3:] = _pointing(D[:, :, 2]) if len(self.rows) in (2, 5) else _rotation_vector(D)
+        out = np.zeros((len(R), 6))
+        out[:, self.rows] = full[:, self.rows]
+        return out
+
+    def at(self, theta: Array) -> tuple[Array, Array]:
+        """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at
+        theta (N, n).
+        """
+        R, p, h, o = self.sweep(theta)
+        h = h[:, self.moves]
+        o = o[:, self.moves]
+        slides = self.slides[self.moves, None]
+        v = np.where(slides, h, _cross(h, p[:, None] - o))
+        w = np.where(slides, 0.0, h)
+        J = np.concatenate([np.swapaxes(v @ R, 1, 2), np.swapaxes(w @ R, 1, 2)], axis=1)
+        return self.errors(R, p)[:, self.rows], J[:, self.rows]
+
+    def energy(self, theta: Array) -> tuple[float, Array]:
+        """Half the square of the error, and its gradient by the joints that may move, at theta
+        (n,).
+        """
+        e, J = (x[0] for x in self.at(theta[None]))
+        return 0.5 * float(e @ e), -(e @ J)
+
+
+def fixed_joints(plan: ChainPlan) -> tuple[int, ...]:
+    """Joints that the caller wants held; others may be locked because the chain has more than the
+    task needs.
+    """
+    return tuple(getattr(plan, "fixed", ()))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+
+
+def _pointing(z: Array) -> Array:
+    """Rotation vectors (N, 3) that turn the z axis to the unit vectors z (N, 3)."""
+    sine = np.hypot(z[:, 0], z[:, 1])
+    angle = np.arctan2(sine, z[:, 2])
+    none = sine < 1e-300
+    f = angle / np.where(none, 1.0, sine)
+    return np.stack([np.where(none, angle, -z[:, 1] * f), z[:, 0] * f, np.zeros(len(z))], axis=1)
+
+
+def _rotation_vector(D: Array) -> Array:
+    """Rotation vectors (N, 3) of rotations."""
+    v = 0.5 * np.stack(
+        [D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1
+    )
+    sine = np.sqrt((v * v).sum(axis=1))
+    if (
+        sine.max(initial=0.0) < SMALL_SINE and np.trace(D, axis1=1, axis2=2).min(initial=3.0) > 1.0
+    ):  # no half turns
+        return v * np.where(sine < 1e-8, 1.0, np.arcsin(sine) / np.maximum(sine, 1e-300))[:, None]
+    return spatial.log_so3(D)
+
+
+def limits_of(lines: Lines) -> tuple[Array, Array]:
+    """Lower and upper limits (n,) of the variables."""
+    ends = np.sort(lines.limits * lines.multiplier + lines.offset, axis=0)
+    return ends[0], ends[1]
+
+
+def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
+    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a
+    limit stay there.
+
+    first: damping of the first step.
+    """
+    moves = aim.moves
+    damping = np.full(len(theta), first)
+    e, J = aim.at(theta)
+    for _ in range(STEPS):
+        slope = np.einsum("Nmk,Nm->Nk", J, e)
+        x = theta[:, moves]
+        pressed = ((x <= low) & (slope < 0.0)) | ((x >= high) & (slope > 0.0))
+        J = np.where(pressed[:, None], 0.0, J)
+        A_ = np.swapaxes(J, 1, 2) @ J
+        A_[:, range(len(moves)), range(len(moves))] += damping[:, None] + 1e-12
+        step = np.linalg.solve(A_, np.where(pressed, 0.0, slope)[..., None])[..., 0]
+        trial = theta.copy()
+        trial[:, moves] = np.clip(x + np.clip(step, -1.0, 1.0), low, high)
+        new, J_new = aim.at(trial)
+        better = (new * new).sum(axis=1) < (e * e).sum(axis=1)
+        theta = np.where(better[:, None], trial, theta)
+        e = np.where(better[:, None], new, e)
+        J = np.where(better[:, None, None], J_new, J)
+        damping = np.clip(np.where(better, 0.3 * damping, 5.0 * damping), 1e-12, 1e6)
+    return theta

@@ -1,0 +1,716 @@
+"""The plan of an analytical inverse model: what is unknown, what completes it to six joints, how it
+is solved.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers.targets import TASKS
+from kempe.budget import look
+from kempe.errors import UnsupportedError
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.structure import Axes, Strategy, ways
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
+from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+TRIALS = 24
+"""Random configurations that a plan must find again before it is used."""
+
+ELIMINATIONS = 3
+MOST_FORMS = 5
+"""Completions to six lines that are tried by elimination, and formulations that are kept."""
+
+EIGHT = 8
+"""Rows of an answer where targets are solved side by side."""
+
+RANK = 1e-7
+AGAIN = 1e-6
+"""Singular values below this fraction of the largest are zero when freedoms are counted; how near
+is found again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """Lines that complete a chain, in its frame of reference: roles say whether they may move."""
+
+    kinds: np.ndarray
+    h: Array
+    o: Array
+    roles: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ChainPlan:
+    """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to
+    know.
+
+    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those
+    `fixed` by whoever asks, and others where the chain has more than the task needs, which are at
+    `first` (n,) where nobody says where. `extra` are the lines that complete the rest to six.
+    `blurred`: lengths leave so few digits that roots may be lost.
+    """
+
+    lines: Lines
+    task: str
+    locked: tuple[int, ...]
+    method: str
+    way: Strategy | None
+    extra: Extra = field(repr=False)
+    ints: np.ndarray = field(repr=False)
+    floats: np.ndarray = field(repr=False)
+    fixed: tuple[int, ...] = ()
+    planar: bool = False
+    first: tuple[float, ...] = ()
+    blurred: bool = False
+
+    @property
+    def rests(self) -> bool:
+        """Whether the chain has fewer joints than the task equations: lines that must stay at rest
+        stand in.
+        """
+        return bool(np.any(self.extra.roles == A.REST)) and not self.planar
+
+    @cached_property
+    def other(self) -> ChainPlan | None:
+        """Another plan for the same, with other lines at rest; None where there is none."""
+        found = make(self.lines, self.task, self.locked, self.planar, self.extra)
+        return found if found.method != "search" else None
+
+    @cached_property
+    def side_by_side(self) -> bool:
+        """Whether many targets are solved side by side: six turning joints, an equation in one
+        unknown.
+        """
+        way = self.way
+        lines = self.lines
+        if way is None or self.task != "pose" or way.mode not in (X_FIRST, Z_FIRST):
+            return False
+        if (
+            tuple(sorted(way.order)) != way.order
+            or way.order[-1] >= len(lines)
+            or np.any(lines.kinds == SLIDE)
+        ):
+            return False
+        return (way.inner, way.option) not in ((1, 0), (2, 1))
+
+    @property
+    def slots(self) -> int:
+        """Rows of an answer."""
+        return EIGHT if self.side_by_side else A.SLOTS
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether the chain's coordinates are the system's, in their order."""
+        return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
+
+
+def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
+    """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
+    m, n = theta.shape
+    h = np.empty((m, n, 3))
+    o = np.empty((m, n, 3))
+    R = np.broadcast_to(np.eye(3), (m, 3, 3))
+    p = np.zeros((m, 3))
+    K = spatial.skew(lines.h)
+    turns = (lines.kinds != SLIDE)[:, None, None]
+    s = np.sin(theta)[..., None, None]
+    c = np.cos(theta)[..., None, None]
+    E = np.where(turns, np.eye(3) + s * K + (1.0 - c) * (K @ K), np.eye(3))
+    shift = np.where(
+        turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h
+    )
+    for i in range(n):
+        h[:, i], o[:, i] = R @ lines.h[i], R @ lines.o[i] + p
+        p = p + np.einsum("mij,mj->mi", R, shift[:, i])
+        R = R @ E[:, i]
+    T = np.zeros((m, 4, 4))
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ lines.tip[:3, :3], R @ lines.tip[:3, 3] + p, 1.0
+    return T, h, o
+
+
+def targets_at(lines: Lines, extra: Extra, q: Array) -> Array:
+    """Targets (m, 4, 4) in the ground frame, in metres, that coordinates q (m, n) reach, random in
+    what is free.
+    """
+    T = sweep(lines, lines.theta(q))[0] @ freed(lines, extra, len(q))
+    T[:, :3, 3] = T[:, :3, 3] * lines.length + lines.origin
+    return T
+
+
+def freed(lines: Lines, extra: Extra, count: int) -> Array:
+    """Random motions (count, 4, 4) in the tip's frame that the task allows: those of the free
+    lines.
+
+    A target says nothing of what its task does not ask: its rotation or position there is any, not
+    that of the chain.
+    """
+    rng = np.random.default_rng(13)
+    M = lines.tip
+    out = np.tile(np.eye(4), (count, 1, 1))
+    for kind, h, o, role in zip(*_parts(extra), strict=True):
+        if role == A.FREE:
+            ways = rng.uniform(-1.0, 1.0, count) * (1.0 if kind == SLIDE else np.pi)
+            out = out @ np.array([motion(int(kind), h, o, float(way)) for way in ways])
+    return spatial.inverse(M) @ out @ M
+
+
+def jacobians(lines: Lines, theta: Array) -> Array:
+    """Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
+    T, h, o = sweep(lines, theta)
+    slides = (lines.kinds == SLIDE)[:, None]
+    v = np.where(slides, h, np.cross(h, T[:, None, :3, 3] - o))
+    w = np.where(slides, 0.0, h)
+    back = np.swapaxes(T[:, :3, :3], 1, 2)
+    return np.concatenate([back @ np.swapaxes(v, 1, 2), back @ np.swapaxes(w, 1, 2)], axis=1)
+
+
+def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
+    """Pose (4, 4) of a turn about a line or a slide along it."""
+    X = np.eye(4)
+    if kind == SLIDE:
+        X[:3, 3] = theta * h
+        return X
+    X[:3, :3] = spatial.exp_so3(theta * h)
+    X[:3, 3] = o - X[:3, :3] @ o
+    return X
+
+
+def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
+    """Lines at the tip that may move freely, for what the task does not ask."""
+    R = lines.tip[:3, :3]
+    p = lines.tip[:3, 3]
+    turns = {"position": (0, 1, 2), "direction": (2,), "position_axis": (2,)}.get(task, ())
+    slides = (0, 1, 2) if task in ("orientation", "direction") else ()
+    if planar:
+        R = np.eye(3)
+        turns, slides = ((2,), ()) if task == "position" else ((), slides[:2])
+    kinds = [TURN] * len(turns) + [SLIDE] * len(slides)
+    h = [R[:, i] for i in (*turns, *slides)]
+    k = len(kinds)
+    return Extra(
+        np.array(kinds, dtype=np.int64),
+        np.array(h).reshape(k, 3),
+        np.tile(p, (k, 1)),
+        np.full(k, A.FREE),
+    )
+
+
+def screws(extra: Extra, tip: Array) -> Array:
+    """Columns (6, k) of extra lines in the tip's frame: constant, for they come last."""
+    R = tip[:3, :3].T
+    p = tip[:3, 3]
+    J = np.zeros((6, len(extra.kinds)))
+    for i, kind in enumerate(extra.kinds):
+        if kind == SLIDE:
+            J[:3, i] = R @ extra.h[i]
+        else:
+            J[:3, i] = R @ np.cross(extra.h[i], p - extra.o[i])
+            J[3:, i] = R @ extra.h[i]
+    return J
+
+
+def spread(lines: Lines, rng: np.random.Generator, count: int) -> Array:
+    """Random theta (count, n): any angle, slides of the size of the chain."""
+    shape = (count, len(lines))
+    return np.where(
+        lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, shape), rng.uniform(-np.pi, np.pi, shape)
+    )
+
+
+def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iterator[Extra]:
+    """Sets of lines that complete the unknown joints and the free lines to six, the best
+    conditioned first.
+    """
+    count = 6 - len(unknown) - len(free.kinds)
+    if count == 0:
+        yield Extra(
+            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64)
+        )
+        return
+    kinds, h, o = _pool(lines, unknown, planar)
+    rng = np.random.default_rng(5)
+    samples = jacobians(lines, spread(lines, rng, 5))[:, :, unknown]
+    at_tip = screws(free, lines.tip)
+    pool = screws(Extra(kinds, h, o, kinds), lines.tip)
+    choices = list(itertools.combinations(range(len(kinds)), count))
+    J = np.zeros((len(choices), len(samples), 6, 6))
+    J[..., : len(unknown)] = samples
+    J[..., len(unknown) : 6 - count] = at_tip
+    J[..., 6 - count :] = np.moveaxis(pool[:, np.array(choices)], 0, 1)[:, None]
+    least = np.median(svd(J, compute_uv=False)[..., -1], axis=1)
+    scored = list(zip(least.tolist(), choices, strict=True))
+    best = max(s for s, _ in scored)
+    good = [(s, c) for s, c in scored if s > 0.05 * best]
+    for _, choice in sorted(good, key=lambda pair: (sum(pair[1]), -pair[0])):
+        at = list(choice)
+        yield Extra(kinds[at], h[at], o[at], np.full(len(at), A.REST))
+
+
+def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, Array, Array]:
+    """Lines to choose from: turns through a point of the last axis, slides, turns through another
+    point.
+    """
+    if planar:
+        R = np.eye(3)
+        at = np.zeros((6, 3))
+        at[3] = 0.4, 0.7, 0.0
+        return np.array([SLIDE, TURN, TURN, TURN, SLIDE, SLIDE]), R[[2, 0, 1, 2, 0, 1]], at
+    turning = [i for i in unknown if lines.kinds[i] != SLIDE]
+    last = turning[-1] if turning else unknown[-1]
+    h = lines.h[last]
+    u = np.cross(h, [0.36, 0.48, 0.8] if abs(h @ [0.36, 0.48, 0.8]) < 0.9 else [0.8, -0.6, 0.0])
+    u /= np.linalg.norm(u)
+    w = np.cross(h, u)
+    on = lines.o[last] + 0.4 * h
+    off = lines.o[last] + 0.3 * h + 0.5 * u + 0.35 * w
+    kinds = np.array([TURN, TURN, SLIDE, SLIDE, SLIDE, TURN, TURN, TURN])
+    return kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
+
+
+def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
+    """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
+    if not unknown:
+        return len(free.kinds)
+    if lines.even is not None:
+        lines, free = (
+            lines.even,
+            replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1))),
+        )
+    T, h, o = sweep(lines, spread(lines, np.random.default_rng(7), 4))
+    X = T @ spatial.inverse(lines.tip)
+    turns = np.concatenate([lines.kinds[unknown], free.kinds]) != SLIDE
+    h = np.concatenate([h[:, unknown], np.einsum("mij,kj->mki", X[:, :3, :3], free.h)], axis=1)
+    moved = np.einsum("mij,kj->mki", X[:, :3, :3], free.o) + X[:, None, :3, 3]
+    o = np.concatenate([o[:, unknown], moved], axis=1)
+    J = np.concatenate(
+        [np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2
+    )
+    J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
+    values = svd(J, compute_uv=False)
+    return int((values > RANK * values[:, :1]).sum(axis=1).max())
+
+
+def make(
+    lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
+) -> ChainPlan:
+    """The plan for a chain of which so many joints are locked that the others are not redundant.
+
+    but: lines that complete it in a plan that is known; then another one is made.
+    """
+    plan = in_closed_form(lines, task, locked, planar, but)
+    if plan is not None:
+        return plan
+    unknown = [i for i in range(len(lines)) if i not in locked]
+    for extra in itertools.islice(_completions(lines, task, unknown, planar, but), ELIMINATIONS):
+        look()
+        plan = _by_elimination(lines, task, unknown, locked, extra)
+        if plan is not None:
+            return plan
+    return pack(lines, task, locked, Extra(*_parts(free_lines(lines, task, planar))), None)
+
+
+def in_closed_form(
+    lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
+) -> ChainPlan | None:
+    """The plan that solves the joints that are not locked in closed form, None where there is none;
+    see `make`.
+    """
+    unknown = [i for i in range(len(lines)) if i not in locked]
+    if not unknown:
+        raise UnsupportedError(
+            "no joint is left to move: all of the chain are held, or do nothing for this task"
+        )
+    for extra in _completions(lines, task, unknown, planar, but):
+        look()
+        for way in _ways(lines, unknown, locked, extra):
+            plan = pack(lines, task, locked, extra, way)
+            if (off := _error(plan)) < max(AGAIN, lines.span.blur):
+                return replace(plan, blurred=off >= AGAIN)
+    return None
+
+
+def _completions(
+    lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None
+) -> Iterator[Extra]:
+    """Lines that complete the unknown joints to six: free ones for what the task does not ask,
+    others at rest.
+    """
+    free = free_lines(lines, task, planar)
+    for rest in resting(lines, free, unknown, planar):
+        extra = Extra(
+            *(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True))
+        )
+        if but is None or not (np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o)):
+            yield extra
+
+
+def _by_elimination(
+    lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
+) -> ChainPlan | None:
+    """The plan that takes the six lines as general ones; None where no formulation suits them."""
+    from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
+    from kempe.kernels.compiled import elimination_score
+
+    theta = spread(lines, np.random.default_rng(11), 1)[0]
+    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    axes, _ = carried_lines(lines, locked, extra, theta)
+    scores = np.zeros(FORMULATIONS)
+    elimination_score.score(
+        axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores
+    )
+    best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
+    if not best:
+        return None
+    plan = pack(lines, task, locked, extra, None, (tuple(places), best))
+    return plan if _error(plan) < AGAIN else None
+
+
+def kernel_of(plan: ChainPlan) -> Callable[..., None]:
+    """The kernel that carries out a plan."""
+    if plan.method == "elimination":
+        from kempe.kernels.compiled import elimination_ik
+
+        return elimination_ik.general
+    from kempe.kernels.compiled import every_solution
+
+    return every_solution.closed
+
+
+def side_by_side_of(plan: ChainPlan) -> Callable[..., int] | None:
+    """The kernel that solves many targets side by side, None where the plan is not made for it."""
+    if not plan.side_by_side:
+        return None
+    from kempe.kernels.compiled import candidate_blocks
+
+    return candidate_blocks.closed_side_by_side
+
+
+def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
+    return extra.kinds, extra.h, extra.o, extra.roles
+
+
+def _ways(
+    lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra
+) -> list[Strategy]:
+    """Ways for the six lines, as they are common to two positions of the locked joints."""
+    rng = np.random.default_rng(11)
+    variants = list[Axes]()
+    goals = list[list[Array]]()
+    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    for _ in range(2 if locked else 1):
+        theta = spread(lines, rng, 4)
+        theta[1:, list(locked)] = theta[0, list(locked)]
+        axes, shift = carried_lines(lines, locked, extra, theta[0])
+        variants.append(Axes(axes.kinds[places], axes.h[places], axes.o[places]))
+        T = sweep(lines, theta[1:])[0] @ freed(lines, extra, len(theta) - 1)
+        G = T @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
+        goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
+    at_rest = {
+        i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST
+    }
+    found = ways(variants, goals, at_rest)
+    return [Strategy(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
+
+
+def _tail(w: Strategy) -> tuple[int, int, int, int, int]:
+    return w.inner, w.what, w.mode, w.measure, w.option
+
+
+def carried_lines(
+    lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array
+) -> tuple[Axes, Array]:
+    """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
+    X = np.eye(4)
+    kinds = np.concatenate([lines.kinds, extra.kinds])
+    h = np.vstack([lines.h, extra.h])
+    o = np.vstack([lines.o, extra.o])
+    for i in range(len(kinds)):
+        if i in locked:
+            X = X @ motion(kinds[i], h[i], o[i], theta[i])
+        else:
+            h[i], o[i] = X[:3, :3] @ h[i], X[:3, :3] @ o[i] + X[:3, 3]
+    return Axes(kinds, h, o), X
+
+
+def pack(
+    lines: Lines,
+    task: str,
+    locked: tuple[int, ...],
+    extra: Extra,
+    way: Strategy | None,
+    forms: tuple[tuple[int, ...], list[int]] | None = None,
+) -> ChainPlan:
+    """The plan and its arrays (`kempe.kernels.closed_form.analytic_layout`); forms: orders and ways
+    to eliminate.
+    """
+    n = len(lines)
+    k = len(extra.kinds)
+    ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
+    ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
+    order = () if forms is None else forms[0]
+    if way is not None:
+        ints[[A.INNER, A.WHAT, A.MODE, A.MEASURE, A.OPTION]] = _tail(way)
+        order = way.order
+    if forms is not None:
+        ints[A.N_FORMS] = len(forms[1])
+        ints[A.FORMS : A.FORMS + len(forms[1])] = forms[1]
+    if order:
+        ints[A.ORDER : A.ORDER + 6] = order
+        ints[A.ROLES : A.ROLES + 6] = [A.JOINT if j < n else extra.roles[j - n] for j in order]
+    ints[A.PLAN_HEADER : A.PLAN_HEADER + n + k] = [*lines.kinds, *extra.kinds]
+    ints[A.PLAN_HEADER + n + k :] = [int(i not in locked) for i in range(n)]
+    head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
+    axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
+    joints = np.column_stack([lines.offset, lines.multiplier, *lines.limits]).ravel()
+    floats = np.concatenate([head, axes.packed(), joints])
+    method = "closed" if way is not None else "search" if forms is None else "elimination"
+    return ChainPlan(lines, task, locked, method, way, extra, ints, floats)
+
+
+def _error(plan: ChainPlan) -> float:
+    """The angle or length up to which the plan finds four of five random configurations again."""
+    lines = plan.lines
+    rng = np.random.default_rng(3)
+    theta = spread(lines, rng, TRIALS)
+    q = (theta - lines.offset) / lines.multiplier
+    n = len(lines)
+    floats = plan.floats.copy()  # limits do not matter here
+    floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
+    out = np.empty((TRIALS, plan.slots, n + A.INFO))
+    numbers = np.arange(TRIALS)
+    kernel = side_by_side_of(plan)
+    if kernel is not None:
+        q[:, list(plan.locked)] = q[0, list(plan.locked)]
+        kernel(plan.ints, floats, targets_at(lines, plan.extra, q), q, q[:1], 0, out, numbers)
+    else:
+        counts = np.empty((TRIALS, 2), dtype=np.int64)
+        kernel_of(plan)(
+            plan.ints,
+            floats,
+            targets_at(lines, plan.extra, q),
+            q,
+            q,
+            1e-9,
+            1e-9,
+            0,
+            numbers,
+            out,
+            counts,
+        )
+    off = np.where(
+        out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf
+    )
+    return float(np.sort(off.min(axis=1))[int(0.8 * TRIALS)])
+
+
+# ---- choice
+
+# Which joints of a redundant chain are held: those without which the rest is solved best, and most
+# often.
+
+
+MOST_CHOICES = 60
+ELIMINATED = 12
+"""Choices of joints that are looked at for a closed form, and for an elimination where none has a
+closed form."""
+
+SAMPLES = 32
+STEP = 0.1
+"""Random poses that measure how often a choice has a solution, and the difference in that which
+counts."""
+
+TOLERANCE = 1e-9
+
+ASIDE = 0.4
+"""Angle, or length of the chain, from zero at which joints are held first where at zero axes of the
+rest line up."""
+
+NEARLY = 1e-3
+"""Sine of an angle, or distance in lengths of the chain, below which an elimination has trouble
+with two axes."""
+
+
+def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> ChainPlan:
+    """The plan with as many joints locked, beside those `fixed`, as the chain has too many.
+
+    Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the
+    rest is solved (side by side, in closed form, by elimination), and how many random poses have a
+    solution inside the limits with the joints held where they are held first.
+    """
+    free = free_lines(lines, task, planar)
+    unknown = [i for i in range(len(lines)) if i not in fixed]
+    rank = freedoms(lines, free, unknown)
+    extra = len(unknown) + len(free.kinds) - rank
+    if extra <= 0:
+        return make(lines, task, fixed, planar)
+    best: tuple[tuple[float, ...], ChainPlan] | None = None
+    choices = list(_able(lines, task, free, unknown, extra, rank))
+    for carried, some in itertools.groupby(
+        choices, lambda choice: _carries(lines, unknown, choice)
+    ):
+        group = [tuple(sorted((*fixed, *choice))) for choice in some]
+        plans = [
+            p
+            for p in (in_closed_form(lines, task, locked, planar) for locked in group)
+            if p is not None
+        ]
+        plans = plans or [
+            p
+            for p in (make(lines, task, x, planar) for x in group[:ELIMINATED])
+            if p.method != "search"
+        ]
+        for k, bare in enumerate(plans):
+            look()
+            plan = replace(bare, first=_first(bare, fixed))
+            key = (_rank(plan), -round(_share(plan) / STEP), k)
+            if best is None or key < best[0]:
+                best = key, plan
+        if carried and best is not None:
+            break
+    if best is not None:
+        return best[1]
+    return make(lines, task, tuple(sorted((*fixed, *choices[0]))) if choices else fixed, planar)
+
+
+def _able(
+    lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int
+) -> Iterator[tuple[int, ...]]:
+    """Choices that leave the chain all of its freedoms, those that carry an arm of turns first, the
+    last joints first.
+
+    Where the task asks for an orientation alone the first joints come first, since the last are
+    those that turn the tip. Of many spare joints, the choices come first that leave joints in a
+    row.
+    """
+    order = unknown if task in ("orientation", "direction") else unknown[::-1]
+    count = len(unknown) - extra
+    slides = [i for i in order if lines.kinds[i] == SLIDE]
+    turns = [i for i in order if lines.kinds[i] != SLIDE]
+    rows = (tuple(i for i in order if i not in order[k : k + count]) for k in range(extra + 1))
+    more = extra - len(slides)
+    carrying = (
+        ((*c, *slides) for c in itertools.combinations(turns, more)) if slides and more >= 0 else ()
+    )
+    seen: set[frozenset[int]] = set()
+    every = itertools.chain(
+        itertools.islice(carrying, MOST_CHOICES),
+        rows if extra > 2 else (),
+        itertools.islice(itertools.combinations(order, extra), MOST_CHOICES),
+    )
+    for choice in every:
+        look()
+        key = frozenset(choice)
+        if key not in seen and freedoms(lines, free, [i for i in unknown if i not in key]) == rank:
+            seen.add(key)
+            yield choice
+        if len(seen) >= MOST_CHOICES:
+            return
+
+
+def _carries(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
+    """Whether the choice holds all slides of the chain, and leaves an arm of turns."""
+    slides = [i for i in unknown if lines.kinds[i] == SLIDE]
+    return bool(slides) and set(slides) <= set(choice)
+
+
+def _rank(plan: ChainPlan) -> float:
+    """How a plan is solved, 0 the fastest."""
+    if plan.method == "closed":
+        return 0.0 if plan.side_by_side else 1.0
+    return 2.0
+
+
+def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
+    """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the
+    limits.
+
+    An elimination takes long where axes line up that do not otherwise; there they are held aside of
+    zero.
+    """
+    lines = plan.lines
+    n = len(plan.lines)
+    zero = np.clip(np.zeros(n), *lines.limits)
+    if plan.method != "elimination":
+        return tuple(zero.tolist())
+    rng = np.random.default_rng(23)
+    theta = spread(lines, rng, 2)
+    theta[1, list(plan.locked)] = lines.theta(zero)[list(plan.locked)]
+    if _aligned(plan, theta[1]) <= _aligned(plan, theta[0]):
+        return tuple(zero.tolist())
+    aside = np.clip(ASIDE / np.abs(lines.multiplier), *lines.limits)
+    there = np.where(aside > zero, aside, np.clip(-ASIDE / np.abs(lines.multiplier), *lines.limits))
+    return tuple(there.tolist())
+
+
+def _aligned(plan: ChainPlan, theta: Array) -> int:
+    """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting
+    it, at theta (n,).
+    """
+    axes, _ = carried_lines(plan.lines, plan.locked, plan.extra, theta)
+    moving = [i for i in range(len(plan.lines)) if i not in plan.locked]
+    count = 0
+    for i, j in itertools.pairwise(moving):
+        across = np.cross(axes.h[i], axes.h[j])
+        size = float(np.linalg.norm(across))
+        count += size < NEARLY or abs(float(across @ (axes.o[j] - axes.o[i]))) < NEARLY * size
+    return count
+
+
+def _share(plan: ChainPlan) -> float:
+    """The share of random poses that have a solution inside the limits with the locked joints where
+    they are first.
+    """
+    lines = plan.lines
+    n = len(plan.lines)
+    q = within_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))
+    held = np.array([plan.first])
+    out = np.empty((SAMPLES, A.SLOTS, n + A.INFO))
+    counts = np.empty((SAMPLES, 2), dtype=np.int64)
+    tolerance = 1e-9 * max(lines.length, 1.0)
+    kernel_of(plan)(
+        plan.ints,
+        plan.floats,
+        targets_at(lines, plan.extra, q),
+        held,
+        held,
+        tolerance,
+        TOLERANCE,
+        0,
+        np.arange(SAMPLES),
+        out,
+        counts,
+    )
+    code = out[..., n + A.CODE]
+    return float(((code >= 0.0) & (code.astype(np.int64) % 2 == 1)).any(axis=1).mean())
+
+
+def domains(lines: Lines) -> Array:
+    """Values (2, n) between which joints are looked at: limits; else a turn, or two lengths of the
+    chain each way.
+    """
+    half = np.where(lines.kinds == SLIDE, 2.0, np.pi) / np.abs(lines.multiplier)
+    low, high = lines.limits
+    with np.errstate(invalid="ignore"):
+        first = np.where(
+            np.isfinite(low), low, np.where(np.isfinite(high), high - 2.0 * half, -half)
+        )
+        last = np.where(np.isfinite(high), high, first + 2.0 * half)
+    return np.stack([first, last])
+
+
+def within_domains(lines: Lines, shares: Array) -> Array:
+    """Coordinates (m, n) at these shares (m, n) of the ways from the first to the last values of
+    `domains`.
+    """
+    first, last = domains(lines)
+    return first + shares * (last - first)

@@ -1,0 +1,129 @@
+"""What is required of the analytical inverse model: targets, task, joints that are held, checked."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arrays import reals, within_range
+from kempe.errors import InputError, UnknownNameError
+from kempe.model.configurations import as_start
+from kempe.numerics.clock import TimeLimit
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+FARTHEST = 1e5
+"""Largest coordinate of `start`: beyond, an angle with its turns has lost the digits that solutions
+have."""
+
+ANGULAR = 1e-6
+"""Largest tolerance of angles that rounding of positions makes."""
+
+
+class Watch:
+    """The time limit of a call, and the targets whose work it ended, `late` (N,)."""
+
+    def __init__(self, limit: TimeLimit, count: int):
+        self.limit = limit
+        self.late = np.zeros(count, dtype=bool)
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() >= self.limit.end
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """Targets (N, 4, 4) for a frame, with `lead` their leading shape (None for one target), and the
+    task.
+    """
+
+    system: System
+    frame: str
+    task: str
+    axis: tuple[float, float, float]
+    targets: Array = field(repr=False)
+    lead: tuple[int, ...] | None
+    tolerance: float
+    requested: float = 0.0
+    """The tolerance that was requested, which far away is below rounding."""
+    watch: Watch | None = field(default=None, repr=False, compare=False)
+    """What ends the work early; None where nothing does."""
+    numbers: np.ndarray | None = field(default=None, repr=False, compare=False)
+    """Numbers of the targets in the question that these were taken from; None where it is this
+    one."""
+
+    def stopped(self, which: Any) -> bool:
+        """Whether the time is up, which is noted of the targets `which`: a number, a slice, or an
+        array of numbers.
+        """
+        if self.watch is None or not self.watch.over:
+            return False
+        self.watch.late[which if self.numbers is None else self.numbers[which]] = True
+        return True
+
+    def of(self, which: np.ndarray, lead: tuple[int, ...] | None) -> Question:
+        """The same question for the targets `which` (m,) alone."""
+        numbers = which if self.numbers is None else self.numbers[which]
+        return replace(self, targets=self.targets[which], lead=lead, numbers=numbers)
+
+    @property
+    def angular(self) -> float:
+        """The tolerance of angles [rad], which rounding of positions leaves mostly alone."""
+        return max(self.requested, min(self.tolerance, ANGULAR))
+
+
+def within(tolerance: Any) -> float:
+    """The tolerance of a solution. Errors: `InputError`."""
+    number: Any = tolerance
+    if isinstance(tolerance, (int, float, np.number)) and 0.0 < number < math.inf:
+        return float(number)
+    raise InputError(
+        f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians"
+    )
+
+
+def held_by(fixed: Any) -> Mapping[str, Any]:
+    """Values of held joints by name, unchecked; empty for None. Errors: `InputError` for what is no
+    mapping.
+    """
+    names: Any = fixed
+    if fixed is not None and not isinstance(fixed, Mapping):
+        raise InputError(
+            f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name"
+        )
+    return names or {}
+
+
+def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
+    """Values of joints of the chain that are held, by name. Errors: `InputError`,
+    `UnknownNameError`.
+    """
+    out: dict[str, Array] = {}
+    for name, value in held_by(fixed).items():
+        if name not in names:
+            raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
+        out[name] = reals(
+            value, f"the value of {name!r}, which is held,", "a number, or one for each target"
+        )
+    return out
+
+
+def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | None:
+    """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
+    if near is None:
+        return None
+    q = as_start(system, near)
+    if q.ndim > 1 and q.shape[:-1] != (lead or ()):
+        each = f" or {(*lead, system.nq)}" if lead else ""
+        raise InputError(f"start has shape {q.shape}; it must be ({system.nq},){each}")
+    within_range(q, "start", system.coordinate_names, FARTHEST)
+    return q.reshape(math.prod(q.shape[:-1]), system.nq)

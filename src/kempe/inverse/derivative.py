@@ -1,0 +1,287 @@
+"""Derivatives of answers of the numerical inverse model with respect to their targets."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.equations.task_functions import REAL_STEP
+from kempe.equations.tasks import Goals
+from kempe.errors import InputError, UnsupportedError
+from kempe.forward.fk import fk, jacobian
+from kempe.inverse.answer import Reached, Solution
+from kempe.inverse.servo import ends_of_rows
+from kempe.kernels.base.search_layout import AHEAD, NOTHING
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.tasks.demands import Demands
+
+AT_LIMIT = 1e-9
+"""How near to a limit a coordinate is at it."""
+RANK_TOLERANCE = 1e-9
+"""Singular values below this fraction of the largest count as zero when it is checked whether
+limits take a freedom."""
+
+
+def derivative(solution: Solution) -> Array:
+    """dq (..., nv, 6) for a twist [linear; angular] of the target, ground axes, at its origin; NaN
+    where not reached.
+
+    By the implicit function theorem, the pseudoinverse of the rows of the Jacobian that the task
+    reads: least squares of the velocities where the chain has more freedoms than those. Coordinates
+    at a limit stay, and have rows of zeros, where the others span the same motions. Errors:
+    `InputError` where a single target was not reached.
+    """
+    task = solution.task
+    good = np.asarray(solution.success)
+    if not good.ndim and not good:
+        raise InputError(f"the target was not reached, so q does not follow it: {solution.status}")
+    system = task.system
+    chain = task.chain
+    q = np.where(good[..., None], solution.q, system.neutral)
+    J = jacobian(system, q, task.frame)[..., chain.v_index]
+    R = fk(system, q, task.frame)[..., :3, :3]
+    if task.axis != Z_AXIS:
+        R = R @ frame_of(np.array(task.axis))
+    S = np.zeros(
+        (*R.shape[:-2], 6, 6)
+    )  # from ground axes to those rows in the axes of the tip that count
+    S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
+    S *= np.array(task.mask, dtype=float)[:, None]
+    J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (
+        S @ J
+    )  # what has no room moves nothing
+    x = np.full((*q.shape[:-1], system.nv), np.nan)
+    v = system.structure.layout.vector_v
+    x[..., v] = q[..., system.structure.layout.vector_q]
+    held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[..., chain.v_index]
+    free = np.where(held[..., None, :], 0.0, J)
+    stay = held & (_rank(free, J) == _rank(J, J))[..., None]
+    inverse = np.where(
+        stay[..., None], 0.0, np.linalg.pinv(np.where(stay[..., None, :], 0.0, J), rcond=1e-12)
+    )
+    out = np.zeros((*q.shape[:-1], system.nv, 6))
+    out[..., chain.v_index, :] = inverse @ S
+    return np.where(good[..., None, None], out, np.nan)
+
+
+def _rank(J: Array, whole: Array) -> np.ndarray:
+    """Ranks (...) of Jacobians, counted against the largest singular value of the whole ones."""
+    most = svd(whole, compute_uv=False).max(axis=-1, initial=0.0)
+    return (svd(J, compute_uv=False) > RANK_TOLERANCE * most[..., None]).sum(axis=-1)
+
+
+# ---- derivative tasks
+
+# Derivatives of answers to tasks with respect to the goals of the tasks.
+
+
+AT_BOUND = 2e-6
+"""How near to its bound an inequality holds the answer there, in radians and characteristic
+lengths."""
+RANK = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+
+
+class _DerivativeRows(NamedTuple):
+    """Equations (..., m) and Jacobians (..., m, nv) that hold, and those, weighted, whose squares
+    are least.
+    """
+
+    held: Array
+    H: Array
+    soft: Array
+    S: Array
+
+
+def derivative_of_tasks(answer: Reached) -> dict[str, Array]:
+    """For each task, by its label, dq (..., nv, k) for motions of its goal; NaN where not reached.
+
+    The first six columns, of a task whose goal is placed, are for the twist [linear; angular] of
+    the goal, at its origin, in ground axes or those of the frame that it hangs on; one column for
+    each number of the goal follows (radius, distances, values of coordinates; three for a
+    quaternion, about its own axes). By the implicit function theorem for the conditions of Karush,
+    Kuhn and Tucker: hard tasks, loops and relations stay met, inequalities at their bound and
+    coordinates at a limit stay there (these where the others can do without them); soft tasks, or
+    what was preferred, stay least, and what is then free moves least, in radians and characteristic
+    lengths. Derivatives by goals, and second ones, are central differences. Errors: `InputError`
+    where a single problem was not solved, `UnsupportedError` for soft tasks of several priorities
+    and functions that are preferred.
+    """
+    problem = answer.problem
+    good = np.asarray(answer.success)
+    if not good.ndim and not good:
+        raise InputError(
+            f"the tasks do not hold, so q does not follow their goals: {answer.status}"
+        )
+    soft = {t.priority for t in problem.tasks if t.weight is not None}
+    chosen = problem.mode not in (NOTHING, AHEAD)
+    if len(soft) + (problem.mode != NOTHING) > 1 or chosen:
+        raise UnsupportedError(
+            "derivative is for hard tasks with soft ones of one priority at most, or with prefer "
+            "'nearest' or 'mid' in place of these"
+        )
+    if not good.ndim:
+        return _one(problem, answer.q)
+    rows = [
+        _one(problem.of(i), q) if fine else None
+        for i, (fine, q) in enumerate(
+            zip(good.ravel(), answer.q.reshape(-1, answer.q.shape[-1]), strict=True)
+        )
+    ]
+    none: dict[str, Array] = {}
+    known = next((r for r in rows if r is not None), none)
+    nothing = {label: np.full(x.shape, math.nan) for label, x in known.items()}
+    each = [nothing if r is None else r for r in rows]
+    return {
+        k: np.stack([r[k] for r in each]).reshape(*good.shape, *x.shape) for k, x in known.items()
+    }
+
+
+def _one(problem: Demands, q: Array) -> dict[str, Array]:
+    """The derivatives of one answer."""
+    system = problem.system
+    scale = problem.packed.scale
+    counts = _active(problem, q)
+    at = _rows(problem, q, problem.pins, counts)
+    g = at.S.T @ at.soft
+    multipliers = np.linalg.lstsq(at.H.T, -g, rcond=RANK)[0]
+
+    def slope(rows: _DerivativeRows) -> Array:
+        """Gradients (n, nv) of the Lagrangian."""
+        return np.einsum("nij,ni->nj", rows.S, rows.soft) + np.einsum(
+            "nij,i->nj", rows.H, multipliers
+        )
+
+    steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv)]) * scale
+    near = slope(_rows(problem, system.structure.layout.integrate(q, steps), problem.pins, counts))
+    second = (near[: system.nv] - near[system.nv :]) / (2.0 * REAL_STEP)
+    second = 0.5 * (second + second.T)
+    free = _free(problem, q, at.H)
+    n = int(free.sum())
+    m = len(at.H)
+    K = np.zeros((n + m, n + m))
+    K[:n, :n] = second[np.ix_(free, free)]
+    K[n:, :n] = at.H[:, free]
+    K[:n, n:] = at.H[:, free].T
+    inverse = np.linalg.pinv(K, rcond=RANK)[:n]
+    out: dict[str, Array] = {}
+    for k, task in enumerate(problem.tasks):
+        moved = [
+            problem.packed.pins([*problem.goals[:k], goals, *problem.goals[k + 1 :]])
+            for goals in _moved(problem.goals[k])
+        ]
+        dq = np.zeros((system.nv, len(moved) // 2))
+        if moved:
+            pins = np.concatenate(moved)
+            rows = _rows(problem, np.broadcast_to(q, (len(pins), len(q))), pins, counts)
+            change = np.concatenate([slope(rows)[:, free], rows.held], axis=1)
+            rate = (change[0::2] - change[1::2]) / (2.0 * REAL_STEP)
+            dq[free] = scale[free, None] * -(inverse @ rate.T)
+        out[task.label] = dq
+    return out
+
+
+def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Which of the tasks' rows (m,) are held, which are lowered, and the roots of their weights."""
+    packed = problem.packed
+    error, _ = packed.evaluate(q, problem.pins)
+    low, high = ends_of_rows(packed)
+    levels, strengths, *_ = problem.levels
+    counts = [len(t.rows) for t in packed.loops.ties]
+    own = packed.rows >= 0
+    level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
+    at_bound = (low == high) | (np.minimum(error - low, high - error) < AT_BOUND)
+    return (
+        (level > 0) & (hard > 0) & at_bound,
+        (level > 0) & (hard == 0),
+        np.repeat(np.sqrt(strengths[:, 0]), counts)[own],
+    )
+
+
+def _rows(
+    problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]
+) -> _DerivativeRows:
+    """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
+    packed = problem.packed
+    (held, soft, weight) = counts
+    error, J = packed.evaluate(q, pins)
+    closed, C = packed.evaluate(q, pins, closures=True)
+    low, high = ends_of_rows(packed)
+    miss = (error - np.clip(error, low, high))[..., soft] * weight[soft]
+    S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
+    if problem.mode == AHEAD and problem.aim is not None:
+        miss = (
+            problem.system.structure.layout.difference(np.broadcast_to(problem.aim[0], q.shape), q)
+            / packed.scale
+        )
+        S = np.broadcast_to(
+            np.eye(len(packed.scale)), (*q.shape[:-1], len(packed.scale), len(packed.scale))
+        )
+    return _DerivativeRows(
+        np.concatenate([error[..., held], closed], axis=-1),
+        np.concatenate([J[..., held, :], C], axis=-2),
+        miss,
+        S,
+    )
+
+
+def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
+    """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do
+    without them.
+    """
+    system = problem.system
+    v = problem.system.structure.layout.vector_v
+    x = q[system.structure.layout.vector_q]
+    free = np.ones(system.nv, dtype=bool)
+    if problem.limits:
+        free[v] = (x > system.lower[v] + AT_LIMIT) & (x < system.upper[v] - AT_LIMIT)
+    if free.all() or not len(H):
+        return free
+    most = float(np.linalg.norm(H, 2))
+    ranks = [int((svd(A, compute_uv=False) > RANK * most).sum()) for A in (H, H[:, free])]
+    return free if ranks[0] == ranks[1] else np.ones(system.nv, dtype=bool)
+
+
+def _moved(goals: Goals) -> list[Goals]:
+    """The goals moved there and back by a small step along each of their freedoms."""
+    out: list[Goals] = []
+    origins = [X[..., :3, 3] for X, _ in goals if X is not None]
+    for twist in REAL_STEP * np.eye(6) if origins else ():
+        out += [
+            [
+                (None if X is None else _turned(X, origins[0], sign * twist), number)
+                for X, number in goals
+            ]
+            for sign in (1.0, -1.0)
+        ]
+    for k, (X, number) in enumerate(goals):
+        if number is None:
+            continue
+        for step in REAL_STEP * _freedoms(number):
+            out += [
+                [*goals[:k], (X, number + sign * step), *goals[k + 1 :]] for sign in (1.0, -1.0)
+            ]
+    return out
+
+
+def _turned(X: Array, origin: Array, twist: Array) -> Array:
+    """The pose X (4, 4) after a small motion about a point."""
+    R = spatial.exp_so3(twist[3:])
+    return spatial.pose(R @ X[:3, :3], origin + R @ (X[:3, 3] - origin) + twist[:3])
+
+
+def _freedoms(number: Array) -> Array:
+    """How the numbers (k,) of a tie can change: each alone, a quaternion by turns about its own
+    axes.
+    """
+    if len(number) != 4:
+        return np.eye(len(number))
+    w, x, y, z = number
+    return 0.5 * np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])

@@ -1,0 +1,322 @@
+"""Why a target was not reached: by a proof, or by asking again with more starts, without limits,
+without orientation.
+
+Proofs are lengths, and limits where all answers are known to be outside them. Else what is found by
+asking again is true, and what is not found is evidence: it is said with the number of starts, and
+as what may be the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kempe.answers import wording
+from kempe.answers.evidence import Evidence, evidence, lengths
+from kempe.answers.problem import Choice
+from kempe.answers.targets import Z_AXIS, frame_of, not_a_pose
+from kempe.answers.wording import immovable
+from kempe.forward.fk import jacobian
+from kempe.inverse.answer import Solution, SolutionRow
+from kempe.inverse.chain.problem import ITERATIONS, MOST, TOLERANCE, FrameProblem, past_lengths
+from kempe.inverse.chain.serial_chain import Chain, chain_of, slides_of
+from kempe.inverse.derivative import derivative
+from kempe.inverse.limit_proof import shut_out
+from kempe.inverse.multi_start import run
+from kempe.inverse.numeric import chosen
+from kempe.inverse.tasks import freedoms
+from kempe.model.configurations import random
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import Status
+
+AT_LIMIT = 1e-9
+"""How near to a limit a coordinate is at it."""
+NEAR_MISS = 1e-6
+NEAR_TURN = 1e-2
+SMALL = 1e-2
+"""Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of
+links [m] that are small for tolerances in metres."""
+ROUNDED = 2e-3
+"""Errors, in radians and parts of the chain's longest link, that rounding of published figures may
+have made."""
+FEW_LIMITS = 12
+"""Limits up to which each is lifted in turn; of more, only those that a configuration touches."""
+STARTS = 250
+"""Starts of a search without some limits, which begins where the target is reached without any."""
+TILTED = 1e-7
+"""Angle between a pose and the plane that is not rounding [rad]."""
+ROUNDING = 1e-14
+"""What rounding makes of a configuration that reaches a target, in parts of its size."""
+RANK_TOLERANCE = 1e-9
+NEARLY = 1e-4
+"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are
+counted, and when it is checked whether a search ended at a singular configuration."""
+
+
+def sentence(solution: Solution, index: tuple[int, ...]) -> str:
+    """The sentence for one target of a solution."""
+    task = solution.task
+    figures = (
+        solution.code,
+        solution.position_error,
+        solution.orientation_error,
+        solution.starts,
+        solution.iterations,
+    )
+    code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
+    missed = position if any(task.mask[:3]) else None, angle if any(task.mask[3:]) else None
+    if code == Status.SOLVED:
+        return wording.reached(*missed, steps, starts)
+    at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
+    target = task.targets[at : at + 1]
+    if code == Status.BAD_INPUT:
+        return not_a_pose(target[0], "start")
+    near = wording.nearest(*missed)
+    tilt = (
+        float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0)))
+        if task.system.dim == 2 and any(task.mask[3:])
+        else 0.0
+    )
+    if code == Status.OUT_OF_REACH:
+        return wording.failed("", beyond(task, target), near)
+    if tilt > max(task.tolerance[1], TILTED):
+        return wording.failed("", evidence("tilted", angle=tilt), near)
+    if code == Status.OUT_OF_TIME:
+        return wording.failed("", wording.late(task.time_limit, starts, task.starts), near)
+    if position <= ROUNDING * (1.0 + float(np.linalg.norm(target[0, :3, 3]))) and angle <= ROUNDING:
+        return wording.failed("the tolerance is finer than rounding", near)
+    why = _reasons(task, target, np.asarray(solution.q)[index][task.chain.q_index], position, angle)
+    still = immovable(task.system, task.chain.v_index)
+    return wording.failed(wording.given_up("reached", starts), *why, near, still)
+
+
+def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
+    """What proves that there is no answer for one target of a solution."""
+    task = solution.task
+    code = np.asarray(solution.code)
+    at = int(np.ravel_multi_index(index, code.shape)) if index else 0
+    target = task.targets[at : at + 1]
+    if code[index] not in (Status.OUT_OF_REACH, Status.NOT_FOUND):
+        return ()
+    proof = beyond(task, target) if code[index] == Status.OUT_OF_REACH else shut_out(task, target)
+    return (proof,) if proof else ()
+
+
+def beyond(task: FrameProblem, target: Array) -> Evidence | None:
+    """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
+    off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
+    place, turned = past_lengths(task, target)[0].tolist()
+    return lengths(
+        task.system,
+        place,
+        turned,
+        off if off > task.tolerance[0] else 0.0,
+        point=task.name == "position",
+        slides=slides_of(task.system, task.frame),
+    )
+
+
+def _reasons(
+    task: FrameProblem, target: Array, q: Array, position: float, angle: float
+) -> list[Any]:
+    """What speaks for there being no answer; q (n,) is the nearest found, with its errors."""
+    span = task.chain.span
+    found = span.sentence() if span.wide else _again(task, target, q)
+    found = found or _limits(task, target, q)
+    if not found and (rank := _over_determined(task, target)):
+        return [rank, rank.freedoms and rounded(position, angle, span.largest)]
+    return [found or _close(task, position, angle) or _not_found(task)]
+
+
+def _solved(
+    task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None
+) -> Array | None:
+    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None
+    if none does.
+    """
+    seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
+    q, _, info = run(task, seeds, 1, limits, target)
+    return q[0] if info[0, 0] == Status.SOLVED else None
+
+
+def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
+    """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the
+    task uses.
+
+    Singular values count from `tolerance` times the largest on.
+    """
+    J = jacobian(task.system, q, task.frame, "body")
+    J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
+    J = J[:, [i for i, used in enumerate(task.mask) if used]]
+    if J.shape[-1] == 0:
+        return 0
+    values = svd(J, compute_uv=False)
+    return int((values > tolerance * values[:, :1]).sum(axis=1).max())
+
+
+def rank_of(task: FrameProblem) -> tuple[int, int]:
+    """The equations of a task, and the freedoms in which the chain moves its frame at random
+    configurations.
+    """
+    system = task.system
+    rows = sum(map(bool, task.mask))
+    wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
+    return wanted, _rows(task, random(system, 0, 16), RANK_TOLERANCE)
+
+
+def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random
+    configurations.
+    """
+    equations, freedoms = rank_of(task)
+    if freedoms >= max(equations, 1):
+        return None
+    alone = None
+    if freedoms and task.name in ("pose", "position_axis"):
+        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(task.system, task.frame))
+        alone = _solved(place, target) is not None
+    return evidence(
+        "rank", equations=equations, freedoms=freedoms, frame=task.frame, position=alone
+    )
+
+
+def rounded(position: float, angle: float, length: float, one: bool = False) -> Evidence | None:
+    """Of a target with more equations than freedoms: the tolerance that accepts it, if it may have
+    been rounded.
+
+    `position` and `angle` are the errors of the nearest found; None where these are more than
+    rounding of figures, seen from a robot with links of this `length`. With `one` the tolerance is
+    one number for both.
+    """
+    if position > ROUNDED * length or angle > ROUNDED:
+        return None
+    return evidence("rounded", metres=_above(position), radians=_above(angle), one=one)
+
+
+def _above(error: float) -> float:
+    """A round number above an error: one digit, and at least the usual tolerance."""
+    if error <= TOLERANCE[0]:
+        return TOLERANCE[0]
+    unit = 10.0 ** math.floor(math.log10(error))
+    return float(f"{math.ceil(error / unit * 1.001) * unit:.0e}")
+
+
+def _many(task: FrameProblem) -> FrameProblem:
+    """The same with as many starts as are given by default, at least, and no limit of time."""
+    return replace(
+        task,
+        starts=max(MOST, task.starts),
+        iterations=max(ITERATIONS, task.iterations),
+        end=math.inf,
+    )
+
+
+def _again(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
+    """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,)
+    is what it found.
+    """
+    if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
+        return None
+    return evidence("more starts", singular=_singular(task, nearest))
+
+
+def _singular(task: FrameProblem, q: Array) -> bool:
+    """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
+    full = task.chain.base[0].copy()
+    full[task.chain.q_index] = q
+    return _rows(task, full[None], NEARLY) < _rows(task, random(task.system, 0, 16), NEARLY)
+
+
+def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
+    """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what
+    came nearest.
+
+    Or that they do not, for all starts may fail where there is an answer.
+    """
+    chain = task.chain
+    bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
+    open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
+    many = _many(task)
+    free = _solved(many, target, open_) if bounded.size else None
+    if free is None:
+        return None
+    if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
+        return evidence("more starts")
+    suspects = list(
+        bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free)
+    )
+    few = replace(
+        many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects)))
+    )
+
+    def without(lifted: Sequence[Any]) -> bool:
+        limits = chain.limits.copy()
+        limits[:, lifted] = open_[:, lifted]
+        return _solved(few, target, limits, free) is not None
+
+    alone = [i for i in suspects if without([i])]
+    lifted = (
+        suspects
+        if len(suspects) < len(bounded) and not alone and without(suspects)
+        else list(bounded)
+    )
+    for i in [] if alone else list(lifted):  # what is left cannot be done without
+        rest = [k for k in lifted if k != i]
+        lifted = rest if without(rest) else lifted
+    names = [task.system.structure.velocity_names[int(chain.v_index[i])] for i in alone or lifted]
+    return evidence(
+        "limits", names=names, together=not alone, each=bool(alone), proof=shut_out(task, target)
+    )
+
+
+def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
+    """Of the bounded coordinates those that are at a limit in `nearest`, or beyond one in `free`."""
+    if len(chain.q_index) != len(chain.v_index):
+        return bounded
+    low, high = chain.limits
+    at = (nearest <= low + AT_LIMIT) | (nearest >= high - AT_LIMIT) | (free < low) | (free > high)
+    return bounded[at[bounded]]
+
+
+def _close(task: FrameProblem, position: float, angle: float) -> Evidence | None:
+    """What a near miss means, where it is one: by then neither the search nor the workspace is
+    known to end there.
+    """
+    if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
+        return None
+    longest = task.chain.span.largest
+    turn = angle if any(task.mask[3:]) else None
+    return evidence("near miss", place=position, turn=turn, longest=longest, small=longest <= SMALL)
+
+
+def _not_found(task: FrameProblem) -> Evidence:
+    """What is left where nothing else was found out."""
+    limits = bool(np.isfinite(task.chain.limits).any())
+    return evidence("not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:]))
+
+
+def choice(solution: Solution) -> Choice:
+    """Which solver searches for answers to such problems."""
+    task = solution.task
+    return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
+
+
+def analyse(solution: Solution) -> tuple[int, int, int, Array]:
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer,
+    scaled.
+    """
+    from kempe.constraints.kinds import of_target  # only here: most answers are not analysed
+    from kempe.inverse.tasks.search import pose_problem
+
+    task = solution.task
+    goals = of_target(task.frame, task.name, task.axis, task.targets[0])
+    return freedoms.analyse(pose_problem(task.system, goals, solution.q)[0], solution.q)
+
+
+ROW = SolutionRow(sentence, choice, proofs, derivative, analyse)
+"""What `ik` says of its answers."""

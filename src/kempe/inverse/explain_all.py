@@ -1,0 +1,488 @@
+"""What there is to say about a target: how many solutions, why these are all, or why there are
+none.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers import wording
+from kempe.answers.evidence import Evidence, evidence, lengths
+from kempe.answers.problem import Choice, Problem
+from kempe.answers.targets import Z_AXIS, not_a_pose, targets_of
+from kempe.answers.wording import immovable
+from kempe.arguments import quiet
+from kempe.inverse.all_answer import SolutionsRow
+from kempe.inverse.chain.problem import MOST
+from kempe.inverse.chain.serial_chain import chain_of, slides_of
+from kempe.inverse.closed_forms.nearest import BEST, STARTS, Aim, descend, fixed_joints, limits_of
+from kempe.inverse.closed_forms.plan import ChainPlan, carried_lines, free_lines
+from kempe.inverse.closed_forms.plan import freedoms as rank_of
+from kempe.inverse.closed_forms.structure import Axes, Strategy
+from kempe.inverse.explain import rounded
+from kempe.inverse.families import (
+    CONSTANT,
+    Family,
+    aim_of,
+    families_of,
+    family_motion,
+    held_coordinates,
+)
+from kempe.inverse.numeric import chosen
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.numerics.length_bounds import by_lengths
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.all_answer import Solutions
+    from kempe.inverse.answer import Solution
+    from kempe.inverse.closed_forms.question import Question
+
+# ---- nearest
+
+# The closest that a chain comes to a target, and the errors and Jacobians by which that is found.
+
+
+# ---- the nearest configuration
+
+
+@quiet
+def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
+    """The configuration (nq,) inside the limits that comes closest to target number `index`, and
+    what it misses.
+
+    The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task
+    does not ask for it. Position and orientation are weighed by the length of the chain. Poses and
+    positions are left to `ik`; other tasks, and chains with joints held, to descents from several
+    starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995). What is found is a local minimum:
+    seldom, another one is closer. NaN for targets that are no poses.
+    """
+    question = solutions.question
+    plan = solutions.plan
+    base = solutions._base[index if len(solutions._base) > 1 else 0]
+    target = question.targets[index]
+    if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
+        return np.full(question.system.nq, math.nan), math.nan, math.nan
+    if question.task in ("pose", "position") and not fixed_joints(plan):
+        answer = _by_numbers(question, target, base)
+        return answer.q, answer.position_error, answer.orientation_error
+    aim = aim_of(solutions, index, spare=True)
+    theta = _closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
+    q = base.copy()
+    q[plan.lines.q_index] = (theta - plan.lines.offset) / plan.lines.multiplier
+    R, p, _, _ = aim.sweep(theta[None])
+    e = aim.errors(R, p)[0]
+    return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
+
+
+def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
+    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
+    `start` (nq,).
+    """
+    system = question.system
+    task = (question.task, Z_AXIS)
+    goal = target if question.task == "pose" else target[:3, 3]
+    targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
+    solver, _ = chosen(system, question.frame, task, "numeric", False)
+    return solver.run(
+        Problem(
+            system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
+        )
+    )
+
+
+def _closest(aim: Aim, first: Array) -> Array:
+    """Variables (n,) inside the limits where the error is smallest."""
+    from scipy import optimize  # only here: most targets are reached
+
+    low, high = (x[aim.moves] for x in limits_of(aim.lines))
+    rng = np.random.default_rng(0)
+    k = len(aim.moves)
+    wide = np.where(aim.slides[aim.moves], 2.0, math.pi)
+    left = np.where(np.isfinite(low), low, -wide)
+    right = np.where(np.isfinite(high), high, wide)
+    theta = np.tile(first, (STARTS, 1))
+    theta[1:, aim.moves] = rng.uniform(
+        np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k)
+    )
+    theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
+    theta = descend(aim, theta, low, high)
+    e, _ = aim.at(theta)
+    order = np.argsort((e * e).sum(axis=1))
+    best = theta[order[0]]
+    least = math.inf
+    for start in theta[order[:BEST]]:
+
+        def energy(x: Array, start: Array = start) -> tuple[float, Array]:
+            full = start.copy()
+            full[aim.moves] = x
+            return aim.energy(full)
+
+        options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
+        bounds = list(zip(low, high, strict=True))
+        found = cast(Any, optimize).minimize(
+            energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        )
+        if found.fun < least:
+            best = start.copy()
+            least = float(found.fun)
+            best[aim.moves] = found.x
+    return best
+
+
+BEYOND = 1e-8
+"""How far (lengths of the chain, cosines) an equation must be from having a root, to be named as
+the reason."""
+
+REACHED = 2e-6
+"""Error [m, rad] below which a search, which stops there, has found a solution."""
+
+TURNS = ("orientation", "direction")
+"""Tasks of which no place counts."""
+
+NO_ROOT = {
+    "closed": "the equations of the closed form have no real root",
+    "elimination": "no real root among 16",
+    "search": "not found; no closed form applies",
+}
+"""What is said of a method that found nothing."""
+
+
+def status(solutions: Solutions, index: int) -> str:
+    """The sentence for target number `index`: how many solutions and why these are all, or why
+    there are none.
+    """
+    if solutions._counts[index, 0] < 0:
+        return not_a_pose(solutions.question.targets[index])
+    limit, late = (
+        (0.0, False)
+        if solutions._ended is None
+        else (solutions._ended[0], solutions._ended[1][index])
+    )
+    if solutions._used[index].any():
+        return _reached(solutions, index) + (wording.ended(limit) if late else "")
+    if late:
+        return wording.none_in_time(limit)
+    size = float(np.abs(solutions.question.targets[index]).max())
+    if size >= LARGEST:
+        return (
+            f"no solution: the target has an entry of {size:.3g}; allowed are numbers below "
+            f"{LARGEST:g}"
+        )
+    _, position, angle = nearest(solutions, index)
+    question = solutions.question
+    plan = solutions.plan
+    spare = spare_joints(plan)
+    miss = math.hypot(position, angle)
+    why: list[Any]
+    why, proven = _reasons(solutions, index)
+    if spare and not proven:
+        tried = int(np.ravel(solutions.tried)[index])
+        head = ""
+        why = [evidence("tried", held=_held(solutions, index, spare), values=tried, starts=MOST)]
+    else:
+        head = "no solution"
+    if miss <= REACHED:
+        near = f"a configuration within {miss:.1g} of the target: see nearest()"
+        return (
+            f"{wording.failed(head, *why).split(':')[0]} within {question.tolerance:.1g}, but "
+            f"{near}"
+        )
+    if why[0].__class__ is Evidence and why[0].kind == "joints":
+        why.append(
+            rounded(
+                position, angle, chain_of(solutions.system, question.frame).span.largest, one=True
+            )
+        )
+    limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
+    place = None if question.task in TURNS else position
+    turn = None if question.task == "position" else angle
+    off = wording.errors(place, turn)
+    return wording.failed(head, *why, f"the closest configuration found{limits} misses it by {off}")
+
+
+def held_sentence(solutions: Solutions) -> str:
+    """Which joints a redundant chain has to spare, and where they are held for the targets; '' for
+    other chains.
+    """
+    if not solutions.spare:
+        return ""
+    parts: list[str] = []
+    for name in solutions.spare:
+        values = np.ravel(solutions.held[name])[solutions._used.any(axis=1)]
+        if len(values):
+            place, count = np.unique(values, return_counts=True)
+            usual = float(place[np.argmax(count)])
+            times = int(count.max())
+            parts.append(wording.held_among(name, usual, times, len(values), place[0], place[-1]))
+    return wording.to_spare(len(solutions.spare), f", held: {', '.join(parts)}" if parts else "")
+
+
+# ---- reached
+
+
+def _reached(solutions: Solutions, index: int) -> str:
+    """What was found."""
+    plan = solutions.plan
+    spare = spare_joints(plan)
+    deficient = bool(spare) and not more_than_enough(plan)
+    none: list[Family] = []
+    unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used.T), -1))
+    families, member = unknown if spare and not deficient else solutions._families[index]
+    alone = solutions._used[index] & (member < 0)
+    code = solutions._code[index, alone]
+    inside = int((code % 2).sum())
+    times = code // int(A.MULTIPLICITY_UNIT)
+    text = wording.solutions(
+        len(code),
+        inside,
+        plan.method,
+        not solutions._counts[index, 1],
+        bool(spare),
+        times[times > 1].tolist(),
+        _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
+        [(f.dimension, family_motion(f)) for f in families],
+        _ground(plan),
+    )
+    if not spare or deficient and not len(code):
+        return text
+    now = _held(solutions, index, spare)
+    first = solutions._first
+    tried = int(np.ravel(solutions.tried)[index])
+    if first is None:
+        tried = 1
+    before = np.zeros(0) if first is None else first[index if len(first) > 1 else 0][spare]
+    first_values = () if np.array_equal([x for _, x in now], before) else before.tolist()
+    return f"{text}; {wording.to_spare(len(spare), f': {wording.held_at(now)}', first_values, tried, inside > 0)}"
+
+
+def spare_joints(plan: ChainPlan) -> list[int]:
+    """Joints that are locked only because the chain has more than the task needs."""
+    return [i for i in plan.locked if i not in fixed_joints(plan)]
+
+
+def more_than_enough(plan: ChainPlan) -> bool:
+    """Whether the chain has more joints than the task has equations: else freedoms to spare come
+    from its lengths.
+    """
+    free = free_lines(plan.lines, plan.task, plan.planar)
+    return len(plan.lines) - len(fixed_joints(plan)) + len(free.kinds) > (3 if plan.planar else 6)
+
+
+def _held(solutions: Solutions, index: int, joints: list[int]) -> list[tuple[str, float]]:
+    """The joints with the values at which they are held for target number `index`."""
+    q = held_coordinates(solutions, index)
+    names = solutions.plan.lines.names
+    return [(names[i], float(q[i])) for i in joints]
+
+
+def _ground(plan: ChainPlan) -> str:
+    """Why there is a closed form."""
+    way = plan.way
+    inner = sorted(way.order[way.inner : way.inner + 3]) if way is not None else []
+    if way is None or inner[-1] >= len(plan.lines) or np.any(plan.lines.kinds[inner] == SLIDE):
+        return wording.closed_form((), False)
+    return wording.closed_form(inner, way.what == POINT)
+
+
+def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
+    """Which limit the solution violates that is the least beyond its limits."""
+    lines = solutions.plan.lines
+    q = solutions._rows[index, alone, : len(lines)]
+    over = np.maximum(q - lines.limits[1], lines.limits[0] - q)
+    row = over[int(np.argmin(over.max(axis=1)))]
+    worst = int(np.argmax(row))
+    names = solutions.system.structure.velocity_names
+    still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
+    return wording.beyond_limit(
+        lines.names[worst], row[worst], "m" if lines.kinds[worst] == SLIDE else "rad", still
+    )
+
+
+# ---- not reached
+
+
+def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
+    """What is to be said of a target without solutions, and whether it holds wherever spare joints
+    are held.
+    """
+    question = solutions.question
+    plan = solutions.plan
+    system = solutions.system
+    target = question.targets[index : index + 1]
+    tolerance = question.tolerance
+    far = None
+    if question.task not in TURNS:
+        off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
+        if off > tolerance:
+            return [lengths(system, plane=off, point=question.task == "position")], True
+        bounds = chain_of(system, question.frame).bounds
+        off = float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0])
+        far = lengths(system, off, slides=slides_of(system, question.frame))
+    wide = plan.lines.span.wide
+    failed = (
+        None
+        if wide or spare_joints(plan) or plan.method != "closed"
+        else _without_root(solutions, index)
+    )
+    if far or failed:
+        return [x for x in (far, failed) if x], far is not None
+    over = _overdetermined(solutions)
+    if wide and not over:
+        return [plan.lines.span.sentence()], True
+    return [over or NO_ROOT[plan.method]], over is not None
+
+
+def _overdetermined(solutions: Solutions) -> Evidence | None:
+    """Whether the task asks for more than the chain can do anywhere."""
+    plan = solutions.plan
+    planar = solutions.system.dim == 2
+    unknown = [i for i in range(len(plan.lines)) if i not in fixed_joints(plan)]
+    free = free_lines(plan.lines, plan.task, planar)
+    full = 3 if planar else 6
+    rank = rank_of(plan.lines, free, unknown)
+    others = len(free.kinds)
+    if rank >= full:
+        return None
+    held = bool(fixed_joints(plan))
+    return evidence(
+        "joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others
+    )
+
+
+def _without_root(solutions: Solutions, index: int) -> Evidence | None:
+    """The equation of a closed form that has no root; None where there is none of one unknown."""
+    plan = solutions.plan
+    way = solutions.plan.way
+    if way is None or way.mode in (AT_REST, COUPLED):
+        return None
+    terms = _terms(solutions, index, way)
+    slides = np.concatenate([plan.lines.kinds, plan.extra.kinds]) == SLIDE
+    first, second = (0, 1) if way.mode == X_FIRST else (1, 0)
+    joint = [way.order[(way.inner + 3) % 6], way.order[(way.inner + 5) % 6]]
+    measures = way.measure, 1 - way.measure
+    # the other joint does not appear in the first measure: its constant is what is wanted
+    t = terms[first, measures[0]]
+    wanted = terms[second, measures[0], 0]
+    roots = _roots(t, wanted, bool(slides[joint[first]]))
+    if not len(roots):
+        return _named(solutions, way, joint[first], measures[0], t, wanted)
+    found: list[tuple[float, Evidence | None]] = []
+    for f, g in roots:
+        if math.isnan(f):
+            return None
+        known = terms[first, measures[1]] @ (1.0, f, g)
+        t = terms[second, measures[1]]
+        if len(_roots(t, known, bool(slides[joint[second]]))):
+            return None
+        found.append(
+            (_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known))
+        )
+    return min(found, key=lambda x: x[0])[1]
+
+
+def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
+    """Constant and factors (2, 2, 3) of joints x and z in both measures, see
+    `kempe.kernels.closed_form.arm_part`.
+    """
+    from kempe.kernels.compiled import candidates
+
+    plan = solutions.plan
+    aim = aim_of(solutions, index)
+    theta = plan.lines.theta(held_coordinates(solutions, index))
+    axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
+    order = list(way.order)
+    six = Axes(axes.kinds[order], axes.h[order], axes.o[order])
+    goal = np.ascontiguousarray(
+        (aim.target @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift))[:3]
+    ).ravel()
+    out = np.empty(12)
+    candidates.outer_terms(six.kinds, six.packed(), goal, way.inner, way.what, way.option, out)
+    return out.reshape(2, 2, 3)
+
+
+def _range(t: Array, wanted: float) -> tuple[float, float, float]:
+    """How far a turn's t0 + t1 cos + t2 sin stays from a value, and the least and the largest that
+    it reaches.
+    """
+    size = math.hypot(t[1], t[2])
+    return max(t[0] - size - wanted, wanted - t[0] - size, 0.0), t[0] - size, t[0] + size
+
+
+def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
+    """Solutions (f, g) of t0 + t1 f + t2 g = wanted: f, g are cosine and sine of a turn, d and d^2
+    of a slide.
+
+    NaN where any value solves it.
+    """
+    k = wanted - t[0]
+    if slides:
+        if abs(t[2]) <= CONSTANT:
+            return [(k / t[1], (k / t[1]) ** 2)] if abs(t[1]) > CONSTANT else [(math.nan, math.nan)]
+        d = np.roots([t[2], t[1], -k])
+        return [(float(x.real), float(x.real) ** 2) for x in d if abs(x.imag) < 1e-6]
+    size = math.hypot(t[1], t[2])
+    if abs(k) > size + BEYOND:
+        return []
+    if size <= CONSTANT:
+        return [(math.nan, math.nan)]
+    middle = math.atan2(t[2], t[1])
+    half = math.acos(min(1.0, max(-1.0, k / size)))
+    return [(math.cos(middle + s * half), math.sin(middle + s * half)) for s in (1.0, -1.0)]
+
+
+def _named(
+    solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float
+) -> Evidence | None:
+    """That a joint cannot bring what the inner joints keep to where the target wants it; None for
+    joints of nobody.
+    """
+    plan = solutions.plan
+    n = len(plan.lines)
+    length = plan.lines.length
+    if joint >= n or plan.lines.kinds[joint] == SLIDE:
+        return None
+    _, low, high = _range(t, wanted)
+    inner = sorted(i for i in way.order[way.inner : way.inner + 3] if i < n)
+    middle = way.order[(way.inner + 4) % 6]
+    turning = (
+        middle >= n
+        and plan.extra.kinds[middle - n] != SLIDE
+        or middle < n
+        and plan.lines.kinds[middle] != SLIDE
+    )
+    what = "plane"
+    off = 0.0
+    edge = low if wanted < low else high
+    if way.what == PLANE:
+        if measure == 0 and turning:
+            what = "direction"
+            off = abs(math.acos(min(1.0, max(-1.0, wanted))) - math.acos(min(1.0, max(-1.0, edge))))
+    elif measure == 1 and turning:
+        what = "far" if wanted > high else "near"
+        off = abs(math.sqrt(max(wanted, 0.0)) - math.sqrt(max(edge, 0.0))) * length
+    else:
+        what = "height"
+        off = max(low - wanted, wanted - high) * length
+    return evidence("no root", joint=plan.lines.names[joint], axes=inner, what=what, off=off)
+
+
+def choice(solutions: Solutions) -> Choice:
+    """Which solver finds all answers to such problems."""
+    from kempe.inverse.solve_all import chosen
+
+    question = solutions.question
+    plan = solutions.plan
+    fixed = tuple(plan.lines.names[i] for i in plan.fixed)
+    return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
+
+
+ROW = SolutionsRow(status, choice, held_sentence, nearest, families_of)
+"""What `ik_all` says of its answers."""

@@ -1,0 +1,266 @@
+"""Why tasks do not hold: which fail and by how much, and what is proven or speaks for it.
+
+Proofs are the lengths of links and tasks that contradict each other. Else one asks again: all
+without the limits, each hard task alone, two at a time. What is then found is true, what is not
+found is evidence and said with the starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers import wording
+from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
+from kempe.answers.problem import Choice, Problem
+from kempe.answers.wording import immovable
+from kempe.equations.tasks import Centred, PlacedTask
+from kempe.inverse.answer import Reached, SolutionRow
+from kempe.inverse.chain.serial_chain import slides_of
+from kempe.inverse.explain import rounded
+from kempe.inverse.numeric import chosen
+from kempe.inverse.tasks.contradictions import contradictions
+from kempe.inverse.tasks.demands import STARTS
+from kempe.inverse.tasks.freedoms import Local, analyse
+from kempe.inverse.tasks.reach_bounds import beyond
+from kempe.inverse.tasks.search import judge
+from kempe.model.characteristic_length import characteristic_length
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.equations.tasks import Task
+    from kempe.inverse.tasks.demands import Demands
+
+MOST_COORDINATES = 400
+"""Velocity coordinates up to which a sentence counts freedoms: it takes about forty dense
+decompositions."""
+MOST_PAIRS = 45
+"""Pairs of tasks that are tried before they are no longer requested."""
+
+
+def sentence(answer: Reached, index: tuple[int, ...]) -> str:
+    """The sentence for one problem of an answer."""
+    figures = (answer.code, answer.iterations, answer.starts)
+    number, steps, starts = (int(np.asarray(x)[index]) for x in figures)
+    code = Status(number)
+    if code is Status.BAD_INPUT:
+        return (
+            "goals or start have numbers that are not finite or too large, or a goal is not a pose"
+        )
+    row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
+    problem = answer.problem.of(row)
+    q = answer.q[index]
+    misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
+    soft = ", ".join(
+        f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None
+    )
+    hard = [t for t in problem.tasks if t.weight is None]
+    if code is Status.SOLVED:
+        work = wording.work(steps, starts)
+        cut = wording.not_lowered(problem.time_limit) if np.asarray(answer.late)[index] else ""
+        if not hard:
+            said = "no hard tasks" if cut else "lowered as far as the system allows"
+            return wording.failed("", f"{said} ({work})", cut, soft)
+        worst = np.max([misses[t.label] for t in hard], axis=0)
+        left = _left(problem, q)
+        return wording.failed(
+            "", wording.hard_tasks_hold(*_counting(hard, worst), work, left), cut, soft
+        )
+    failing = [t for t in hard if not _within(problem, t, misses[t.label])]
+    what = ", ".join(f"{t.label!r} is missed by {_off(t, misses)}" for t in failing)
+    what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
+    near = "q is the nearest found"
+    if code is Status.OUT_OF_TIME:
+        return wording.failed(
+            wording.late(problem.time_limit, starts, problem.starts), what, near, soft
+        )
+    if problem.given_up:
+        calls = wording.calls_in_vain(problem.given_up)
+        return wording.failed(wording.given_up("reached", starts), what, calls, near, soft)
+    why = _reasons(problem, q)
+    if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
+        worst = np.max([misses[t.label] for t in failing], axis=0)
+        why += [rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))]
+    still = immovable(problem.system)
+    return wording.failed(wording.given_up("reached", starts), what, *why, near, soft, still)
+
+
+def _left(problem: Demands, q: Array) -> str:
+    """How many freedoms the hard tasks leave; '' for large systems."""
+    if problem.system.nv > MOST_COORDINATES:
+        return ""
+    local = Local(problem, q)
+    first = local.left.shape[1]
+    return wording.freedoms_left(first, local.finite if first else 0, local.m, local.n)
+
+
+def _counting(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
+    """Errors in metres and radians, None for those that tasks do not have."""
+    return (
+        float(error[0]) if any(t.lengths for t in tasks) else None,
+        float(error[1]) if any(t.angles for t in tasks) else None,
+    )
+
+
+def _off(task: Task, misses: dict[str, Array]) -> str:
+    """By how much a task is missed."""
+    return wording.errors(*_counting([task], misses[task.label]), radians=".3g", by=" and ")
+
+
+def _within(problem: Demands, task: Task, error: Array) -> bool:
+    linear, angular = problem.tolerance_of(task)
+    return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
+
+
+def _violated(problem: Demands, q: Array) -> str:
+    """Which declared one-sided constraints are violated at q (nq,), and by how much."""
+    which = ", ".join(v.text for v in problem.packed.one_sided.violations(q))
+    return f"violating {which}" if which else ""
+
+
+def _solved(
+    problem: Demands, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
+) -> Array | None:
+    """A configuration (nq,) that holds only these hard tasks, or None."""
+    part = problem.only(tasks, limits, one_sided)
+    found, info = part.run(q[None])
+    return found[0] if judge(part, found, info) else None
+
+
+def _reasons(problem: Demands, q: Array) -> list[Any]:
+    """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradicting(
+        problem
+    )
+    above = _solved(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
+    if above is not None and not proofs and (over := problem.packed.one_sided.violations(above)):
+        return [evidence("one-sided", violated=[v.text for v in over])]
+    free = _solved(problem, q, hard, False)
+    names = outside_limits(problem.system, free) if free is not None else []
+    if (
+        free is not None and not names and _solved(problem, free, hard) is None
+    ):  # where a task tells turns apart
+        names = outside_limits(problem.system, free, turns=False)
+    if names:
+        return [
+            *proofs,
+            f"without {wording.limits_of(names)} it is reached"
+            if proofs
+            else evidence("limits", names=names),
+        ]
+    if proofs or free is not None:
+        return proofs or [evidence("more starts")]
+    alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
+    if alone:
+        return [_alone(problem, q, i, len(hard) > 1) for i in alone]
+    few = len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS
+    against = [
+        (i, j) for i, j in combinations(hard, 2) if few and _solved(problem, q, [i, j]) is None
+    ]
+    pairs = [(problem.tasks[i].label, problem.tasks[j].label) for i, j in against]
+    return [
+        evidence(
+            "not together",
+            pairs=pairs,
+            starts=min(problem.starts, STARTS),
+            tasks=len(hard),
+            rank=_rank(problem, q, hard),
+            two=few and len(hard) > 2,
+        )
+    ]
+
+
+def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
+    """What proves that the tasks of one problem of an answer do not hold together."""
+    row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
+    code = np.asarray(answer.code)[index]
+    problem = answer.problem.of(row)
+    if code == Status.CONTRADICTORY:
+        return tuple(_contradicting(problem))
+    hard = (
+        [i for i, t in enumerate(problem.tasks) if t.weight is None]
+        if code == Status.OUT_OF_REACH
+        else []
+    )
+    return tuple(proof for i in hard if (proof := _out_of_reach(problem, i)))
+
+
+def _contradicting(problem: Demands) -> list[Evidence]:
+    """For each two tasks of one problem that exclude each other, how they do, first found."""
+    out: dict[tuple[int, int], Evidence] = {}
+    for i, j, found in contradictions(problem):
+        off = float(np.ravel(found.off)[0])
+        if off > 0.0 and (i, j) not in out:
+            first = problem.tasks[i].label
+            second = problem.tasks[j].label
+            out[i, j] = evidence(
+                "contradiction",
+                how=found.how,
+                off=off,
+                first=first,
+                second=second,
+                longest=found.longest,
+            )
+    return list(out.values())
+
+
+def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
+    """That lengths put a task out of reach, and how far."""
+    task = problem.tasks[i]
+    place, turned = beyond(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
+    slides: dict[str, None] = {}
+    if isinstance(task, PlacedTask) and not isinstance(task, Centred):
+        tie = task.hold(problem.system)
+        slides = {
+            name: None
+            for end in (tie.a, tie.b)
+            if end is not None
+            for name in slides_of(problem.system, end)
+        }
+    return lengths(problem.system, place, turned, task=task.label, slides=list(slides))
+
+
+def _alone(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
+    """Why one task is not reached even alone."""
+    label = problem.tasks[i].label
+    free = _solved(problem, q, [i], False)
+    if free is not None and (names := outside_limits(problem.system, free)):
+        return evidence("limits", names=names, task=label)
+    return evidence("not alone", task=label if among else "", rank=_rank(problem, q, [i]))
+
+
+def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
+    """Whether tasks have more equations than the system has freedoms; None for large systems, too."""
+    if problem.system.nv > MOST_COORDINATES:
+        return None
+    equations, freedoms = analyse(problem.only(tasks), q)[:2]
+    return (
+        evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
+    )
+
+
+def choice(answer: Reached) -> Choice:
+    """Which solver searches for answers to such problems."""
+    usual = Problem(answer.problem.system, "one")
+    return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
+
+
+def _derive(answer: Reached) -> dict[str, Array]:
+    from kempe.inverse.derivative import (
+        derivative_of_tasks,  # only here: it is long, and seldom asked for
+    )
+
+    return derivative_of_tasks(answer)
+
+
+def _analyse(answer: Reached) -> tuple[int, int, int, Array]:
+    return analyse(answer.problem, answer.q)
+
+
+ROW = SolutionRow(sentence, choice, proofs, _derive, _analyse)
+"""What `ik` says of its answers for tasks."""

@@ -1,0 +1,697 @@
+"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms
+in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, numbers
+from kempe.arrays import is_whole
+from kempe.equations.closure_rows import of_system
+from kempe.errors import InputError, UnsupportedError, shown
+from kempe.forward.formula_steps import (
+    Derivation,
+    FormulaStep,
+    Names,
+    Vector,
+    endings,
+    line_and_circle,
+    minus,
+    plus,
+    polar,
+    turned,
+    turning_slide,
+    two_circles,
+    two_lines,
+)
+from kempe.forward.symbolic import SymbolLeaves, sympy
+from kempe.forward.symbolic_dh import JointLine, angle_about, joint_lines, tidy
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- plane arms
+
+# Arms of two or three joints in a plane as formulas: the triangle that joints and target make,
+# solved step by step.
+
+
+ELBOW = "-1 is elbow up, +1 elbow down"
+
+
+class PlaneJoint(NamedTuple):
+    """A joint at q = 0: a point of its axis, whether it turns, its sense about z or its direction."""
+
+    name: str
+    at: Vector
+    turns: bool
+    sense: int
+    along: Vector
+
+    @classmethod
+    def of(cls, joint: Any) -> PlaneJoint:
+        """The joint as it lies in the plane."""
+        sense = int(joint.along[2]) if joint.turns else 1
+        return cls(
+            joint.coordinate,
+            (joint.point[0], joint.point[1]),
+            joint.turns,
+            sense,
+            (joint.along[0], joint.along[1]),
+        )
+
+
+def in_plane(
+    n: Names,
+    arm: list[PlaneJoint],
+    to: Vector,
+    end: Vector,
+    angle: Any,
+    names: list[Any],
+    elbow: str = ELBOW,
+) -> tuple[list[FormulaStep], list[Any]]:
+    """Steps and coordinates as `solved`; of a pose from the place of a last joint that turns,
+    called `names`.
+    """
+    steps = list[FormulaStep]()
+    if angle is not None and arm[-1].turns:
+        place = minus(to, turned(minus(end, arm[-1].at), angle))
+        if place != to:
+            steps = [
+                FormulaStep(s, x, "the target, less the last link")
+                for s, x in zip(names, place, strict=True)
+            ]
+            to = (steps[0].symbol, steps[1].symbol)
+        end = arm[-1].at
+    more, found = solved(n, arm, to, end, angle, elbow)
+    return steps + more, found
+
+
+def solved(
+    n: Names, arm: list[PlaneJoint], to: Vector, end: Vector, angle: Any, elbow: str
+) -> tuple[list[FormulaStep], list[Any]]:
+    """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by
+    `angle`.
+
+    `elbow` says what the sign of two turns is.
+    """
+    kinds = "".join("RP"[not j.turns] for j in arm)
+    one = arm[0]
+    two = arm[1]
+    if any(
+        one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)
+    ):
+        raise UnsupportedError(
+            "two turns are about one axis, which leaves a joint to spare; ik_all gives families"
+        )
+    if kinds in ("RR", "RRR"):
+        (l1, at1) = polar(minus(two.at, one.at))
+        (l2, at2) = polar(minus(end, two.at))
+        steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, elbow, one.sense)
+        turns = [first - at1, bend - (at2 - at1)]
+        return steps, _turns(arm, turns, angle)
+    if kinds in ("RP", "RPR"):
+        gap = minus(end, one.at)
+        (_, at) = polar(two.along)
+        ahead, aside = _parts(gap, two.along)
+        steps, u, rail = turning_slide(n, minus(to, one.at), aside)
+        turn = rail - at
+        return steps, [
+            one.sense * turn,
+            u - ahead,
+            *([arm[2].sense * (angle - turn)] if kinds == "RPR" else []),
+        ]
+    if kinds in ("PR", "PRR"):
+        length, at = polar(minus(end, two.at))
+        steps, u, bar = line_and_circle(n, minus(to, two.at), one.along, length)
+        turn = bar - at
+        return steps, [
+            u,
+            two.sense * turn,
+            *([arm[2].sense * (angle - turn)] if kinds == "PRR" else []),
+        ]
+    if kinds == "RRP":  # the orientation is that of the second body
+        length, at = polar(minus(two.at, one.at))
+        rest = minus(minus(to, one.at), turned(minus(end, two.at), angle))
+        steps, u, bar = line_and_circle(n, rest, turned(arm[2].along, angle), length)
+        turn = bar - at
+        return steps, [one.sense * turn, two.sense * (angle - turn), u]
+    if kinds in ("PP", "PPR"):
+        steps, u1, u2 = two_lines(n, minus(to, end), one.along, two.along)
+        return steps, [u1, u2, *([arm[2].sense * angle] if kinds == "PPR" else [])]
+    if kinds == "RPP":
+        rest = minus(turned(minus(to, one.at), -angle), minus(end, one.at))
+        steps, u2, u3 = two_lines(n, rest, two.along, arm[2].along)
+        return steps, [one.sense * angle, u2, u3]
+    if kinds == "PRP":
+        rest = minus(to, plus(two.at, turned(minus(end, two.at), angle)))
+        steps, u1, u3 = two_lines(n, rest, one.along, turned(arm[2].along, angle))
+        return steps, [u1, two.sense * angle, u3]
+    raise UnsupportedError(
+        "formulas need a joint that turns where an angle is wanted; ik_all gives numbers"
+    )
+
+
+def _turns(arm: list[PlaneJoint], turns: list[Any], angle: Any) -> list[Any]:
+    """Coordinates of joints that turn: by these, the last one by what is left of the angle."""
+    last = [] if angle is None else [angle - sum(turns)]
+    return [j.sense * x for j, x in zip(arm, [*turns, *last], strict=True)]
+
+
+def _parts(v: Vector, along: Vector) -> tuple[Any, Any]:
+    """Parts of a vector along a direction and to the left of it."""
+    return v[0] * along[0] + v[1] * along[1], along[0] * v[1] - along[1] * v[0]
+
+
+# ---- arm plane
+
+# What arms in space have in common whose first turn is about z: joints in the plane that it turns
+# to the target.
+
+
+SMALL = 1e-9
+"""Sine of an angle, and a cosine, below which directions are parallel or at right angles."""
+PLANE_SYMBOLS = (
+    "rho",
+    "theta",
+    "phi",
+    *(f"m_{k}" for k in (1, 2, 3)),
+    *(f"n_{k}" for k in (2, 3)),
+    "h_x",
+    "h_z",
+    "shoulder",
+    "elbow",
+    "wrist",
+)
+"""Names of what is computed, and of the signs."""
+Z: Any = sympy.Matrix([0, 0, 1])
+BEND = "the bend, +1 in the sense of the first turn in the plane"
+PLACES = ("first", "second", "third", "fourth")
+"""Numbers of the joints that place the end, in words."""
+
+
+@dataclass(frozen=True)
+class ArmPlane:
+    """The lines of an arm at q = 0: the plane of the joints after the first has the `normal`, and
+    `out` is in it.
+
+    `end` is the point that they place.
+    """
+
+    joints: tuple[JointLine, ...]
+    normal: Any
+    end: Any
+    tip: Any
+
+    @property
+    def out(self) -> Any:
+        """The horizontal direction in the plane: turns about the normal lead from it upwards."""
+        return Z.cross(self.normal)
+
+    def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
+        """The steps to a place `to` (3,) of the end, and to the orientation R (3, 3) of the tip if
+        it has a wrist.
+        """
+        raise NotImplementedError
+
+    def turned_to(self, to: list[Any], names: dict[str, Any]) -> list[FormulaStep]:
+        """The distance in the plane of the arm, and the first coordinate, which turns that plane to
+        the target.
+        """
+        first = self.joints[0]
+        rho = names["rho"]
+        shoulder = names["shoulder"]
+        x = to[0] - first.point[0]
+        y = to[1] - first.point[1]
+        aside = tidy(sympy.Matrix([self.normal.dot(self.end - first.point)]))[0]
+        _, zero = polar((self.out[0], self.out[1]))
+        squares = sympy.expand(aside**2)
+        far = "" if squares.is_zero else f"{x**2 + y**2} >= {squares}"
+        says = "distance from axis 1 in the plane of the arm, -1 over the shoulder"
+        steps = [FormulaStep(rho, shoulder * sympy.sqrt(x**2 + y**2 - squares), says, far)]
+        if squares.is_zero:
+            angle = sympy.atan2(shoulder * y, shoulder * x)
+            some = f"{rho} != 0"
+        else:
+            angle = sympy.atan2(y, x) + sympy.atan2(aside, rho)
+            some = ""
+        turn = first.along[2] * (angle - zero)
+        steps.append(
+            FormulaStep(sympy.Symbol(first.coordinate), turn, "turns the plane to the target", some)
+        )
+        return steps
+
+    def placed(
+        self, count: int, height: Any, angle: Any, names: dict[str, Any], n: Names
+    ) -> list[FormulaStep]:
+        """The coordinates of the `count` joints after the first: the end at a distance `rho` from
+        axis 1, and a height.
+
+        Three of them turn their last body by an angle, too.
+        """
+        joints = self.joints[1 : 1 + count]
+        arm = [
+            PlaneJoint(
+                j.coordinate,
+                self.flat(j.point - self.joints[0].point, j.point),
+                j.turns,
+                -1 if j.turns and float(j.along.dot(self.normal)) < 0.0 else 1,
+                self.flat(j.along, j.along),
+            )
+            for j in joints
+        ]
+        end = self.flat(self.end - self.joints[0].point, self.end)
+        steps, found = in_plane(
+            n, arm, (names["rho"], height), end, angle, [names["h_x"], names["h_z"]], BEND
+        )
+        return steps + [
+            FormulaStep(sympy.Symbol(j.coordinate), x, f"the {place} coordinate")
+            for j, x, place in zip(joints, found, PLACES[1:], strict=False)
+        ]
+
+    def wrist(
+        self, S: Any, a: Any, called: str, turn: tuple[Any, str], R: Any, names: dict[str, Any]
+    ) -> list[FormulaStep]:
+        """The last two coordinates, and the turn about the direction `a` before them, by the
+        orientation R of the tip.
+
+        S (3, 3) is how that is turned which `a`, `called` so, turns in; `turn` is the symbol of the
+        turn, and in words.
+        """
+        five, six = self.joints[-2:]
+        b = five.along
+        c = six.along
+        tip = self.tip[:3, :3]
+        m = [names[f"m_{i}"] for i in (1, 2, 3)]
+        k = [names[f"n_{i}"] for i in (2, 3)]
+        wrist = names["wrist"]
+        own = (
+            (a, f"part of axis 6 along {called}"),
+            (b, "along axis 5 at zero"),
+            (tidy(a.cross(b)), "across both"),
+        )
+        far = (
+            (b, f"part of {called} along axis 5 at zero, seen by the tip"),
+            (tidy(c.cross(b)), "across both"),
+        )
+        seen = R * tidy(tip.T * c)
+        steps = [
+            FormulaStep(s, short((S * e).dot(seen)), says)
+            for s, (e, says) in zip(m, own, strict=True)
+        ]
+        steps += [
+            FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
+            for s, (e, says) in zip(k, far, strict=True)
+        ]
+        some = f"{m[1]} != 0 or {m[2]} != 0"
+        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0]) - angle_about(a, c, b)
+        return steps + [
+            FormulaStep(sympy.Symbol(five.coordinate), bend, "+1 is no flip, -1 flip"),
+            FormulaStep(turn[0], sympy.atan2(wrist * m[1], -wrist * m[2]), turn[1], some),
+            FormulaStep(
+                sympy.Symbol(six.coordinate),
+                sympy.atan2(wrist * k[0], wrist * k[1]),
+                "the sixth coordinate",
+                some,
+            ),
+        ]
+
+    def flat(self, across: Any, up: Any) -> Vector:
+        """Parts of a vector along `out`, and of another along z."""
+        return tidy(sympy.Matrix([self.out.dot(across)]))[0], up[2]
+
+    def first_turn(self) -> Any:
+        """How the first body is turned (3, 3) against q = 0."""
+        return turn_about(Z, self.joints[0].along[2] * sympy.Symbol(self.joints[0].coordinate))
+
+
+def normal_of(joints: list[JointLine]) -> Any:
+    """The horizontal normal (3,) of the plane in which joints turn and slide; None if there is no
+    one plane.
+    """
+    turns = [j.along for j in joints if j.turns]
+    across = turns or [Z.cross(j.along) for j in joints if not parallel(j.along, Z)]
+    if not across:
+        return None
+    normal = tidy(across[0] / sympy.sqrt(across[0].dot(across[0])))
+    flat = all(parallel(j.along, normal) if j.turns else upright(j.along, normal) for j in joints)
+    return normal if flat and upright(normal, Z) else None
+
+
+def turn_about(axis: Any, angle: Any) -> Any:
+    """The matrix (3, 3) of a turn about a unit vector (Rodrigues, 1840)."""
+    x, y, z = axis
+    along = axis * axis.T
+    across = sympy.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return along + sympy.cos(angle) * (sympy.eye(3) - along) + sympy.sin(angle) * across
+
+
+def short(x: Any) -> Any:
+    """The expression without products by zero and rounding, terms of a target's entry together."""
+    x = tidy(sympy.Matrix([x]))[0]
+    return sympy.collect(x, sorted((s for s in x.free_symbols if str(s).startswith("r_")), key=str))
+
+
+def meeting(a: JointLine, b: JointLine) -> Any:
+    """The point (3,) in which two axes at right angles meet; None for others."""
+    if not (a.turns and b.turns and upright(a.along, b.along)):
+        return None
+    end = tidy(
+        a.point + a.along * (b.point - a.point).dot(a.along)
+    )  # where they would be nearest to each other
+    return end if is_on(end, b) else None
+
+
+def is_on(point: Any, line: JointLine) -> bool:
+    """Whether a point is on the axis of a joint."""
+    return tidy((point - line.point).cross(line.along)).is_zero_matrix
+
+
+def parallel(a: Any, b: Any) -> bool:
+    """Whether two unit vectors are parallel, in either sense."""
+    return max(abs(float(x)) for x in a.cross(b)) < SMALL
+
+
+def upright(a: Any, b: Any) -> bool:
+    """Whether two unit vectors are at right angles."""
+    return abs(float(a.dot(b))) < SMALL
+
+
+# ---- parallel arms
+
+# Arms in space as formulas that end in two turns after three joints in one plane, such as those of
+# Universal Robots.
+#
+# Axis 5 lies in the plane of the joints before it, and meets axis 6 at right angles in a point, which
+# turns of neither move: it gives the first coordinate. How axis 6 stands to the plane gives the
+# fifth, how the tip sees the normal of the plane the sixth, and axis 6 in the plane the turn of the
+# fourth body, with which three joints in a plane are left (Hawkins 2013, "Analytic inverse kinematics
+# for the Universal Robots UR-5/UR-10 arms", does so in DH parameters).
+
+
+class ParallelArm(ArmPlane):
+    """Three joints in the plane that the first turns, and two turns whose axes meet in the end."""
+
+    @classmethod
+    def of(cls, joints: list[JointLine], tip: Any) -> ParallelArm | None:
+        """The arm of six joints; None if it is not of this kind."""
+        if len(joints) != 6 or not joints[0].turns or not parallel(joints[0].along, Z):
+            return None
+        normal = normal_of(joints[1:4])
+        end = meeting(*joints[4:])
+        if normal is None or end is None or not upright(joints[4].along, normal):
+            return None
+        return cls(tuple(joints), normal, end, tip)
+
+    def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
+        """The first coordinate, the last two, and those between."""
+        lift = names["phi"]
+        hand = self.wrist(
+            self.first_turn(),
+            self.normal,
+            "the normal of the plane",
+            (lift, "turn of the fourth body in the plane"),
+            R,
+            names,
+        )
+        return [*self.turned_to(to, names), *hand, *self.placed(3, to[2], lift, names, n)]
+
+
+# ---- spatial arms
+
+# Arms in space as formulas: a first turn about z, two joints in the plane that it turns, perhaps a
+# wrist.
+#
+# The wrist has three axes that meet in a point, which the first three joints place; the orientation
+# is left to the last three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12).
+
+
+class SpatialArm(ArmPlane):
+    """Three joints, which place the tip or the point in which the axes of the last three meet."""
+
+    @classmethod
+    def of(cls, joints: list[JointLine], tip: Any) -> SpatialArm | None:
+        """The arm of three joints, or of six that end in a wrist; None if it is not of this kind."""
+        if len(joints) not in (3, 6) or not joints[0].turns or not parallel(joints[0].along, Z):
+            return None
+        normal = normal_of(joints[1:3])
+        end = tip[:3, 3] if len(joints) == 3 else _centre(*joints[3:])
+        return None if normal is None or end is None else cls(tuple(joints), normal, end, tip)
+
+    def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
+        """The first three coordinates, and those of the wrist."""
+        three = [*self.turned_to(to, names), *self.placed(2, to[2], None, names, n)]
+        if not R:
+            return three
+        four = self.joints[3]
+        turn = (sympy.Symbol(four.coordinate), "the fourth coordinate")
+        return three + self.wrist(self._third(), four.along, "axis 4", turn, R, names)
+
+    def _third(self) -> Any:
+        """How the third body is turned (3, 3) against q = 0."""
+        lift = sum(
+            (
+                int(round(float(j.along.dot(self.normal)))) * sympy.Symbol(j.coordinate)
+                for j in self.joints[1:3]
+                if j.turns
+            ),
+            sympy.Integer(0),
+        )
+        return self.first_turn() * turn_about(self.normal, lift)
+
+
+def _centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
+    """The point (3,) in which the axes of a wrist meet, the middle one at right angles to both;
+    None for others.
+    """
+    end = meeting(a, b)
+    return (
+        end if end is not None and c.turns and upright(b.along, c.along) and is_on(end, c) else None
+    )
+
+
+TASKS = {2: "position", 3: "pose"}
+"""What a chain of so many joints that move in the plane can reach."""
+SPATIAL = {3: "position", 6: "pose"}
+"""What an arm in space of so many joints can reach."""
+OWN = ("p_x", "p_y", "p_z", "phi", "w_x", "w_y", "w_z")
+"""Names of the target, and of the place of the last joint, or of the wrist."""
+TURNED = tuple(f"r_{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+"""Names of the entries of a target's rotation matrix."""
+
+
+@dataclass(frozen=True, eq=False)
+class InverseFormulas(Derivation):
+    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down, as
+    `ik_all` names them.
+
+    Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides
+    have one solution. An arm in space has up to three: `shoulder`, `elbow` (or its slide) and
+    `wrist`, +1 without a flip.
+    """
+
+    @property
+    def target(self) -> tuple[Any, ...]:
+        """Symbols of the wanted position, p_x and p_y, in space p_z, and of a pose phi, or r_11 to
+        r_33.
+        """
+        return self.given
+
+    def __call__(self, p: ArrayLike, sign: Any = 1) -> Array:
+        """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle
+        (..., 3).
+
+        Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle
+        (..., 4). The angle is that of the frame's x axis. Of an arm in space targets are positions
+        (..., 3), and `sign` has one -1 or 1 for each of its signs, or is one for all. Poses (...,
+        4, 4) say all of it. They are nan where the target is out of reach.
+        """
+        if len(self.given) > len(TURNED):
+            X = numbers(p, "p", 4, 4)
+            at = np.concatenate([X[..., :3, 3], X[..., :3, :3].reshape(*X.shape[:-2], 9)], axis=-1)
+        else:
+            at = numbers(self._of_poses(p), "p", len(self.given))
+        several = isinstance(sign, (tuple, list, np.ndarray))
+        most = max(len(self.signs), 1)
+        signs: list[Any] = list(sign) if several else [sign] * most
+        if not all(is_whole(s) and s in (-1, 1) for s in signs):
+            elbows = (" (elbow up)", " (elbow down)") if len(self.signs) < 2 else ("", "")
+            raise InputError(f"sign is {shown(sign)}; it must be -1{elbows[0]} or 1{elbows[1]}")
+        if len(signs) != most:
+            raise InputError(
+                f"sign is {shown(sign)}; it must be one number, or {len(self.signs)}: "
+                f"{', '.join(map(str, self.signs))}"
+            )
+        signs = signs[: len(self.signs)]
+        return self.evaluate(
+            at, np.broadcast_to(np.array(signs, dtype=float), at.shape[:-1] + (len(signs),))
+        )
+
+    def _of_poses(self, p: ArrayLike) -> ArrayLike:
+        """The numbers that the formulas take of poses (..., 4, 4); what is none, as it is."""
+        X = np.asarray(p)
+        if (
+            X.shape[-2:] != (4, 4)
+            or X.dtype.kind not in "fi"
+            or not np.all(X[..., 3, :] == (0.0, 0.0, 0.0, 1.0))
+        ):
+            return p
+        angle = np.arctan2(X[..., 1, 0], X[..., 0, 0])
+        place = X[..., : len(self.given) - ("phi" in str(self.given[-1])), 3]
+        return np.concatenate([place, angle[..., None]], axis=-1)[..., : len(self.given)]
+
+
+@explained
+def symbolic_ik(
+    system: System,
+    frame: FrameLike,
+    task: str | None = None,
+    *,
+    symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> InverseFormulas:
+    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space with a wrist or
+    three parallel axes.
+
+    In the plane two joints reach a "position", three a "pose" x, y, angle: they turn about z or -z
+    of the ground, or slide across it. One more may slide along it, at any place, as of a SCARA,
+    which then reaches a height, too. Of two turns, the position is squared and summed, which leaves
+    the second angle; its sine has two signs, the two elbows; the first is the difference of two
+    angles (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make lines of
+    circles. A pose fixes where the last joint is, from which on it is the same.
+
+    In space three joints reach a "position": the first turns about z or -z, the others turn about
+    or slide across one horizontal direction, as of the Puma, of a Stanford arm, or of a cylindrical
+    one. Six reach a "pose" if the axes of the last three, turns about directions at right angles,
+    meet in a point; or if three joints turn about or slide across that direction, and the axes of
+    the last two, turns, meet at right angles, the first of them at right angles to that direction,
+    as of the arms of Universal Robots.
+
+    Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and
+    `snap` are those of `symbolic_fk`.
+
+    Errors: those of `kempe.forward.symbolic.symbolic_fk`; `UnsupportedError` for other
+    chains and for systems with constraints.
+
+    >>> import kempe
+    >>> print(symbolic_ik(kempe.load("two_link"), "e").steps[1].formula)
+    (-l1**2 - l2**2 + r2)/(2*l1*l2)
+    """
+    name = system.structure.frame_name(frame)
+    if of_system(system):
+        raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    joints, tip = joint_lines(
+        system, name, leaves, f"formulas for {name!r} need two or three joints that move it"
+    )
+    taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
+    taken = taken.union(*(j.point.free_symbols for j in joints))
+    words = (*Names._fields, *OWN, *TURNED, *PLANE_SYMBOLS)
+    free = {
+        word: next(s for e in endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken)
+        for word in words
+    }
+    if _is_planar(joints, tip, task):
+        return _of_plane(system, joints, tip, task, free)
+    arm = SpatialArm.of(joints, tip) or ParallelArm.of(joints, tip)
+    if arm is None or task not in (None, SPATIAL[len(joints)]):
+        raise UnsupportedError(
+            f"formulas for {name!r} need two joints to a position, or three to a pose, that turn "
+            "about z of the ground or slide across it, and at most one that slides along it; or "
+            "in space a first turn about z, and two joints that turn about or slide across one "
+            "horizontal direction, to a position, or to a pose with a wrist of three axes at "
+            "right angles that meet, or three such joints and two turns about axes at right "
+            "angles that meet, the first at right angles to that direction; ik_all gives numbers"
+        )
+    return _of_space(system, arm, free)
+
+
+def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
+    """Whether two or three joints move the frame in a plane across z, and at most one along z."""
+    arm = [j for j in joints if not _lifts(j)]
+    what = task or TASKS.get(len(arm), "position")
+    planar = all(
+        bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm
+    )
+    upright = what != "pose" or tip[2, 0] == 0 == tip[2, 1]
+    return TASKS.get(len(arm)) == what and planar and len(joints) <= len(arm) + 1 and bool(upright)
+
+
+def _of_plane(
+    system: System, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
+) -> InverseFormulas:
+    """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their
+    words.
+    """
+    arm = [j for j in joints if not _lifts(j)]
+    lifts = [j for j in joints if _lifts(j)]
+    what = task or TASKS[len(arm)]
+    x, y, z, phi, *last = (names[word] for word in OWN[:-1])
+    inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
+    n = Names.among(names)
+    angle = phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
+    flat = [PlaneJoint.of(j) for j in arm]
+    steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
+    found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
+    found |= {
+        j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts
+    }  # no other joint changes the height
+    for j, place in zip(joints, PLACES, strict=False):
+        says = f"the {place} coordinate" + ", from the height" * _lifts(j)
+        steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))
+    return _formulas(system, steps, inputs, [n.sign], joints)
+
+
+def _of_space(system: System, arm: ArmPlane, names: dict[str, Any]) -> InverseFormulas:
+    """Formulas of an arm in space; `names` are the symbols by their words."""
+    x, y, z, _, *place = (names[word] for word in OWN)
+    inputs = [x, y, z]
+    to = [x, y, z]
+    steps = list[FormulaStep]()
+    R = None
+    if len(arm.joints) > 3:
+        R = sympy.Matrix(3, 3, [names[word] for word in TURNED])
+        inputs += list(R)
+        hand = tidy(arm.tip[:3, :3].T * (arm.end - arm.tip[:3, 3]))
+        if not hand.is_zero_matrix:
+            steps = [
+                FormulaStep(s, w, "the wrist: the target, less the hand")
+                for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)
+            ]
+            to = place
+    steps += arm.steps(to, R, names, Names.among(names)._replace(sign=names["elbow"]))
+    return _formulas(
+        system,
+        steps,
+        inputs,
+        [names[word] for word in ("shoulder", "elbow", "wrist")],
+        list(arm.joints),
+    )
+
+
+def _formulas(
+    system: System,
+    steps: list[FormulaStep],
+    inputs: list[Any],
+    signs: list[Any],
+    joints: list[JointLine],
+) -> InverseFormulas:
+    """The formulas, with those of the signs that they have."""
+    signs = [sign for sign in signs if any(s.formula.has(sign) for s in steps)]
+    return InverseFormulas(
+        system, tuple(steps), tuple(inputs), tuple(signs), tuple(j.coordinate for j in joints)
+    )
+
+
+def _lifts(joint: JointLine) -> bool:
+    """Whether a joint slides along z of the ground."""
+    return not joint.turns and bool(joint.along[0] == 0 == joint.along[1])

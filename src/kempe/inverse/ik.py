@@ -1,0 +1,367 @@
+"""The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a
+target.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.answers.problem import NOTHING, Choice, Problem, Solver, TaskOf, chosen_by
+from kempe.answers.targets import (
+    Z_AXIS,
+    axis_for,
+    check_particle,
+    given_target,
+    in_plane,
+    points_along,
+    refuse_position,
+    targets_of,
+    task_and_axis,
+    task_of,
+)
+from kempe.arguments import explained, flag, quiet, together
+from kempe.budget import Budget, TimeUp
+from kempe.errors import InputError, TimeLimitError
+from kempe.inverse import multi_start
+from kempe.inverse.answer import Solution
+from kempe.inverse.chain import problem
+from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, TOLERANCE, FrameProblem
+from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, USUAL, chosen, with_history
+from kempe.kernels.base.search_layout import ANSWER, STATUS
+from kempe.kernels.compiled import maker, schedule
+from kempe.kernels.forward.table_layout import HAS_QUATERNION
+from kempe.model.configurations import as_start
+from kempe.numerics.clock import TimeLimit
+from kempe.spatial import Array
+from kempe.status import Status, member
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- bound ik
+
+# The way of plain calls of `ik` for one target of one frame: all is looked up but the target and
+# the start.
+
+
+LENGTH, ANGLE = TOLERANCE
+
+
+def bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
+    """Let calls like this one go by a `BoundIk` from now on, if they are plain enough."""
+    system = question.system
+    chain = question.chain
+    key = (question.frame, task, len(shape))
+    point = question.name == "position" and (
+        task is not None or shape != (4, 4)
+    )  # a turned particle is an error
+    plain = (
+        shape in ((4, 4), (3,), (2,))
+        if point
+        else (shape == (4, 4) and question.name != "position")
+    )
+    if (
+        plain
+        and question.axis == Z_AXIS
+        and not chain.ints[HAS_QUATERNION]
+        and key not in system._queries
+    ):
+        usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
+        system._queries[key] = BoundIk(
+            usual, shape
+        ).__call__  # a method, which takes less time to call
+
+
+class BoundIk:
+    """`ik` of single targets for one frame and task, with all looked up that can be: the way of
+    plain calls.
+    """
+
+    def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
+        self.requested = question
+        self.chain = question.chain
+        self.rows = problem.rows_of(question)
+        system = question.system
+        self.size = len(question.chain.q_index)
+        self.nq = system.nq
+        first = int(self.chain.q_index[0]) if self.size else 0
+        in_a_row = np.array_equal(self.chain.q_index, np.arange(first, first + self.size))
+        self.part = slice(first, first + self.size) if in_a_row else self.chain.q_index
+        self.whole = in_a_row and self.size == system.nq
+        """Whether the chain has all coordinates of the system."""
+        self.plain = system.nq == system.nv == len(system.structure.layout.vector_q)
+        """Whether entry i of q and of the limits belong together."""
+        self.lower = system.lower
+        self.upper = system.upper
+        self.unmoved = np.eye(4)[None]
+        self.shape = shape
+        self.posed = len(shape) == 2
+        self.new = maker(1, self.size + ANSWER)
+        self.reach = schedule.reach
+        self.base = self.chain.base[0]
+        self.no_seed = self.chain.no_seed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BoundIk, (self.requested, self.shape)
+
+    def task(self, X: Array) -> FrameProblem:
+        """The problem, for poses (1, 4, 4)."""
+        return replace(self.requested, targets=X)
+
+    def _pose(self, target: Array) -> Array:
+        """A position as (1, 4, 4)."""
+        X = self.unmoved.copy()
+        X[0, : self.shape[0], 3] = target
+        return X
+
+    @quiet
+    def _go_on(self, X: Array, seeds: Array, out: Array) -> None:
+        """Search further, from other starts."""
+        head = (self.chain.ints, self.chain.floats, self.chain.limits, self.rows, X, seeds, 0)
+        multi_start.go_on(self.task(X), X, head, FEW, out)
+
+    def __call__(self, target: Array, start: Any) -> Solution | None:
+        """The answer for a target, None where target or seed need the general solver."""
+        if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
+            return None
+        chain = self.chain
+        n = self.size
+        if start is None:
+            base = self.base
+            seeds = self.no_seed
+        else:
+            if (
+                start.__class__ is not np.ndarray
+                or start.dtype != np.float64
+                or start.shape != (self.nq,)
+            ):
+                return None
+            if not (self.plain and start.flags.c_contiguous):
+                return None
+            base = start
+            seeds = (start if self.whole else start[self.part]).reshape(1, 1, n)
+        out = self.new()
+        X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
+        try:
+            missed = self.reach(
+                chain.ints,
+                chain.floats,
+                chain.limits,
+                self.rows,
+                X,
+                seeds,
+                0,
+                0,
+                FEW,
+                ITERATIONS,
+                LENGTH,
+                ANGLE,
+                0.0,
+                out,
+            )
+        except TypeError:  # not float64
+            return None
+        row = out[0]
+        if missed:
+            self._go_on(X, seeds, out)
+            if row[n + STATUS] == Status.BAD_INPUT:
+                return None
+        if self.whole:
+            q = row[:n]
+        else:
+            q = np.maximum(base, self.lower) if self.plain else base.copy()
+            if self.plain:
+                np.minimum(q, self.upper, out=q)
+            q[self.part] = row[:n]
+            if not math.hypot(*base.tolist()) < math.inf:
+                return None
+        if not missed or row[n + STATUS] == Status.SOLVED:
+            return Solution.reached((self, X), q, row)
+        task = self.task(X)
+        codes = np.array([Status.NOT_FOUND])
+        quiet(problem.look_closer)(task, codes)
+        linear, angular, _, steps, starts = row[n:].tolist()
+        return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
+
+
+@explained
+def ik(
+    system: System,
+    target: Any,
+    frame: FrameLike | None = None,
+    start: Any = None,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    prefer: Any = None,
+    method: str | None = None,
+    tolerance: float | tuple[float, float] | None = None,
+    budget: Budget | None = None,
+    history: bool = False,
+) -> Solution:
+    """A configuration in which `frame` reaches `target` (the inverse geometric model), always
+    inside the limits.
+
+    Without a frame `target` are tasks, see `kempe.inverse.tasks.search.reach`.
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
+    with ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also
+    (..., 2)), or an object or words that say one (`kempe.poses.arrays`), or the name of a frame on
+    the ground. `task` says what of it counts: "pose", "position", "orientation", "direction" (of
+    the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))),
+    "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad],
+    1e-6 each.
+    `start` (nq,) or (..., nq), a dict by name, or the name of a posture, is the first start; what
+    the chain does not move keeps its value there, else the neutral one, inside the limits. Targets
+    and starts broadcast: many starts for one target give many answers. With `history`, the answer
+    to one target has its iterates (`Solution.history`).
+
+    Of the `budget` are read: starts (1000), iterations (40), time_limit (30 s for one target, none
+    for a batch, whose number of targets says how long it takes), rng (0), threads. Starts are tried
+    in order, `start` or the middle of the limits first, the others drawn from rng; the first that
+    reaches the target is the answer: the same for the same arguments, whatever the threads.
+    Iterations are the steps of one start, at most; where all fail, as many descents to the nearest,
+    at most 16, have five times as many. A time limit that is given is looked at after each 32
+    starts, of chains of more than 31 coordinates after fewer: an answer that it ended says so, and
+    is the only one that depends on the machine.
+
+    The answer says by `success` and `status` whether it was reached and if not, why;
+    ``answer.expect()`` raises `NoSolutionError` then. Not reached, its `q` is the nearest found:
+    least is the square of the miss, of the position in characteristic lengths of the system, of the
+    rotation in radians. A NaN in a single target is an `InputError`, in a batch it gives a NaN row.
+    A frame that moves with closed loops, declared constraints, or relations of several coordinates,
+    is a case for `reach`, which holds these, and so is what one would `prefer` of many
+    configurations, as there: the answer then is `Reached`.
+
+    `method`: "numeric" (the default), damped least squares with an active set of limits and
+    restarts (Sugihara, 2011; Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all`
+    finds the one nearest to `start`; "auto", that where the chain allows it, else numeric. Targets
+    that have no analytic solution inside the limits get the numeric answer.
+    """
+    if frame is not None:
+        return _of_frame(
+            system,
+            target,
+            frame,
+            start,
+            task,
+            prefer,
+            method or "numeric",
+            tolerance,
+            budget,
+            history,
+        )
+    for name, value in (("task", task), ("method", method), ("history", history or None)):
+        if value is not None:
+            raise InputError(
+                f"{name} is {value!r}; it belongs to a target of one frame, not to tasks"
+            )
+    problem = Problem(
+        system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target
+    )
+    solver, choice = chosen(system, None, problem.task, problem.method, prefer is not None)
+    return chosen_by(solver.run(problem), choice)
+
+
+def _of_frame(
+    system: System,
+    target: Any,
+    frame: FrameLike,
+    start: Any,
+    task: Any,
+    prefer: Any,
+    method: str,
+    tolerance: Any,
+    budget: Budget | None,
+    history: bool,
+) -> Solution:
+    """The answer for targets of one frame."""
+    name = system.structure.frame_name(frame)
+    target = given_target(system, target)
+    said, axis = task_and_axis(task)
+    requested, targets, lead = _checked(system, name, target, said, axis)
+    if start is not None:
+        targets, lead, start = _together(targets, lead, as_start(system, start))
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
+    if prefer is not None and method != "numeric":
+        raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
+    options = NOTHING
+    if method == "numeric":
+        solver, choice = chosen(system, name, requested, method, prefer is not None)
+    else:
+        time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
+        solver, choice, method = _planned(time, system, name, requested, method, prefer is not None)
+        options = {"end": time.end}
+    targets = (
+        targets.copy() if np.may_share_memory(targets, target) else targets
+    )  # the answer keeps them
+    problem = Problem(
+        system,
+        "one",
+        start=start,
+        prefer=prefer,
+        tolerance=tolerance,
+        budget=budget,
+        frame=name,
+        task=requested,
+        targets=targets,
+        lead=lead,
+        method=method,
+        options=options,
+    )
+    answer = chosen_by(solver.run(problem), choice)
+    if not lead and task is said and solver is not BY_TASKS:
+        bind(answer.task, said, np.shape(target))
+    return with_history(answer, problem) if flag(history, "history") else answer
+
+
+def _together(
+    targets: Array, lead: tuple[int, ...], start: Array
+) -> tuple[Array, tuple[int, ...], Array]:
+    """Targets (N, 4, 4), their leading shape and starts, one of which is for all of the others,
+    with one shape.
+    """
+    if start.ndim == 1 or start.shape[:-1] == lead:
+        return targets, lead, start
+    many = together({"target": lead, "start": start.shape[:-1]})
+    targets = np.broadcast_to(targets.reshape(*lead, 4, 4), (*many, 4, 4)).reshape(
+        math.prod(many), 4, 4
+    )
+    return np.ascontiguousarray(targets), many, np.broadcast_to(start, (*many, start.shape[-1]))
+
+
+def _planned(
+    time: TimeLimit, system: System, frame: str, task: TaskOf, method: str, prefers: bool
+) -> tuple[Solver, Choice, str]:
+    """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
+    time.put_in_order()  # a plan is made as a whole, or not at all
+    try:
+        with time:
+            return *chosen(system, frame, task, method, prefers), method
+    except TimeUp:
+        if not time.spent:
+            raise
+        if method == "analytic":
+            raise TimeLimitError("ik", time.limit) from None
+    return *chosen(system, frame, task, "numeric", prefers), "numeric"
+
+
+def _checked(
+    system: System, frame: str, target: Any, task: str | None, axis: ArrayLike
+) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
+    """(task, axis), targets (N, 4, 4) and their leading shape."""
+    if system.dim == 2 and points_along(task):
+        target, task = in_plane(target, task, axis)
+    direction = axis_for(axis, task)
+    targets, lead, is_position = targets_of(system, target, task, direction)
+    particle = bool(system.structure.table.at[frame][2])
+    name = task_of(task, is_position, particle)
+    refuse_position(name, is_position, system.dim)
+    if particle and task is None and not is_position:
+        check_particle(targets, frame)
+    return (name, direction), targets, lead

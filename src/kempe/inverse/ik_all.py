@@ -1,0 +1,113 @@
+"""The inverse geometric model, all of it: every configuration in which a frame reaches a target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.answers.problem import Problem, chosen_by
+from kempe.answers.targets import (
+    axis_for,
+    given_target,
+    in_plane,
+    not_a_pose,
+    points_along,
+    refuse_position,
+    targets_of,
+    task_and_axis,
+    task_of,
+)
+from kempe.arguments import explained
+from kempe.arrays import FARTHEST
+from kempe.budget import Budget
+from kempe.errors import InputError
+from kempe.inverse.all_answer import Solutions
+from kempe.inverse.closed_forms.question import held_by
+from kempe.inverse.solve_all import BATCH, USUAL, chosen
+from kempe.numerics.clock import TimeLimit, begun_within
+
+if TYPE_CHECKING:
+    from kempe.assemble.modes import Modes
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+LIMITS = (False, True, "turns")
+
+
+@explained
+def ik_all(
+    system: System,
+    target: ArrayLike,
+    frame: FrameLike,
+    start: Any = None,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    limits: bool | str = False,
+    tolerance: float | None = None,
+    budget: Budget | None = None,
+) -> Solutions | Modes:
+    """Every configuration in which `frame` reaches `target`: the inverse geometric model with all
+    its solutions.
+
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
+    with ``task="pose"``, x, y and angle (..., 3)) or a position (..., 3) (in planar systems also
+    (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction" (of the
+    tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis"
+    (both). Joints of redundant chains are held by `fixed`, a dict of numbers, or of arrays of one
+    for each target; others that are to spare where `start` has them, and elsewhere for targets that
+    have no solution inside the limits there: `Solutions.held` says where. Solutions are sorted:
+    inside the limits first, then by nearness to `start` (nq,), which also chooses among turns; with
+    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed.
+    Joints that do not move `frame` keep their values in `start`, else the neutral ones, brought
+    inside their limits, as in `ik`. What violates one-sided constraints of the system is left out,
+    and the status says so.
+
+    Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding,
+    far away). What is not reached has no solutions and a `status` that says why;
+    ``answer.expect()`` raises `NoSolutionError` for it. Of the `budget` are read: threads, and
+    time_limit (30 s for one target, none for a batch). Targets whose work it ended have the
+    solutions that are known by then, are not `complete`, and say so (`late`). Errors:
+    `UnsupportedError` for chains with quaternions, `InputError`, `UnknownNameError`.
+    For one pose or position of a frame that moves with loops, or with joints that follow others (a
+    helical joint, a parallel linkage written as a coupling), the answer is that of `assembly_modes`
+    with it known.
+    Method: see `System.inverse.plan`, and `kempe.kernels.closed_form`, `kempe.kernels.elimination`.
+    """
+    name = system.structure.frame_name(frame)
+    target = given_target(system, target)
+    (said, axis) = task_and_axis(task)
+    if limits not in LIMITS:
+        raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
+    if system.dim == 2 and points_along(said):
+        target, said = in_plane(target, said, axis)
+    direction = axis_for(axis, said)
+    targets, lead, is_position = targets_of(system, target, said, direction)
+    task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
+    refuse_position(task, is_position, system.dim)
+    if lead == () and not np.all(np.abs(targets) < FARTHEST):
+        raise InputError(not_a_pose(targets[0]))
+    known = held_by(fixed)
+    problem = Problem(
+        system,
+        "all",
+        known,
+        start,
+        None,
+        limits,
+        tolerance,
+        budget,
+        frame=name,
+        task=(task, direction),
+        targets=targets,
+        lead=lead,
+    )
+    time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
+    time.put_in_order()  # a plan is made as a whole, or not at all
+    with begun_within(USUAL, time):
+        solver, choice = chosen(system, name, problem.task, tuple(known))
+    problem = problem._replace(options={"time": time})
+    return chosen_by(solver.run(problem), choice)

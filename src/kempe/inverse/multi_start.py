@@ -1,0 +1,364 @@
+"""The search for configurations that reach single targets: rounds of starts, then what is nearest."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.budget import look
+from kempe.inverse.chain.problem import FEW, FrameProblem, goals_of, misses, outside, rows_of
+from kempe.inverse.chain.serial_chain import Chain, inside
+from kempe.kernels.base.search_layout import (
+    ANSWER,
+    DESCENTS,
+    LARGEST,
+    LINEAR,
+    NOT_FOUND,
+    SOLVED,
+    STARTS,
+    STATUS,
+    STEPS,
+)
+from kempe.kernels.compiled import schedule
+from kempe.kernels.forward.table_layout import HAS_QUATERNION
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import as_start, refuse_far
+from kempe.numerics.pool import over_chunks
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+GLANCE = 16
+"""Starts after which a batch goes on, where what is nearest to such targets can wait."""
+CHUNK = 256
+SERIAL_BELOW = 1024
+LANES = 8
+WORK = 4096
+NEAREST = 64
+"""Targets of a chunk, and from how many on there are threads; the targets that are searched side by
+side; starts of all targets together, and targets whose nearest configuration is searched for,
+between two looks at the clock."""
+UNBEGUN = -1.0
+"""In place of the status of an answer: the time was up before."""
+LOOSE = 1e-4
+"""Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be
+within it."""
+SHARES = (1.0, 0.2, 5.0)
+"""How the two tolerances are weighed against each other where they are loose."""
+
+
+def answered(
+    task: FrameProblem,
+    targets: Array,
+    seeds: Array,
+    limits: Array,
+    out: Array,
+    postpone: bool = False,
+    threads: int | None = 1,
+) -> int:
+    """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach`
+    does.
+
+    seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths
+    prove to be out of reach is not searched for: their status is OUT_OF_REACH.
+
+    All targets get their first starts before one gets its last. Between two pieces of the work,
+    which take about 0.1 s, Python sees an interrupt, and the clock is looked at.
+    """
+    chain = task.chain
+    n = out.shape[1] - ANSWER
+    head = (
+        chain.ints,
+        chain.floats,
+        limits,
+        rows_of(task),
+        goals_of(task, targets),
+        seeds,
+        task.rng,
+    )
+    few = task.round or FEW
+    count = min(task.starts, few, GLANCE if postpone else few)
+    out[:, n + STATUS] = UNBEGUN
+    _some(task, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
+    left = np.flatnonzero(out[:, n + STATUS] != SOLVED)
+    if not left.size:
+        return 0
+    unbegun = left[out[left, n + STATUS] == UNBEGUN]
+    if unbegun.size:
+        first = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index]
+        out[unbegun, :n] = first[unbegun] if len(first) > 1 else first
+        out[unbegun, n:] = 0.0
+        _end(task, targets, unbegun, out, alike=len(first) == 1)
+    far = 0
+    if postpone:
+        left = left[out[left, n + STATUS] == NOT_FOUND]
+        beyond = left[outside(task, targets[left]) > 0.0]
+        out[beyond, n + STATUS] = Status.OUT_OF_REACH
+        far = len(beyond)
+    return go_on(task, targets, head, count, out, threads) + far + len(unbegun)
+
+
+def starts_from(task: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
+    """The answer (1, n + ANSWER) of one start after so many steps; `head` as in `go_on`."""
+    found = np.empty((1, len(task.chain.q_index) + ANSWER))
+    _search(task.chain)(*head, start, 1, steps, *task.tolerance, 0.0, found)
+    return found
+
+
+def go_on(
+    task: FrameProblem,
+    targets: Array,
+    head: tuple[Any, ...],
+    done: int,
+    out: Array,
+    threads: int | None = 1,
+) -> int:
+    """Number of targets NOT_FOUND in `out` that are not reached in the end, after the first `done`
+    starts.
+
+    head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position
+    and orientation by them; more starts, unless lengths prove that they cannot help or the time is
+    up; at last, the nearest configurations.
+    """
+    n = out.shape[1] - ANSWER
+    every = left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
+    if not left.size:
+        return 0
+    left, done = _up_to(
+        task, head, left, done, min(task.starts, FEW), out, threads
+    )  # before lengths are asked
+    left = left[outside(task, targets[left]) == 0.0]
+    linear, angular = task.tolerance
+    if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
+        for share in SHARES:
+            left = left[out[left, n + STATUS] == NOT_FOUND]
+            found = np.empty((len(left), out.shape[1]))
+            found[:, n + STATUS] = UNBEGUN
+            starts = min(task.starts, 4 * FEW)
+            _some(task, head, left, 0, starts, share * linear / angular, found, threads)
+            found[:, n + STEPS :] += out[left, n + STEPS :]
+            good = found[:, n + STATUS] == SOLVED
+            out[left[good]] = found[good]
+    left = left[out[left, n + STATUS] == NOT_FOUND]
+    left, done = _up_to(task, head, left, done, task.starts, out, threads)
+    if done < task.starts and len(left):
+        _end(task, targets, left, out)
+    return _nearest(
+        task, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads
+    ) + int((out[every, n + STATUS] == Status.OUT_OF_TIME).sum())
+
+
+def _nearest(
+    task: FrameProblem,
+    targets: Array,
+    head: tuple[Any, ...],
+    rows: np.ndarray,
+    out: Array,
+    threads: int | None,
+) -> int:
+    """Number of these rows that are not reached by the configurations nearest to their targets
+    either.
+    """
+    from kempe.kernels.compiled import fallback
+
+    n = out.shape[1] - ANSWER
+    length = characteristic_length(task.system)
+    nearest: Callable[..., int] = fallback.approach
+    out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
+
+    each = [0] if task.share == 1 else range(1, min(task.starts, DESCENTS) + 1)
+
+    def work(i: int, j: int) -> int:
+        some = rows[i:j]
+        missed = 0
+        own = _part(head, some)
+        found = out[some]
+        if time.monotonic() >= task.end:
+            _end(task, targets, some, out)
+            return len(some)
+        for only in each:
+            look()
+            if only > 1 and time.monotonic() >= task.end:
+                _end(task, targets, some, out)
+                return len(some)
+            missed = nearest(
+                *own, only, task.starts, task.iterations, *task.tolerance, length, found
+            )
+            out[some] = found
+        if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
+            from kempe.inverse.refine import search_again
+
+            missed = search_again(task, targets[some], own, found)
+        out[some] = found
+        return missed
+
+    piece = max(1, NEAREST // task.share)
+    return over_chunks(work, len(rows), piece, threads, 2 * piece) if len(rows) else 0
+
+
+def _part(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
+    """The first arguments of the kernels for some rows."""
+    *chain, goals, seeds, rng = head
+    return (*chain, goals[rows], seeds[rows] if len(seeds) > 1 else seeds, rng)
+
+
+def _some(
+    task: FrameProblem,
+    head: tuple[Any, ...],
+    rows: Any,
+    first: int,
+    count: int,
+    length: float,
+    out: Array,
+    threads: int | None,
+    chunk: int | None = None,
+) -> None:
+    """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head`
+    as in `go_on`.
+    """
+    search = _search(task.chain)
+    given = _part(head, rows) if isinstance(rows, np.ndarray) else head
+    piece = max(LANES, min(chunk or CHUNK, WORK // (count * task.share)))
+
+    def work(i: int, j: int) -> int:
+        for k in range(i, j, piece):
+            look()
+            if time.monotonic() >= task.end:
+                break
+            last = min(k + piece, j)
+            search(
+                *_part(given, slice(k, last)),
+                first,
+                count,
+                task.iterations,
+                *task.tolerance,
+                length,
+                out[k:last],
+            )
+        return 0
+
+    over_chunks(work, len(out), chunk or piece, threads, SERIAL_BELOW if chunk else 2 * piece)
+
+
+def _up_to(
+    task: FrameProblem,
+    head: tuple[Any, ...],
+    left: np.ndarray,
+    done: int,
+    starts: int,
+    out: Array,
+    threads: int | None,
+) -> tuple[np.ndarray, int]:
+    """The rows that are still not reached after so many starts, or when the time is up, and how
+    many these are.
+    """
+    while done < starts and len(left):
+        count = min(task.round or starts, starts - done)
+        some = _more(task, head, left, done, count, out, threads)
+        if some is None:
+            break
+        left = some
+        done = done + count
+    return left, done
+
+
+def _more(
+    task: FrameProblem,
+    head: tuple[Any, ...],
+    rows: np.ndarray,
+    first: int,
+    count: int,
+    out: Array,
+    threads: int | None,
+) -> np.ndarray | None:
+    """The rows that are still not reached after further starts; None where there was no time for
+    any.
+
+    Answers that are better than the first are written.
+    """
+    n = out.shape[1] - ANSWER
+    found = np.empty((len(rows), out.shape[1]))
+    found[:, n + STATUS] = UNBEGUN
+    _some(task, head, rows, first, count, 0.0, found, threads)
+    begun = found[:, n + STATUS] != UNBEGUN
+    if not begun.any():
+        return None
+    some, found = (rows, found) if begun.all() else (rows[begun], found[begun])
+    found[:, n + STARTS] += first
+    found[:, n + STEPS] += out[some, n + STEPS]
+    better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[some, n + LINEAR])
+    out[some[better]] = found[better]
+    out[some, n + STEPS :] = found[:, n + STEPS :]
+    return rows[out[rows, n + STATUS] == NOT_FOUND]
+
+
+def _end(
+    task: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False
+) -> None:
+    """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
+    n = out.shape[1] - ANSWER
+    out[left, n + STATUS] = Status.OUT_OF_TIME
+    out[left, n : n + STATUS] = misses(task, targets[left], out[left[:1] if alike else left, :n])
+
+
+def _search(chain: Chain) -> Callable[..., int]:
+    """The kernel that searches for a chain."""
+    if chain.ints[HAS_QUATERNION]:
+        from kempe.kernels.compiled import scalar_search
+
+        return scalar_search.reach_one_by_one
+    return schedule.reach
+
+
+# ---- inverse
+
+# The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a
+# target.
+
+
+def run(
+    task: FrameProblem,
+    seeds: Array,
+    threads: int | None = 1,
+    limits: Array | None = None,
+    targets: Array | None = None,
+    postpone: bool = False,
+) -> tuple[Array, Array, np.ndarray]:
+    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed
+    chunks.
+
+    `postpone` is as in `multi_start.answered`.
+    """
+    chain = task.chain
+    goals = task.targets if targets is None else targets
+    n = len(goals)
+    nq = len(chain.q_index)
+    out = np.empty((n, nq + ANSWER))
+    bounds = chain.limits if limits is None else limits
+
+    answered(task, goals, seeds, bounds, out, postpone, threads)
+    return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
+
+
+def seeds_of(
+    system: System, chain: Chain, start: Any, lead: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq)
+    for the kernel.
+    """
+    if start is None:
+        return chain.base, chain.no_seed
+    base = as_start(system, start)
+    base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
+    if not lead and not np.all(np.abs(base) < LARGEST):
+        refuse_far(system, base, "start")
+    seeds = np.ascontiguousarray(
+        base[:, None, chain.q_index]
+    )  # the kernel brings them inside, circles by turns
+    return inside(system, base), seeds

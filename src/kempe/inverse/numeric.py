@@ -1,0 +1,378 @@
+"""The iterates of the numerical inverse model: step by step what its starts found."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.problem import Choice, Problem, Solver, TaskOf, choose
+from kempe.answers.targets import not_a_pose
+from kempe.arguments import deadline, seed_number, start_count, step_count, tolerances
+from kempe.budget import Usual
+from kempe.constraints.kinds import of_target
+from kempe.equations.one_sided import one_sided_rows
+from kempe.errors import InputError
+from kempe.inverse import multi_start, refine
+from kempe.inverse.answer import MOST_STARTS, IkHistory, Solution
+from kempe.inverse.chain import problem
+from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, look_closer, misses
+from kempe.inverse.chain.problem import TOLERANCE as PROBLEM_TOLERANCE
+from kempe.inverse.chain.serial_chain import chain_of, obstacle
+from kempe.inverse.closed_forms.held import TOLERANCE
+from kempe.inverse.closed_forms.plan import ChainPlan
+from kempe.inverse.closed_forms.question import Question, Watch
+from kempe.inverse.multi_start import run, seeds_of
+from kempe.inverse.solve_all import solve
+from kempe.kernels.base.search_layout import SOLVED, STEPS
+from kempe.model.configurations import refuse_far
+from kempe.model.model import kept
+from kempe.numerics.clock import SHORT, TimeLimit
+from kempe.poses import sound
+from kempe.spatial import Array
+from kempe.status import Status, member
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- ik analytic
+
+# Where `ik` is answered by `ik_all`: the nearest of all solutions, and numbers for the rest.
+
+
+PIECE = 2**15
+"""Targets that are solved, and whose solutions are compared, before the clock is looked at
+again."""
+
+
+def answer(
+    task: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
+) -> tuple[Array, Array, np.ndarray]:
+    """As `multi_start.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there
+    is none, numbers.
+    """
+    n = len(task.targets)
+    q = np.empty((n, len(task.chain.q_index)))
+    residual = np.zeros((n, 2))
+    there = np.zeros(n, dtype=bool)
+    for k in range(0, max(n, 1), PIECE):
+        if k and time.monotonic() >= task.end:
+            break
+        at = slice(k, k + PIECE)
+        base = near[k : k + PIECE] if len(near) > 1 else near
+        q[at], residual[at], there[at] = _solved(
+            replace(task, targets=task.targets[at]), plan, base, threads
+        )
+    info = np.zeros((n, 3), dtype=np.int64)
+    info[:, 0] = SOLVED
+    rest = np.flatnonzero(~there)
+    if len(rest):
+        some = seeds[rest] if len(seeds) > 1 else seeds
+        q[rest], residual[rest], info[rest] = run(task, some, threads, targets=task.targets[rest])
+    return q, residual, info
+
+
+def _solved(
+    task: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
+) -> tuple[Array, Array, np.ndarray]:
+    """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are
+    any (n,).
+    """
+    n = len(task.targets)
+    chain = task.chain
+    within = min(*task.tolerance, TOLERANCE)
+    limit = TimeLimit(task.time_limit)
+    limit.end = task.end  # that of the whole batch
+    question = Question(
+        task.system,
+        task.frame,
+        task.name,
+        task.axis,
+        task.targets,
+        (n,),
+        within,
+        watch=Watch(limit, n),
+    )
+    found = solve(question, plan, near, {}, threads)
+    own = found._rows[..., : len(plan.lines)]
+    inside = found.inside
+    unit = np.abs(plan.lines.multiplier)
+    away = np.where(
+        inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf
+    )
+    best = np.argmin(away, axis=1)
+    there = np.asarray(inside.any(axis=1))
+    residual = np.zeros((n, 2))
+    at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
+    q = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
+    residual[there] = misses(task, task.targets[there], q[there])
+    return q, residual, there
+
+
+def with_history(answer: Solution, problem: Problem) -> Solution:
+    """The answer with its iterates. Errors: `InputError` for batches and other methods."""
+    if np.ndim(answer.success) or problem.method != "numeric" or type(answer) is not Solution:
+        raise InputError(
+            "history=True is for one target of one frame that is searched for with method 'numeric'"
+        )
+    from kempe.inverse.multi_start import seeds_of
+
+    task = answer.task
+    base, seeds = seeds_of(problem.system, task.chain, problem.start, ())
+    object.__setattr__(answer, "history", _of_starts(task, base, seeds, int(answer.starts)))
+    return answer
+
+
+def _of_starts(task: FrameProblem, base: Array, seeds: Array, starts: int) -> IkHistory:
+    head = (
+        task.chain.ints,
+        task.chain.floats,
+        task.chain.limits,
+        problem.rows_of(task),
+        problem.goals_of(task, task.targets),
+        seeds,
+        task.rng,
+    )
+    n = len(task.chain.q_index)
+    rows: list[Array] = []
+    at: list[tuple[int, int]] = []
+    for start in range(min(max(starts, 1), MOST_STARTS)):
+        for steps in range(task.iterations + 1):
+            found = multi_start.starts_from(task, head, start, steps)[0]
+            if steps and found[n + STEPS] < steps:
+                break
+            rows.append(found[:n])
+            at.append((start, steps))
+    chain = np.array(rows)
+    missed = problem.misses(task, np.repeat(task.targets, len(chain), axis=0), chain)
+    q = np.repeat(base, len(chain), axis=0)
+    q[:, task.chain.q_index] = chain
+    number, step = np.array(at).T
+    return IkHistory(task.system, q, missed[:, 0], missed[:, 1], number, step, starts)
+
+
+# ---- inverse
+
+# The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a
+# target.
+
+
+METHODS = ("numeric", "analytic", "auto")
+TASKS = "tasks are requested, not a target of one frame"
+CLOSED = "method='analytic' asks for a closed form"
+USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=SHORT, rng=0, threads=None)
+BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
+
+
+# ---- the solvers
+
+
+def _no_closed_form(
+    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+) -> str | None:
+    if frame is None or method == "numeric":
+        return TASKS if frame is None else "method='analytic' or 'auto' asks for it"
+    bounds = one_sided_rows(system)
+    if bounds.declared:
+        return (
+            f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
+            "leave it out, or take one of the solutions of ik_all, which do"
+        )
+    from kempe.inverse.refine import plan_of
+
+    plan = plan_of(system, frame, *task)
+    return plan if isinstance(plan, str) else None
+
+
+def _no_chain(
+    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+) -> str | None:
+    if frame is None or method == "analytic":
+        return TASKS if frame is None else CLOSED
+    if prefers:
+        return "it prefers nothing"
+    if one_sided_rows(system).declared:
+        return (
+            f"it does not hold one-sided constraints, such as {one_sided_rows(system).names[0]!r}"
+        )
+    return obstacle(system, frame)
+
+
+def _no_tasks(
+    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+) -> str | None:
+    return CLOSED if method == "analytic" else None
+
+
+def _of_chain(problem: Problem) -> Solution:
+    """The answer by the frame's own chain: by numbers, or in closed form where the method is not
+    numeric.
+    """
+    system = problem.system
+    name = str(problem.frame)
+    lead = problem.lead
+    spend = (BATCH if lead else USUAL).of(problem.budget)
+    usual = problem.budget is None or problem.budget.time_limit is None
+    chain = chain_of(system, name, problem.task[1])
+    tolerance = problem.tolerance
+    base, seeds = seeds_of(system, chain, problem.start, lead)
+    question = FrameProblem(
+        system,
+        name,
+        problem.targets,
+        *problem.task,
+        PROBLEM_TOLERANCE if tolerance is None else tolerances(tolerance),
+        start_count(spend.starts),
+        seed_number(spend.rng),
+        chain,
+        step_count(spend.iterations),
+        spend.time_limit,
+        problem.options["end"] if problem.options else deadline(spend.time_limit),
+        usual,
+    )
+    plan = None
+    if problem.method != "numeric":
+        found = refine.plan_of(system, name, *problem.task)
+        plan = None if isinstance(found, str) else found
+    question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
+    return _judged(question, base, q, residual, info, lead, seeds, spend.threads)
+
+
+def _of_tasks(problem: Problem) -> Solution:
+    """The answer of `kempe.inverse.tasks.search.reach`."""
+    from kempe.inverse.tasks.search import reach
+
+    frame = problem.frame
+    targets = problem.targets
+    held = (
+        problem.wanted
+        if frame is None
+        else of_target(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
+    )
+    return reach(problem._replace(wanted=held))
+
+
+BY_TASKS = Solver(
+    "levels",
+    "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
+    _no_tasks,
+    _of_tasks,
+)
+SOLVERS = (
+    Solver(
+        "closed form",
+        "of all solutions of ik_all the nearest; else as chain",
+        _no_closed_form,
+        _of_chain,
+    ),
+    Solver(
+        "chain",
+        "damped least squares over the frame's own chain, with limits and restarts",
+        _no_chain,
+        _of_chain,
+    ),
+    BY_TASKS,
+)
+"""Who answers for targets of one frame, and for tasks."""
+
+
+@kept
+def chosen(
+    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+) -> tuple[Solver, Choice]:
+    """Who answers for a frame and a task of it, or, without a frame, for tasks."""
+    return choose(SOLVERS, system, frame, task, method, prefers)
+
+
+def _run(
+    question: FrameProblem,
+    plan: Any,
+    base: Array,
+    seeds: Array,
+    threads: int | None,
+    lead: tuple[int, ...],
+) -> tuple[FrameProblem, tuple[Array, Array, np.ndarray]]:
+    """The question and what `run`, or the closed form of a plan, finds; rotations that were rounded
+    are mended.
+    """
+    if plan is None:
+        found = run(question, seeds, threads, postpone=bool(lead))
+    else:
+        found = answer(question, plan, base, seeds, threads)
+    targets = question.targets
+    if (
+        lead
+        and (found[2][:, 0] == Status.BAD_INPUT).any()
+        and (mended := sound(targets, "target")) is not targets
+    ):
+        return _run(replace(question, targets=mended), plan, base, seeds, threads, lead)
+    return question, found
+
+
+def _nearest(
+    question: FrameProblem,
+    base: Array,
+    seeds: Array,
+    threads: int | None,
+    q: Array,
+    residual: Array,
+    info: np.ndarray,
+    lead: tuple[int, ...],
+) -> Solution:
+    """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
+    far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
+    some = seeds[far] if len(seeds) > 1 else seeds
+    anew = replace(question, end=deadline(question.time_limit))
+    q[far], residual[far], info[far] = run(anew, some, threads, targets=question.targets[far])
+    return _judged(question, base, q, residual, info, lead, seeds, threads)
+
+
+def _judged(
+    question: FrameProblem,
+    base: Array,
+    q: Array,
+    residual: Array,
+    info: np.ndarray,
+    lead: tuple[int, ...],
+    seeds: Array,
+    threads: int | None,
+) -> Solution:
+    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and
+    starts (N, 3).
+
+    Where `run` has postponed targets, their part of it is found on demand.
+    """
+    system = question.system
+    targets = question.targets
+    code = info[:, 0]
+    if (code == Status.OUT_OF_REACH).any():
+        given = (question, base, seeds, threads, q, residual, info, lead)
+        return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
+    full = np.empty((len(targets), system.nq))
+    full[:] = base
+    full[:, question.chain.q_index] = q
+    if code.any():
+        look_closer(question, code)
+        full[code == Status.BAD_INPUT] = math.nan
+    if not lead and code[0] == Status.BAD_INPUT:
+        refuse_far(system, base, "start")
+        raise InputError(not_a_pose(targets[0], "start"))
+    return _answer(question, full, code, residual, info, lead)
+
+
+def _answer(
+    task: FrameProblem,
+    q: Array,
+    code: np.ndarray,
+    residual: Array,
+    info: np.ndarray,
+    lead: tuple[int, ...],
+) -> Solution:
+    columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
+    fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
+    success, code_, position, angle, steps, starts = fields
+    q = q.reshape(*lead, task.system.nq)
+    return Solution(q, success, member(code_), position, angle, steps, starts, task)

@@ -1,0 +1,982 @@
+"""Paths of configurations that follow a sequence of targets without a jump, and where and why that
+cannot be.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers import wording
+from kempe.answers.answer import Configurations
+from kempe.answers.evidence import outside_limits
+from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.targets import Z_AXIS, parse_targets
+from kempe.arguments import brief, explained, explained_methods, interruptible
+from kempe.arrays import reals
+from kempe.assemble.assemble import assemble
+from kempe.assemble.nearest_exact import decided_within
+from kempe.budget import Budget, Usual
+from kempe.constraints.base import Constraint
+from kempe.constraints.kinds import of_target
+from kempe.equations.packed_tasks import refuse
+from kempe.equations.slip import Slip, hard_rows, rolls, slip_of
+from kempe.errors import InputError, UnsupportedError
+from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
+from kempe.inverse.tasks.demands import STARTS, Demands, apart
+from kempe.inverse.tasks.search import judge, pose_problem
+from kempe.kernels.base.search_layout import SOLVED
+from kempe.model.configurations import random, refuse_far
+from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
+from kempe.numerics.newton import gauss_newton, least_squares
+from kempe.poses import arrays, refuse_no_poses, sound
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- path steps
+
+# Steps along the way of targets: from target to target without a jump, also through singularities.
+#
+# Where nothing is singular a step is explained by its first order. Near a singularity that says
+# little: there a path goes on as before where it can, and a turn of joints that leaves the targets'
+# way alone is no jump.
+
+
+TOLERANCE = 1e-10
+"""Largest error of the targets along a path, in metres and radians."""
+DEPTH = 12
+"""How often the way between two targets is halved before it counts as a jump."""
+SMALL = 0.02
+"""Steps so small, in radians and characteristic lengths, need no explanation: with square roots, 1
+/ 2^(DEPTH/2)."""
+STRETCH = 2.0
+"""How many times longer than its first order a step may be."""
+ALIKE = 0.5
+"""How much a step may differ from the one before, as a part of it, to count as going on."""
+DAMPING = 1e-3
+"""Singular values below it do not make the first order longer (Wampler, 1986)."""
+SINGULAR = 0.05
+"""Ratio of singular values at the end of a path below which it ends at a singularity; it falls with
+a square root."""
+WEAK = 0.1
+"""Ratio of singular values below which a path goes on as before where it can."""
+BESIDE = 0.1
+"""How far from their way, as a part of it, straight lines of the joints may lead that are no
+jump."""
+ASIDE = (0.0, 1.0, -1.0, 2.0, -2.0)
+"""Steps aside, as parts of the first order, from which the other side of a singularity is looked
+for."""
+CALM = 0.7
+"""Part of the steps before the last one in what goes on, where tolerances let targets be
+rounded."""
+UNEVEN = 0.5
+"""Part by which the ways to two targets may differ that count as equal steps of one motion."""
+STAYS = 1e-9
+"""Length of a way below which a target stays where it was."""
+AVOID = 0.1
+"""Self-motion at most at one target, in radians and characteristic lengths, that leads away from
+limits."""
+TRUNCATED = 6
+"""Steps that leave out what is singular."""
+
+
+class Order(NamedTuple):
+    """First-order step towards a problem's solution, and how singular its Jacobian is."""
+
+    ahead: Array
+    """The scaled step (nv,) to it, damped."""
+    ratio: float
+    """The smallest singular value, as a part of the largest."""
+    weak: Array
+    """The velocity (nv,) that belongs to it."""
+    way: float
+    """The length of what is missing."""
+
+
+class _Targets:
+    """The problems of the single targets of a path, which are made where they are needed: there may
+    be a million.
+    """
+
+    def __init__(self, problem: Demands):
+        self.count = problem.lead[0]
+        self._of = functools.lru_cache(8)(problem.of)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, i: int) -> Demands:
+        return self._of(i)
+
+
+class PathSteps:
+    """The targets of a path, those interpolated between them, and steps from one to the next."""
+
+    def __init__(
+        self,
+        problem: Demands,
+        max_step: float,
+        budget: TimeLimit,
+        progress: Callable[[int], None] | None = None,
+    ):
+        tasks = tuple(t.exactly() for t in problem.tasks)
+        self.problem = replace(problem, tasks=tasks)
+        self.max_step = max_step
+        self.budget = budget
+        self.given = min(problem.tolerance)
+        self.calm = CALM if self.given > TOLERANCE else 0.0
+        self.system = problem.system
+        self.scale = problem.packed.scale
+        self.progress = progress
+        self.rows = _Targets(self.problem)
+        packed = problem.packed
+        equal = np.repeat(
+            [not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties]
+        )
+        hard = [i for i, t in enumerate(tasks) if t.weight is None]
+        own = packed.rows >= 0
+        self.counts = np.isin(packed.rows[own], hard) & equal[own]
+
+    def at(self, i: int, part: float) -> Demands:
+        """The problem at the fraction `part` of the way from target i - 1 to target i."""
+        if part >= 1.0:
+            return self.rows[i]
+        a = self.rows[i - 1].goals
+        b = self.rows[i].goals
+        goals: Any = tuple(
+            [
+                (_between(x, y, part), None if m is None or n is None else m + part * (n - m))
+                for (x, m), (y, n) in zip(g, h, strict=True)
+            ]
+            for g, h in zip(a, b, strict=True)
+        )
+        return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
+
+    def first_order(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
+        """Damped first-order step from q that solves a problem.
+
+        Singular values below `weak` times the largest are left out.
+        """
+        e, J = self.missing(problem, q)
+        if not J.size:
+            return Order(np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv), 0.0)
+        U, s, Vt = svd(J, full_matrices=False)
+        part = s / (s * s + DAMPING**2)
+        if weak:
+            part[s < weak * s[0]] = 0.0
+        return Order(
+            -Vt.T @ (part * (U.T @ e)),
+            float(s[-1] / max(s[0], 1e-300)),
+            Vt[-1],
+            float(np.linalg.norm(e)),
+        )
+
+    def missing(self, problem: Demands, q: Array) -> tuple[Array, Array]:
+        """Residuals (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
+        packed = problem.packed
+        e, J = packed.evaluate(q, problem.pins)
+        if not self.counts.all():
+            e = e[self.counts]
+            J = J[self.counts]
+        if packed.closed:
+            more, rows = packed.evaluate(q, problem.pins, closures=True)
+            e = np.concatenate([e, more])
+            J = np.concatenate([J, rows])
+        return e, J
+
+    def step(self, problem: Demands, q: Array, order: Order | None = None) -> Array | None:
+        """The configuration (nq,) near q that solves a problem, found by first-order steps; None
+        where there is none.
+
+        Singular configurations are left by a small step to either side: there, the residual gives
+        no direction.
+        """
+        ahead, ratio, weak, _ = self.first_order(problem, q) if order is None else order
+        if np.abs(ahead).max(initial=0.0) > self.max_step:
+            return None
+        for aside in (0.0, 0.5, -0.5) if ratio < SINGULAR else (0.0,):
+            found, moved = self.land(problem, q, ahead + aside * SMALL * weak)
+            most = np.abs(moved).max(initial=0.0)
+            explained = (
+                most <= self.max_step
+                and np.linalg.norm(moved) <= STRETCH * np.linalg.norm(ahead) + SMALL
+            )
+            if found is not None and (explained or most <= SMALL):
+                return found
+        return None
+
+    def coast(self, problem: Demands, q: Array, before: Array) -> Array | None:
+        """The configuration (nq,) near q that solves a problem, found by repeating the last scaled
+        step (nv,); or None.
+
+        So targets beyond a singularity are met.
+        """
+        if not before.any():
+            return None
+        found = self.loose(problem, q, before)
+        if found is not None:
+            return found
+        found, moved = self.land(problem, q, before)
+        return found if found is not None and self.smooth(moved, before) else None
+
+    def loose(self, problem: Demands, q: Array, before: Array) -> Array | None:
+        """As `coast`, but within the tolerance only: residuals in singular directions stay. None
+        where this fails.
+        """
+        x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
+        good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
+        return x if good else None
+
+    def truncated(self, problem: Demands, q: Array, before: Array) -> Array | None:
+        """As `coast`, then corrected in the regular directions only; None where the configuration
+        is off the target.
+        """
+        x = self.system.structure.layout.integrate(q, before * self.scale)
+        for _ in range(TRUNCATED):
+            x = self.system.structure.layout.integrate(
+                x, self.first_order(problem, x, SINGULAR).ahead * self.scale
+            )
+            x = inside(self.system, x[None])[0] if problem.limits else x
+        return (
+            x
+            if self.smooth(self.system.structure.layout.difference(q, x) / self.scale, before)
+            else None
+        )
+
+    def smooth(self, moved: Array, before: Array) -> bool:
+        """Whether a scaled step (nv,) continues the step before, without a jump or a sharp turn."""
+        close = np.linalg.norm(moved - before) <= ALIKE * np.linalg.norm(before)
+        return bool(close) and np.abs(moved).max(initial=0.0) <= self.max_step
+
+    def opening(self, i: int, q: Array, order: Order) -> Array | None:
+        """The configuration (nq,) at target i, near q, from which the next step is most like the
+        step that led there.
+
+        Near a singularity a candidate is tried on either side. `order` is the first-order step at
+        q. None where no candidate leads smoothly to the next target.
+        """
+        size = max(float(np.linalg.norm(order.ahead)), SMALL)
+        tried: list[tuple[float, Array]] = []
+        for aside in ASIDE if i + 1 < len(self.rows) and order.way > STAYS else ():
+            start = order.ahead + aside * size * order.weak
+            found, moved = self.land(self.rows[i], q, start)
+            if (
+                found is not None
+                and np.linalg.norm(moved) <= (1.0 + STRETCH) * size
+                and self.smooth(moved, moved)
+            ):
+                there, further = self.land(self.rows[i + 1], found, moved)
+                if there is not None and self.smooth(further, moved):
+                    tried.append((float(np.linalg.norm(further - moved)), found))
+        return min(tried, key=lambda x: x[0])[1] if tried else None
+
+    def bridge(self, i: int, q: Array, before: Array, order: Order) -> Array | None:
+        """The nearest configuration (nq,) at target i from which straight lines of the joints lead
+        along the way.
+
+        At a singularity joints may turn by much while the targets move by little: that is no jump,
+        as long as the way between is held as well as short steps hold it elsewhere.
+        """
+        starts = (np.zeros(self.system.nv), order.ahead, before)
+        tried = [
+            self.land(self.rows[i], q, x)
+            for x in starts
+            if np.abs(x).max(initial=0.0) <= self.max_step
+        ]
+        found = [(np.abs(moved).max(initial=0.0), x, moved) for x, moved in tried if x is not None]
+        integrate = self.system.structure.layout.integrate
+        for most, x, moved in sorted(found, key=lambda f: float(f[0])):
+            if most <= self.max_step and all(
+                np.linalg.norm(
+                    self.missing(self.at(i, part), integrate(q, part * moved * self.scale))[0]
+                )
+                <= BESIDE * order.way
+                for part in (0.25, 0.5, 0.75)
+            ):
+                return x
+        return None
+
+    def away(self, i: int, q: Array, strength: float) -> Array:
+        """The configuration (nq,) at target i, near q, to which a small self-motion away from
+        limits leads.
+
+        It is the motion that lowers the sum of 1 / distance over all limits the fastest, distances
+        as parts of ranges; its size is the rate of that times `strength`, and `AVOID` at most.
+        """
+        system = self.system
+        limits = self.system.lower
+        at = system.structure.layout.vector_q
+        v = system.structure.layout.vector_v
+        wide = system.upper[v] - limits[v]
+        bounded = np.isfinite(wide) & (wide > 0.0)
+        at = at[bounded]
+        v = v[bounded]
+        wide = wide[bounded]
+        low, high = (
+            (np.maximum(x, 1e-3 * wide)) / wide
+            for x in (q[at] - limits[v], system.upper[v] - q[at])
+        )
+        pull = np.zeros(system.nv)
+        pull[v] = (1.0 / low**2 - 1.0 / high**2) / wide * self.scale[v]
+        pull[v[np.isin(at, np.flatnonzero(apart(self.problem.packed, self.problem.pins)))]] = 0.0
+        J = self.missing(self.rows[i], q)[1]
+        _, s, Vt = svd(J, full_matrices=True)
+        N = Vt[int(np.sum(s > 1e-6 * s.max(initial=0.0))) :]
+        way = N.T @ (N @ pull)
+        size = float(np.linalg.norm(way))
+        if size < 1e-9:
+            return q
+        for step in (AVOID, 0.25 * AVOID):
+            moved = way * (min(step, strength * size) / size)
+            found, whole = self.land(self.rows[i], q, moved)
+            if found is not None and np.linalg.norm(whole - moved) <= 0.5 * np.linalg.norm(moved):
+                return found
+        return q
+
+    def land(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
+        """The configuration (nq,) found from q plus the scaled step `ahead` (nv,), or None; the
+        scaled step there.
+        """
+        self.budget.check()
+        start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]
+        found, info = replace(problem, starts=1).run(
+            inside(self.system, start) if problem.limits else start
+        )
+        moved = self.system.structure.layout.difference(q, found[0]) / self.scale
+        return found[0] if info[0, 0] == SOLVED else None, moved
+
+    def follow(self, i: int, q: Array, before: Array, last: float) -> tuple[Array, float, float]:
+        """Where one gets from q at target i - 1 towards target i, which part of the way that is,
+        and its length.
+
+        `before` (nv,) is the scaled step that led to q, and `last` the length of its way.
+        """
+        begin = q
+        order = self.first_order(self.rows[i], q)
+        part = 0.0
+        size = 1.0
+        if abs(order.way - last) > UNEVEN * last:
+            before = before * (order.way / last if last else 0.0)
+        near = order.ratio < WEAK
+        found = None
+        if near:
+            found = (
+                self.coast(self.rows[i], q, before) if before.any() else self.opening(i, q, order)
+            )
+        if found is None:
+            found = self.step(self.rows[i], q, order)
+        if found is None and not near:
+            found = self.coast(self.rows[i], q, before)
+        if found is not None:
+            return found, 1.0, order.way
+        while part < 1.0:
+            found = self.step(self.at(i, part + size), q) if size < 1.0 else None
+            if found is None:
+                size *= 0.5
+                if size < 0.5**DEPTH:
+                    break
+            else:
+                q = found
+                part = part + size
+                size = min(2.0 * size, 1.0 - part)
+        if part < 1.0 and (found := self.bridge(i, begin, before, order)) is not None:
+            return found, 1.0, order.way
+        return q, part, order.way
+
+
+def _between(a: Array | None, b: Array | None, part: float) -> Array | None:
+    """The pose at a part of the way between two: positions linear, rotations by the exponential
+    map.
+    """
+    if a is None or b is None:
+        return None
+    R = a[:3, :3]
+    S = b[:3, :3]
+    turned = R @ spatial.exp_so3(part * spatial.log_so3(R.T @ S))
+    return spatial.pose(turned, a[:3, 3] + part * (b[:3, 3] - a[:3, 3]))
+
+
+# ---- rolling path
+
+# Paths of what rolls: checked for slip, and where the targets leave freedoms, led without slip
+# from the start on.
+
+
+LONGEST = 0.02
+"""Longest step that is led without slip at once, in radians and characteristic lengths."""
+ITERATIONS = 12
+HELD = 1e-12
+"""By how much targets may be missed, and rows violated, after a step."""
+MOST = 4096
+"""Steps at most between two targets."""
+
+
+def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
+    """The path where it does not slip; else one that rolls and holds the targets, if they leave
+    that; else what is before the first slip, with the place.
+    """
+    good = np.flatnonzero(path.success)
+    whole = len(good) and good[-1] - good[0] + 1 == len(good)
+    slip = slip_of(way.system, path.q[good]) if whole else None
+    if slip is None:
+        return path
+    q = path.q.copy()
+    reached = _led(way, q, begin)
+    if reached == len(q) - 1:
+        status = f"{len(q) - begin} of {counted(len(q), 'target')} followed, without slip"
+        return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), reason=status)
+    return _broken(path, slip, int(good[0]))
+
+
+def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
+    """The part of the path before it slips."""
+    k = first + slip.index
+    q = path.q.copy()
+    success = path.success.copy()
+    q[k:] = np.nan
+    success[k:] = False
+    many = int(success.sum())
+    followed = f"{many} of {counted(len(q), 'target')} followed"
+    status = (
+        f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a "
+        "manoeuvre"
+    )
+    return replace(path, q=q, success=success, jumps=(), reason=status)
+
+
+def _led(way: PathSteps, out: Array, begin: int) -> int:
+    """Write configurations (n, nq) that roll from target to target; returns the last one that was
+    reached.
+    """
+    q = out[begin]
+    for i in range(begin + 1, len(out)):
+        way.budget.check()
+        ahead = way.first_order(way.rows[i], q).way
+        parts = min(max(2, math.ceil(ahead / LONGEST)), MOST)
+        for part in range(1, parts + 1):
+            found = _step(way, i, part / parts, q)
+            if found is None:
+                return i - 1
+            q = found
+        out[i] = q
+    return len(out) - 1
+
+
+def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
+    """The configuration (nq,) that holds the target between, without slip in the middle of the way
+    to it; or None.
+
+    The smallest such step, by Newton's method.
+    """
+    system = way.system
+    problem = way.at(i, part)
+
+    def both(d: Array) -> tuple[Array, Array]:
+        e, J = way.missing(problem, system.structure.layout.integrate(q, d * way.scale))
+        A, b = hard_rows(
+            system, system.structure.layout.integrate(q, 0.5 * d * way.scale), way.scale
+        )
+        return np.concatenate([e, np.full(len(A), np.inf) if b.any() else A @ d]), np.concatenate(
+            [J, A]
+        )
+
+    def newton(d: Array, r: Array, M: Array) -> Array:
+        new = least_squares(M, M @ d - r, 1e-8)
+        return (
+            new - d
+            if np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d)
+            else np.full(len(d), np.inf)
+        )
+
+    found = gauss_newton(both, np.zeros(system.nv), ITERATIONS - 1, step=newton, met=HELD, last=0.0)
+    layout = system.structure.layout
+    x = layout.integrate(q, found.x * way.scale)
+    v = layout.vector_v
+    at = layout.vector_q
+    inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
+    return x if found.size <= HELD and inside.all() else None
+
+
+USUAL = Usual("ik_path", starts=STARTS, rng=0, time_limit=LONG, progress=None)
+ROUNDING = 1e-12
+"""How far outside its limits a coordinate may seem to be."""
+ROUNDED = 1e-3
+"""Largest tolerance that is named where targets seem to be rounded."""
+SAME = 1e-9
+"""Smallest singular value, as a part of the largest, at which rows are dependent."""
+AVOIDING = (0.02, 0.2)
+"""Strengths with which paths keep away from limits that are tried where the shortest steps end."""
+TRIED = 16
+"""Seeds that are tried where another start or a way on is looked for."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class IkPath(Configurations):
+    """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
+
+    `jumps` are the targets that are reached, but not continuously from the one before; `status`
+    says where and why the path jumps or stops. It is true where all targets are reached without a
+    jump. Ctrl-C or the time limit leaves what was done (`interrupted`, `late`).
+    """
+
+    is_motion = True
+    __repr__ = brief
+
+    also = ("jumps", "interrupted", "late")
+
+    system: System
+    q: Array
+    success: np.ndarray
+    jumps: tuple[int, ...]
+    reason: str
+    problem: Demands = field(repr=False)
+    """The tasks, with a goal for each of the targets."""
+    interrupted: bool = False
+    late: bool = False
+
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where a target is not reached, or by a jump only."""
+        if self:
+            return Status.SOLVED
+        return self._broken_off() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
+
+    def __bool__(self) -> bool:
+        return bool(np.all(self.success)) and not self.jumps
+
+    @property
+    def _closing(self) -> Any:
+        return self.problem.packed.closing
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return self.problem.hard_tasks
+
+    def _data(self) -> dict[str, Any]:
+        return {"success": bool(self), "followed": self.success} | super()._data()
+
+    def _claimed(self) -> np.ndarray:
+        return self.success
+
+    def _headline(self) -> str:
+        return self.status
+
+
+@explained
+@interruptible
+def ik_path(
+    system: System,
+    targets: Any,
+    frame: FrameLike | None = None,
+    start: Any = None,
+    *,
+    max_step: float = 0.5,
+    restart: bool = False,
+    branches: bool = False,
+    tolerance: float | tuple[float, float] | None = None,
+    budget: Budget | None = None,
+) -> IkPath:
+    """Configurations in which a frame follows targets, each reached continuously from the one
+    before.
+
+    `targets` are poses (n, 4, 4) or positions (n, 3), in the plane also (n, 3, 3) or (n, 2);
+    without a frame they are tasks of `kempe.tasks` whose goals have a leading axis (n). Limits,
+    couplings and loops hold, too. The first target is reached from `start` as `ik` does; from there
+    on each step starts at its first order, the damped pseudoinverse times what is missing (Whitney,
+    1969). A step is taken where it is not much longer than that, nor than `max_step` in radians and
+    characteristic lengths, or much like the one before; else the targets' way (linear, rotations by
+    the exponential map) is halved. Near a singularity it goes on as before where it can, and a turn
+    of the joints that leaves the targets' way alone is no jump. A `tolerance` above the usual 1e-10
+    m and rad is for rounded targets: what a singularity cannot give is then left out within it.
+    Where the smallest part of it cannot be gone, the path from the start is tried once more, if the
+    targets leave freedoms, with small self-motions away from limits. Where that ends, too, it
+    stops, or, with `restart`, goes on from the nearest configuration found at the next target that
+    can be reached; joints that the targets do not ask for stay. That it stops is no proof that no
+    continuous path exists.
+    Where there are velocity constraints, a path that slips (by more than the bend between targets
+    explains) is refused with the place; where targets leave freedoms, one that rolls is led from
+    the first target on instead. With `branches`, paths from several start configurations are tried,
+    those of `ik_all` among them where it applies: the answer is the one that gets farthest, then
+    the one with fewest jumps, then the shortest.
+    Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of
+    the whole call, after which what was done by then is the answer, and progress, which receives
+    how many targets are done. Errors: `InputError`, `UnknownNameError`.
+    """
+    if not 0.0 < max_step < math.inf:
+        raise InputError(f"max_step is {max_step!r}; it must be a positive number")
+    options = {"max_step": max_step, "restart": restart, "branches": branches}
+    wanted = targets if frame is None else _held(system, targets, frame)
+    name = None if frame is None else system.structure.frame_name(frame)
+    problem = Problem(
+        system,
+        "path",
+        NOTHING,
+        start,
+        None,
+        True,
+        tolerance,
+        budget,
+        options,
+        name,
+        targets=targets,
+        wanted=wanted,
+    )
+    solver, choice = choose(SOLVERS, system)
+    return chosen_by(solver.run(problem), choice)
+
+
+def by_steps(problem: Problem) -> IkPath:
+    """The path, gone step by step."""
+    system = problem.system
+    start = problem.start
+    options = problem.options
+    spend = USUAL.of(problem.budget)
+    tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
+    restart = options["restart"]
+    time = TimeLimit(spend.time_limit)
+    time.put_in_order()  # there is nothing to do afterwards
+    decided_within(USUAL, time, system)
+    demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
+    refuse_far(system, first, "start")
+    if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
+        raise InputError(
+            f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are "
+            f"(n,) targets and one start ({system.nq},)"
+        )
+    for task, goals in zip(demands.tasks, demands.goals, strict=True):
+        refuse(goals, task.label)
+    way = _FollowedPath(demands, options["max_step"], time, spend.progress)
+    n = demands.lead[0]
+    none = IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), "", demands)
+    begin = 0
+    begins = list[Array]()
+    try:
+        with time:
+            q0, info, begin = way.begun(first, restart)
+            if info[0, 0] != SOLVED:
+                why = judge(way.rows[begin], q0, info).status
+                return replace(none, reason=f"the path does not begin: target {begin} is {why}")
+            begins.append(q0[0])
+            if options["branches"]:
+                begins += [
+                    *way.elsewhere(begin, q0[0]),
+                    *_all(problem, way.rows[begin], begin, q0[0]),
+                ]
+    except BROKEN_OFF as error:
+        interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
+        if not begins or interrupted:
+            said = f"the path does not begin{partial(interrupted, late)}"
+            return replace(none, reason=said, interrupted=interrupted, late=late)
+    if not options["branches"]:
+        return way.rolled(way.best(begins[0], restart, begin), begin)
+    begins = _distinct(begins)
+    paths: list[IkPath] = []
+    for q in begins:
+        paths.append(way.best(q, restart, begin))
+        if paths[-1].interrupted or paths[-1].late:
+            break
+    paths = [way.rolled(p, begin) for p in paths]
+    return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
+
+
+def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
+    poses, lead, is_position = parse_targets(system, arrays(targets, "targets"))
+    poses = sound(poses, "targets")
+    refuse_no_poses(poses, "targets")
+    poses = poses.reshape(*lead, 4, 4)
+    name = system.structure.frame_name(frame)
+    is_position = is_position or bool(system.structure.table.at[name][2])
+    (held,) = of_target(name, "position" if is_position else "pose", Z_AXIS, poses)
+    return held
+
+
+class _FollowedPath(PathSteps):
+    """The way of targets, and the path along it, with self-motions away from limits where `avoids`
+    is not 0.
+    """
+
+    avoids = 0.0
+
+    def begun(self, first: Array, restart: bool) -> tuple[Array, np.ndarray, int]:
+        """What is found for the first target, or with `restart` for the first that is reached, and
+        its number.
+        """
+        begin = 0
+        q, info = self.rows[begin].run(first)
+        while restart and info[0, 0] != SOLVED and begin + 1 < len(self.rows):
+            begin += 1
+            q, info = self.rows[begin].run(first)
+        return q, info, begin
+
+    def reason(self, i: int, q: Array, part: float) -> str:
+        """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity,
+        or neither.
+        """
+        ahead = self.at(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
+        free = self.step(replace(ahead, limits=False), q)
+        if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):
+            return wording.limits_of(names, " and of ")
+        ratio = self.first_order(ahead, q).ratio
+        if ratio < SINGULAR and (name := self.forbidding(ahead, q)):
+            return f"a point from which {name!r} does not let it follow"
+        if ratio < SINGULAR:
+            return f"a singularity (ratio of singular values {ratio:.1g})"
+        return "a point from which it cannot be followed"
+
+    def forbidding(self, problem: Demands, q: Array) -> str:
+        """The name of what holds always and repeats a row of the targets, at q and elsewhere; ''
+        where nothing does.
+        """
+        packed = problem.packed
+        name = ""
+        if not packed.closed:
+            return ""
+        ties = [t.name for t in packed.loops.ties for _ in t.rows]
+        names = [t for t, row in zip(ties, packed.rows, strict=True) if row == -1]
+        aside = 0.2 * np.random.default_rng(0).normal(size=self.system.nv)
+        near = self.system.structure.layout.integrate(q, aside * self.scale)
+        other = assemble(self.system, start=near)
+        for x in (q, other.q) if other.success else ():
+            J = self.missing(problem, x)[1]
+            U, s, _ = svd(J)
+            tasks = len(J) - len(names)
+            alone = svd(J[:tasks], compute_uv=False)
+            if s[-1] > SAME * s[0] or len(J) > J.shape[1] or alone[-1] < SINGULAR * alone[0]:
+                return ""
+            name = names[int(np.argmax(np.abs(U[tasks:, -1])))]
+        return name
+
+    def hint(self, i: int, q: Array, before: Array) -> str:
+        """The tolerance with which a path would go on through a singularity as before, where there
+        is a small one.
+        """
+        if not before.any() or self.first_order(self.rows[i], q).ratio > WEAK:
+            return ""
+        x = self.truncated(self.rows[i], q, before)
+        if x is None:
+            return ""
+        missed = judge(self.rows[i], x[None], np.full((1, 3), SOLVED))
+        most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
+        return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
+
+    def elsewhere(self, i: int, q: Array) -> list[Array]:
+        """Configurations found that hold target i, from many starts, the nearest to q first."""
+        row = self.rows[i]
+        seeds = np.concatenate([q[None], random(self.system, row.rng, TRIED - 1)])
+        untouched = apart(row.packed, row.pins)
+        seeds[:, untouched] = q[untouched]
+        found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
+        good = found[info[:, 0] == SOLVED]
+        return sorted(
+            good,
+            key=lambda x: float(
+                np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale)
+            ),
+        )
+
+    def best(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
+        """The path from q by the shortest steps; where that ends, and freedoms are left, one that
+        keeps from limits.
+        """
+        path = self.path(q, restart, begin)
+        if path or path.interrupted or path.late or rolls(self.system) or not self.free(begin, q):
+            return path
+        for self.avoids in AVOIDING:
+            other = self.path(q, restart, begin)
+            if _farthest(other) > _farthest(path):
+                path = other
+            elif other.interrupted or other.late:
+                broken = partial(other.interrupted, other.late).strip(" ()")
+                said = f"{path.reason}; another way was looked for, {broken}"
+                path = replace(path, interrupted=other.interrupted, late=other.late, reason=said)
+            if path or path.interrupted or path.late:
+                break
+        self.avoids = 0.0
+        return path
+
+    def free(self, i: int, q: Array) -> bool:
+        """Whether target i leaves freedoms of joints that it asks for, and there are limits."""
+        J = self.missing(self.rows[i], q)[1]
+        used = int((np.abs(J) > 0.0).any(axis=0).sum()) if J.size else 0
+        return self.rows[i].limits and used > int(np.linalg.matrix_rank(J)) if J.size else False
+
+    def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
+        """The path from q, which holds target `begin`; those before cannot be reached."""
+        n = len(self.rows)
+        out = np.full((n, self.system.nq), np.nan)
+        jumps: list[int] = []
+        said: list[str] = []
+        out[begin] = q
+        interrupted = False
+        late = False
+        if begin:
+            said.append(
+                f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}"
+            )
+        try:
+            with self.budget:
+                self._go(out, jumps, said, restart, begin)
+        except BROKEN_OFF as error:
+            interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
+            said.append(partial(interrupted, late).strip(" ()"))
+        untouched = apart(self.problem.packed, self.problem.pins)
+        out[:, untouched] = q[untouched]  # to the last bit
+        success = self._checked(out)
+        status = f"{success.sum()} of {counted(n, 'target')} followed"
+        jumped = (
+            f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
+        )
+        status = "; ".join([status + jumped, *said])
+        return IkPath(
+            self.system, out, success, tuple(jumps), status, self.problem, interrupted, late
+        )
+
+    def rolled(self, path: IkPath, begin: int) -> IkPath:
+        """The path, or where there are velocity constraints what of it, or in its place, does not
+        slip.
+        """
+        if not rolls(self.system) or path.interrupted or path.late:
+            return path
+
+        try:
+            with self.budget:
+                return without_slip(self, path, begin)
+        except BROKEN_OFF as error:
+            interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
+            said = f"{path.reason}; it slips, {partial(interrupted, late).strip(' ()')}"
+            return replace(
+                path,
+                success=np.zeros(len(path.q), dtype=bool),
+                reason=said,
+                interrupted=interrupted,
+                late=late,
+            )
+
+    def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
+        """Write the path from its configuration at target `begin` on, and what there is to say."""
+        q = out[begin]
+        broken = False
+        before = np.zeros(self.system.nv)
+        last = 0.0
+        for i in range(begin + 1, len(out)):
+            found, part, way = (q, 0.0, 0.0) if broken else self.follow(i, q, before, last)
+            if part < 1.0:
+                why = ""
+                if not broken:
+                    why = (
+                        f"{part:.1%} of the way from target {i - 1} to {i}, at "
+                        f"{self.reason(i, found, part)}"
+                    )
+                    why += self.hint(i, q, before)
+                others = self.elsewhere(i, found)
+                broken = not others
+                said += (
+                    [_sentence(self.system, i, why, found, others, restart)]
+                    if why or others
+                    else []
+                )
+                jumps += [i] if others else []
+                if not restart:
+                    break
+                if broken:
+                    continue
+                found = others[0]
+                q = others[0]
+            if way > STAYS:  # else the target stays, and one goes on as before it
+                moved = self.system.structure.layout.difference(q, found) / self.scale
+                before = moved if not before.any() else moved + self.calm * (before - moved)
+                last = way
+            q = self.away(i, found, self.avoids) if self.avoids else found
+            out[i] = q
+            if self.progress is not None:
+                self.progress(i + 1)
+
+    def _checked(self, q: Array) -> np.ndarray:
+        """Which configurations (n,) hold, by the forward model; the others become NaN, in place."""
+        info = np.zeros((len(q), 3), dtype=np.int64)
+        info[np.isnan(q).any(axis=1), 0] = Status.BAD_INPUT
+        good = np.asarray(judge(self.problem, q, info).success)
+        q[~good] = np.nan
+        return good
+
+
+def _sentence(
+    system: System, i: int, why: str, q: Array, others: list[Array], restart: bool
+) -> str:
+    where = (
+        f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
+    )
+    if not others:
+        return f"{where}; target {i} was not reached from {TRIED} other starts either"
+    change = np.abs(system.structure.layout.difference(q, others[0]))
+    far = int(np.argmax(change))
+    name = system.structure.velocity_names[far]
+    known = "" if restart else "; whether a way without a jump exists is not known"
+    return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {name!r}{known}"
+
+
+def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
+    """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for
+    is as in q (nq,).
+    """
+    if (
+        problem.frame is None
+        or of_loops(problem.system, problem.frame)
+        or shared_by(problem.system, problem.frame)
+    ):
+        return []
+    from kempe.inverse.ik_all import ik_all
+
+    try:
+        found = ik_all(problem.system, reals(problem.targets, "targets")[begin], problem.frame)
+    except UnsupportedError:
+        return []
+    starts = found.q[found.inside]
+    untouched = apart(row.packed, row.pins)
+    starts[:, untouched] = q[untouched]
+    answers = [row.run(x[None]) for x in starts]
+    return [x[0] for x, info in answers if info[0, 0] == SOLVED]
+
+
+def _distinct(configurations: list[Array]) -> list[Array]:
+    out: list[Array] = []
+    for q in configurations:
+        if all(np.abs(q - other).max(initial=0.0) > 1e-6 for other in out):
+            out.append(q)
+    return out
+
+
+def _farthest(path: IkPath) -> int:
+    """Number of targets before the first that is not reached continuously."""
+    bad = [*np.flatnonzero(~path.success), *path.jumps, len(path)]
+    return int(min(bad))
+
+
+def _length(path: IkPath) -> float:
+    q = path.q[path.success]
+    return float(
+        np.linalg.norm(path.system.structure.layout.difference(q[:-1], q[1:]), axis=-1).sum()
+    )
+
+
+SOLVERS = (
+    Solver(
+        "steps",
+        "each step from its first order on, halved where it is not much longer than that",
+        takes_all,
+        by_steps,
+    ),
+)
+"""Who answers for a path."""

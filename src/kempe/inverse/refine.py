@@ -1,0 +1,215 @@
+"""Configurations brought onto their targets where lengths are far apart: steps that are solved, not
+damped.
+
+Damping keeps a search alive, but it drowns a joint whose lever is a millionth of another's. Near a
+solution a Gauss-Newton step needs none; with each column of the Jacobian scaled to its own size
+small levers count as large ones.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers.targets import frame_of, points_along
+from kempe.errors import UnsupportedError
+from kempe.forward.fk import fk, jacobian
+from kempe.inverse.chain.problem import FrameProblem, misses
+from kempe.inverse.chain.serial_chain import moved_by
+from kempe.inverse.closed_forms.held import attainable, chain_lines, plan_for, solve_held
+from kempe.inverse.closed_forms.plan import ChainPlan
+from kempe.inverse.closed_forms.question import Question
+from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.compiled import schedule
+from kempe.kernels.forward.table_layout import tip_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+TRIES = 24
+"""Starts that are sharpened."""
+
+STEPS = 30
+LONGEST = 0.5
+DONE = 1e-4
+"""Steps at most, the longest change of an angle in one, and the part of the tolerances at which
+they end.
+
+A step may make the error larger: what a millionth of a long lever turns beside the mark, the next
+step makes good."""
+
+CONDITION = 1e-14
+"""Singular values below this part of the largest are zero."""
+
+
+def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
+    """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where
+    they can.
+
+    head: the first arguments of the kernels. Starts are the ends of the first search and of further
+    ones, then closed forms. For poses the tip is moved to the last axis, which changes nothing but
+    the lever of the tool.
+    """
+    ints, floats, limits, rows, goals, seeds, rng = head
+    n = out.shape[1] - ANSWER
+    if task.name == "pose" and not np.any(rows[6]):
+        floats = floats.copy()
+        goals = goals.copy()
+        tip = tip_of(ints, floats)
+        goals[:, :3, 3] -= (goals[:, :3, :3] @ (tip[:, :3].T @ tip[:, 3])[:, None])[..., 0]
+        tip[:, 3] = 0.0
+    left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
+    for k in range(TRIES + 1):
+        if not len(left):
+            break
+        q = out[left, :n]
+        if k == TRIES:
+            q = _by_equations(task, targets[left], q)
+        elif k:
+            own = seeds[left] if len(seeds) > 1 else seeds
+            found = np.empty((len(left), out.shape[1]))
+            schedule.reach(
+                ints,
+                floats,
+                limits,
+                rows,
+                goals[left],
+                own,
+                rng,
+                k - 1,
+                1,
+                task.iterations,
+                *task.tolerance,
+                0.0,
+                found,
+            )
+            q = found[:, :n]
+        q, error = sharpen(task, targets[left], q, limits)
+        better = np.max(error / task.tolerance, axis=1) < np.max(
+            out[left, n:][:, :2] / task.tolerance, axis=1
+        )
+        at = left[better]
+        out[at, :n], out[at, n + LINEAR : n + STATUS] = q[better], error[better]
+        out[left[np.all(error <= task.tolerance, axis=1)], n + STATUS] = SOLVED
+        left = left[out[left, n + STATUS] == NOT_FOUND]
+    return len(left)
+
+
+def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
+    """Configurations (N, n) by closed form or elimination, inside the limits, where there are some;
+    else q (N, n).
+    """
+
+    plan = plan_of(task.system, task.frame, task.name, task.axis)
+    return q if isinstance(plan, str) else kept(task, plan, targets, q)
+
+
+def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
+    """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and
+    their errors (N, 2).
+    """
+    best = q.copy()
+    least = misses(task, targets, q)
+    score = np.max(least / task.tolerance, axis=1)
+    left = np.flatnonzero(np.isfinite(score))
+    x = q[np.isfinite(score)]
+    turns = moved_by(task.chain)[0]
+    for _ in range(STEPS):
+        if not len(left):
+            break
+        step = _step(task, targets[left], x)
+        far = np.abs(step * turns).max(axis=1, initial=LONGEST)
+        x = np.clip(x + step * (LONGEST / far)[:, None], *limits)
+        error = misses(task, targets[left], x)
+        value = np.max(error / task.tolerance, axis=1)
+        better = value < score[left]
+        at = left[better]
+        best[at], least[at], score[at] = x[better], error[better], value[better]
+        go_on = (score[left] > DONE) & np.isfinite(value)
+        left = left[go_on]
+        x = x[go_on]
+    return best, least
+
+
+def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
+    """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by
+    themselves.
+    """
+    chain = task.chain
+    system = task.system
+    turn = frame_of(np.array(task.axis))
+    full = np.repeat(chain.base, len(q), axis=0)
+    full[:, chain.q_index] = q
+    X = fk(system, full, task.frame, threads=1)
+    J = jacobian(system, full, task.frame, "body")[..., chain.v_index]
+    J = np.concatenate([turn.T @ J[:, :3], turn.T @ J[:, 3:]], axis=1)
+    back = np.swapaxes(X[:, :3, :3] @ turn, 1, 2)
+    e = np.zeros((len(q), 6))
+    e[:, :3] = (back @ (targets[:, :3, 3] - X[:, :3, 3])[..., None])[..., 0]
+    D = back @ targets[:, :3, :3] @ turn
+    if points_along(task.name):
+        z = D[:, :, 2]
+        across = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)
+        sine = np.linalg.norm(across, axis=1, keepdims=True)
+        e[:, 3:] = across * np.arctan2(sine, z[:, 2:]) / np.maximum(sine, 1e-300)
+    else:
+        e[:, 3:] = spatial.log_so3(D)
+    size = np.array([1.0 / max(chain.span.largest, 1e-300)] * 3 + [1.0] * 3) * task.mask
+    J = J * size[:, None]
+    e = e * size
+    column = np.linalg.norm(J, axis=1, keepdims=True)
+    column = np.where(column > 0.0, column, 1.0)
+    return (np.linalg.pinv(J / column, rcond=CONDITION) @ e[..., None])[..., 0] / column[:, 0]
+
+
+# ---- ik analytic
+
+# Where `ik` is answered by `ik_all`: the nearest of all solutions, and numbers for the rest.
+
+
+def plan_of(
+    system: System, frame: str, task: str, axis: tuple[float, float, float]
+) -> ChainPlan | str:
+    """The plan that answers a task of a frame, or why numbers have to."""
+    try:
+        plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
+    except UnsupportedError as error:
+        return str(error)
+    if plan.method != "search" and not plan.locked:
+        return plan
+    why = (
+        "has more joints than the task needs"
+        if plan.locked
+        else "has neither a closed form nor an elimination"
+    )
+    return f"the chain of {frame!r} {why}: method 'analytic' has no single answer for it"
+
+
+def kept(task: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:
+    """Configurations (N, n) of the chain: a solution inside the limits where the equations have
+    one, else q (N, n).
+    """
+    lines = plan.lines
+    base = task.chain.base[:, plan.lines.q_index]
+    sure = max(*task.tolerance, attainable(targets, lines))
+    question = Question(
+        task.system,
+        task.frame,
+        task.name,
+        task.axis,
+        targets,
+        (len(targets),),
+        sure,
+        max(task.tolerance),
+    )
+    rows, _ = solve_held(question, plan, base, base, 1)
+    code = rows[..., len(lines) + A.CODE]
+    error = np.where((code >= 0.0) & (code % 2.0 == 1.0), rows[..., len(lines) + A.ERROR], np.inf)
+    best = np.argmin(error, axis=1)
+    at = {int(x): i for i, x in enumerate(lines.q_index)}
+    found = rows[np.arange(len(q)), best][:, [at[int(x)] for x in task.chain.q_index]]
+    return np.where(np.isfinite(error.min(axis=1))[:, None], found, q)

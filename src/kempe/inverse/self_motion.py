@@ -1,0 +1,458 @@
+"""Self-motions: how a system can move while its tasks hold, traced step by step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.answers import wording
+from kempe.answers.answer import Configurations
+from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.targets import axis_of, points_along, task_and_axis, task_of
+from kempe.arguments import brief, explained, explained_methods, interruptible
+from kempe.arrays import is_whole
+from kempe.budget import Budget, Usual
+from kempe.constraints.base import Constraint, numbers_of
+from kempe.constraints.kinds import of_target
+from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.slip import slip_of
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.forward.fk import fk
+from kempe.inverse.tasks.freedoms import Local
+from kempe.inverse.tasks.search import judge, pose_problem
+from kempe.kernels.base.search_layout import SOLVED
+from kempe.model.configurations import as_q
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within
+from kempe.numerics.curves import NONE, Node, walk
+from kempe.spatial import Array, ArrayLike
+from kempe.words import counted, joined
+
+if TYPE_CHECKING:
+    from kempe.inverse.tasks.demands import Demands
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+USUAL = Usual("self_motion", points=200, step=0.05, time_limit=TIME_LIMIT, progress=None)
+TOLERANCE = 1e-10
+"""Largest error of the tasks along the way, in metres and radians."""
+HOLDS = (1e-9, 1e-9)
+"""Largest error of a task, in metres and radians, with which it is said to hold along the way."""
+HOMING = 8
+MET = 1e-6
+"""Steps by which a way is led to the configuration that it may have come back to, and the distance
+at which it has."""
+ALIKE = 0.98
+"""Cosine above which two directions are those of one curve."""
+AT_LIMIT = 1e-6
+"""How near to a limit a coordinate is at it."""
+SHORTEST = 1e-4
+"""Part of a step below which the way ends."""
+LEAST_PART = 0.05
+"""Part of the wished direction that the freedoms must still have for the way to go on."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class SelfMotion(Configurations):
+    """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are
+    passed.
+
+    `freedoms` are those that the tasks leave at the start, over a distance: where there are only
+    such to first order, `freedoms` is 0 and `q` has the start alone. `start` is the row of the
+    configuration it began with. `closed` says that the way comes back to it; else `ends` says for
+    both ends why the way ends there. Where an interrupt from the keyboard (`interrupted`) or the
+    time limit (`late`) ended the work, these are the configurations found by then.
+    """
+
+    is_motion = True
+    __repr__ = brief
+
+    also = ("freedoms", "start", "closed", "ends", "interrupted", "late")
+
+    system: System
+    q: Array
+    freedoms: int
+    start: int
+    closed: bool
+    ends: tuple[str, str]
+    problem: Demands = field(repr=False)
+    """The tasks that hold all along."""
+    interrupted: bool = False
+    late: bool = False
+
+    @property
+    def success(self) -> bool:
+        """Whether it moves, and its way was followed to the ends."""
+        return self.freedoms > 0 and self._broken_off() is None
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return [(task, goals, HOLDS) for task, goals, _ in self.problem.hard_tasks]
+
+    def _headline(self) -> str:
+        return self.status
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        how = (
+            "it comes back to its start"
+            if self.closed
+            else f"from {self.ends[0]} to {self.ends[1]}"
+        )
+        if not self.freedoms:
+            return f"1 configuration, no motion: {self.ends[0]}"
+        many = (
+            f"{counted(len(self.q), 'configuration')} of a self-motion with "
+            f"{counted(self.freedoms, 'freedom')}"
+        )
+        return f"{many}: {how}{self._partial()}"
+
+
+@explained
+@interruptible
+def self_motion(
+    system: System,
+    q: Any,
+    tasks: FrameLike | Constraint | Sequence[Constraint],
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    direction: Any = None,
+    budget: Budget | None = None,
+) -> SelfMotion:
+    """The motion of a system from q (nq,), in both directions, that keeps tasks fulfilled.
+
+    `tasks` is a frame, or hard tasks that are fulfilled at q. A frame keeps its pose, or only the
+    part that `task` names, as for `System.ik`: "position", "orientation", "direction",
+    "position_axis". Only joints that move a frame of the tasks count, and move. If the tasks leave
+    one freedom, the whole curve is traced until it closes, meets a limit or has the largest number
+    of points in each direction. If they leave more, `direction` chooses a curve: the name of a
+    coordinate, or a velocity (nv,), which is projected onto the velocities that the tasks allow.
+    `budget.step` is the length of a step, in radians and characteristic lengths. The tasks are
+    fulfilled to 1e-9 at all points, by corrections of minimum norm. Where the Jacobian loses rank
+    and no motion is found, the answer is q alone, and says so. Errors: `InputError` where the tasks
+    are not fulfilled at q,
+    leave no freedom to first order, or more than one without a direction; `UnsupportedError` where
+    velocity constraints do not allow the motion.
+    """
+    q = as_q(system, q)
+    if q.ndim != 1:
+        raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
+    wanted = _wanted(system, q, tasks, *task_and_axis(task))
+    problem = Problem(
+        system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted
+    )
+    solver, choice = choose(SOLVERS, system)
+    return chosen_by(solver.run(problem), choice)
+
+
+def by_tangents(problem: Problem) -> SelfMotion:
+    """The configurations, each a step along the tangent of the one before, led back."""
+    spend: Any = USUAL.of(problem.budget)
+    system = problem.system
+    direction = problem.options["direction"]
+    steps = spend.points
+    time = TimeLimit(spend.time_limit)
+    size = step = spend.step
+    number = isinstance(step, (int, float, np.floating))
+    if not is_whole(steps) or steps < 1 or not number or not 0.0 < step <= 0.5:
+        raise InputError(
+            f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step "
+            "<= 0.5"
+        )
+    time.put_in_order()  # there is nothing to do afterwards
+    with begun_within(USUAL, time):
+        demands, q0 = _begin(system, problem.start, problem.wanted)
+        local = Local(demands, q0)
+        if not local.left.shape[1]:
+            raise InputError("the tasks leave no freedom at q: there is no self-motion")
+        finite = local.finite
+    if not finite:
+        text = wording.freedoms_left(local.left.shape[1], 0)
+        return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
+    wish = _wish(system, direction, local, demands)
+    if local.finite == 1:  # of curves that meet here, the one nearest to the direction
+        found = np.concatenate([local.motions, -local.motions])
+        wish = found[np.argmax(found @ wish)]
+    way = _Direction(local, wish, local.finite > 1, float(size), time, spend.progress)
+    forth = way.follow(q0, 1.0, steps)
+    if forth.closed:
+        return SelfMotion(
+            system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands
+        )
+    back = _HalfCurve([], False, "the start", -forth.t)
+    if way.broken is None:
+        back = way.follow(
+            q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None
+        )
+    q = _rolling(system, [*back.q[::-1], q0, *forth.q])
+    ends = ("", "") if back.closed else (back.end, forth.end)
+    interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
+    return SelfMotion(
+        system, q, local.finite, len(back.q), back.closed, ends, demands, interrupted, late
+    )
+
+
+def _rolling(system: System, q: list[Array]) -> Array:
+    """Configurations (n, nq), one after the other. Errors: `UnsupportedError` where they slip."""
+    found = np.array(q)
+    slip = slip_of(system, found)
+    if slip is not None:
+        raise UnsupportedError(
+            f"the self-motion of {system.name} {slip.text}: only what does not move what rolls is "
+            "followed; steps without slip are those of ik_step"
+        )
+    return found
+
+
+def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
+    """The tasks; for a frame those that keep it."""
+    wanted: Any = tasks
+    if isinstance(tasks, (Constraint, list, tuple)):
+        if task is not None:
+            raise InputError(
+                f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask"
+            )
+        return wanted
+    name = system.structure.frame_name(tasks)
+    kind = task_of(task, False, bool(system.structure.table.at[name][2]))
+    if system.dim == 2 and points_along(kind):
+        kind = "orientation" if kind == "direction" else "pose"
+    return of_target(name, kind, axis_of(axis), fk(system, q, name))
+
+
+def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:
+    """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where
+    they do not hold.
+    """
+    problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
+    rows = one_sided_rows(system)
+    if problem.lead:
+        raise InputError(
+            f"the goals have the leading shape {problem.lead}; needed are those of one problem"
+        )
+    problem = replace(problem, tasks=tuple(t.exactly() for t in problem.tasks))
+    at = judge(replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64))
+    if not at:
+        over = [name for name, far in zip(rows.names, rows.beyond(q), strict=True) if far]
+        if over:
+            raise InputError(f"q is outside the limits of {joined([repr(name) for name in over])}")
+        raise InputError(
+            f"the tasks do not hold at q: they are missed by {at.position_error} m, "
+            f"{at.orientation_error} rad"
+        )
+    return problem, problem.run(start)[0][0]
+
+
+def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Array:
+    """The scaled velocity (nv,) to follow."""
+    if direction is None:
+        if local.finite > 1:
+            raise InputError(
+                f"the tasks leave {counted(local.finite, 'freedom')}: say by `direction` which way "
+                "to go"
+            )
+        found = local.motions
+        if (np.abs(found @ found[0]) < ALIKE).any():
+            raise InputError("self-motions branch here: say by `direction` which way to go")
+        return found[0]
+    scale = problem.packed.scale
+    if isinstance(direction, str):
+        if direction not in system.structure.velocity_names:
+            raise UnknownNameError(
+                "coordinate", direction, system.structure.velocity_names, system.name
+            )
+        at = system.structure.velocity_names.index(direction)
+        if at not in local.movers:
+            own = joined([repr(system.structure.velocity_names[int(v)]) for v in local.movers])
+            raise InputError(
+                f"direction is {direction!r}, which does not move what the tasks hold; {own} do"
+            )
+        return np.eye(system.nv)[at]
+    wish = numbers_of(direction, "direction")
+    if wish.shape != (system.nv,) or not np.isfinite(wish).all() or not wish.any():
+        raise InputError(
+            f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero"
+        )
+    return wish / scale / np.linalg.norm(wish / scale)
+
+
+class _HalfCurve(NamedTuple):
+    """One way from the start: configurations, whether they come to where they should, why they end,
+    the last direction, and whether it is only for the number of steps that they end.
+    """
+
+    q: list[Array]
+    closed: bool
+    end: str
+    t: Array
+    last: bool = False
+
+
+class _Direction:
+    """Follows self-motions by steps along the tangent that are led back."""
+
+    def __init__(
+        self,
+        local: Local,
+        wish: Array,
+        wished: bool,
+        step: float,
+        time: TimeLimit,
+        progress: Callable[[int], Any] | None,
+    ) -> None:
+        self.time = time
+        self.progress = progress
+        self.done = 0
+        self.broken: BaseException | None = None
+        self.local = local
+        self.problem = local.problem
+        self.wish = wish
+        self.wished = wished
+        self.step = step
+
+    def follow(
+        self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None
+    ) -> _HalfCurve:
+        """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,)
+        in which it is passed; without one back to q.
+        """
+        out: list[Array] = []
+        try:
+            with self.time:
+                return self._follow(q, sign, steps, goal, out)
+        except BROKEN_OFF as error:
+            self.broken = error
+            return _HalfCurve(out, False, self.time.reason(error), sign * self.wish)
+
+    def _follow(
+        self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]
+    ) -> _HalfCurve:
+        system = self.problem.system
+        way = sign * self.wish
+        a = self._node(q, way)
+        given = goal is not None
+        goal = (q, a.t) if goal is None else goal
+        nothing = _HalfCurve(out, False, "where the tasks leave nothing of this direction", a.t)
+        if a.sigma < LEAST_PART:
+            return nothing
+
+        def taken(a: Node, h: float) -> list[Node] | None:
+            self.time.check()
+            x = self._led(self.local.move(a.x, h * a.t))
+            if x is None or self.local.between(a.x, x) @ a.t < 0.01 * h:
+                return None
+            return [self._node(x, way if self.wished else a.t)]
+
+        for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf):
+            if (out or given) and not self.wished and self._passes(a, b, goal):
+                return _HalfCurve(out, True, "", a.t)
+            out.append(b.x)
+            self.done += 1
+            if self.progress is not None:
+                self.progress(self.done)
+            if names := _at_limits(system, b.x, a.t):
+                return _HalfCurve(out, False, f"the limit of {names[0]!r}", a.t)
+            if len(out) == steps:
+                return _HalfCurve(out, False, f"the last of {counted(steps, 'step')}", a.t, True)
+            if b.sigma < LEAST_PART:
+                return nothing._replace(t=b.t)
+            a = b
+        return _HalfCurve(
+            out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t
+        )
+
+    def _led(self, x: Array) -> Array | None:
+        """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks
+        finds it; or None.
+        """
+        found, info = self.problem.run(x[None])
+        return found[0] if info[0, 0] == SOLVED else None
+
+    def _node(self, x: Array, toward: Array) -> Node:
+        """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large
+        that part is.
+        """
+        N = self.local.tangents(x)
+        t = N @ (N.T @ toward)
+        size = float(np.linalg.norm(t))
+        return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
+
+    def _passes(self, a: Node, b: Node, goal: tuple[Array, Array]) -> bool:
+        """Whether the step from a to b comes through the goal.
+
+        Steps from a that are as long as the goal is ahead, each led back, end there.
+        """
+        (there, along) = goal
+        t = a.t
+        home = self._short(a.x, there)
+        ahead = float(home @ t)
+        reach = float(np.linalg.norm(self.local.between(a.x, b.x)))
+        if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
+            return False
+        q: Array | None = a.x
+        for _ in range(HOMING):
+            q = self._led(self.local.move(q, ahead * t))
+            if q is None:
+                return False
+            gap = self._short(q, there)
+            if np.linalg.norm(gap) < MET:
+                return True
+            ahead = float(gap @ t)
+        return False
+
+    def _short(self, a: Array, b: Array) -> Array:
+        """The shortest step (nv,) from a to b; unlimited joints turn the short way."""
+        from kempe.model.configurations import circles
+
+        v = self.problem.system.structure.layout.difference(a, b)
+        round_ = circles(self.problem.system)
+        v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
+        return v / self.problem.packed.scale
+
+
+def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
+    """What stands in the way of going on from q along t: a limit, or the bound of a task, not
+    farther than `ahead`.
+    """
+    system = problem.system
+    scale = problem.packed.scale
+    if names := _at_limits(system, q, t, ahead * scale):
+        return f"the limit of {names[0]!r}"
+    there = system.structure.layout.integrate(q, ahead * t * scale)
+    rows = problem.packed.one_sided
+    beyond = np.append(rows.beyond(there, declared=True) * rows.scale[: rows.declared], 0.0)
+    if beyond.max() > 0.01 * ahead:
+        return f"the one-sided constraint {rows.names[int(beyond.argmax())]!r}"
+    owner = problem.packed.owner
+    ties = problem.packed.loops.ties
+    for i in sorted({int(k) for k, tie in zip(owner, ties, strict=True) if tie.bounds and k >= 0}):
+        task = problem.tasks[i]
+        goals = problem.goals[i]
+        if max(task.measure(system, there, goals)) > 0.01 * ahead:
+            return f"the bound of {task.label!r}"
+    return "a point where it cannot be followed"
+
+
+def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
+    """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within
+    `ahead` (nv,).
+    """
+    v = system.structure.layout.vector_v
+    x = q[system.structure.layout.vector_q]
+    near = AT_LIMIT + np.abs(ahead * t)[v]
+    low = (x <= system.lower[v] + near) & (t[v] < 0.0)
+    high = (x >= system.upper[v] - near) & (t[v] > 0.0)
+    return [system.structure.velocity_names[v[i]] for i in np.flatnonzero(low | high)]
+
+
+SOLVERS = (
+    Solver(
+        "tangents",
+        "steps along the directions in which the tasks hold to first order, led back, both ways",
+        takes_all,
+        by_tangents,
+    ),
+)
+"""Who answers for a self-motion."""

@@ -1,0 +1,919 @@
+"""`Sweep`: the answer of `ik_sweep`, the solutions of a redundant chain as functions of a
+parameter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.answers.answer import Answer, ConfigurationList
+from kempe.answers.problem import Problem, Solver, choose, chosen_by
+from kempe.answers.targets import (
+    Z_AXIS,
+    axis_for,
+    not_a_pose,
+    refuse_position,
+    targets_of,
+    task_and_axis,
+)
+from kempe.answers.targets import task_of as task_of_targets
+from kempe.arguments import brief, explained, explained_methods
+from kempe.arrays import FARTHEST, is_whole, reals
+from kempe.budget import Budget, TimeUp, Usual, look
+from kempe.constraints.kinds import AXIS_TASKS, of_target
+from kempe.equations.tasks import task_of
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.forward.fk import fk
+from kempe.inverse.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
+from kempe.inverse.chain.serial_chain import inside
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.held import chain_lines, plan_for
+from kempe.inverse.closed_forms.plan import domains
+from kempe.inverse.closed_forms.question import held, near_of
+from kempe.inverse.ik_all import ik_all
+from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, arcs_through
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.numerics.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
+from kempe.numerics.intervals import Intervals, spelled, union
+from kempe.poses import arrays, refuse_no_poses
+from kempe.report import Cells, by_code
+from kempe.spatial import Array, log_so3
+from kempe.status import Status, member
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+EDGE = 1e-10
+"""How far beyond a limit rounding may push a coordinate, as in `ik_all`."""
+
+HOLDS = (1e-6, 1e-6)
+"""Metres and radians that a sampled solution may miss the target by."""
+
+SAME = 1e-6
+"""Largest difference of two configurations that count as one."""
+
+TRIES = 201
+REFINED = 4
+"""Configurations of each interval that are compared, and how many of the best of these are
+refined."""
+
+LATE = "the time limit ended the search: there may be more"
+"""What is added where branches may be missing."""
+
+PIECE = 4096
+"""Samples between two looks at the clock."""
+
+TWO_PI = 2.0 * math.pi
+
+
+class Curves(Protocol):
+    """What a sweep is made of: branches of solutions over the parameter."""
+
+    domain: tuple[float, float]
+    labels: tuple[str, ...]
+    base: Array
+    lines: Lines
+    exact: bool
+    circular: bool
+    late: bool
+    reason: str
+
+    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+        """For each branch, where it exists, inside the limits where `limited`."""
+        ...
+
+    def rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
+        """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one
+        branch K = 1.
+        """
+        ...
+
+
+class Best(NamedTuple):
+    """The best configuration of a sweep: parameter `value`, `q` (nq,), `branch` and `score`."""
+
+    value: float
+    q: Array
+    branch: int
+    score: float
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Slice(ConfigurationList, Answer):
+    """All solutions at one value of the parameter of a `sweep`, or at each of many.
+
+    For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position
+    error [m] and orientation error [rad] by the forward model) and `branch` (k,). For values (m,):
+    `q` (m, K, nq) with a row for each branch, NaN where `mask` (m, K) is False, the others (m, K).
+    """
+
+    __repr__ = brief
+
+    what = "values with a solution inside the limits"
+    also = ("value", "inside", "branch")
+
+    sweep: Sweep = field(repr=False)
+    value: Any
+    q: Array
+    mask: np.ndarray
+    inside: np.ndarray
+    residual: Any = field()
+    branch: np.ndarray
+
+    success = by_code
+
+    @property
+    def system(self) -> System:
+        """The system of the problem."""
+        return self.sweep.system
+
+    @property
+    def code(self) -> Any:
+        """The outcome (...): the sweep is in closed form, so that there is no solution is proven."""
+        there = np.where(self.mask.any(axis=-1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
+        return member(np.where(self.inside.any(axis=-1), Status.SOLVED, there))
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return self.sweep._goals()
+
+    def _claimed(self) -> np.ndarray:
+        return self.mask
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        count = int(self.mask[index].sum())
+        good = int(self.inside[index].sum())
+        value = float(np.asarray(self.value)[index])
+        return (
+            f"{counted(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} inside "
+            "limits"
+        )
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Answer):
+    """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or
+    "arm_angle".
+
+    `intervals` has, for each branch, the intervals (low, high) of the parameter in which its
+    solution is inside the limits; `spans` those in which it exists at all; `feasible` is the union
+    of `intervals`. Arm angles: low is in [-pi, pi), and high is beyond pi where the interval passes
+    it. `exact`: the intervals are in closed form and complete; else they are found from solutions
+    at many values, their ends to 1e-10, and pieces between two of these values may be missing.
+    `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
+
+    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were requested:
+    each row is one branch, continuous inside its intervals, NaN where `mask` is False. `at` gives
+    all solutions at any value, `best` the best.
+    """
+
+    also = (
+        "frame",
+        "parameter",
+        "task",
+        "held",
+        "domain",
+        "labels",
+        "intervals",
+        "spans",
+        "feasible",
+        "exact",
+        "values",
+        "inside",
+    )
+
+    system: System
+    frame: str
+    parameter: str
+    task: str
+    target: Array
+    held: dict[str, float]
+    domain: tuple[float, float]
+    labels: tuple[str, ...]
+    intervals: tuple[Intervals, ...]
+    spans: tuple[Intervals, ...]
+    exact: bool
+    values: Array
+    q: Array
+    mask: np.ndarray
+    inside: np.ndarray
+    curves: Curves
+    near: Array
+    ask: Callable[[Array], Any] | None
+
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns for a file: a row a sample and branch inside the limits, with the
+        parameter's value.
+        """
+        row, branch = np.nonzero(self.inside)
+        first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]
+        return ["value", "branch", *self.system.coordinate_names], np.column_stack(
+            [*first, self.q[row, branch]]
+        )
+
+    @property
+    def feasible(self) -> Intervals:
+        """The intervals in which there is any solution inside the limits."""
+        return union([i for rows in self.intervals for i in rows], self.curves.circular)
+
+    def at(self, value: ArrayLike) -> Any:
+        """All solutions at a value of the parameter, a `Slice`, or for joints `Solutions` of
+        `ik_all`; (m,) for many.
+
+        Errors: `InputError` for values that are not finite.
+        """
+        x = reals(value, "value", "a finite number, or an array (m,) of them")
+        if x.ndim > 1 or not np.isfinite(x).all():
+            raise InputError(
+                f"value is {value!r}; it must be a finite number, or an array (m,) of them"
+            )
+        return self.ask(x) if self.ask is not None else self._slice(x)
+
+    def _slice(self, x: Array) -> Slice:
+        q, mask, fits = self._sampled(np.atleast_1d(x), False)
+        X = fk(self.system, np.where(mask[..., None], q, self.near), self.frame)
+        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.target[:3, :3])
+        error = np.linalg.norm(
+            np.concatenate([X[..., :3, 3] - self.target[:3, 3], turn], axis=-1), axis=-1
+        )
+        error = np.where(mask, error, np.nan)
+        branch = np.where(mask, np.arange(mask.shape[1], dtype=np.int64), -1)
+        if x.ndim:
+            return Slice(self, x, q, mask, fits, error, branch)
+        keep = distinct(self.curves.lines, self.system, q[0], mask[0])
+        score = np.linalg.norm((q[0] - self.near)[keep], axis=-1)
+        keep = keep[np.lexsort((score, ~fits[0, keep]))]
+        return Slice(
+            self,
+            float(x),
+            q[0, keep],
+            mask[0, keep],
+            fits[0, keep],
+            error[0, keep],
+            branch[0, keep],
+        )
+
+    def _sampled(
+        self, values: Array, along: bool, branch: int | None = None
+    ) -> tuple[Array, np.ndarray, np.ndarray]:
+        """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one
+        branch K = 1.
+        """
+        lines = self.curves.lines
+        rows: list[tuple[Array, np.ndarray]] = []
+        for k in range(0, max(len(values), 1), PIECE):
+            look()
+            rows.append(self.curves.rows(values[k : k + PIECE], branch))
+        chain = np.concatenate([x for x, _ in rows])
+        mask = np.concatenate([x for _, x in rows])
+        chain, fits = turned(lines, chain, mask, self.near[lines.q_index], along)
+        q = np.full((*mask.shape, self.system.nq), np.nan)
+        q[:] = self.near
+        q[..., lines.q_index] = chain
+        q[~mask] = np.nan
+        return q, mask, fits & mask
+
+    def best(self, objective: str | Callable[[Array], Array] = "limits") -> Best | None:
+        """The best configuration inside the limits, over all branches; None where there is none.
+
+        objective: "limits" (the share of its range by which the joint nearest to a limit is away
+        from it, at most 1), "near" (minus the distance to `near`), or a function of configurations
+        (m, nq) that gives numbers (m,), the larger the better. Method: many values in each
+        interval, the best refined by smaller and smaller steps.
+        """
+        score = self._objective(objective)
+        found: list[Best] = []
+        for branch, rows in enumerate(self.intervals):
+            for low, high in rows:
+                values = np.linspace(low, high, TRIES)[1:-1]
+                first = self._best_of(score, branch, values, None)
+                found += [first] if first else []
+        if not found:
+            return None
+        found = sorted(found, key=lambda b: -b.score)[:REFINED]
+        return max((self._refined(score, b) for b in found), key=lambda b: b.score)
+
+    def _best_of(
+        self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None
+    ) -> Best | None:
+        """The best of one branch at these values, or `best` where that is better."""
+        q, mask, fits = self._sampled(values, False, branch)
+        rows = np.flatnonzero((mask & fits)[:, 0])
+        if not rows.size:
+            return best
+        scores = reals(score(q[rows, 0]), "the score")
+        if scores.shape != rows.shape:
+            raise InputError(
+                f"the objective gives an array {scores.shape} for "
+                f"{counted(len(rows), 'configuration')}"
+            )
+        k = int(np.argmax(scores))
+        if best is not None and scores[k] <= best.score:
+            return best
+        return Best(float(values[rows[k]]), q[rows[k], 0], branch, float(scores[k]))
+
+    def _refined(self, score: Callable[[Array], Array], best: Best) -> Best:
+        low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
+        step = (high - low) / (TRIES - 1)
+        while step > 1e-10:
+            values = np.clip(np.linspace(best.value - step, best.value + step, 21), low, high)
+            best = self._best_of(score, best.branch, values, best) or best
+            step *= 0.1
+        return best
+
+    def _objective(self, objective: str | Callable[[Array], Array]) -> Callable[[Array], Array]:
+        if callable(objective):
+            return objective
+        lines = self.curves.lines
+        if objective == "near":
+            return lambda q: -np.linalg.norm(q - self.near, axis=-1)
+        if objective != "limits":
+            raise InputError(
+                f"objective is {objective!r}; it must be 'limits', 'near' or a function of "
+                "configurations"
+            )
+        (low, high) = lines.limits
+        at = lines.q_index
+        limited = np.isfinite(low) & np.isfinite(high) & (high > low)
+
+        def room(q: Array) -> Array:
+            x = q[..., at][..., limited]
+            a = low[limited]
+            b = high[limited]
+            return np.min(2.0 * np.minimum(x - a, b - x) / (b - a), axis=-1, initial=1.0)
+
+        return room
+
+    @property
+    def success(self) -> bool:
+        """Whether there is any solution inside the limits."""
+        return any(self.intervals)
+
+    @property
+    def late(self) -> bool:
+        """Whether the time limit ended the search for branches, of which there may be more, or the
+        sampling.
+        """
+        return self.curves.late
+
+    @property
+    def code(self) -> Status:
+        """The outcome: that there is no solution is proven where the intervals are `exact`."""
+        if self.success:
+            return Status.SOLVED
+        if self.late and not self.exact:
+            return Status.OUT_OF_TIME
+        return (
+            Status.NOT_FOUND
+            if not self.exact
+            else Status.OUTSIDE_LIMITS
+            if any(self.spans)
+            else Status.NONE_EXISTS
+        )
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        made = (
+            () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
+        )
+        return [(task_of(c, self.system.dim), None, HOLDS) for c in made]
+
+    def _claimed(self) -> np.ndarray:
+        return self.mask
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        way = "in closed form" if self.exact else "ends to 1e-10, from solutions at sampled values"
+        late = "the time limit ended the sampling" if self.exact else LATE
+        return self._found(way) + (f"; {late}" if self.late else "")
+
+    def _found(self, way: str) -> str:
+        if self:
+            return f"{self.parameter} can be in {spelled(self.feasible)} ({way})"
+        if any(self.spans):
+            return f"outside the limits for every {self.parameter} ({way})"
+        return f"no solution for any {self.parameter}: {self.curves.reason}"
+
+    def __repr__(self) -> str:
+        return (
+            f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, "
+            f"feasible=[{spelled(self.feasible)}])"
+        )
+
+    def _headline(self) -> str:
+        return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"
+
+    def _cells(self) -> Cells:
+        each = zip(self.labels, self.intervals, self.spans, strict=True)
+        rows = [(label, spelled(a) or "-", spelled(b)) for label, a, b in each if b]
+        return ("branch", "inside the limits", "exists"), rows
+
+    def _lines(self) -> Sequence[str]:
+        lines: list[str] = []
+        if self.held:
+            lines.append("held: " + ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items()))
+        for label, rows in zip(self.labels, self.intervals, strict=True):
+            if rows:
+                lines.append(f"{label}: {spelled(rows)}")
+        outside = sum(
+            1 for rows, spans in zip(self.intervals, self.spans, strict=True) if spans and not rows
+        )
+        if outside and self:
+            lines.append(f"{outside} more branch{'' if outside == 1 else 'es'} outside the limits")
+        return lines
+
+
+def turned(
+    lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool
+) -> tuple[Array, np.ndarray]:
+    """Coordinates (m, K, n) with turns chosen, inside the limits and nearest to `near` (n,), and
+    whether they fit.
+
+    `along`: nearest to the row before, where there is one.
+    """
+    period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
+    if not along:
+        out, fits = _turned(lines, q, near, period)
+        return out, fits & mask
+    out = np.empty_like(q)
+    fits = np.empty(mask.shape, dtype=bool)
+    last = np.broadcast_to(near, q.shape[1:])
+    for i in range(len(q)):
+        look()
+        out[i], fits[i] = _turned(lines, q[i], last, period)
+        last = np.where(mask[i][:, None], out[i], near)
+    return out, fits & mask
+
+
+def _turned(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, np.ndarray]:
+    low, high = lines.limits
+    with np.errstate(invalid="ignore"):
+        best = np.where(np.isfinite(period), q + period * np.round((near - q) / period), q)
+        over = np.where(np.isfinite(period), period * np.ceil((best - high - EDGE) / period), 0.0)
+        under = np.where(np.isfinite(period), period * np.ceil((low - EDGE - best) / period), 0.0)
+        other = np.where(
+            best > high + EDGE, best - over, np.where(best < low - EDGE, best + under, best)
+        )
+        fits = (other >= low - EDGE) & (other <= high + EDGE)
+        return np.where(fits, np.clip(other, low, high), best), fits.all(axis=-1)
+
+
+def distinct(lines: Lines, system: System, q: Array, mask: np.ndarray) -> np.ndarray:
+    """Rows (k,) of q (K, nq) in use that are not the same configuration as one before them."""
+    out: list[int] = []
+    period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
+    for k in np.flatnonzero(mask):
+        d = q[out][:, lines.q_index] - q[k, lines.q_index]
+        with np.errstate(invalid="ignore"):
+            d = np.where(np.isfinite(period), d - period * np.round(d / period), d)
+        if not len(out) or np.abs(d).max(axis=-1).min() > SAME:
+            out.append(int(k))
+    return np.array(out, dtype=int)
+
+
+# ---- redundancy
+
+# The inverse model of a chain with one freedom to spare: its solutions as functions of a
+# parameter.
+
+
+ARM_ANGLE = "arm_angle"
+
+SAMPLES = 256
+MOST_SAMPLES = 10_000_000
+"""Values of a joint at which all solutions are requested, as starts of the curves between: usually,
+and at most."""
+USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
+
+
+@explained
+@time_limited(USUAL)
+def ik_sweep(
+    system: System,
+    target: ArrayLike,
+    frame: FrameLike,
+    parameter: str | tuple[str, ArrayLike] | None = None,
+    *,
+    n: int | None = None,
+    task: str | tuple[str, ArrayLike] | None = None,
+    start: Any = None,
+    fixed: Mapping[str, Any] | None = None,
+    budget: Budget | None = None,
+) -> Sweep:
+    """The solutions of a redundant chain for one target, over a parameter, and where they are
+    inside the limits.
+
+    `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first
+    three axes meet, and the last three (`kempe.inverse.arm_angle` says what it
+    is; a pair ("arm_angle", reference) names its reference); by default that, and else the joint
+    that `ik_all` holds. `target` and `task` are as in `ik_all`. Where there is more than one
+    freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,), which
+    also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the
+    limits. `n` asks for samples at so many values. Of the `budget` are read: points (256), the
+    values of a joint at which curves are looked for, and time_limit (30 s): where it ends the work,
+    `late` is true, and the branches are those found.
+
+    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where
+    that is requested, `InputError`, `UnknownNameError`, `TimeLimitError` where no branch could be
+    looked for by then.
+
+    >>> import kempe
+    >>> robot = kempe.load("iiwa14")
+    >>> target = robot.fk([0.3, 0.9, 0.2, 1.3, -0.4, 0.8, 0.1], "tool")
+    >>> sweep = ik_sweep(robot, target, "tool")
+    >>> [(round(low, 3), round(high, 3)) for low, high in sweep.intervals[0]]
+    [(0.156, 6.204)]
+    >>> sweep.at(0.2).q[0].round(3).tolist()
+    [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
+    """
+    name = system.structure.frame_name(frame)
+    said, axis = task_and_axis(task)
+    with_reference = isinstance(parameter, (tuple, list))
+    if with_reference and len(parameter) != 2:
+        raise InputError(
+            f"the parameter is {shown(parameter)}; it must be a name, or a name and a direction"
+        )
+    parameter, reference = parameter if with_reference else (parameter, None)
+    _count(USUAL.of(budget).points)
+    direction = axis_for(axis, said)
+    targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
+    if lead != ():
+        raise InputError(f"target has the leading shape {lead}; a sweep has one target")
+    if not np.all(np.abs(targets) < FARTHEST):
+        raise InputError(not_a_pose(targets[0]))
+    task = task_of_targets(said, is_position, bool(system.structure.table.at[name][2]))
+    refuse_position(task, is_position, system.dim)
+    given_near = near_of(system, start, None)
+    near = system.neutral[None] if given_near is None else given_near
+    lines = chain_lines(system, name, Z_AXIS)
+    base = inside(system, near.copy())[0]
+    base[lines.q_index] = near[
+        0, lines.q_index
+    ]  # which chooses among turns, also from outside the limits
+    if task != "position" and system.dim == 3:
+        _refuse_no_rotation(targets[0, :3, :3])
+    given = held(name, lines.names, fixed)
+    if any(v.ndim for v in given.values()):
+        raise InputError("a sweep holds joints at single numbers")
+    options = {
+        "parameter": parameter,
+        "reference": reference,
+        "base": base,
+        "n": None if n is None else _count(n),
+        "given": reals(target, "target"),
+    }
+    problem = Problem(
+        system,
+        "set",
+        given,
+        start,
+        budget=budget,
+        options=options,
+        frame=name,
+        task=(task, direction),
+        targets=targets,
+    )
+    solver, choice = choose(SOLVERS, system, name, task, tuple(given), parameter, reference)
+    return chosen_by(solver.run(problem), choice)
+
+
+# ---- the solvers
+
+
+def _no_arm(
+    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+) -> str | None:
+    joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    if parameter not in (None, ARM_ANGLE):
+        return f"joint {parameter!r} is named as the parameter"
+    if task != "pose" or fixed:
+        return f"the arm angle is for poses, with no joint held; name a joint: {joints}"
+    arm = find_arm(system, frame, reference)
+    return no_arm(system, frame, arm) if isinstance(arm, str) else None
+
+
+def _no_joint(
+    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+) -> str | None:
+    return "the arm angle is requested" if parameter == ARM_ANGLE else None
+
+
+def by_arm_angle(problem: Problem) -> Sweep:
+    """The branches of an arm over its arm angle, in closed form."""
+    over = _sweep_problem(problem)
+    arm = required_arm(problem.system, over.frame, problem.options["reference"])
+    return _sweep(over, ArmCurves(over, arm), problem.options["n"])
+
+
+def by_joint(problem: Problem) -> Sweep:
+    """The branches over a joint, from solutions at many of its values."""
+    over = _sweep_problem(problem)
+    points = _count(USUAL.of(problem.budget).points)
+    return _sweep(
+        over, _joint_curves(over, problem.options["parameter"], points), problem.options["n"]
+    )
+
+
+SOLVERS = (
+    Solver(
+        "arm angle",
+        "both sides of shoulder, elbow and wrist over the angle of the arm's plane",
+        _no_arm,
+        by_arm_angle,
+    ),
+    Solver(
+        "joint",
+        "all solutions at many values of a joint, and the curves through them",
+        _no_joint,
+        by_joint,
+    ),
+)
+"""Who answers for the solutions over a parameter."""
+
+
+def _sweep_problem(problem: Problem) -> SweepProblem:
+    (task, axis) = problem.task
+    given = problem.options["given"]
+    lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
+    return SweepProblem(
+        problem.system,
+        str(problem.frame),
+        lines,
+        task,
+        axis,
+        problem.targets[0],
+        given,
+        problem.options["base"],
+        dict(problem.known),
+        problem.start is None,
+        time_of(USUAL),
+    )
+
+
+def _refuse_no_rotation(R: Array) -> None:
+    refuse_no_poses(spatial.pose(R), "target")
+
+
+def _count(n: object) -> int:
+    if not is_whole(n) or not 2 <= n <= MOST_SAMPLES:
+        raise InputError(
+            f"the number of samples is {n!r}; it must be a whole number from 2 to {MOST_SAMPLES}"
+        )
+    return int(n)
+
+
+@dataclass(frozen=True, eq=False)
+class SweepProblem:
+    """System, frame, target and parameter of a sweep over the solutions of a redundant chain."""
+
+    system: System
+    frame: str
+    lines: Lines
+    task: str
+    axis: tuple[float, float, float]
+    target: Array
+    given: Array
+    near: Array
+    fixed: dict[str, Array]
+    anywhere: bool
+    time: TimeLimit = field(compare=False)
+
+    def locked(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
+        """Joints that `ik_all` holds, with these `fixed`."""
+        lines = chain_lines(self.system, self.frame, self.axis)
+        return plan_for(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
+
+    def place(self) -> Array:
+        """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or
+        on target.
+        """
+        if self.anywhere:
+            found = ik_all(
+                self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed
+            )
+            if found:
+                return found.q[0]
+        q = self.near.copy()
+        at = self.lines.q_index
+        q[at] = np.clip(q[at], *self.lines.limits)
+        return q
+
+    def all_at(
+        self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None
+    ) -> Any:
+        """`ik_all` with a joint held at values () or (m,), in the `time` that is left."""
+        budget = None if time is None or time.left is None else Budget(time_limit=SHARE * time.left)
+        m = (len(values),) if values.ndim else ()
+        target = np.broadcast_to(self.given, (*m, *self.given.shape))
+        near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
+        return ik_all(
+            self.system,
+            target,
+            self.frame,
+            near,
+            task=(self.task, self.axis),
+            fixed={**fixed, name: values},
+            budget=budget,
+        )
+
+
+def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
+    """The answer, with samples."""
+    rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
+    none = np.zeros((0, len(curves.labels)), dtype=bool)
+    sweep = Sweep(
+        over.system,
+        over.frame,
+        curves.parameter,
+        over.task,
+        over.target,
+        curves.held,
+        curves.domain,
+        curves.labels,
+        rows,
+        spans,
+        curves.exact,
+        np.zeros(0),
+        np.zeros((*none.shape, over.system.nq)),
+        none,
+        none,
+        curves,
+        curves.base,
+        None if curves.exact else partial(over.all_at, curves.parameter, fixed=curves.held),
+    )
+    if n is None:
+        return sweep
+    values = np.linspace(*curves.domain, n)
+    try:
+        q, mask, fits = sweep._sampled(values, True)
+    except TimeUp:
+        if not over.time.spent:
+            raise
+        curves.late = True
+        return sweep
+    for name, x in (("values", values), ("q", q), ("mask", mask), ("inside", fits)):
+        object.__setattr__(sweep, name, x)
+    return sweep
+
+
+class ArmCurves:
+    """The eight branches of an arm over its arm angle."""
+
+    parameter = ARM_ANGLE
+    exact = True
+    circular = True
+    late = False
+    domain = (-math.pi, math.pi)
+
+    def __init__(self, over: SweepProblem, arm: Arm):
+        self.posed = Posed(arm, over.target)
+        self.lines = arm.lines
+        self.base = over.near
+        self.held: dict[str, float] = {}
+        names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
+        self.labels = tuple(
+            " ".join(n + ("+", "-")[side] for n, side in zip(names, (s, e, w), strict=True))
+            for e, s, w in BRANCHES
+        )
+        self.reason = (
+            f"the wrist would have to be {self.posed.distance * arm.lines.length:.6g} m from the "
+            "shoulder"
+        )
+
+    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+        """For each branch, where it exists, inside the limits where `limited`."""
+        return self.posed.intervals(limited)
+
+    def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+        """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one
+        branch.
+        """
+        theta, found = self.posed.theta(values)
+        if branch is not None:
+            theta = theta[:, [branch]]
+            found = found[:, [branch]]
+        return (theta - self.lines.offset) / self.lines.multiplier, found
+
+
+class JointCurves:
+    """Branches over a joint: arcs of the curves of self-motion."""
+
+    exact = False
+    circular = False
+
+    def __init__(
+        self,
+        motion: ChainMotion,
+        arcs: list[CurvePiece],
+        name: str,
+        domain: tuple[float, float],
+        fixed: dict[str, float],
+        samples: int,
+        late: bool,
+    ):
+        self.late = late
+        self.motion = motion
+        self.arcs = arcs
+        self.lines = motion.lines
+        self.parameter = name
+        self.domain = domain
+        self.held = fixed
+        self.base = motion.base
+        self.unit = float(motion.unit[motion.p])
+        self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
+        self.reason = (
+            f"none of {counted(samples, 'value')} has one; it may be that the target alone decides "
+            "it"
+        )
+
+    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+        """For each branch, where it exists, inside the limits where `limited`."""
+        return [
+            [(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs
+        ]
+
+    def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+        """Coordinates (m, K, n), and which branches are there (m, K); of one branch K = 1."""
+        arcs = self.arcs if branch is None else [self.arcs[branch]]
+        q = np.full((len(values), len(arcs), len(self.lines)), np.nan)
+        mask = np.zeros(q.shape[:2], dtype=bool)
+        for k, arc in enumerate(arcs):
+            x, mask[:, k] = arc.at(values / self.unit)
+            q[:, k] = self.motion.q(x)[:, self.lines.q_index]
+            q[:, k, self.motion.free[self.motion.p]] = values
+        q[~mask] = np.nan
+        return q, mask
+
+
+def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
+    """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to
+    spare.
+    """
+    lines = over.lines
+    if parameter is not None and parameter not in lines.names:
+        raise UnknownNameError(
+            "joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {over.frame!r}"
+        )
+    if parameter in over.fixed:
+        raise InputError(f"{parameter} is fixed; the parameter must be free")
+    locked = _locked(over, parameter)
+    if not locked:
+        raise UnsupportedError(
+            f"the chain of {over.frame!r} has no freedom to spare for {_article(over.task)}: ask "
+            "`ik_all`"
+        )
+    name = locked[0] if parameter is None else parameter
+    others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
+    if left := [n for n in locked if n not in (name, *others)]:
+        q = over.place()
+        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in left}
+    i = lines.names.index(name)
+    first, last = domains(lines)[:, i].tolist()
+    domain: tuple[float, float] = first, last
+    shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
+    inner = np.linspace(domain[0], domain[1], samples)[:-1] + shift
+    values = np.concatenate([[domain[0]], inner, [domain[1]]])
+    over.time.put_in_order()  # `ik_all` has its share, and ends by itself
+    found = over.all_at(name, values, others, over.time)
+    missed = int(np.sum(found.late))
+    free = tuple(j for j, n in enumerate(lines.names) if n not in others)
+    base = over.near.copy()
+    for other, value in others.items():
+        base[lines.q_index[lines.names.index(other)]] = value
+    motion = ChainMotion(
+        over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i)
+    )
+    level, row = np.nonzero(found.mask & (found.multiplicity > 0))
+    arcs = arcs_through(
+        motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level, over.time
+    )
+    late = missed > 0 or over.time.spent
+    return JointCurves(motion, arcs, name, domain, others, len(values) - missed, late)
+
+
+def _article(task: str) -> str:
+    return f"a{'n' if task[0] in 'aeiou' else ''} {task.replace('_axis', ' with an axis')}"
+
+
+def _locked(over: SweepProblem, parameter: str | None) -> list[str]:
+    """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no
+    freedom to spare.
+    """
+    fixed = dict(over.fixed)
+    if parameter is not None:
+        fixed[parameter] = np.zeros(())
+    names = over.lines.names
+    chosen = [names[i] for i in over.locked(fixed) if names[i] not in fixed]
+    if parameter is None:
+        return [*chosen, *fixed] if chosen else []
+    spare = [i for i in over.locked(over.fixed) if names[i] not in over.fixed]
+    return [parameter, *chosen, *over.fixed] if spare else []

@@ -1,0 +1,617 @@
+"""The motions of a chain that leave its task as it is, where one freedom is left: curves, cut into
+arcs over a joint.
+
+Each curve is followed by predictor and corrector from solutions at many values of the parameter, so
+that its *folds*, where the parameter turns back and two solutions merge, and the places where
+joints reach limits, are found on the curve itself (Burdick, "On the inverse kinematics of redundant
+manipulators: characterization of the self-motion manifolds", ICRA 1989). A curve that lives between
+two of the values is missed: hence "not exact", however small the errors are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.targets import TASKS, frame_of, points_along
+from kempe.budget import TimeUp, look
+from kempe.forward.fk import fk, jacobian
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.kernels.forward.table_layout import SLIDE
+from kempe.numerics.clock import TimeLimit
+from kempe.numerics.curves import ACROSS, BEND, Curve, Node, node, step, walk
+from kempe.numerics.newton import GaussNewtonEnd, gauss_newton_of_many, sign_change
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+LONGEST = 0.15
+MOST_STEPS = 4000
+"""The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
+
+CONVERGED = 1e-13
+HELD = 1e-11
+"""Error of a configuration that is corrected no further, and of one that is taken for good."""
+
+CHECKS = np.linspace(0.0, 1.0, 6)
+"""Places in a step where folds and limits are looked for: a pair of them closer than that is
+missed."""
+
+TWO_PI = 2.0 * math.pi
+
+
+@dataclass(frozen=True, eq=False)
+class ChainMotion(Curve):
+    """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move,
+    that at `p` of these is the parameter, the others stay as in `base` (nq,). x are the free
+    coordinates, slides in lengths of the chain.
+    """
+
+    system: System
+    frame: str
+    lines: Lines
+    task: str
+    axis: tuple[float, float, float]
+    target: Array = field(repr=False)
+    base: Array = field(repr=False)
+    free: tuple[int, ...]
+    p: int
+
+    @property
+    def n(self) -> int:
+        """How many joints move."""
+        return len(self.free)
+
+    @property
+    def unit(self) -> Array:
+        """What one of x is in the system's units (nf,)."""
+        free = list(self.free)
+        return np.where(self.lines.kinds[free] == SLIDE, self.lines.length, 1.0)
+
+    @property
+    def period(self) -> Array:
+        """After how much of x (nf,) a joint is as before; infinite for slides."""
+        free = list(self.free)
+        return np.where(
+            self.lines.kinds[free] == SLIDE, np.inf, TWO_PI / np.abs(self.lines.multiplier[free])
+        )
+
+    @property
+    def limits(self) -> Array:
+        """Limits (2, nf) of x."""
+        return self.lines.limits[:, list(self.free)] / self.unit
+
+    def q(self, x: Array) -> Array:
+        """Configurations (..., nq) of x (..., nf)."""
+        out = np.array(np.broadcast_to(self.base, (*x.shape[:-1], len(self.base))), order="C")
+        out[..., self.lines.q_index[list(self.free)]] = x * self.unit
+        return out
+
+    def x(self, q: Array) -> Array:
+        """Free coordinates (..., nf) of configurations (..., nq)."""
+        return q[..., self.lines.q_index[list(self.free)]] / self.unit
+
+    @property
+    def tool(self) -> Array:
+        """The rotation (3, 3) from the frame to one whose z axis is the tool's axis, where the task
+        reads that.
+        """
+        return frame_of(np.array(self.axis)) if points_along(self.task) else np.eye(3)
+
+    @property
+    def rows(self) -> Array:
+        """Which of the six errors count (6,), as 0 and 1."""
+        planar = self.system.dim == 2 and self.task == "pose"
+        return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
+
+    def missing(self, q: Array) -> Array:
+        """The twist (..., 6) from the tip to the target, in the tip's frame, lengths in those of
+        the chain.
+
+        What the task does not ask for is zero.
+        """
+        X = fk(self.system, q, self.frame)
+        turn = self.tool
+        back = np.swapaxes(X[..., :3, :3] @ turn, -1, -2)
+        away = (
+            np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3])
+            / self.lines.length
+        )
+        left = back @ (self.target[:3, :3] @ turn)
+        if points_along(self.task):
+            angular = np.stack(
+                [-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1
+            )
+        else:
+            angular = rotation_vector(left)
+        return self.rows * np.concatenate([away, angular], axis=-1)
+
+    def jacobian(self, x: Array) -> Array:
+        """The twist (..., 6, nf) of the tip by x, as in `missing`."""
+        J = jacobian(self.system, self.q(x), self.frame, "body")
+        J = J[..., self.lines.v_index[list(self.free)]] * self.unit
+        J = np.concatenate(
+            [self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2
+        )
+        return self.rows[:, None] * J
+
+    def both(self, x: Array) -> tuple[Array, Array]:
+        """Minus the twist that is missing at x (nf,), and the derivatives, rows of zeros below."""
+        return np.append(-self.missing(self.q(x)), np.zeros(max(self.n - 6, 0))), self.matrix(x)
+
+    def matrix(self, x: Array) -> Array:
+        """The derivatives of `both` alone."""
+        return np.append(self.jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0)
+
+    def tolerance(self, x: Array) -> float:
+        """Error below which a point is on the curve."""
+        return HELD
+
+    def closed(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
+        """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and
+        whether found (m,).
+        """
+        at = np.sum(across * x, axis=-1)
+
+        def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
+            e = self.missing(self.q(x))
+            J = self.jacobian(x)
+            away = np.sum(across[some] * x, axis=-1) - at[some]
+            return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
+
+        x = gauss_newton_of_many(both, x, rounds, met=CONVERGED)
+        return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
+
+    def gap(self, x: Array, y: Array) -> Array:
+        """y - x (..., nf), angles the short way."""
+        d = y - x
+        period = self.period
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isfinite(period), d - period * np.round(d / period), d)
+
+    def inside(self, x: Array) -> np.ndarray:
+        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked
+        at.
+        """
+        (low, high) = self.limits
+        period = self.period
+        with np.errstate(invalid="ignore"):
+            up = np.where(np.isfinite(period) & np.isfinite(low), low + np.mod(x - low, period), x)
+            only = np.isfinite(period) & ~np.isfinite(low) & np.isfinite(high)
+            up = np.where(only, high - np.mod(high - x, period), up)
+        good = (up >= low) & (up <= high)
+        good[..., self.p] = True
+        return good.all(axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePiece:
+    """A piece of a curve over which the parameter rises: nodes x (k, nf) and unit tangents t (k,
+    nf).
+    """
+
+    motion: ChainMotion
+    x: Array
+    t: Array
+
+    @property
+    def values(self) -> Array:
+        """Parameter (k,) of the nodes."""
+        return self.x[:, self.motion.p]
+
+    def guess(self, k: np.ndarray, s: Array) -> Array:
+        """Points (m, nf) near the curve at fractions s (m,) of steps k (m,): cubics."""
+        return hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
+
+    def points(self, k: np.ndarray, s: Array) -> Array:
+        """Points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
+        across = self.x[k + 1] - self.x[k]
+        across /= np.linalg.norm(across, axis=-1, keepdims=True)
+        return self.motion.closed(self.guess(k, s), across)[0]
+
+    def at(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Points (m, nf) at values (m,) of the parameter, and whether the arc is there (m,)."""
+        p = self.motion.p
+        known = self.values
+        there = (values >= known[0]) & (values <= known[-1])
+        out = np.full((len(values), self.x.shape[1]), np.nan)
+        if not there.any():
+            return out, there
+        v = values[there]
+        k = np.clip(np.searchsorted(known, v, side="right") - 1, 0, len(known) - 2)
+        low = np.zeros(len(v))
+        high = np.ones(len(v))
+        for _ in range(45):
+            s = 0.5 * (low + high)
+            less = self.guess(k, s)[:, p] < v
+            low = np.where(less, s, low)
+            high = np.where(less, high, s)
+        x = self.guess(k, 0.5 * (low + high))
+        x[:, p] = v
+        across = np.zeros_like(x)
+        across[:, p] = 1.0
+        better, good = self.motion.closed(x, across)
+        steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
+        good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
+        for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
+            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + abs(known[end]))
+            better[at_end] = self.x[end]
+            good[at_end] = True
+        out[there] = better
+        there[there] = good
+        return out, there
+
+    def intervals(self, limited: bool = True) -> list[tuple[float, float]]:
+        """Intervals of the parameter in which the arc is inside the limits; all of it where not
+        `limited`.
+        """
+        if not limited:
+            return [(float(self.values[0]), float(self.values[-1]))]
+        last = len(self.x) - 1
+        ends = [(0.0, self.values[0]), *sorted(self._crossings()), (float(last), self.values[-1])]
+        pairs = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11]
+        middles = np.array([0.5 * (a[0] + b[0]) for a, b in pairs])
+        k = np.minimum(middles.astype(int), last - 1)
+        good = self.motion.inside(self.points(k, middles - k))
+        out: list[tuple[float, float]] = []
+        for i, ((_, low), (_, high)) in enumerate(pairs):
+            if good[i] and i and good[i - 1]:
+                out[-1] = (out[-1][0], float(high))
+            elif good[i]:
+                out.append((float(low), float(high)))
+        return out
+
+    def _crossings(self) -> Iterator[tuple[float, float]]:
+        """Places (step and fraction of it) where a joint other than the parameter passes a limit,
+        and the parameter.
+        """
+        m = self.motion
+        steps = len(self.x) - 1
+        k = np.repeat(np.arange(steps), len(CHECKS))
+        some = self.guess(k, np.tile(CHECKS, steps)).reshape(steps, len(CHECKS), -1)
+        found: list[tuple[int, int, int, float]] = []
+        for j, (low, high) in enumerate(m.limits.T):
+            for limit in {low, high} if j != m.p else ():
+                if not math.isfinite(limit):
+                    continue
+                period = m.period[j] if math.isfinite(m.period[j]) else 1e30
+                lap = np.floor((some[..., j] - limit) / period)
+                for k, i in zip(*np.nonzero(lap[:, 1:] != lap[:, :-1]), strict=True):
+                    lifted = max(lap[k, i], lap[k, i + 1])
+                    found.append(
+                        (int(k), int(i), j, float(limit + period * lifted if lifted else limit))
+                    )
+        if not found:
+            return
+        at, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
+        low = CHECKS[i]
+        high = CHECKS[i + 1]
+        rows = np.arange(len(at))
+        rising = self.guess(at, high)[rows, joint] > self.guess(at, low)[rows, joint]
+        for _ in range(30):
+            s = 0.5 * (low + high)
+            before = (self.guess(at, s)[rows, joint] < level) == rising
+            low = np.where(before, s, low)
+            high = np.where(before, high, s)
+        first = self.guess(at, 0.5 * (low + high))
+        first[rows, joint] = level
+        x, good = m.closed(first, np.eye(some.shape[-1])[joint])
+        size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
+        good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
+        for r in rows:
+            if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
+
+                def off(s: float, r: Any = r) -> float:
+                    return float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])
+
+                s = sign_change(off, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
+                if s is None:
+                    continue
+                low[r] = high[r] = s
+                x[r] = self.points(at[[r]], np.array([s]))[0]
+            yield (
+                float(at[r] + 0.5 * (low[r] + high[r])),
+                float(np.clip(x[r, m.p], self.values[0], self.values[-1])),
+            )
+
+
+def rotation_vector(R: Array) -> Array:
+    """2 tan(angle / 2) times the axis (..., 3) of rotations: the rotation vector where it is small."""
+    v = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
+        axis=-1,
+    )
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    return v * (2.0 / np.maximum(1.0 + trace, 1e-9))[..., None]
+
+
+def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
+    """Points (m, n) at fractions s (m,) of steps between nodes (m, n) with unit tangents."""
+    size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
+    s = s[:, None]
+    d = x1 - x0
+    return (
+        x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
+    )
+
+
+# ---- following a curve between two values
+
+
+def follow(
+    motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
+) -> tuple[list[Array], list[Array]]:
+    """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the
+    last is on its end.
+
+    Where the curve has no tangent, or is too long, the last node is inside.
+    """
+    nodes = [node(motion, start, tangent)]
+    ends = list[Node]()
+
+    def taken(a: Node, h: float) -> list[Node] | None:
+        b = step(motion, a, h)
+        if b is None or between[0] <= b.x[motion.p] <= between[1]:
+            return None if b is None else [b]
+        end = _landed(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
+        ends[:] = [] if end is None else [node(motion, end.x, a.t, end.J)]
+        return ends or None
+
+    for b in walk(nodes[0], taken, LONGEST, LONGEST):
+        nodes.append(b)
+        if ends or len(nodes) == MOST_STEPS:
+            break
+    return [a.x for a in nodes], [a.t for a in nodes]
+
+
+def _landed(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonEnd | None:
+    """What is found in a step where the parameter has a value, None where there is none."""
+    p = motion.p
+    ends = a.x[None], a.t[None], b.x[None], b.t[None]
+    s = sign_change(lambda s: float(hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0)
+    if s is None:
+        return None
+    guess = hermite(*ends, np.array([s]))[0]
+    guess[p] = value
+    end = motion.corrected(guess, np.eye(motion.n)[p])
+    near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
+    return end if near else None
+
+
+def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
+    """Nodes and tangents between the folds of a path, in its order."""
+    nodes = [xs[0]]
+    tangents = [ts[0]]
+    ends = [0]
+    for k in range(len(xs) - 1):
+        for x, t in _folds(motion, xs[k], ts[k], xs[k + 1], ts[k + 1]):
+            ends.append(len(nodes))
+            nodes.append(x)
+            tangents.append(t)
+        nodes.append(xs[k + 1])
+        tangents.append(ts[k + 1])
+    ends.append(len(nodes) - 1)
+    spans = zip(ends[:-1], ends[1:], strict=True)
+    return [(np.array(nodes[a : b + 1]), np.array(tangents[a : b + 1])) for a, b in spans]
+
+
+def _folds(
+    motion: ChainMotion, x: Array, t: Array, y: Array, u: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Points and tangents in a step where the parameter turns back."""
+    p = motion.p
+    piece = CurvePiece(motion, np.array([x, y]), np.array([t, u]))
+    at_0 = np.array([0])
+
+    def slope(s: float) -> float:
+        return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
+
+    size = float(np.linalg.norm(y - x))
+    s = CHECKS
+    d = (y - x)[p]
+    rates = 6.0 * s * (1.0 - s) * d + size * (
+        (1.0 - s) * (1.0 - 3.0 * s) * t[p] - s * (2.0 - 3.0 * s) * u[p]
+    )
+    rates[0] = t[p]
+    rates[-1] = u[p]
+    if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
+        return
+    # the cubic says that there is one; the curve itself says where
+    tangents = [node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
+    rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
+    for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
+        at = sign_change(slope, float(s[i]), float(s[i + 1]))
+        if at is not None and 0.0 < at < 1.0:
+            z = piece.points(at_0, np.array([at]))[0]
+            yield z, node(motion, z, t).t
+
+
+# ---- sweep net
+
+# From solutions at many values of a parameter to the arcs of the curves through them.
+
+
+SAME = 1e-4
+"""Distance below which the end of a path is a solution that is known."""
+
+STRAIGHT = 0.1
+"""How far a step may be from the mean of the tangents at its ends, as a fraction of its length."""
+
+Piece = tuple[Array, Array]
+
+
+class Net:
+    """Solutions at rising values of the parameter, and the pieces of curve that join them.
+
+    x, t (M, nf): solutions and unit tangents along which the parameter rises; level (M,): which
+    value. `up[a]` is the next node above a with the piece from a to it, both inclusive; `head[a]`
+    and `foot[a]` are pieces that end in a fold above a, or begin in one below; `loose` are arcs
+    that no value meets.
+    """
+
+    def __init__(self, motion: ChainMotion, values: Array, x: Array, level: np.ndarray):
+        self.motion = motion
+        self.values = values
+        self.x = x
+        self.level = level
+        t = svd(motion.jacobian(x))[2][:, -1] if len(x) else np.zeros_like(x)
+        self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
+        self.up: dict[int, tuple[int, Piece]] = {}
+        self.below: set[int] = set()
+        self.head: dict[int, Piece] = {}
+        self.foot: dict[int, Piece] = {}
+        self.loose: list[Piece] = []
+        self.at = [np.flatnonzero(level == i) for i in range(len(values))]
+
+    def join(self) -> None:
+        """Join what is close and straight, and follow the curves from all ends that are left."""
+        for i in range(len(self.values) - 1):
+            self._join_levels(self.at[i], self.at[i + 1])
+        for a in range(len(self.x)):
+            if self.level[a] < len(self.values) - 1 and a not in self.up and a not in self.head:
+                self._follow(a, 1.0)
+        for a in range(len(self.x)):
+            if self.level[a] > 0 and a not in self.below and a not in self.foot:
+                self._follow(a, -1.0)
+
+    def _join_levels(self, low: np.ndarray, high: np.ndarray) -> None:
+        if not low.size or not high.size:
+            return
+        d = self.motion.gap(self.x[low][:, None], self.x[high][None])
+        t = self.t[low][:, None]
+        u = self.t[high][None]
+        size = np.linalg.norm(d, axis=-1)
+        straight = np.linalg.norm(d - 0.5 * size[..., None] * (t + u), axis=-1) <= STRAIGHT * size
+        fits = straight & (np.sum(t * u, axis=-1) >= math.cos(BEND)) & (size < 2.0 * LONGEST)
+        for j, k in zip(
+            *np.nonzero(fits & (fits.sum(axis=0) == 1) & (fits.sum(axis=1) == 1)[:, None]),
+            strict=True,
+        ):
+            a = int(low[j])
+            b = int(high[k])
+            x = np.array([self.x[a], self.x[a] + d[j, k]])
+            self._link(a, b, (x, self.t[[a, b]]))
+
+    def _link(self, a: int, b: int, piece: Piece) -> None:
+        self.up[a] = (b, piece)
+        self.below.add(b)
+
+    def _follow(self, a: int, sense: float) -> None:
+        """Follow the curve from node a up (sense 1) or down (-1) to the next value of the
+        parameter, or back.
+
+        Its pieces are kept in `up`, `head`, `foot` and `loose`.
+        """
+        look()
+        motion = self.motion
+        i = int(self.level[a])
+        j = i + int(sense)
+        between = (
+            float(min(self.values[i], self.values[j])),
+            float(max(self.values[i], self.values[j])),
+        )
+        xs, ts = follow(motion, self.x[a], sense * self.t[a], between)
+        parts = pieces(motion, xs, ts)
+        arrived = (
+            i
+            if abs(xs[-1][motion.p] - self.values[i]) < abs(xs[-1][motion.p] - self.values[j])
+            else j
+        )
+        b = self._node(xs[-1], arrived)
+        if len(parts) == 1:
+            x, t = parts[0]
+            if b is not None and b not in (self.below if sense > 0.0 else self.up):
+                self._link(*((a, b, (x, t)) if sense > 0.0 else (b, a, (x[::-1], -t[::-1]))))
+            else:
+                (self.head if sense > 0.0 else self.foot)[a] = (
+                    (x, t) if sense > 0.0 else (x[::-1], -t[::-1])
+                )
+            return
+        self._hang(a, sense, parts[0])
+        if b is not None:
+            x, t = parts[-1]
+            self._hang(b, sense if arrived == i else -sense, (x[::-1], -t[::-1]))
+            parts.pop()
+        self.loose += parts[1:]
+
+    def _hang(self, a: int, sense: float, piece: Piece) -> None:
+        """Keep a piece that leads away from a node to a fold above or below it."""
+        x, t = piece
+        if sense > 0.0:
+            self.head[a] = x, t
+        else:
+            self.foot[a] = x[::-1], -t[::-1]
+
+    def _node(self, x: Array, level: int) -> int | None:
+        """The node at a level that equals x (nf,), where a path has arrived; None where there is
+        none.
+        """
+        some = self.at[level]
+        if not some.size:
+            return None
+        away = np.abs(self.motion.gap(self.x[some], x)).max(axis=-1)
+        k = int(np.argmin(away))
+        return int(some[k]) if away[k] < SAME else None
+
+    def arcs(self) -> list[CurvePiece]:
+        """All arcs, in the order of where they begin."""
+        out = [self._arc([piece]) for piece in self.loose]
+        for a in range(len(self.x)):
+            if a in self.below:
+                continue
+            parts = [self.foot[a]] if a in self.foot else []
+            k = a
+            while k in self.up:
+                k, piece = self.up[k]
+                parts.append(piece)
+            if k in self.head:
+                parts.append(self.head[k])
+            if parts:
+                out.append(self._arc(parts))
+        return sorted(out, key=lambda a: (round(float(a.values[0]), 6), *a.x[0].round(6).tolist()))
+
+    def _arc(self, parts: list[Piece]) -> CurvePiece:
+        """One arc of pieces that follow each other, angles without jumps, the parameter rising."""
+        (x, t) = parts[0]
+        p = self.motion.p
+        xs = list(x)
+        ts = list(t)
+        for more, tangents in parts[1:]:
+            turn = xs[-1] + self.motion.gap(xs[-1], more[0]) - more[0]
+            xs += list(more[1:] + turn)
+            ts += list(tangents[1:])
+        x = np.array(xs)
+        t = np.array(ts)
+        if x[-1, p] < x[0, p]:
+            x = x[::-1]
+            t = -t[::-1]
+        keep = np.concatenate([[True], np.diff(np.maximum.accumulate(x[:, p])) > 0.0])
+        return CurvePiece(self.motion, x[keep], t[keep])
+
+
+def arcs_through(
+    motion: ChainMotion, values: Array, x: Array, level: np.ndarray, time: TimeLimit
+) -> list[CurvePiece]:
+    """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at
+    which.
+
+    Solutions at the values are joined to curves; from those that find no partner curves are
+    followed.
+    """
+    x = x.copy()
+    x[:, motion.p] = values[level]
+    better, good = motion.closed(x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0))
+    good &= np.abs(better - x).max(axis=-1, initial=0.0) < SAME
+    net = Net(motion, values, np.where(good[:, None], better, x), level)
+    try:
+        net.join()
+    except TimeUp:  # the arcs that were joined by now
+        if not time.spent:
+            raise
+    return net.arcs()

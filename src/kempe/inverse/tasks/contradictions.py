@@ -1,0 +1,222 @@
+"""Which tasks contradict each other, proven: no configuration holds both, whatever the joints and
+their limits.
+
+Two tasks on one rigid body fix the distance of their points, the angle of their axes, or the whole
+of both. Points of two bodies are at most as far apart as the links between them are long.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.equations.tasks import Centred, PlacedTask
+from kempe.joints import P
+from kempe.kernels.constraints import loop_layout as L
+from kempe.model.own_tree import own_tree
+from kempe.poses import EXACT as RIGID
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.tasks.demands import Demands
+    from kempe.model.model import Model as System
+
+SLACK = 1e-9
+"""What is left to rounding, in radians and parts of the lengths."""
+
+
+class Exclusion(NamedTuple):
+    """How (see `wording.CONTRADICTIONS`) and by how much (...) what two tasks ask for is apart, 0
+    where it is not.
+
+    `longest` is the greatest distance [m] that links allow.
+    """
+
+    how: str
+    off: Array
+    longest: float = 0.0
+
+
+class Region(NamedTuple):
+    """Where a point may be: along axes of the goal between ends (n,)."""
+
+    axes: tuple[int, ...]
+    low: Array
+    high: Array
+
+
+class BodyDemand(NamedTuple):
+    """What a task says of a body: pose (...) of its frame in the ground and on the body's row, of
+    which parts count.
+    """
+
+    row: int
+    goal: Array
+    local: Array
+    point: bool
+    turn: bool
+    axis: bool
+    region: Region | None
+    linear: float
+    angular: float
+
+
+def contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
+    """Pairs of hard tasks, by their numbers, that exclude each other somewhere in the batch."""
+    hard = [i for i, t in enumerate(problem.tasks) if problem.use[i] and t.weight is None]
+    held = {i: h for i in hard if (h := _held(problem, i)) is not None}
+    out: list[tuple[int, int, Exclusion]] = []
+    for i, j in combinations(held, 2):
+        out += [(i, j, x) for x in _between(problem, held[i], held[j]) if np.any(x.off > 0.0)]
+    return out
+
+
+def contradictory(problem: Demands) -> np.ndarray:
+    """Which problems (...) have two hard tasks that exclude each other."""
+    out = np.zeros(problem.lead, dtype=bool)
+    for _, _, found in contradictions(problem):
+        out = out | (found.off > 0.0)
+    return out
+
+
+def _held(problem: Demands, i: int) -> BodyDemand | None:
+    """What a task says of one body; None for tasks of other kinds."""
+    task = problem.tasks[i]
+    system = own_tree(problem.system)
+    goal = problem.goals[i][0][0]
+    if (
+        not isinstance(task, PlacedTask)
+        or isinstance(task, Centred)
+        or goal is None
+        or len(problem.goals[i]) > 1
+    ):
+        return None
+    if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
+        return None
+    (hold,) = task.holds(system)
+    row, X, particle = system.structure.table.at[hold.b]
+    if particle or row < 0 or hold.a is not None:
+        return None
+    linear, angular = problem.tolerance_of(task)
+    angular += 2.0 * RIGID  # a goal's rotation may be off by rounding
+    region = None
+    if task.shape.mask and not task.point:
+        low, high = np.array(hold.bounds or ((0.0, 0.0),) * len(task.shape.axes)).T
+        region = Region(task.shape.axes, low, high)
+    local = X @ np.reshape(hold.X_B, (4, 4))
+    axis = task.shape.turns == L.ALIGN
+    return BodyDemand(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
+
+
+def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+    """How far what two tasks ask for is apart, by each argument that applies."""
+    if a.row != b.row:
+        if not (a.point and b.point):
+            return []
+        longest = longest_between(own_tree(problem.system), a, b)
+        apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
+        slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
+        return [Exclusion("links", np.where(apart > slack, apart, 0.0), longest)]
+    return [*_angles(a, b), *_places(a, b)]
+
+
+def _angles(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+    """By how much the orientations that two tasks ask of one body differ, in radians."""
+    slack = a.angular + b.angular
+    if a.turn and b.turn:
+        off = np.linalg.norm(spatial.log_so3(np.swapaxes(_body(a), -1, -2) @ _body(b)), axis=-1)
+        return [Exclusion("turns", _more(off, slack))]
+    if not (a.turn or a.axis) or not (b.turn or b.axis):
+        return []
+    if a.axis and b.axis:
+        off = np.abs(
+            _angle(a.goal[..., :3, 2], b.goal[..., :3, 2]) - _angle(a.local[:3, 2], b.local[:3, 2])
+        )
+    else:
+        whole, axis = (a, b) if a.turn else (b, a)
+        off = _angle(_body(whole) @ axis.local[:3, 2], axis.goal[..., :3, 2])
+    return [Exclusion("axes", _more(off, slack))]
+
+
+def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+    """By how much the places that two tasks ask of points of one body exclude each other, in
+    metres.
+    """
+    arm = b.local[:3, 3] - a.local[:3, 3]
+    length = float(np.linalg.norm(arm))
+    out: list[Exclusion] = []
+    slack = a.linear + b.linear
+    if a.point and b.point:
+        p = a.goal[..., :3, 3]
+        g = b.goal[..., :3, 3]
+        off = np.abs(np.linalg.norm(g - p, axis=-1) - length)
+        how = "point" if length <= SLACK else "points"
+        out.append(Exclusion(how, _more(off, slack, p, g)))
+        for whole, sign in ((a, 1.0), (b, -1.0)):
+            if whole.turn:
+                off = np.linalg.norm(g - p - sign * (sign * _body(whole) @ arm), axis=-1)
+                out.append(Exclusion(how, _more(off, slack + 2.0 * whole.angular * length, p, g)))
+    for point, there in ((a, b), (b, a)):
+        if point.point and there.region is not None:
+            axes, low, high = there.region
+            way = there.local[:3, 3] - point.local[:3, 3]
+            p = point.goal[..., :3, 3]
+            more = slack + length
+            if point.turn:
+                p = p + _body(point) @ way
+                more = slack + 2.0 * point.angular * length
+            x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[
+                ..., axes
+            ]
+            off = np.linalg.norm(x - np.clip(x, low, high), axis=-1)
+            out.append(Exclusion("region", _more(off, more, p, there.goal[..., :3, 3])))
+    return out
+
+
+def _body(h: BodyDemand) -> Array:
+    """The rotation (..., 3, 3) of the body that a task asks for."""
+    return h.goal[..., :3, :3] @ h.local[:3, :3].T
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Angle (...) between directions."""
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
+
+
+def _more(off: Array, slack: float, *sizes: Array) -> Array:
+    """`off` where it is more than the slack and rounding, else 0; NaN is 0."""
+    size = 1.0 + sum(np.linalg.norm(x, axis=-1) for x in sizes)
+    return np.where(off > slack + SLACK * size, off, 0.0)
+
+
+def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
+    """The largest distance that lengths of links, and limits of slides, allow between two points;
+    may be infinite.
+    """
+    above = [_up(system, h.row) for h in (a, b)]
+    common = next((row for row in above[0] if row in above[1]), -1)
+    total = 0.0
+    ends: list[Array] = []
+    for h, rows in zip((a, b), above, strict=True):
+        end = h.local[:3, 3]
+        for row in rows[: rows.index(common)] if common in rows else rows[:-1]:
+            if system.structure.table.kind[row] == P:
+                limit = system.structure.limits[system.structure.table.iv[row]]
+                total += float(
+                    np.max(np.abs(system.structure.table.multiplier[row] * np.asarray(limit)))
+                )
+            total += float(np.linalg.norm(end))
+            end = system.structure.table.placement[row][:3, 3]
+        ends.append(end)
+    return total + float(np.linalg.norm(ends[0] - ends[1]))
+
+
+def _up(system: System, row: int) -> list[int]:
+    """Rows from one to the ground, which is -1."""
+    out = [row]
+    while out[-1] >= 0:
+        out.append(int(system.structure.table.parent[out[-1]]))
+    return out

@@ -1,0 +1,328 @@
+"""The tasks of a request, checked and packed: what is searched for, and one run of the search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import tolerances
+from kempe.assemble.bound import TOLERANCE as CLOSED
+from kempe.assemble.bound import limitless
+from kempe.budget import checks, watched_by
+from kempe.equations.packed_tasks import Packed
+from kempe.equations.tasks import Goals, Task
+from kempe.inverse.chain.serial_chain import inside
+from kempe.kernels.base import search_layout as S
+from kempe.kernels.compiled import task_search as kernel
+from kempe.model.configurations import random
+from kempe.model.constraint_program import Callback
+from kempe.model.model import keep
+from kempe.numerics.clock import EndReached, clock, up_at
+from kempe.numerics.pool import over_chunks
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- uninvolved
+
+# Coordinates that tasks have nothing to do with: no search needs to move them.
+
+
+NONE = np.zeros(0, dtype=np.int64)
+SAMPLES = 3
+NOTHING = 1e-12
+"""Configurations at which it is looked what moves what, and derivatives there that are none, but
+rounding."""
+
+
+def apart(packed: Packed, pins: Array) -> np.ndarray:
+    """Places in q that no task depends on, not even by loops or relations that it moves; `pins` (N,
+    k) are goals.
+
+    Looked for once, by derivatives at random configurations.
+    """
+    found = packed.stages.get(apart)
+    if found is None:
+        if not len(pins):
+            return NONE
+        q = random(packed.system, 0, SAMPLES)
+        (_, tasks), (_, loops) = (packed.evaluate(q, pins[:1], c) for c in (False, True))
+        if not (np.isfinite(tasks).all() and np.isfinite(loops).all()):
+            return NONE
+        sided = packed.one_sided.rates(q, declared=True)[1]
+        tasks = np.concatenate([tasks, sided], axis=1)  # as if they were requested
+        opaque = any(tie.function is not None for tie in packed.loops.ties)  # and may be flat there
+        found = packed.stages[apart] = NONE if opaque else _left_alone(packed, tasks, loops)
+    return found
+
+
+def _left_alone(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
+    """Places in q that Jacobians (N, m, nv) of tasks and loops leave alone."""
+    layout = packed.system.structure.layout
+    requested: np.ndarray = np.any(np.abs(tasks) > NOTHING, axis=(0, 1))
+    bound: np.ndarray = np.any(np.abs(loops) > NOTHING, axis=0)
+    for _ in range(len(bound)):  # what moves a loop moves all of it
+        requested = requested | bound[(bound & requested).any(axis=1)].any(axis=0)
+    balls = ~(requested[layout.quaternion_v[:, None] + np.arange(3)].any(axis=1))
+    angles = layout.vector_q[~requested[layout.vector_v]]
+    return np.concatenate(
+        [angles, (layout.quaternion_q[balls][:, None] + np.arange(4)).ravel()]
+    ).astype(np.int64)
+
+
+FIRST = 60
+"""Starts after which one looks whether more are worth their time."""
+STARTS = FIRST
+"""Starts before tasks are given up that are requested beside something else, as along a path."""
+STEPS = 60
+"""Steps of one start; those that succeed need 5 to 20."""
+CHUNK = 16
+"""Problems in one piece of work of a thread."""
+SERIAL_BELOW = 32
+"""Problems below which a batch stays on one thread."""
+KEPT = 64
+"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept
+with each."""
+
+Level = tuple[int, bool]
+
+
+def level_of(task: Task) -> Level:
+    """What levels of tasks are ordered by: priority, hard before soft."""
+    return int(task.priority), task.weight is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Demands:
+    """The tasks of a `Problem`, packed: kept with the answer, so that it can say why it failed.
+
+    `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
+    """
+
+    system: System
+    tasks: tuple[Task, ...]
+    packed: Packed = field(repr=False)
+    goals: tuple[Goals, ...] = field(repr=False)
+    pins: Array = field(repr=False)
+    lead: tuple[int, ...]
+    tolerance: tuple[float, float]
+    starts: int
+    rng: int
+    use: tuple[bool, ...]
+    mode: int = field(default=S.NOTHING, repr=False)
+    """What the last stage leads towards: nothing, `aim`, or the address of a function."""
+    aim: Array | None = field(default=None, repr=False)
+    """Configurations (N or 1, nq) that the last stage leads towards."""
+    callback: Callback | None = field(default=None, repr=False)
+    limits: bool = True
+    one_sided: bool = True
+    """Whether declared one-sided constraints hold."""
+    loose: bool = False
+    """Whether nobody named a start, so that a free base may be moved before the first start."""
+    iterations: int = STEPS
+    time_limit: float | None = None
+    end: float = math.inf
+    """When the time is up, by `time.monotonic`."""
+    effort: Callable[[], None] | None = field(default=None, repr=False)
+    """How many calls of functions the search may make; None: as many as it takes."""
+    given_up: int = 0
+    """After how many calls of functions the search was given up; 0 where it was not."""
+    kept: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
+    """What functions worked out of this problem; a changed copy begins anew."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What was pickled: the function that is made least has another address in this process."""
+        vars(self).update(state)
+        if self.callback is not None and self.mode not in (S.NOTHING, S.AHEAD):
+            vars(self)["mode"] = self.callback.address
+
+    def tolerance_of(self, task: Task) -> tuple[float, float]:
+        """Largest error of a hard task in metres and radians."""
+        return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
+
+    @property
+    def hard_tasks(self) -> list[tuple[Task, Goals, tuple[float, float]]]:
+        """The hard tasks that count, with their goals and tolerances."""
+        every = zip(self.tasks, self.goals, self.use, strict=True)
+        return [
+            (task, goals, self.tolerance_of(task))
+            for task, goals, used in every
+            if used and task.weight is None
+        ]
+
+    def of(self, index: int) -> Demands:
+        """The problem of row `index` of a batch."""
+        pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
+        aim = (
+            self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
+        )
+        goals = tuple(_row(g, index, self.lead) for g in self.goals)
+        return replace(self, goals=goals, pins=pins, aim=aim, lead=())
+
+    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
+        """The problem with only these tasks, without preference or time limit, and from at most
+        `STARTS` starts.
+
+        `limits` says whether joint limits count, `one_sided` whether one-sided constraints of the
+        system do.
+        """
+        use = tuple(i in tasks for i in range(len(self.tasks)))
+        few = min(self.starts, STARTS)
+        return replace(
+            self,
+            use=use,
+            limits=limits,
+            one_sided=one_sided,
+            mode=S.NOTHING,
+            end=math.inf,
+            effort=None,
+            starts=few,
+        )
+
+    def run(
+        self,
+        starts: Array,
+        threads: int | None = 1,
+        *,
+        tries: int | None = None,
+        rows: np.ndarray | None = None,
+    ) -> tuple[Array, np.ndarray]:
+        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of
+        some `rows` or all.
+
+        `tries` are the starts at most, by default those of the problem.
+        """
+        loops = self.packed.loops
+        n = math.prod(self.lead) if rows is None else len(rows)
+        stages, strengths, *_ = self.levels
+        weights = loops.weights if self.limits else limitless(self.system, loops)
+        q = np.empty((n, self.system.nq))
+        info = np.empty((n, 3), dtype=np.int64)
+        aim = starts if self.aim is None else self.aim
+        pins = self.pins
+        timed = self.end < math.inf or self.effort is not None or checks()
+        stop = clock().address if timed else 0
+        if rows is not None:
+            starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
+        most = self.starts if tries is None else min(tries, self.starts)
+
+        def part(x: Array, i: int, j: int) -> Array:
+            return x[i:j] if len(x) > 1 else x
+
+        def work(i: int, j: int) -> int:
+            with watched_by(up_at(self.end), *(() if self.effort is None else (self.effort,))):
+                left = kernel.solve(
+                    loops.ints,
+                    loops.floats,
+                    loops.plan,
+                    weights,
+                    stages,
+                    strengths,
+                    part(starts, i, j),
+                    part(aim, i, j),
+                    part(pins, i, j),
+                    most,
+                    self.iterations,
+                    self.mode,
+                    stop,
+                    self.loose,
+                    self.rng,
+                    q[i:j],
+                    info[i:j],
+                )
+            error = clock().taken()
+            if error is not None and not isinstance(
+                error, EndReached
+            ):  # the time of a verb that asked
+                raise error
+            return left
+
+        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        callbacks = [t.function for t in loops.ties if t.function is not None] + [self.callback]
+        for callback in callbacks:
+            if isinstance(callback, Callback) and callback.error is not None:
+                error = callback.error
+                callback.error = None
+                if not isinstance(error, EndReached):
+                    raise error
+        return self._kept(self.packed.inside(q) if self.limits else q, starts), info
+
+    def _kept(self, q: Array, starts: Array) -> Array:
+        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in
+        place.
+        """
+        if self.mode != S.NOTHING:
+            return q
+        untouched = apart(self.packed, self.pins)
+        if untouched.size and not (q[:, untouched] == starts[:, untouched]).all():
+            own = inside(self.system, starts.copy()) if self.limits else starts
+            sound = ~np.isnan(q).any(axis=1)
+            q[np.ix_(sound, untouched)] = (own if len(own) == 1 else own[sound])[:, untouched]
+        return q
+
+    @property
+    def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
+        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and
+        tolerances (ties, 3); the tasks that are hard, and their tolerances (hard, 2).
+        """
+        key = (
+            self.use,
+            self.one_sided,
+            self.tolerance,
+            *((t.priority, t.weight, t.tolerance) for t in self.tasks),
+        )
+        found = self.packed.stages.get(key)
+        if found is None:
+            hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
+            allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
+            found = keep(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
+        return found
+
+    def _staged(self) -> tuple[np.ndarray, Array]:
+        keys = [level_of(t) for t in self.tasks]
+        order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
+        top = {
+            k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k)
+            for k in keys
+        }
+        ties = self.packed.loops.ties
+        length = self.packed.loops.length
+        stages = np.zeros((2, len(ties)), dtype=np.int64)
+        strengths = np.ones((len(ties), 3))
+        stages[1] = 1
+        strengths[:, 1:] = CLOSED
+        for k, i in enumerate(self.packed.owner):
+            if i < 0:
+                stages[0, k] = -1 if ties[k].bounds and not self.one_sided else 0
+                continue
+            task = self.tasks[int(i)]
+            key = keys[int(i)]
+            stages[0, k] = order.index(key) + 1 if self.use[i] else -1
+            stages[1, k] = task.weight is None
+            linear, angular = self.tolerance_of(task)
+            share = 1.0 if task.weight is None else task.weight / top[key]
+            strengths[k] = (share, linear / length, angular)
+        return stages.ravel(), strengths
+
+
+def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
+    """The goals of one row of a batch."""
+    cores = ((4, 4), (-1,))
+    out: Any = []
+    for pair in goals:
+        row = [_row_of(x, index, lead, len(core)) for x, core in zip(pair, cores, strict=True)]
+        out.append(tuple(row))
+    return out
+
+
+def _row_of(x: Array | None, index: int, lead: tuple[int, ...], axes: int) -> Array | None:
+    """Row `index` of numbers with a leading shape, of which the last `axes` axes are one goal's."""
+    if x is None:
+        return None
+    core = x.shape[-axes:]
+    return np.broadcast_to(x, (*lead, *core)).reshape(-1, *core)[index]

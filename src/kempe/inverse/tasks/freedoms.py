@@ -1,0 +1,264 @@
+"""Freedoms that tasks leave: how many to first order, and how many of them are motions over a
+distance.
+
+Counted are the freedoms of the joints that move a frame of the tasks, directly or through loops:
+fingers and other arms are no redundancy of an arm.
+
+Where the equations are independent the two are the same, by the implicit function theorem. Where
+the Jacobian loses rank, steps along its null space are led back to the solutions, at two lengths:
+what stays away from where it began, in proportion to the step, is a motion.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.numerics.newton import damped_least_squares, gauss_newton
+from kempe.numerics.rank import RANK_TOLERANCE, null
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.tasks.demands import Demands
+
+ROUNDING = 1e-14
+"""Residual below which equations hold to rounding, in radians and characteristic lengths."""
+SAME = 16.0
+"""How many times the residual a singular configuration may miss by, to be the same as the one that
+was reached."""
+STEEPEST = 100.0
+"""Largest second derivative of the equations that is reckoned with, in radians and characteristic
+lengths."""
+CURL = 1e-3
+"""Step of the differences of the Jacobian."""
+CLOSE = 60
+STAYS = 1e-13
+"""Steps by which a configuration is led to the solutions, at most, and the length below which one
+is the last."""
+LENGTHS = (0.05, 0.005)
+"""Lengths of the steps along the null space, in radians and characteristic lengths."""
+KEPT = 0.2
+"""Part of a step that must be left when it has been led back."""
+
+
+class Local:
+    """The equations that hold at q (nq,) where hard tasks do, and the motions that they leave
+    there.
+
+    `q` is led on to where the equations hold to rounding, if that is near; lengths count in
+    characteristic lengths.
+    """
+
+    def __init__(self, problem: Demands, q: Array) -> None:
+        packed = problem.packed
+        self.problem = problem
+        self.hard = [i for i, t in enumerate(problem.tasks) if t.weight is None and problem.use[i]]
+        ties = packed.loops.ties
+        equal = np.repeat([not t.bounds for t in ties], [len(t.rows) for t in ties])[
+            packed.rows >= 0
+        ]
+        self._use = np.isin(packed.rows[packed.rows >= 0], self.hard) & equal
+        self.movers, self._moved = movers(problem, self.hard)
+        self.q = self.led(q)
+
+    @property
+    def m(self) -> int:
+        """Number of equations of the hard tasks."""
+        return self.problem.packed.count(self.hard)
+
+    @cached_property
+    def n(self) -> int:
+        """Freedoms that loops and relations leave to first order, of the joints that move the
+        tasks' frames.
+        """
+        closed = self.problem.packed.closed
+        return self.null_space(self.q, tasks=False)[0].shape[1] if closed else len(self.movers)
+
+    def equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
+        """Values (k,) and Jacobian (k, nv) of loops and relations and, with `tasks`, of the hard
+        tasks at q (nq,).
+        """
+        packed = self.problem.packed
+        pins = self.problem.pins
+        if not tasks:
+            return packed.evaluate(q, pins, closures=True)
+        own, own_J = packed.evaluate(q, pins)
+        if not self._use.all():
+            own = own[self._use]
+            own_J = own_J[self._use]
+        if not packed.closed:
+            return own, own_J
+        r, J = packed.evaluate(q, pins, closures=True)
+        return np.concatenate([r, own]), np.concatenate([J, own_J])
+
+    def move(self, x: Array, y: Array) -> Array:
+        """The configuration (nq,) a step y (nv,) from x."""
+        return self.problem.system.structure.layout.integrate(x, y * self.problem.packed.scale)
+
+    def between(self, x: Array, other: Array) -> Array:
+        """The step (nv,) from x to another configuration."""
+        return self.problem.system.structure.layout.difference(x, other) / self.problem.packed.scale
+
+    def led(self, q: Array) -> Array:
+        """The nearest configuration (nq,) where the equations hold as well as they can, by least
+        squares.
+
+        The damping is the residual (Fan and Yuan, 2005): quadratic where the equations are
+        independent, and by a part of the way each step where solutions merge.
+        """
+
+        def step(q: Array, r: Array, J: Array) -> Array:
+            return damped_least_squares(J, -r, float(np.linalg.norm(r)))
+
+        return gauss_newton(
+            self.equations, q, CLOSE, step=step, met=ROUNDING, last=STAYS, move=self.move
+        ).x
+
+    def null_space(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
+        """An orthonormal basis (nv, k) of velocities that keep the equations, and whether these are
+        independent.
+
+        A singular value counts as zero where the nearest configuration at which it vanishes, by the
+        derivative of the singular value, holds the equations as well as this one.
+        """
+        r, J = self._own(*self.equations(q, tasks))
+        if not J.size:
+            return self.spread(np.eye(J.shape[1])), True
+        U, s, Vt = svd(J)
+        error = max(float(np.linalg.norm(r)), ROUNDING)
+        rank = int((s > RANK_TOLERANCE * max(1.0, s[0])).sum())
+        while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
+            v = self.spread(Vt[rank - 1])
+            u = U[:, rank - 1]
+            ahead, behind = (
+                self._own(*self.equations(self.move(q, h * v), tasks))[1] for h in (CURL, -CURL)
+            )
+            curve = float(np.linalg.norm(u @ (ahead - behind))) / (2.0 * CURL)
+            if s[rank - 1] ** 2 > 2.0 * SAME * error * curve:
+                break
+            rank -= 1
+        return self.spread(Vt[rank:].T), rank == len(r)
+
+    def _own(self, r: Array, J: Array) -> tuple[Array, Array]:
+        """Those values and rows of a Jacobian (k, nv) that the `movers` decide, and their columns."""
+        ties = len(self._moved)
+        closures = (
+            self._moved
+            if len(r) == ties
+            else np.append(self._moved, np.ones(len(r) - ties, dtype=bool))
+        )
+        use = closures if self.problem.packed.closed else np.ones(len(r), dtype=bool)
+        return r[use], J[use][:, self.movers]
+
+    def spread(self, v: Array) -> Array:
+        """Velocities (nv, ...) of the system from those (k, ...) of the `movers`."""
+        out = np.zeros((self.problem.system.nv, *v.shape[1:]))
+        out[self.movers] = v
+        return out
+
+    def tangents(self, q: Array) -> Array:
+        """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the
+        rank of rounding.
+        """
+        return self.spread(null(self._own(*self.equations(q))[1]))
+
+    @cached_property
+    def left(self) -> Array:
+        """Orthonormal basis (nv, k) of the velocities that loops and tasks allow, to first order."""
+        return self._left[0]
+
+    @cached_property
+    def _left(self) -> tuple[Array, bool]:
+        return self.null_space(self.q)
+
+    @cached_property
+    def motions(self) -> Array:
+        """Unit vectors (n, nv) of the directions in which one can move on: a basis where nothing is
+        singular.
+        """
+        basis, independent = self._left
+        if independent or not basis.size:
+            return basis.T
+        return self._landed(self.q, basis, LENGTHS)
+
+    @cached_property
+    def finite(self) -> int:
+        """Number of freedoms that are finite motions: the dimension of the set of solutions about
+        q.
+
+        Where several branches meet it is the largest of their dimensions.
+        """
+        basis, independent = self._left
+        if independent:
+            return basis.shape[1]
+        return max((self._dimension(d) for d in self.motions), default=0)
+
+    def _dimension(self, direction: Array) -> int:
+        """The dimension of the solutions beside q in a direction."""
+        there = self.led(self.move(self.q, LENGTHS[0] * direction))
+        basis, independent = self.null_space(there)
+        if independent or basis.shape[1] == 1:
+            return basis.shape[1]
+        landed = self._landed(there, basis, tuple(0.1 * h for h in LENGTHS))
+        return int((svd(landed, compute_uv=False) > 0.1).sum()) if len(landed) else 0
+
+    def _landed(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
+        """Directions (n, nv) in which steps from q along a null space stay away from it when they
+        are led back.
+        """
+        k = basis.shape[1]
+        mixed = np.random.default_rng(0).normal(size=(2 * k if k > 1 else 0, k))
+        wishes = np.concatenate([np.eye(k), mixed / np.linalg.norm(mixed, axis=1, keepdims=True)])
+        d = basis[:, 0]
+        far = 1.0
+        out: list[Array] = []
+        for wish in np.concatenate([wishes, -wishes]):
+            for h in lengths:
+                d = self.between(q, there := self.led(self.move(q, h * basis @ wish)))
+                far = float(np.linalg.norm(d))
+                if not KEPT * h <= far <= 5.0 * h or not self._holds(there):
+                    break
+            else:
+                out.append(d / far)
+        return np.array(out).reshape(len(out), self.problem.system.nv)
+
+    def _holds(self, q: Array) -> bool:
+        """Whether the equations hold at q (nq,) as well as at the first configuration."""
+        there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
+        return there <= 10.0 * max(here, 100.0 * ROUNDING)
+
+
+def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities (k,) that move a frame of the hard tasks, or what they read, directly or through
+    loops.
+
+    Also which equations (m,) of loops and relations these velocities are in.
+    """
+    packed = problem.packed
+    columns = [set(packed.loops.columns(k)) for k in range(len(packed.loops.ties))]
+    loops = [
+        k for k in range(len(columns)) if packed.owner[k] < 0 and not packed.loops.ties[k].bounds
+    ]
+    found = set[int]().union(*(columns[k] for k in range(len(columns)) if packed.owner[k] in hard))
+    while more := {v for k in loops if columns[k] & found for v in columns[k]} - found:
+        found |= more
+    of_ties = np.array([bool(c & found) for c in columns], dtype=bool)
+    rows = np.repeat(of_ties, [len(t.rows) for t in packed.loops.ties])
+    return np.array(sorted(found), dtype=np.int64), rows[packed.rows == -1]
+
+
+# ---- reached
+
+# The answer for several tasks: the configuration, what each task misses, and what freedoms are
+# left.
+
+
+def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,),
+    scaled.
+    """
+    local = Local(problem, q)
+    return local.m, local.n, local.n - local.left.shape[1], local.left

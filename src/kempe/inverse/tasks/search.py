@@ -1,0 +1,850 @@
+"""The inverse geometric model for several tasks on any frames of any system: trees, loops,
+relations, free bases.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.problem import Problem
+from kempe.arguments import seed_number, start_count, step_count, tolerances
+from kempe.arrays import is_sequence, is_whole
+from kempe.assemble.bound import TOLERANCE as CLOSED
+from kempe.assemble.nearest_exact import decided_within, ideal_of
+from kempe.budget import Usual
+from kempe.constraints.base import Constraint
+from kempe.equations.packed_tasks import Packed, lead_of, refuse
+from kempe.equations.task_functions import REAL_STEP, checked_value, jacobian_of, way_of
+from kempe.equations.tasks import Centred, PlacedTask, Task, task_of
+from kempe.errors import InputError, shown
+from kempe.forward.fk import fk, jacobian
+from kempe.inverse.answer import Reached
+from kempe.inverse.tasks.contradictions import contradictory
+from kempe.inverse.tasks.demands import FIRST, KEPT, STARTS, STEPS, Demands, Level, level_of
+from kempe.inverse.tasks.reach_bounds import unreachable
+from kempe.joints import P
+from kempe.kernels.base import search_layout as S
+from kempe.kernels.constraints import loop_layout as L
+from kempe.model.configurations import as_start, home_of, mid, random, refuse_far
+from kempe.model.constraint_program import Callback
+from kempe.model.model import keep, kept
+from kempe.model.own_tree import own_tree
+from kempe.numerics.clock import EndReached, TimeLimit
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import MEMBERS, Status
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- default start
+
+# Where searches start: at home, beside a target, or anywhere.
+
+
+FAR = 10.0
+"""Characteristic lengths from a frame to its target from which on a base is moved before the first
+start."""
+
+
+def near_target(problem: Demands, home: Array) -> Array:
+    """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task
+    holds a frame.
+
+    So a drive over the plane begins beside its target; what is near stays. A base that flies is
+    moved by the kernels.
+    """
+    system = own_tree(problem.system)
+    base = _slides(system)
+    if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
+        return home[None]
+    for task in problem.tasks:
+        if not isinstance(task, PlacedTask) or isinstance(task, Centred):
+            continue
+        placed = task.point and task.weight is None and task.hold(system).a is None
+        if not placed:
+            continue
+        J = jacobian(system, home, task.hold(system).b)[:3, base]
+        away = task.goal(system)[..., :3, 3] - task.place(system, partial(fk, system, home))[:3, 3]
+        far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
+        if not J.any() or not far.any():
+            continue
+        dx = away @ np.linalg.pinv(J, rcond=1e-9).T
+        moved = np.tile(home, (*dx.shape[:-1], 1))
+        places = dict(
+            zip(
+                system.structure.layout.vector_v.tolist(),
+                system.structure.layout.vector_q.tolist(),
+                strict=True,
+            )
+        )
+        moved[..., [places[v] for v in base]] += dx
+        moved = np.where(far & np.isfinite(dx).all(axis=-1, keepdims=True), moved, home)
+        return (
+            np.broadcast_to(moved, (*(problem.lead if dx.ndim > 1 else ()), system.nq))
+            .reshape(-1, system.nq)
+            .copy()
+        )
+    return home[None]
+
+
+@kept
+def _slides(system: System) -> list[int]:
+    """Velocity coordinates without limits that slide along axes that nothing turns."""
+    table = system.structure.table
+    out: list[int] = []
+    straight: set[int] = {-1}
+    for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
+        if kind == P and int(parent) in straight:
+            straight.add(row)
+            if (
+                np.isinf(system.lower[v])
+                and np.isinf(system.upper[v])
+                and np.sum(table.iv == v) == 1
+            ):
+                out.append(int(v))
+    return out
+
+
+# ---- preferences
+
+# What `ik` of tasks can make least in the freedoms that all tasks leave: functions of q, with
+# their gradient.
+
+
+SMALL = 1e-24
+"""Added to squared singular values, so that the logarithm of none is infinite."""
+
+
+def least(problem: Demands, prefer: Any) -> Callback:
+    """The function that is to be made least, as kernels call it: "manipulability", or of q. Errors:
+    `InputError`.
+    """
+    if prefer == "manipulability":
+        callback = Callback(
+            problem.system, 1, _with_differences(problem, lambda q: -log_manipulability(problem, q))
+        )
+    else:
+        callback = Callback(problem.system, 1, _of_user(problem, prefer))
+    callback.scale = problem.packed.scale
+    return callback.made_by(least, problem, prefer)
+
+
+def log_manipulability(problem: Demands, q: Array) -> Array:
+    """Logarithm (...) of the hard tasks' manipulability at q (..., nq): of sqrt(det(J J^T))
+    (Yoshikawa, 1985).
+
+    J is taken in the velocities that the loops leave. For tasks that are singular everywhere, of
+    the part that is not.
+    """
+    packed = problem.packed
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    J = packed.evaluate(q, problem.pins)[1][..., np.isin(packed.rows[packed.rows >= 0], hard), :]
+    C = packed.evaluate(q, problem.pins, closures=True)[1]
+    if C.shape[-2]:
+        J = J - J @ np.linalg.pinv(C, rcond=1e-9) @ C
+    s = svd(J, compute_uv=False)
+    return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
+
+
+def _with_differences(
+    problem: Demands, function: Callable[[Array], Array]
+) -> Callable[[Array], tuple[Any, Array]]:
+    """The function with its gradient by central differences, all of them in one batch."""
+    system = problem.system
+    steps = REAL_STEP * np.concatenate(
+        [np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))]
+    )
+
+    def work(q: Array) -> tuple[Any, Array]:
+        f = function(system.structure.layout.integrate(q, steps))
+        return f[-1:], ((f[: system.nv] - f[system.nv : -1]) / (2.0 * REAL_STEP))[None]
+
+    return work
+
+
+def _of_user(
+    problem: Demands, function: Callable[[Array], Any]
+) -> Callable[[Array], tuple[Any, Array]]:
+    layout = problem.system.structure.layout
+    q0 = random(problem.system, 0)
+    if checked_value("prefer", function, q0).size != 1:
+        raise InputError(
+            "what is preferred must be one number: a function of q (nq,) to be made least"
+        )
+    how = way_of(function, layout, q0)
+    return lambda q: (
+        np.ravel(function(q)),
+        jacobian_of(function, None, how, layout, q).reshape(1, -1),
+    )
+
+
+# ---- effort
+
+# How many starts the search for several tasks is given: few where nothing speaks for an answer,
+# many where much does.
+#
+# Without the limits, nearly every start finds an answer where there is one. So where some starts
+# without them fail too, more are hardly worth their time; where they do not, an answer within the
+# limits may take thousands of starts.
+
+
+EACH = 30
+MOST = 15_000
+HOPELESS = 10
+"""Starts by the square of the number of limited coordinates that the tasks move, their largest
+number, and the part of them that is tried where no answer without limits is found either. With 30,
+1470 are for an arm with seven joints."""
+
+
+GLIMPSE = 10_000
+SHARE = 2_500
+"""Calls of Python functions after which it is checked whether a search may ever end well, and calls
+of each of the searches by which this is checked. They are counted, not timed, so that no answer
+depends on how busy the machine is."""
+
+Found = tuple[Array, np.ndarray]
+"""Configurations (N, nq) and (status, steps, starts) (N, 3)."""
+
+
+class Effort:
+    """A check for `watched_by` that lets a search call functions, and begin starts, `most` times in
+    all.
+    """
+
+    def __init__(self, most: int):
+        self.most = most
+        self.count = 0
+
+    def __call__(self) -> None:
+        """Count one more. Raises `EndReached` where these are too many."""
+        self.count += 1
+        if self.spent:
+            raise EndReached
+
+    @property
+    def spent(self) -> bool:
+        """Whether it ended a search."""
+        return self.count > self.most
+
+
+def of_functions(problem: Demands) -> bool:
+    """Whether Python functions decide what holds: how long a start takes is not known beforehand."""
+    return any(t.function is not None for t in problem.packed.loops.ties)
+
+
+def patiently(
+    problem: Demands, solve: Callable[[Demands], Found], base: Array
+) -> tuple[Demands, Found]:
+    """The problem, how far it was searched, and what `solve` finds: at first with GLIMPSE calls, of
+    one problem.
+
+    It goes on only where a search without limits finds an answer, and each function alone holds
+    inside the limits.
+    """
+    effort = Effort(GLIMPSE)
+    q, info = solve(replace(problem, effort=effort))
+    if not effort.spent or time.monotonic() >= problem.end:
+        return problem, (q, info)
+    if _hopeful(problem, base) or time.monotonic() >= problem.end:
+        return problem, solve(problem)
+    info[info[:, 0] >= S.LATE, 0] -= S.LATE  # it was not the time that ended it
+    return replace(problem, given_up=effort.most), (q, info)
+
+
+def _hopeful(problem: Demands, base: Array) -> bool:
+    """Whether there is an answer without limits, and one for each hard task that is a function,
+    inside them.
+    """
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    called = {
+        int(i)
+        for i, t in zip(problem.packed.owner, problem.packed.loops.ties, strict=True)
+        if t.function
+    }
+    trials = [problem.only(hard, False), *(problem.only([i]) for i in hard if i in called)]
+    for trial in trials:
+        _, info = replace(trial, end=problem.end, effort=Effort(SHARE)).run(base[:1], tries=FIRST)
+        if info[0, 0] != S.SOLVED:
+            return False
+    return True
+
+
+def most_starts(system: System, packed: Packed) -> int:
+    """Starts before tasks are given up: they grow with the number of limits that an answer may
+    touch. Kept.
+    """
+    found = packed.stages.get(most_starts)
+    if found is None:
+        plan = packed.loops.plan
+        weights = packed.loops.weights
+        nv = system.nv
+        places = plan[plan[L.AT_PLACES] :][: L.PLACE_INTS * nv].reshape(nv, L.PLACE_INTS)
+        moves = np.diff(plan[plan[L.AT_VARS] :][: nv + 1]) > 0
+        _, low, high, *_ = L.velocity_lists(weights, nv)
+        limited = np.isfinite(low) | np.isfinite(high)
+        count = int(np.sum(moves & limited & (places[:, 1] <= L.BOUND_TURN) & (places[:, 2] == 0)))
+        found = packed.stages[most_starts] = min(max(EACH * count * count, 5 * FIRST), MOST)
+    return found
+
+
+def proofs_of(problem: Demands) -> np.ndarray:
+    """Codes (N,) of the problems that are proven to have no answer, 0 of others. Kept with the
+    problem.
+    """
+    found: np.ndarray | None = problem.kept.get(proofs_of)
+    if found is None:
+        against = np.where(contradictory(problem), Status.CONTRADICTORY, 0)
+        found = np.where(unreachable(problem), Status.OUT_OF_REACH, against).ravel()
+        problem.kept[proofs_of] = found
+    return found
+
+
+def search_by_effort(
+    problem: Demands, base: Array, threads: int | None = 1
+) -> tuple[Array, np.ndarray]:
+    """As `Demands.run`, with as many starts as each problem deserves: `FIRST` first, then up to
+    those of the problem.
+
+    No more than these where a proof says that there is no answer.
+    """
+    q, info = problem.run(base, threads, tries=FIRST)
+    if len(info) == 1 and info[0, 0] == S.SOLVED:
+        return q, info
+    left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
+    if not left.size or problem.starts <= FIRST:
+        return q, info
+    left = left[proofs_of(problem)[left] == 0]
+    if not left.size:
+        return q, info
+    open_ = replace(problem, limits=False, mode=S.NOTHING)
+    _, found = open_.run(base, threads, tries=FIRST, rows=left)
+    hope = found[:, 0] == S.SOLVED
+    for rows, tries in ((left[hope], problem.starts), (left[~hope], problem.starts // HOPELESS)):
+        if not rows.size or tries <= FIRST:
+            continue
+        again, more = problem.run(base, threads, tries=tries, rows=rows)
+        better = (more[:, 0] % S.LATE == S.SOLVED) | (more[:, 2] >= info[rows, 2])
+        q[rows[better]], info[rows[better]] = again[better], more[better]
+        late = rows[~better]
+        info[late, 0] = S.NOT_FOUND + S.LATE  # the time was up before it came as far again
+    return q, info
+
+
+# ---- levels
+
+# Levels of tasks: their order, their packed ties, and what is found without the later ones.
+#
+# Lowering never gives up what earlier levels have reached, and soft levels are added one by one, each
+# to what is found without it. Hard tasks behind a soft level are met first, and an angle that a later
+# level names does not turn on beyond its limits: there the search without the later ones is looked
+# at, too.
+
+
+Search = Callable[[Demands, Array, "int | None"], tuple[Array, np.ndarray]]
+
+GAIN = 1e-6
+LITTLE = 1e-12
+"""Part of the square that a level misses by which another must be less to count as lower, and the
+least difference."""
+MET = 1e-16
+"""Square of what a soft level misses up to which it is met."""
+
+
+def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
+    """The packed ties of tasks, made once for each structure; the last few are kept."""
+    levels: tuple[int, ...] = ()
+    if len(tasks) > 1:
+        order = sorted({level_of(t) for t in tasks})
+        if any(soft for _, soft in order[:-1]):
+            levels = tuple(order.index(level_of(t)) for t in tasks)
+    key = (turns, levels, *((type(t), t.label, t.structure(system)) for t in tasks))
+    answers = system._kept.setdefault(packed_for, {})
+    found = answers.get(key)
+    if found is None:
+        found = Packed(system, tasks, turns=turns, levels=levels, closing=ideal_of(system))
+        if all(t.lasting for t in tasks):
+            keep(answers, key, found, KEPT)
+    return found
+
+
+def solve(
+    problem: Demands,
+    base: Array,
+    search: Search,
+    threads: int | None = 1,
+    rows: np.ndarray | None = None,
+) -> tuple[Array, np.ndarray]:
+    """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some
+    `rows` few starts.
+
+    A soft last level behind another soft one is lowered from what is found without it.
+    """
+    end = _cut(problem, _is_added)
+    if end is None:
+        few = rows is not None
+        q, info = (
+            problem.run(base, threads, tries=FIRST, rows=rows)
+            if few
+            else search(problem, base, threads)
+        )
+        if len(problem.tasks) > 1:
+            _compare(
+                problem, base, q, info, search, threads, np.arange(len(q)) if rows is None else rows
+            )
+        return q, info
+    q, info = solve(_part(problem, end), base, search, threads, rows)
+    rows = np.arange(len(q)) if rows is None else rows
+    at = np.flatnonzero((info[:, 0] < S.LATE) & (info[:, 0] != S.BAD_INPUT))
+    if at.size:
+        q[at], more = _lead_on(problem, rows[at], q[at], threads, -1)
+        info[at, 0] = more[:, 0]
+        info[at, 1] += more[:, 1]
+    return q, info
+
+
+def _compare(
+    problem: Demands,
+    base: Array,
+    q: Array,
+    info: np.ndarray,
+    search: Search,
+    threads: int | None,
+    rows: np.ndarray,
+) -> None:
+    """Make q and info of some rows better in place where earlier levels come lower without the last
+    ones.
+
+    This is looked at where the last levels can change what the others reach, and that is missed.
+    Where it comes lower, the last ones are lowered from there, as far as the others stay there. A
+    success is given up only for what is one without them.
+    """
+    end = _cut(problem, _may_differ)
+    if end is None:
+        return
+    soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
+    at = np.flatnonzero((info[:, 0] == S.NOT_FOUND) | (soft & (info[:, 0] == S.SOLVED)))
+    if not at.size:
+        return
+    part = _part(problem, end)
+    here = values(part, q[at], rows[at])
+    missed = (here > MET).any(axis=1)
+    at = at[missed]
+    here = here[missed]
+    if not at.size or time.monotonic() >= problem.end:
+        return
+    alone, found = solve(part, base, search, threads, rows[at])
+    info[at, 1] += found[:, 1]
+    there = values(part, alone, rows[at])
+    fair = (found[:, 0] == S.SOLVED) | ((found[:, 0] == S.NOT_FOUND) & (info[at, 0] == S.NOT_FOUND))
+    better = fair & is_lower(there, here)
+    at = at[better]
+    alone = alone[better]
+    there = there[better]
+    if not at.size:
+        return
+    again, more = _lead_on(problem, rows[at], alone, threads, 0)
+    lost = is_lower(there, values(part, again, rows[at]))
+    again[lost] = alone[lost]
+    more[lost, 0] = S.NOT_FOUND
+    in_time = more[:, 0] < S.LATE
+    q[at[in_time]] = again[in_time]
+    info[at[in_time], 0] = more[in_time, 0]
+    info[at, 1] += more[:, 1]
+
+
+def _lead_on(
+    problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int
+) -> tuple[Array, np.ndarray]:
+    """As `Demands.run` of some rows, from configurations of these."""
+    starts = np.zeros((math.prod(problem.lead), q.shape[1]))
+    starts[rows] = q
+    return problem.run(starts, threads, tries=tries, rows=rows)
+
+
+def _cut(problem: Demands, where: Callable[[Demands, Level], bool]) -> Level | None:
+    """The last level that says so, before the last one."""
+    levels = tuple([level_of(t) for t in problem.tasks])
+    requested = where, levels
+    ends = problem.packed.stages.get(requested)
+    if ends is None:
+        order = sorted(set(levels))
+        ends = keep(
+            problem.packed.stages,
+            requested,
+            [end for end in order[:-1] if where(problem, end)][-1:],
+            KEPT,
+        )
+    return ends[0] if ends else None
+
+
+def _is_added(problem: Demands, end: Level) -> bool:
+    """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones
+    before it.
+    """
+    levels = sorted({level_of(t) for t in problem.tasks})
+    return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
+
+
+def _may_differ(problem: Demands, end: Level) -> bool:
+    """Whether tasks behind this level can change what those up to it reach.
+
+    Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond
+    their limits.
+    """
+    later = [t for t in problem.tasks if level_of(t) > end]
+    soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
+    if soft and any(t.weight is None for t in later):
+        return True
+    named = any(t.coordinates(problem.system) for t in later)
+    return named and bool(np.any(_part(problem, end).packed.wide & ~problem.packed.wide))
+
+
+def _part(problem: Demands, end: Level) -> Demands:
+    """The problem up to a level, nothing preferred."""
+    levels = tuple([level_of(t) for t in problem.tasks])
+    requested = _part, levels, end
+    chosen, packed = problem.packed.stages.get(requested) or ((), None)
+    if packed is None:
+        chosen = tuple(i for i, level in enumerate(levels) if level <= end)
+        packed = packed_for(
+            problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns
+        )
+        keep(problem.packed.stages, requested, (chosen, packed), KEPT)
+    tasks = tuple([problem.tasks[i] for i in chosen])
+    goals = tuple([problem.goals[i] for i in chosen])
+    pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
+    use = (True,) * len(tasks)
+    return replace(
+        problem,
+        tasks=tasks,
+        packed=packed,
+        goals=goals,
+        pins=pins,
+        use=use,
+        mode=S.NOTHING,
+        aim=None,
+        callback=None,
+    )
+
+
+def is_lower(values: Array, than: Array) -> np.ndarray:
+    """Whether of rows of values (N, levels) the first one that differs is the lower one."""
+    far = np.abs(values - than) > np.maximum(GAIN * np.maximum(values, than), LITTLE)
+    first = far.argmax(axis=1)[:, None]
+    return far.any(axis=1) & (np.take_along_axis(values - than, first, 1)[:, 0] < 0.0)
+
+
+def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
+    """What each level misses (N, levels), as the solver counts it, at configurations (N, nq) of
+    some rows.
+
+    A soft level counts its weighted square, a hard one the largest square by its tolerance where
+    that is above 1.
+    """
+    from kempe.kernels.compiled import closure_batch
+
+    loops = problem.packed.loops
+    m = len(problem.packed.rows)
+    stages, strengths, *_ = problem.levels
+    pins = problem.pins[rows] if len(problem.pins) > 1 else problem.pins
+    g = np.empty((len(q), m))
+    none = np.empty((0, m, 0))
+    ties = len(loops.ties)
+    closure_batch.equations(
+        loops.ints,
+        loops.floats,
+        loops.plan,
+        loops.weights,
+        pins,
+        np.ascontiguousarray(q),
+        False,
+        g,
+        none,
+    )
+    out = np.zeros((len(q), int(stages[:ties].max()) + 1))
+    at = 0
+    g -= np.clip(g, *loops.bounds)
+    for k, (tie, lengths) in enumerate(zip(loops.ties, loops.lengths, strict=True)):
+        count = len(tie.rows)
+        stage = stages[k]
+        error = g[:, at : at + count]
+        at += count
+        if stage < 1:
+            continue
+        if stages[ties + k]:
+            linear, angular = (
+                np.sum(x * x, axis=1) for x in (error[:, :lengths], error[:, lengths:])
+            )
+            worst = np.maximum(linear / strengths[k, 1] ** 2, angular / strengths[k, 2] ** 2)
+            out[:, stage] = np.maximum(out[:, stage], np.where(worst > 1.0 + GAIN, worst, 0.0))
+        else:
+            out[:, stage] += strengths[k, 0] * np.sum(error * error, axis=1)
+    return out[:, 1:]
+
+
+TOLERANCE = (1e-6, 1e-6)
+"""Largest error in metres and radians of a hard task that has no tolerance of its own."""
+SLACK = 1.0 + 1e-6
+"""By which part of a tolerance the check by the forward model may differ from the solver's own:
+rounding."""
+PREFERRED = ("nearest", "mid", "manipulability")
+"""What can be preferred by name, besides a function of q."""
+SINGLE = 30.0
+"""Seconds that the answer for one problem may take, unless the caller says otherwise."""
+USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=SINGLE, rng=0, threads=None)
+BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
+
+
+def reach(problem: Problem) -> Reached:
+    """A configuration that holds several tasks at once (the inverse geometric model of any system).
+
+    `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading
+    axes make a batch. Joint limits, couplings, relations and closed loops hold, too. `start` (nq,)
+    or (..., nq), or a dict by name, is the first start (default: the posture 'closed' of the file,
+    else the middle of the limits). `prefer` says what is made least in the freedoms that all tasks
+    leave: "nearest" (distance to the start), "mid" (distance to the middle of the limits),
+    "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the
+    largest error of a hard task in metres and radians, by default 1e-6 each; what is reached is
+    then closed to rounding where it converges. Soft tasks alone are lowered from up to five starts,
+    the least counts.
+
+    Of the `budget` are read: starts, iterations (60), time_limit, rng (0), threads. Starts are
+    drawn from rng: the same arguments give the same answer, whatever the threads. By default they
+    are 60, then as many as the problem deserves: no more where it is proven that there is no
+    answer; where one is found without the limits, 30 times the square of the number of limited
+    coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
+    Iterations are the steps of one start, at most, and four times as many those of a lower level
+    from one start. The time limit is looked at before each start: an answer that it ended says so,
+    and is the only one that depends on the machine. By default it is 30 s for one problem; a batch
+    has none. Where tasks or constraints are Python functions, one problem is given up after 10 000
+    calls of these if a search without limits, or for these alone, finds nothing.
+
+    A success is checked by the forward model: hard tasks, limits and loops. Else the answer says
+    what fails and why, and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest
+    found, by the sum of squares of what tasks miss, in characteristic lengths and radians. Method:
+    damped least squares with an active set of limits and restarts (Levenberg, 1944; Sugihara,
+    2011), then the lower levels in the null space of the higher ones (Siciliano and Slotine, 1991).
+    Errors: `InputError`, `UnknownNameError`.
+    """
+    system = problem.system
+    prefer = problem.prefer
+    spend = BATCH.of(problem.budget)
+    if not (
+        prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)
+    ):
+        raise InputError(
+            f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a "
+            "function of q"
+        )
+    tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
+    starts = spend.starts
+    threads = spend.threads
+    turns = prefer is None or prefer == "nearest"
+    time = TimeLimit(USUAL.of(problem.budget).time_limit)
+    decided_within(USUAL, time, system)
+    demands, base = pose_problem(
+        system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
+    )
+    search = Demands.run if starts is not None else search_by_effort
+    limit = spend.time_limit if demands.lead else time.limit
+    if spend.iterations != STEPS or limit is not None:
+        end = math.inf if limit is None else time.end
+        demands = replace(
+            demands, iterations=step_count(spend.iterations), time_limit=limit, end=end
+        )
+    if (
+        prefer == "manipulability" and demands.lead
+    ):  # it depends on the goal, of which each row has its own
+        rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
+        each = [
+            solve(row, base[i : i + 1] if len(base) > 1 else base, search)
+            for i, row in enumerate(rows)
+        ]
+        q, info = (
+            np.concatenate([x[k] for x in each] or [np.empty((0, n))])
+            for k, n in ((0, system.nq), (1, 3))
+        )
+    else:
+        demands = demands if prefer is None else _preferring(demands, prefer, base)
+        unasked = problem.budget is None or problem.budget.time_limit is None
+        if unasked and starts is None and not demands.lead and of_functions(demands):
+            demands, (q, info) = patiently(
+                demands, lambda part: solve(part, base, search, threads), base
+            )
+        else:
+            q, info = solve(demands, base, search, threads)
+    answer = judge(demands, q, info)
+    if not demands.lead and answer.code == Status.BAD_INPUT:
+        for each, goals in zip(demands.tasks, demands.goals, strict=True):
+            refuse(goals, each.label)
+        refuse_far(system, base, "start")
+        raise InputError("the goals and the start lead to numbers that are not finite")
+    return answer
+
+
+def pose_problem(
+    system: System,
+    wanted: Constraint | Sequence[Constraint],
+    start: Any = None,
+    tolerance: Any = TOLERANCE,
+    starts: int | None = STARTS,
+    rng: Any = 0,
+    turns: bool = False,
+) -> tuple[Demands, Array]:
+    """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
+
+    `starts` None are as many as it deserves.
+    """
+    tasks = _distinct(wanted, system.dim)
+    goals = tuple(t.goals(system) for t in tasks)
+    base = _home(system) if start is None else as_start(system, start)
+    lead = own = lead_of(goals)
+    if base.ndim > 1:
+        try:
+            lead = np.broadcast_shapes(lead, base.shape[:-1])
+        except ValueError:
+            raise InputError(
+                f"start has shape {base.shape}, the goals have the leading shape {lead}"
+            ) from None
+        base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
+    packed = packed_for(system, tasks, turns)
+    pins = packed.pins(goals, lead if own else ())
+    use = (True,) * len(tasks)
+    most = most_starts(system, packed) if starts is None else start_count(starts)
+    problem = Demands(
+        system,
+        tasks,
+        packed,
+        goals,
+        pins,
+        lead,
+        TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance),
+        most,
+        seed_number(rng),
+        use,
+        loose=start is None,
+    )
+    starts_at = (
+        near_target(problem, base)
+        if start is None
+        else base.reshape(math.prod(base.shape[:-1]), system.nq)
+    )
+    return problem, np.ascontiguousarray(starts_at)
+
+
+@kept
+def _home(system: System) -> Array:
+    """Where a search starts by default."""
+    return home_of(system)
+
+
+def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
+    """The tasks, checked, with labels that differ."""
+    single = isinstance(wanted, Constraint)
+    given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
+    if not given or not all([isinstance(t, Constraint) for t in given]):
+        what = "an empty list" if is_sequence(wanted) and not wanted else shown(wanted)
+        raise InputError(
+            "without a frame the target must be a task of kempe.tasks or a list of them; it is "
+            f"{what}"
+        )
+    out: dict[str, Task] = {}
+    for task in given:
+        if not is_whole(task.priority):
+            raise InputError(
+                f"priority of {task.label} is {task.priority!r}; it must be a whole number"
+            )
+        weight: Any = task.weight
+        number: bool = isinstance(weight, (int, float, np.integer, np.floating)) and not isinstance(
+            weight, bool
+        )
+        if weight is not None and not (number and 0.0 < weight < math.inf):
+            raise InputError(
+                f"weight of {task.label} is {weight!r}; it must be a positive number, or None"
+            )
+        if not isinstance(task.name, str):
+            raise InputError(f"name of a task is {task.name!r}; it must be text")
+        if task.tolerance is not None:
+            allowed = tolerances(task.tolerance)
+            task = (
+                task
+                if task.tolerance.__class__ in (int, float)
+                else replace(task, tolerance=allowed)
+            )
+        label = task.label
+        count = 1
+        while label in out:
+            count += 1
+            label = f"{task.label} ({count})"
+        out[label] = task_of(task if count == 1 else replace(task, name=label), dim)
+    return tuple(out.values())
+
+
+def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
+    """The problem, with what `prefer` minimises as its last level."""
+    if prefer == "nearest":
+        return replace(
+            problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base
+        )
+    if prefer == "mid":
+        return replace(problem, mode=S.AHEAD, aim=mid(problem.system)[None])
+
+    callback = least(problem, prefer)
+    return replace(problem, mode=callback.address, callback=callback)
+
+
+def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
+    """The answer, each configuration checked by the forward model, the limits and the loops."""
+    system = problem.system
+    lead = problem.lead
+    packed = problem.packed
+    status = info[:, 0]
+    bad = status == S.BAD_INPUT
+    some_bad = bad.any()
+    sound = (np.where(bad[:, None], system.neutral, q) if some_bad else q).reshape(*lead, system.nq)
+    hard, allowed = problem.levels[2:]
+    every = np.empty((len(problem.tasks), *lead, 2))
+    for error, task, goals in zip(every, problem.tasks, problem.goals, strict=True):
+        error[..., 0], error[..., 1] = task.measure(system, sound, goals)
+    allowed = allowed.reshape(-1, *[1] * len(lead), 2)
+    of_hard = every if len(hard) == len(every) else every[hard]
+    good = (of_hard <= allowed * SLACK).all(axis=(0, -1))
+    worst = of_hard.max(axis=0, initial=0.0)
+    if problem.limits:
+        at, low, high = packed.limits
+        x = sound[..., at]
+        good &= ((x >= low) & (x <= high)).all(axis=-1)
+    if packed.closed:
+        from kempe.equations.closure_rows import evaluate
+
+        good &= (
+            np.linalg.norm(evaluate(packed.closing, sound, False, True)[0], axis=-1)
+            <= 10.0 * CLOSED
+        )
+    if packed.one_sided.declared and problem.one_sided:
+        good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
+    late = status >= S.LATE
+    code = np.zeros(len(status), dtype=np.int64)  # S.SOLVED: np.full takes ten times as long
+    if some_bad or not good.all():
+        code = np.where(
+            good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND)
+        )
+        code[bad] = Status.BAD_INPUT
+        if problem.limits and np.any(code == Status.NOT_FOUND):
+            proofs = proofs_of(problem)
+            code = np.where((code == Status.NOT_FOUND) & (proofs > 0), proofs, code)
+    columns = (code == S.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
+    fields = [x.reshape(lead) if lead else x.item() for x in columns]
+    errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}
+    success, code, *fields, cut_off = fields
+    q = q.reshape(*lead, system.nq)
+    code = code if lead else MEMBERS[int(code)]
+    return Reached(q, success, code, *fields, problem=problem, errors=errors, late=cut_off)

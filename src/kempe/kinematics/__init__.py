@@ -1,1 +1,0 @@
-"""Where everything is: the forward model, the configuration space, constraints."""

@@ -1,1 +1,0 @@
-"""Constraints as what is required of a configuration."""

@@ -1,1 +1,0 @@
-"""Velocity constraints: recorded rows A(q) v = b(q, t)."""

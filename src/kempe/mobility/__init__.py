@@ -1,0 +1,1 @@
+"""How many degrees of freedom, and why."""

@@ -1,0 +1,502 @@
+"""A `Mobility` in words: the sentence, the reasoning by topic, and plain data."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from kempe.arguments import explained_methods
+from kempe.errors import InputError
+from kempe.first_order.constraint_graph import NO_SERIES
+from kempe.first_order.control import Control
+from kempe.first_order.counting import Counting, LoopCount
+from kempe.first_order.idle_freedoms import IdleFreedom
+from kempe.first_order.rank import Rank
+from kempe.first_order.redundant_constraints import Redundancy
+from kempe.first_order.wrenches import Wrenches
+from kempe.mobility.one_sided import OneSidedReport
+from kempe.report import Nearest, Worded, Words
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted, cut, verb
+
+if TYPE_CHECKING:
+    from kempe.mobility.local_dimension import LocalDimension
+    from kempe.mobility.relative_motion import RelativeMotion
+    from kempe.model.model import FrameLike
+
+FEW = 4
+"""Branches whose dimensions are listed one by one."""
+SHOWN = 12
+"""Loops, clusters and idle freedoms that are listed one by one."""
+
+
+def sentence(m: Mobility) -> str:
+    """The result in one sentence: what the count says, what is true, and why they differ."""
+    if m.late and m.rank is None:
+        return f"Gruebler says {m.gruebler}; {m.why_open}"
+    if not m.closed:
+        return (
+            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual "
+            f"{m.residual:.2g}), so nothing is said about rank and true "
+            f"freedoms{f'; {m.why_open}' if m.why_open else ''}"
+        )
+    if m.dof is None:
+        why_not = "the time limit came" if m.late else "not tested further"
+        most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less ({why_not})"
+        return f"Gruebler says {m.gruebler}, {most}"
+    false = max((m.generic_rank_dof or 0) - m.dof, 0)
+    why: list[str] = []
+    if (m.redundant or 0) > false:
+        some = f", {false} of them to first order only" if false else ""
+        why.append(
+            f"{counted(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} "
+            f"redundant{some}"
+        )
+    if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
+        meet = "that meet here" if m.local.counted else "found here"
+        why.append(
+            f"the largest of {len(m.local.branches)} branches {meet} has "
+            f"{counted(m.dof, 'dimension')}"
+        )
+    doubtful = (
+        m.local is None
+        or m.local.doubts
+        or m.local.more
+        or (m.rank is not None and m.rank.doubtful)
+    )
+    sure = "probably " if not m.certain and doubtful or m.within is not None else ""
+    order = (
+        "" if m.certain or m.local is None or m.within is not None else f" to order {m.local.order}"
+    )
+    said = (
+        f"the truth is {sure}{m.dof}{order}"
+        if m.gruebler != m.dof
+        else f"which is {sure}the truth{order}"
+    )
+    rank = (
+        _without_motion(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof)
+        if false
+        else ""
+    )
+    least = "" if m.within is None else f" {m.within.least}"
+    exactly = "" if m.within is None else f"; {m.within.exactly}"
+    return (
+        f"Gruebler says {m.gruebler}, {said}{least}"
+        + (": " + ", ".join(why) if why else "")
+        + rank
+        + exactly
+    )
+
+
+def _without_motion(rank: int, false: int, nearby: bool) -> str:
+    """What the rank says too much."""
+    where = " at configurations nearby" if nearby else ""
+    if rank == false == 1:
+        return f"; the rank says 1{where}, a velocity that leads to no motion"
+    verb = "is a velocity that leads" if false == 1 else "are velocities that lead"
+    return (
+        f"; the rank says {rank}{where}, but {'all' if false == rank else false} of these {verb} "
+        "to no motion"
+    )
+
+
+def how_known(m: Mobility) -> str:
+    """By which test the true number is known, with its tolerance."""
+    if m.rank is None or m.dof is None:
+        return ""
+    if m.local is not None:
+        order = f"; known to order {m.local.order} of the Taylor series, not proven"
+        sure = f"; proven: {m.local.proof}" if m.local.certain else order
+        sure += "".join(f"; {doubt}" for doubt in m.local.doubts)
+        sampled = "" if m.local.sampled is None else f"; sampling agrees: {m.local.sampled}"
+        if m.local.sampled is not None and m.local.sampled != m.local.dim:
+            sampled = ""
+        return f"{m.local.method}{sampled}{sure}"
+    if not m.loops and not m.rank.clusters:
+        return "no loops: each joint moves as it likes"
+    unsure = "" if m.certain else f"; not proven: {m.unproven}"
+    if not m.rank.dependent:
+        why = (
+            "all constraints are independent here, so the configurations are a manifold (implicit "
+            "function theorem)"
+        )
+        return why + unsure
+    return "no velocity keeps all loops closed: rigid" + unsure
+
+
+def rank_text(m: Mobility) -> str:
+    """The rank with its gap, and whether it is beyond doubt."""
+    r = m.rank
+    if r is None:
+        return ""
+    equations = sum(len(c.jacobian) for c in r.clusters)
+    if not equations:
+        return (
+            f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
+        )
+    many = counted(len(r.units), "coordinate")
+    left = counted(r.nullity, "freedom")
+    text = f"{many} - rank {r.rank} of {counted(equations, 'equation')} = {left}"
+    text += " to first order"
+    gap = (
+        "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
+    )
+    if r.doubtful:
+        gap += (
+            f"; doubtful: the smallest that counts is {r.smallest:.1g} of the largest, {r.gap:.1g} "
+            "times the next"
+        )
+        gap += ", which is not clearly zero" if r.rest > 1e-8 else ""
+    elif r.smallest < 1e-4:
+        gap += (
+            f"; close to a singular configuration: the smallest that counts is {r.smallest:.1g} of "
+            "the largest"
+        )
+    if m.generic_rank_dof != m.rank_dof:
+        gap += f"; {m.generic_rank_dof} at other configurations nearby"
+    return text + gap
+
+
+def _of_velocity(m: Mobility) -> list[str]:
+    """Freedoms of position and of velocity, where some constraints are of velocity."""
+    if m.velocity_dof is None or m.rank_dof is None:
+        return []
+    if m.velocity_dof < 0:
+        return [
+            "no velocity satisfies all constraints of velocity here: they contradict each other"
+        ]
+    taken = m.rank_dof - m.velocity_dof
+    return [
+        f"{counted(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: constraints "
+        f"of velocity take {taken} of them at every moment; what motions reach all the same says "
+        "`classify`"
+    ]
+
+
+def lines(m: Mobility) -> list[tuple[str, list[str]]]:
+    """The report as (title, lines)."""
+    out = [("count", list(m.counting.steps))]
+    if m.dim == 2 and m.gruebler_spatial != m.gruebler:
+        out[0][1].append(f"Built in space, the same count is {m.gruebler_spatial}.")
+    if m.loops:
+        out.append(("loops", cut([str(x) for x in m.loops], SHOWN)))
+    if len(m.clusters) > 1:
+        out.append(("groups of loops", cut([_cluster(c) for c in m.clusters], SHOWN)))
+    if not m.closed:
+        return out
+    if m.given_residual > 1e-9:
+        out.append(
+            (
+                "closed",
+                [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"],
+            )
+        )
+    if m.within is not None:
+        out.append(("within", cut(m.within.lines, SHOWN)))
+    out.append(("rank", [rank_text(m)]))
+    if m.dof is not None:
+        useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
+        useful = ", which is idle" if m.idle == m.dof == 1 else useful
+        out.append(("truth", [f"{counted(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
+    if m.velocity_dof is not None:
+        out.append(("velocity", _of_velocity(m)))
+    if m.called:
+        who = f"constraint {m.called[0]!r} {NO_SERIES}: what is singular here may be redundant"
+        out.append(("truth", ["not known", who]))
+    if m.redundancy is not None and m.redundancy.number:
+        out.append(("redundant", [*str(m.redundancy).split("\n")]))
+        if m.dof is not None and (m.generic_rank_dof or 0) > m.dof:
+            out[-1][1].append(
+                "redundant to first order only: such a release would set something free"
+            )
+    if m.redundant_here and m.wrenches is not None:
+        out.append(("self-stress", m.wrenches.lines()))
+    if m.idle:
+        out.append((f"idle: {m.idle}", cut([str(f) for f in m.idle_freedoms], SHOWN)))
+    if m.singular:
+        out.append(("singular", [m.kind]))
+    if m.one_sided is not None:
+        out.append(("one-sided", cut([m.one_sided.sentence, *m.one_sided.lines], SHOWN)))
+    if m.control is not None:
+        out.append(("control", str(m.control).split("\n")))
+        if m.dof is not None and (m.rank_dof or 0) > m.dof:
+            seen = counted(m.rank_dof or 0, "freedom")
+            out[-1][1].append(
+                f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}"
+            )
+    return out
+
+
+def data(m: Mobility) -> dict[str, Any]:
+    """All numbers and texts as plain Python, ready for JSON."""
+    r = m.rank
+    local = m.local
+    c = m.control
+    return {
+        "name": m.name,
+        "dim": m.dim,
+        "sentence": sentence(m),
+        "q": m.q.tolist(),
+        "closed": m.closed,
+        "residual": m.residual,
+        "given_residual": m.given_residual,
+        "dof": m.dof,
+        "useful": m.useful,
+        "idle": m.idle,
+        "gruebler": m.gruebler,
+        "gruebler_spatial": m.gruebler_spatial,
+        "rank_dof": m.rank_dof,
+        "velocity_dof": m.velocity_dof,
+        "within": None if m.within is None else m.within.data(),
+        "generic_rank_dof": m.generic_rank_dof,
+        "redundant": m.redundant,
+        "redundant_here": m.redundant_here,
+        "singular": m.singular,
+        "kind": m.kind,
+        "certain": m.certain,
+        "how": how_known(m),
+        "gap": None if r is None or r.gap == float("inf") else r.gap,
+        "counting": list(m.counting.steps),
+        "loops": [
+            {
+                "name": x.name,
+                "joints": list(x.joints),
+                "freedoms": x.freedoms,
+                "equations": x.equations,
+                "count": x.count,
+                "motion": x.motion,
+            }
+            for x in m.loops
+        ],
+        "clusters": [
+            {
+                "joints": list(x.joints),
+                "loops": list(x.loops),
+                "gruebler": x.gruebler,
+                "rank_dof": x.rank_dof,
+                "redundant": x.redundant,
+            }
+            for x in m.clusters
+        ],
+        "branches": None if local is None else [b.dim for b in local.branches],
+        "releases": []
+        if m.redundancy is None
+        else [
+            {"joint": x.joint, "reactions": list(x.reactions), "pair": x.pair}
+            for x in m.redundancy.releases
+        ],
+        "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
+        "self_stress": [] if not m.redundant_here or m.wrenches is None else m.wrenches.data(),
+        "idle_freedoms": [
+            {
+                "bodies": list(f.bodies),
+                "joints": list(f.joints),
+                "point": list(f.point),
+                "direction": list(f.direction),
+            }
+            for f in m.idle_freedoms
+        ],
+        "one_sided": None if m.one_sided is None else m.one_sided.data(),
+        "control": None
+        if c is None
+        else {
+            "actuated": list(c.actuated),
+            "useful": c.useful,
+            "controlled": c.controlled,
+            "excess": c.excess,
+            "singular": c.singular,
+            "complete": c.complete,
+            "free": [dict(f) for f in c.free],
+        },
+    }
+
+
+def _cluster(c: Any) -> str:
+    name = ", ".join(c.joints[:SHOWN]) + (", ..." if len(c.joints) > SHOWN else "")
+    known = "" if c.rank_dof is None else f", by rank {c.rank_dof}"
+    known += f", {c.redundant} redundant" if c.redundant else ""
+    return f"{name}: count {c.gruebler}{known}"
+
+
+def dimensions(dims: Sequence[int]) -> str:
+    """'2, 1, 1', or '2 (5 times), 1 (8 times)' where there are many: dimensions of branches."""
+    if len(dims) <= FEW:
+        return ", ".join(str(d) for d in dims)
+    return ", ".join(str(d) if n == 1 else f"{d} ({n} times)" for d, n in Counter(dims).items())
+
+
+def _are(n: int) -> str:
+    return f"there is {n}" if n == 1 else f"there are {n}"
+
+
+# ---- mobility
+
+# Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is
+# redundant, idle, driven.
+
+
+@dataclass(frozen=True)
+class ClusterMobility:
+    """Loops that share joints: the joints, how many loops, the count of these alone, their rank
+    DoF, redundancy.
+
+    `rank_dof` and `redundant` are None where the mechanism is open.
+    """
+
+    joints: tuple[str, ...]
+    loops: tuple[str, ...]
+    gruebler: int
+    rank_dof: int | None
+    redundant: int | None
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Mobility(Worded):
+    """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
+
+    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`,
+    `generic_rank_dof` its minimum at other configurations around; `dof` the true local number: the
+    dimension of the set of closed configurations at `q` (None where it was not requested, or the
+    mechanism cannot be closed). `redundant` constraints depend on others at generic configurations,
+    to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are the
+    others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
+    """
+
+    name: str
+    dim: int
+    q: Array
+    closed: bool
+    residual: float
+    given_residual: float
+    why_open: str
+    counting: Counting
+    loops: tuple[LoopCount, ...]
+    clusters: tuple[ClusterMobility, ...]
+    outside: int
+    rank: Rank | None = field(repr=False)
+    generic_rank_dof: int | None
+    local: LocalDimension | None = field(repr=False)
+    dof: int | None
+    redundancy: Redundancy | None
+    idle_freedoms: tuple[IdleFreedom, ...]
+    control: Control | None
+    singular: bool | None
+    kind: str
+    velocity_dof: int | None = None
+    """Freedoms of velocity at `q`: what constraints of velocity leave of `rank_dof`; None without
+    such constraints."""
+    regular: bool = False
+    """Whether the rank is full beyond rounding, so that the implicit function theorem gives
+    `dof`."""
+    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    """What one-sided constraints are closed and still allow; None where there are none but limits
+    that are not reached.
+
+    The freedoms above do not count them: a side that is open takes nothing away, a closed one only
+    a direction.
+    """
+    called: tuple[str, ...] = ()
+    """Constraints that are functions without series, because of which `dof` is not known."""
+    wrenches: Wrenches | None = field(default=None, repr=False)
+    """What joints and constraints transmit at `q`, their self-stresses among it; None where it
+    cannot be closed."""
+    within: Nearest | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given
+    one."""
+
+    late: bool = False
+    """Whether the time limit came before the true number was known."""
+
+    @property
+    def gruebler(self) -> int:
+        """The count: freedoms of the bodies less what the joints take away."""
+        return self.counting.gruebler
+
+    @property
+    def gruebler_spatial(self) -> int:
+        """What the mechanism counts to in space; for a planar one each loop has three more
+        equations there.
+        """
+        return self.counting.gruebler_spatial
+
+    @property
+    def rank_dof(self) -> int | None:
+        """Freedoms to first order at `q`: coordinates less the rank of the loop equations."""
+        return None if self.rank is None else self.rank.nullity
+
+    @property
+    def redundant(self) -> int | None:
+        """Number of redundant constraints at generic configurations of this branch."""
+        return None if self.generic_rank_dof is None else self.generic_rank_dof - self.gruebler
+
+    @property
+    def redundant_here(self) -> int | None:
+        """Number of constraints that depend on others, to first order, at `q`."""
+        return None if self.rank is None else self.rank.dependent
+
+    @property
+    def idle(self) -> int:
+        """Number of idle freedoms."""
+        return len(self.idle_freedoms)
+
+    @property
+    def useful(self) -> int | None:
+        """Freedoms that are not idle."""
+        return None if self.dof is None else self.dof - self.idle
+
+    @property
+    def certain(self) -> bool:
+        """Whether `dof` is proven, for the mechanism in which what is zero to rounding is exactly
+        zero.
+
+        Either the rank is full, the smallest singular value being above a bound of all rounding and
+        an exactly closed configuration near by (Newton and Kantorovich), or a theorem about
+        singular or overconstrained mechanisms holds, whose hypotheses were checked: see
+        `kempe.mobility.dof_proofs`. Otherwise `dof` is known to an order only. What is true
+        `within` a tolerance only is not proven of the mechanism as given.
+        """
+        return self.within is None and (self.regular if self.local is None else self.local.certain)
+
+    @property
+    def unproven(self) -> str:
+        """Why `dof` is not proven where the rank is full."""
+        bent = (
+            [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
+        )
+        if bent:
+            return (
+                f"no bound is known of how {', '.join(map(repr, bent))} "
+                f"{verb(len(bent), 'bends', 'bend')}"
+            )
+        return "a singular value is too near zero to be distinguished from it"
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: solved where the mechanism can be closed here."""
+        if self.late:
+            return Status.OUT_OF_TIME
+        return Status.SOLVED if self.closed else Status.NOT_FOUND
+
+    def relative(self, body: FrameLike, to: FrameLike) -> RelativeMotion:
+        """How a body can move relative to another one at `q`: "1 DoF of B5 relative to B0: a slide
+        along x".
+
+        See `kempe.mobility.relative_motion`. Errors: `InputError` where the mechanism cannot
+        be closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
+        """
+        from kempe.mobility.relative_motion import relative_motion
+
+        if self.wrenches is None:
+            raise InputError(
+                f"{self.name} cannot be closed here: nothing is known of how its bodies move"
+            )
+        found = relative_motion(self.wrenches.system, self.wrenches.q, body, to)
+        return replace(found, within=found.within or self.within)
+
+    def _words(self) -> Words:
+
+        return Words(sentence, lines, data)

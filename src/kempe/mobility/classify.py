@@ -1,0 +1,535 @@
+"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far free
+velocities reach.
+
+Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed configurations.
+What brackets of its fields span at q is tangent to the set that motions from q reach (Chow, 1939;
+Nagano, 1966; Sussmann, 1973). Where it is no more than the distribution, at a configuration drawn
+at random and so everywhere, since all is analytic, the rows are the rates of functions of q
+(Frobenius, 1877): positions in disguise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import explained, explained_methods, generator
+from kempe.arrays import is_real
+from kempe.assemble.generic_configurations import NEAR, close, find_closed
+from kempe.assemble.nearest_exact import said, tolerant
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.description.parts import ReadOnlyDict
+from kempe.equations.velocity import tangent_rows
+from kempe.errors import InputError, shown
+from kempe.mobility.growth_vectors import growth
+from kempe.mobility.one_sided import OneSidedReport, if_any
+from kempe.mobility.reachable import EvaluationPoint, Reach, random_place, reach
+from kempe.model.configurations import distance, one_finite
+from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
+from kempe.report import Nearest, Worded, Words
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import InWords, counted, cut, verb
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- classify text
+
+# A `Classification` in words: the sentence, the reasoning by topic, and plain data.
+
+
+SHOWN = 24
+"""Constraints that are listed one by one."""
+LATE = "the time limit ended the work before each constraint was looked at alone"
+"""What is said where that is all that is missing."""
+SEEN = 1e-9
+"""Distance above which it is reported that the configuration is not the one that was given."""
+
+
+def vector(growth: tuple[int, ...], open_end: bool = False) -> str:
+    """'(2, 3, 4)', with dots where it goes on."""
+    return f"({', '.join(map(str, growth))}{', ...' if open_end else ''})"
+
+
+def sentence(c: Classification) -> str:
+    """The result in one sentence, and within which tolerance it holds."""
+    doubt = "; a rank is doubtful" if c.doubtful and "beyond the digits" not in _sentence(c) else ""
+    ended = f"; {LATE}" if c.late and not c.why else ""
+    return _sentence(c) + doubt + ended + said(c.within)
+
+
+def _sentence(c: Classification) -> str:
+    both = f"{counted(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
+    if c.kind in ("", "unilateral") or (c.kind == "holonomic" and c.position_dof == c.velocity_dof):
+        return both + (f"; {c.why}" if c.why else "")
+    if c.doubtful and c.reachable_dimension is not None and c.reachable_dimension < c.position_dof:
+        least = (
+            f"motions reach at least {counted(c.reachable_dimension, 'dimension')} of "
+            f"{c.position_dof}"
+        )
+        return f"{both}: {least}, whether more is beyond the digits of numbers"
+    if c.kind == "integrable":
+        lost = c.integrals or 0
+        keep = "keeps its value" if lost == 1 else "keep their values"
+        return f"{both}: integrable, {counted(lost, 'function')} of position {keep}"
+    if c.reachable_dimension is None:
+        return f"{both}: nonholonomic; {c.why}"
+    if c.reachable_dimension == c.position_dof:
+        return f"{both}: nonholonomic, motions reach every configuration around"
+    return (
+        f"{both}: nonholonomic, motions reach {counted(c.reachable_dimension, 'dimension')} of "
+        f"{c.position_dof}"
+    )
+
+
+def of_one(c: ConstraintKind) -> str:
+    """What one constraint is, and why."""
+    return _of_one(c) + ("; all this while it touches" if c.touching else "")
+
+
+def _of_one(c: ConstraintKind) -> str:
+    count = counted(len(c.rows), "row")
+    if c.kind == "unilateral":
+        return (
+            f"unilateral: {count} held on one side, which takes no freedom while it does not touch"
+        )
+    if c.kind == "holonomic":
+        takes = (
+            f"takes {counted(c.independent, 'freedom')}"
+            if c.independent
+            else "redundant, takes no freedom"
+        )
+        return f"holonomic: {count} f(q) = 0, {takes}"
+    if not c.independent:
+        return "integrable: its velocities are zero by what holds positions, it takes no freedom"
+    growth = vector(c.growth or ())
+    if c.doubtful:
+        least = (
+            "alone, brackets of its velocities reach at least "
+            f"{counted(c.reaches or 0, 'dimension')}, {growth}"
+        )
+        return f"{least}; whether it is integrable is beyond the digits of numbers"
+    if c.kind == "integrable":
+        held = counted(c.independent, "function")
+        stay = counted(c.reaches or 0, "dimension")
+        alone = f"integrable: alone, brackets of its velocities add nothing, {growth}"
+        return f"{alone}: it holds {held} of position, so motions stay in {stay}"
+    part = ""
+    if c.integrable:
+        part = (
+            f"; {c.integrable} of its {counted(c.independent, 'freedom')} "
+            f"{verb(c.integrable, 'is', 'are')} integrable"
+        )
+    return (
+        "nonholonomic: alone, brackets of its velocities reach "
+        f"{counted(c.reaches or 0, 'dimension')}, {growth}{part}"
+    )
+
+
+def reasons(c: Classification) -> list[str]:
+    """Growth and what follows from it, line by line."""
+    if c.growth_around is None or c.growth_around == () or c.position_dof == c.velocity_dof:
+        return [c.why] if c.why else []
+    out: list[str] = []
+    if c.growth is not None:
+        out.append(
+            f"{vector(c.growth, c.degree is None)} at q"
+            + (f", degree {c.degree}" if c.degree else "")
+        )
+    if c.singular:
+        out.append(f"{vector(c.growth_around)} at configurations around: q is singular")
+    if c.why:
+        out.append(c.why)
+    return out
+
+
+def proof(c: Classification) -> list[str]:
+    """What is proven, and how."""
+    if c.growth_around is None or c.position_dof == c.velocity_dof:
+        return []
+    out: list[str] = []
+    if c.kind == "integrable" and not c.doubtful:
+        out.append(
+            "brackets of two velocities add nothing at a configuration drawn at random, so nowhere "
+            "around: motions stay on surfaces (Frobenius, 1877)"
+        )
+    elif c.reachable_dimension is not None:
+        out.append(
+            "what brackets span is tangent to what motions reach (Chow, 1939; Nagano, 1966; "
+            "Sussmann, 1973)"
+        )
+        if c.reachable_dimension < c.position_dof and not c.doubtful:
+            out.append(
+                "longer brackets add nothing at a configuration drawn at random among those that "
+                "motions reach"
+            )
+    out.append(
+        "ranks are decided by singular values against an estimate of rounding"
+        + ("; one of them is doubtful" if c.doubtful else "")
+    )
+    return out
+
+
+def lines(c: Classification) -> list[tuple[str, list[str]]]:
+    """The report as (title, lines)."""
+    out = [("growth", reasons(c)), ("known by", proof(c))]
+    if c.moved > SEEN:
+        out.insert(
+            0, ("start", [f"q is {c.moved:.3g} away from what was given, which was not closed"])
+        )
+    each = [str(x) for x in c.constraints.values()]
+    out.append(("constraints", cut(each, SHOWN)))
+    if c.one_sided is not None:
+        out.append(("one-sided", [c.one_sided.sentence, *c.one_sided.lines]))
+    return [(title, own) for title, own in out if own]
+
+
+def data(c: Classification) -> dict[str, Any]:
+    """All numbers and texts as plain Python, ready for JSON."""
+    return {
+        "name": c.name,
+        "sentence": sentence(c),
+        "q": c.q.tolist(),
+        "kind": c.kind,
+        "position_dof": c.position_dof,
+        "velocity_dof": c.velocity_dof,
+        "growth": None if c.growth is None else list(c.growth),
+        "growth_around": None if c.growth_around is None else list(c.growth_around),
+        "degree": c.degree,
+        "reachable_dimension": c.reachable_dimension,
+        "reachable_around": c.reachable_around,
+        "singular": c.singular,
+        "doubtful": c.doubtful,
+        "why": c.why,
+        "moved": c.moved,
+        "one_sided": None if c.one_sided is None else c.one_sided.data(),
+        "constraints": {
+            k: {
+                "kind": x.kind,
+                "rows": list(x.rows),
+                "independent": x.independent,
+                "integrable": x.integrable,
+                "doubtful": x.doubtful,
+                "reaches": x.reaches,
+                "growth": None if x.growth is None else list(x.growth),
+                "sentence": x.sentence,
+            }
+            for k, x in c.constraints.items()
+        },
+    }
+
+
+HOLONOMIC = "holonomic"
+INTEGRABLE = "integrable"
+NONHOLONOMIC = "nonholonomic"
+UNILATERAL = "unilateral"
+
+
+@dataclass(frozen=True)
+class ConstraintKind(InWords):
+    """What one constraint is, alone beside what holds positions.
+
+    `rows` are the names of its equations, `independent` of them take a freedom of velocity each.
+    With rows of velocity, `integrable` of the freedoms that these take are rates of functions of
+    position; `reaches` is the dimension of what motions reach that obey this constraint, `growth`
+    their growth vector, both at configurations around.
+    """
+
+    name: str
+    kind: str
+    rows: tuple[str, ...]
+    independent: int
+    integrable: int = 0
+    reaches: int | None = None
+    growth: tuple[int, ...] | None = None
+    doubtful: bool = False
+    """Whether rounding decides that brackets reach no more: then `reaches` is the least."""
+    touching: bool = False
+    """Whether its rows of velocity hold only while it touches something."""
+
+    @property
+    def sentence(self) -> str:
+        """What it is, and why, in one sentence."""
+
+        return of_one(self)
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.sentence}"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Classification(Worded):
+    """What the constraints of a system are, each alone and all together, with the reasoning;
+    ``print`` it.
+
+    `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that
+    of the velocities that all constraints leave free there. `growth` is their growth vector at `q`:
+    dimensions of what brackets of up to 1, 2, ... of them span; `growth_around` that at
+    configurations drawn at random. `degree` is the length of brackets after which nothing is added
+    (None where it is beyond the limit of work), and `reachable_dimension` the dimension of the set
+    that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints
+    of velocity are together.
+    `constraints[name].kind` is "holonomic", "integrable" (of velocity, but positions in disguise),
+    "nonholonomic" or "unilateral". Where `why` says why not, growth and what is reached are None.
+    """
+
+    name: str
+    q: Array
+    kind: str
+    position_dof: int
+    velocity_dof: int
+    growth: tuple[int, ...] | None
+    growth_around: tuple[int, ...] | None
+    reachable_dimension: int | None
+    degree: int | None
+    constraints: Mapping[str, ConstraintKind]
+    doubtful: bool
+    why: str = ""
+    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    """Which one-sided constraints are closed at `q` and what they still allow; None where there are
+    none."""
+    moved: float = 0.0
+    """How far `q` is from the configuration that was given, where that was not closed."""
+    late: bool = False
+    """Whether the time limit ended the search for growth vectors; `constraints` has those that were
+    looked at."""
+    reachable_around: int | None = None
+    """The dimension that motions reach from configurations drawn at random."""
+    within: Nearest | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None:
+    it was itself."""
+
+    @property
+    def singular(self) -> bool:
+        """Whether the growth vector at `q` differs from that at configurations drawn at random,
+        beyond doubt.
+        """
+        return not self.doubtful and self.growth != self.growth_around
+
+    @property
+    def integrals(self) -> int | None:
+        """How many independent functions of position keep their value along every motion, around
+        `q`.
+        """
+        return None if self.reachable_around is None else self.position_dof - self.reachable_around
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
+        if self.late:
+            return Status.OUT_OF_TIME
+        return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
+
+    def _words(self) -> Words:
+
+        return Words(sentence, lines, data)
+
+
+USUAL = Usual("classify", time_limit=SHORT)
+
+
+@explained
+@time_limited(USUAL)
+@tolerant("q")
+def classify(
+    system: System,
+    q: Any = None,
+    *,
+    t: float = 0.0,
+    project: bool = False,
+    rng: np.random.Generator | int = 0,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Classification:
+    """Which kind each constraint of a system is, and how far velocities that are free reach, with
+    the reasoning.
+
+    `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where
+    constraints depend on it. A `q` that misses what holds positions by more than rounding is
+    refused, or with `project` replaced by the nearest closed one that is found; `moved` says how
+    far that is.
+    `rng` draws letters of brackets and configurations around. Ranks are decided by the size of
+    singular values against an estimate of rounding; `doubtful` says that one is not clearly on
+    either side. Of the `budget` the time_limit (30 s) is read: where it ends the search for growth
+    vectors, `late` is true, growth and what is reached are None, and the freedoms and those
+    constraints that were looked at are known. Errors: `InputError`; `UnsupportedError` for
+    constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are
+    not known by then.
+    """
+    time_of(USUAL).put_in_order()  # there is nothing to do afterwards
+    if not is_real(t):
+        raise InputError(f"t is {shown(t)}; it must be one number")
+    given = None if q is None else one_finite(system, q)
+    at = find_closed(system) if given is None else close(system, given)
+    if not at.closed:
+        raise InputError(
+            f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}"
+        )
+    moved = 0.0 if given is None else float(distance(system, given, at.q))
+    if at.given > NEAR and given is not None and not project:
+        raise InputError(
+            f"q misses what holds positions by {at.given:.3g} (radians and characteristic "
+            f"lengths); the nearest closed configuration found is {moved:.3g} away: project=True "
+            "takes it"
+        )
+    found = _Classifier(system, at.q, float(t), generator(rng), time_of(USUAL)).found()
+    return replace(found, one_sided=if_any(system, at.q), moved=moved)
+
+
+class _Classifier:
+    """The rows of a system at a closed configuration, and around it."""
+
+    def __init__(
+        self, system: System, q: Array, t: float, rng: np.random.Generator, time: TimeLimit
+    ):
+        self.system = system
+        self.rows = tangent_rows(system)
+        self.rng = rng
+        self.time = time
+        self.of: dict[str, list[int]] = {}
+        for i, row in enumerate(self.rows.names):
+            self.of.setdefault(row.of, []).append(i)
+        names = self.rows.names
+        self.moving = {c for c, rows in self.of.items() if any(names[i].velocity for i in rows)}
+        # what rolls touches: its one-sided rows hold while it does
+        held = (
+            i
+            for i, r in enumerate(names)
+            if not r.velocity and (not r.sided or r.of in self.moving)
+        )
+        self.place = EvaluationPoint(self.rows, q, t, tuple(held), self._closed)
+
+    def _closed(self, q: Array) -> Array | None:
+        if not self.place.holding:
+            return q
+        at = close(self.system, q)
+        return at.q if at.closed else None
+
+    def velocity_rows(self, names: Iterable[str]) -> list[int]:
+        """The rows of velocity of some constraints."""
+        return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
+
+    def found(self) -> Classification:
+        """All that was found."""
+        place = self.place
+        system = self.system
+        whole = place.null_space()
+        around = random_place(place, self.rng)
+        positions = whole.dimension - place.extra
+        away = whole.dimension if around is None else around.null_space().dimension
+        which = self.velocity_rows(self.moving)
+        free = place.null_space(which).dimension - place.extra
+        made: dict[str, Any] = {
+            "name": system.name,
+            "q": place.q,
+            "position_dof": positions,
+            "velocity_dof": free,
+        }
+        if away < whole.dimension:
+            count = f"{counted(positions, 'freedom')}, around {away - place.extra}"
+            why = f"q is a singular point of what holds positions, which leaves {count}"
+            return self._without(why, made, around)
+        if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):
+            return self._without(
+                "the velocities that are requested contradict each other at q", made, around
+            )
+        try:
+            total = reach(place, around, which, self.rng)
+        except TimeUp:
+            if not self.time.spent:
+                raise
+            said = (
+                f"the time limit of {self.time.limit:g} s ended the search for what brackets of "
+                "velocities span"
+            )
+            return replace(self._without(said, made, around), late=True)
+        kind = self._together(total)
+        lost = (
+            "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
+        )
+        why = "" if total.growth is not None else lost
+        each = self._each(around or place)
+        return Classification(
+            **made,
+            kind=kind,
+            growth=total.growth,
+            growth_around=total.around,
+            reachable_dimension=total.dimension,
+            degree=total.degree,
+            constraints=each,
+            late=self.time.spent,
+            doubtful=total.doubtful,
+            why=why,
+            reachable_around=total.dimension_around,
+        )
+
+    def _without(
+        self, why: str, made: dict[str, Any], around: EvaluationPoint | None
+    ) -> Classification:
+        """What can be said where growth is not defined."""
+        return Classification(
+            **made,
+            kind="",
+            growth=None,
+            growth_around=None,
+            reachable_dimension=None,
+            degree=None,
+            constraints=self._each(around or self.place),
+            doubtful=False,
+            why=why,
+        )
+
+    def _together(self, total: Reach) -> str:
+        """What all constraints are together."""
+        if self.moving:
+            return INTEGRABLE if total.around[0] == total.dimension_around else NONHOLONOMIC
+        sided = bool(self.rows.names) and all(r.sided for r in self.rows.names)
+        return UNILATERAL if sided else HOLONOMIC
+
+    def _each(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
+        each: dict[str, ConstraintKind] = {}
+        for name, rows in self.of.items():
+            if self.time.spent:
+                continue
+            try:
+                each[name] = self._one(place, name, rows)
+            except TimeUp:
+                if not self.time.spent:
+                    raise
+        return ReadOnlyDict(each)
+
+    def _one(self, place: EvaluationPoint, name: str, own: list[int]) -> ConstraintKind:
+        rows = self.rows.names
+        whole = place.null_space().dimension
+        names = tuple(rows[i].name for i in own)
+        which = self.velocity_rows([name]) if name in self.moving else []
+        if not which:
+            held = [i for i in own if not rows[i].sided]
+            others = replace(place, holding=tuple(i for i in place.holding if i not in own))
+            return ConstraintKind(
+                name,
+                HOLONOMIC if held else UNILATERAL,
+                names,
+                others.null_space().dimension - whole if held else 0,
+            )
+        alone = place.null_space(which)
+        grown = growth(alone, self.rng, whole, False)
+        found = grown.dimensions
+        kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
+        extra = place.extra
+        return ConstraintKind(
+            name,
+            kind,
+            names,
+            whole - alone.dimension,
+            whole - found[-1],
+            found[-1] - extra,
+            tuple(d - extra for d in found),
+            grown.doubtful and found[-1] < whole,
+            any(rows[i].sided for i in own),
+        )

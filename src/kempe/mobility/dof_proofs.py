@@ -1,0 +1,856 @@
+"""Proofs of degrees of freedom: for each cluster of loops a theorem whose hypotheses are checked in
+numbers.
+
+What is zero to rounding counts as exactly zero: axes that are parallel to the last digit are
+parallel. Dimensions of clusters add up, for clusters share no unknowns. The theorems, in the order
+in which they are tried:
+
+- *Regular*: the loop equations, reduced to the group of motions that the joints of each loop
+  generate (Herve, 1978), have a Jacobian of full rank, beyond rounding and the error of the
+  configuration (`kempe.numerics.newton`). Then the closed configurations are a
+  manifold of as many dimensions as its null space has (implicit function theorem).
+- *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions:
+  what both groups share moves, and the number is the same everywhere.
+- *Families*: a motion in closed form keeps all loops closed (`kempe.mobility.dof_proofs`).
+- *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide
+  (`kempe.mobility.dof_proofs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations, combinations_with_replacement
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.equations.closure_rows import evaluate
+from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, LoopSizes, structure
+from kempe.first_order.counting import fills_group, group_basis
+from kempe.first_order.rank import Rank
+from kempe.first_order.screws import Screws, screws
+from kempe.mobility import lyapunov_schmidt
+from kempe.mobility.local_equations import Equations
+from kempe.mobility.lyapunov_schmidt import Split
+from kempe.numerics.newton import Certificate, certify, rounding
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- known motions
+
+# Motions that are known in closed form, proven at points of the whole motion.
+#
+# Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those of
+# Bennett's linkage. Along such motions the equations are trigonometric polynomials, or rational
+# functions, of a degree that the joints bound. One that vanishes at random points all around
+# vanishes, with probability one, everywhere.
+
+
+PARTS = 12
+"""Ratios are multiples of one over this."""
+NEARLY = 1e-6
+"""How far a ratio that was found may be from it."""
+POINTS = 48
+"""Random points at which the equations must vanish."""
+ZERO = 1e-12
+"""Values of equations, in radians and typical lengths, that are rounding."""
+
+
+def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
+    """Largest dimension of a family of closed configurations through q (nq,) with rates in some of
+    `spans` (nv, k).
+    """
+    e = equations
+    angles = np.zeros(e.nv, dtype=bool)
+    angles[e.system.structure.layout.vector_v] = True
+    angles &= e.turning & ~e.sliding
+    best = 0
+    for span in spans:
+        k = span.shape[1]
+        if k <= best or np.abs(span[~angles]).max(initial=0.0) > NEARLY:
+            continue
+        K = _ratios(span)
+        if K is None:
+            continue
+        s = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(POINTS, k)) * PARTS
+        value = evaluate(e.system, e.move(q, s @ K.T), False, True)[0]
+        if np.abs(value).max(initial=0.0) < ZERO:
+            best = k
+    return best
+
+
+def half_angles(
+    equations: Equations, q: Array, axes: Array, places: Sequence[int], null_space: Array
+) -> bool:
+    """Whether four hinges move so that tangents of half of neighbouring angles have a constant
+    product or ratio.
+
+    `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their
+    angles are, `null_space` (nv,) the velocity. Angles are those between common normals of
+    neighbouring axes. Bennett, 1903: opposite angles are then equal, up to their signs.
+    """
+    z = axes[3:].T
+    normal = np.cross(z, np.roll(z, -1, axis=0))
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    if size.min() < NEARLY:
+        return False
+    x = normal / size
+    before = np.roll(x, 1, axis=0)
+    theta = np.arctan2(np.sum(np.cross(before, x) * z, axis=1), np.sum(before * x, axis=1))
+    rate = null_space[list(places)]
+    if np.abs(np.sin(theta[:2])).min() < NEARLY or np.abs(rate).min() < NEARLY:
+        return False
+    opposite = rate[2:] / rate[:2]
+    if np.abs(np.abs(opposite) - 1.0).max() > NEARLY:
+        return False
+    a, b = np.tan(0.5 * theta[:2])
+    turn = np.random.default_rng(0).uniform(-np.pi, np.pi, POINTS)
+    u = np.tan(0.5 * turn)
+    for other in (2.0 * np.arctan(a * b / u), 2.0 * np.arctan(b / a * u)):
+        for sense in (1.0, -1.0):
+            by = sense * np.stack([turn - theta[0], other - theta[1]], axis=1)
+            step = np.zeros((POINTS, equations.nv))
+            step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
+            if (
+                np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max()
+                < ZERO
+            ):
+                return True
+    return False
+
+
+def _ratios(span: Array) -> Array | None:
+    """The same span by columns of ratios, each 1 in one row in which the others are 0; None if some
+    are no ratios.
+    """
+    K = np.array(span)
+    for j in range(K.shape[1]):
+        left = np.abs(K[:, j:]).max(axis=1)
+        i = int(np.argmax(left > 0.5 * left.max()))
+        k = j + int(np.argmax(np.abs(K[i, j:])))
+        if abs(K[i, k]) < NEARLY:
+            return None
+        K[:, [j, k]] = K[:, [k, j]]
+        K[:, j] /= K[i, j]
+        for other in range(K.shape[1]):
+            if other != j:
+                K[:, other] -= K[i, other] * K[:, j]
+    near = np.round(K * PARTS) / PARTS
+    return near if np.abs(K - near).max() < NEARLY else None
+
+
+# ---- leading forms
+
+# What the reduced equations at a singular configuration prove: dimensions from their leading
+# forms.
+#
+# Let g(s) = 0 be what the reduction of Lyapunov and Schmidt leaves, c equations in delta unknowns,
+# and G its leading forms. Upper bounds hold for complex solutions, so that dimensions drop by one at
+# most with each equation added:
+#
+# - one unknown: any coefficient that is not zero isolates the configuration;
+# - one equation: solutions have delta - 1 dimensions where g has both signs at all small distances,
+#   for they part these;
+# - quadratic forms without a common complex zero on a subspace of codimension d: at most d dimensions
+#   (Macaulay, 1916, decides that by a rank); a definite combination of them: none;
+# - coordinates held, so that loop by loop all others are isolated: at most as many dimensions as are
+#   held.
+#
+# A zero of the quadratic forms where their derivatives are independent is the tangent of a branch of
+# delta - c dimensions (implicit function theorem, after a blow-up): a lower bound.
+
+
+CLEAR = 1e-5
+"""Numbers above this part of what they would be at most are not zero, where they are not computed
+to more digits."""
+ROUNDING = 1e-11
+"""Singular values below this part of the largest are rounding, or what is left where roots are
+double."""
+SINGULAR = 1e-12
+"""Singular values below this part of the largest are zero to rounding. Where they are not, but too
+small for a proof that they are not zero, only what holds in both cases is proven."""
+GAP = 1e3
+"""Ratio of the last singular value that counts to the first that does not from which the rank is
+beyond doubt."""
+LINES = 24
+MIXTURES = 400
+"""Random lines on which signs are looked at, and random combinations of forms that may be
+definite."""
+VARIABLES = 5
+"""Unknowns of quadratic forms up to which common zeros are excluded by a rank."""
+MANY = 40
+"""Unknowns above which forms are not looked at."""
+HELD = 24
+"""Choices of held coordinates that are tried."""
+
+
+class Here(NamedTuple):
+    """Equations of a part at a configuration: their reduced Jacobian `matrix`, its singular values
+    and its split.
+
+    `basis` (m, k) are the rows that are looked at, `clear` whether the rank is beyond doubt,
+    `exact` whether what does not count is zero to rounding.
+    """
+
+    matrix: Array
+    values: Array
+    split: Split
+    basis: Array
+    clear: bool
+    exact: bool
+
+
+def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
+    """The reduced equations of the rows `basis` (m, k) of J (m, nv) in the unknowns `columns`, all
+    others held.
+    """
+    m, nv = J.shape
+    A = basis.T @ J[:, columns]
+    n = len(columns)
+    U, sigma, Vt = svd(A)
+    most = max(float(sigma[0]) if sigma.size else 0.0, lyapunov_schmidt.LEAST)
+    rank = int(np.sum(sigma > lyapunov_schmidt.RANK * most))
+    rest = float(sigma[rank]) if rank < len(sigma) else 0.0
+    last = float(sigma[rank - 1]) if rank else np.inf
+    clear = last > GAP * max(rest, ROUNDING * most)
+    null_space = np.zeros((nv, n - rank))
+    inverse = np.zeros((nv, m))
+    null_space[columns] = Vt[rank:].T
+    inverse[columns] = (Vt[:rank].T / sigma[:rank]) @ (basis @ U[:, :rank]).T
+    padded = np.concatenate([np.full(nv - n, most), sigma])
+    return Here(
+        A,
+        sigma,
+        Split(q, padded, null_space, basis @ U[:, rank:], inverse),
+        basis,
+        clear,
+        rest <= SINGULAR * most,
+    )
+
+
+def decide(
+    equations: Equations,
+    here: Here,
+    rows: Sequence[Array],
+    uses: Sequence[np.ndarray],
+    known: int,
+    order: int,
+    rng: np.random.Generator,
+    tangents: Sequence[Array],
+) -> tuple[int, int | None, str] | None:
+    """Dimension, number of branches (None: unknown) and reason, if the forms decide; `known` is a
+    proven lower bound.
+
+    `rows` (m, k) and `uses` are the equations and unknowns of each loop, `tangents` (nv, k) belong
+    to motions found.
+    """
+    at = here.split
+    found = lyapunov_schmidt.obstruction(equations, at, order, rng)
+    k = _order(found)
+    if k is None:
+        return None
+    if at.delta == 1:
+        return 0, 0, f"the only velocity is obstructed at order {k}"
+    directions = _directions(at, tangents)
+    if at.corank == 1:
+        return _one_equation(equations, here, k, found.noise, rng, directions)
+    if k > 2 or at.delta > MANY or not here.exact:
+        return None
+    B = quadratic(equations, at)
+    lower = max(known, at.delta - at.corank if any(_regular_zero(B, d) for d in directions) else 0)
+    if lower == 0 and _definite(B, rng):
+        return 0, 0, "second-order terms of one sign obstruct all velocities"
+    t = at.delta - lower
+    if _no_zero(B, t, rng) or _holding(equations, here, rows, uses, lower, order, rng):
+        return (
+            lower,
+            0 if lower == 0 else None,
+            "the zeros of the leading forms have no more dimensions",
+        )
+    return None
+
+
+def _order(found: lyapunov_schmidt.Obstruction) -> int | None:
+    """The first order at which the reduced equations are clearly not zero."""
+    k = found.order
+    return None if k is None or found.size[k] < GAP * found.noise[k] else k
+
+
+def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
+    """Unit vectors, in the basis of the null space, along motions that were found."""
+    out: list[Array] = []
+    for T in tangents:
+        for d in (at.null_space.T @ T).T:
+            size = float(np.linalg.norm(d))
+            if size > 0.1:
+                out.append(d / size)
+    return out
+
+
+# ---- one equation
+
+
+def _one_equation(
+    equations: Equations,
+    here: Here,
+    k: int,
+    noise: Array,
+    rng: np.random.Generator,
+    directions: list[Array],
+) -> tuple[int, int | None, str] | None:
+    at = here.split
+    delta = here.split.delta
+    if k > 2 and not here.exact:
+        return None
+    lines = [*lyapunov_schmidt.unit_directions(rng, LINES, delta), *directions]
+    eigen = np.zeros(delta)
+    if k == 2 and delta <= MANY:
+        eigen, V = np.linalg.eigh(quadratic(equations, at)[0])
+        clear = np.abs(eigen) > CLEAR * np.abs(eigen).max()
+        if clear.all() and (eigen > 0).all() or clear.all() and (eigen < 0).all():
+            if not here.exact:
+                return None  # a small sphere passes through q where the equation has a linear term
+            return 0, 0, "second-order terms of one sign obstruct all velocities"
+        lines += list(V.T)
+    g, slow = lyapunov_schmidt._solve(
+        equations, at, lyapunov_schmidt.lines(np.array(lines), len(noise) - 1), None
+    )
+    signs: set[int] = set()
+    for row in (g / slow)[..., 0]:
+        seen = np.flatnonzero(np.abs(row) > np.maximum(lyapunov_schmidt.NOT_ZERO, GAP * noise))
+        if not seen.size or np.abs(row[: seen[0]]).max(initial=0.0) > lyapunov_schmidt.ZERO:
+            continue
+        sign = int(np.sign(row[seen[0]]))
+        signs |= {sign, sign * (-1) ** int(seen[0])}
+    if len(signs) < 2:
+        return None
+    crossing = (
+        here.exact
+        and delta == 2
+        and k == 2
+        and bool((np.abs(eigen) > CLEAR * np.abs(eigen).max()).all())
+    )
+    why = "the one equation that is left has both signs at all small distances"
+    return delta - 1, 2 if crossing else None, why
+
+
+# ---- quadratic forms
+
+
+def quadratic(equations: Equations, at: Split) -> Array:
+    """The quadratic forms (c, delta, delta) of the reduced equations, as symmetric matrices."""
+    delta = at.delta
+    pairs = list(combinations(range(delta), 2))
+    d = np.zeros((delta + len(pairs), delta))
+    d[:delta] = np.eye(delta)
+    for n, (i, j) in enumerate(pairs, delta):
+        d[n, [i, j]] = np.sqrt(0.5)
+    g = lyapunov_schmidt._solve(equations, at, lyapunov_schmidt.lines(d, 2), None)[0][:, 2]
+    B = np.zeros((at.corank, delta, delta))
+    B[:, range(delta), range(delta)] = g[:delta].T
+    for n, (i, j) in enumerate(pairs, delta):
+        B[:, i, j] = B[:, j, i] = g[n] - 0.5 * (g[i] + g[j])
+    return B
+
+
+def _regular_zero(B: Array, d: Array) -> bool:
+    """Whether the forms have a zero near d (delta,) at which their derivatives are independent."""
+    c, delta, _ = B.shape
+    if c >= delta:
+        return False
+    size = float(np.abs(B).max())
+    for _ in range(20):
+        D = 2.0 * B @ d
+        if np.linalg.norm(B @ d @ d) < 1e-13 * size:
+            sigma = svd(D, compute_uv=False)
+            return bool(sigma[c - 1] > CLEAR * size)
+        d = d - np.linalg.lstsq(D, B @ d @ d, rcond=CLEAR)[0]
+        d = d / np.linalg.norm(d)
+    return False
+
+
+def _definite(B: Array, rng: np.random.Generator) -> bool:
+    """Whether some combination of the forms is definite."""
+    mix = np.concatenate([np.eye(len(B)), lyapunov_schmidt.unit_directions(rng, MIXTURES, len(B))])
+    eigen = np.linalg.eigvalsh(np.einsum("nc,cij->nij", mix, B))
+    size = CLEAR * np.abs(eigen).max()
+    return bool(np.any(eigen[:, 0] > size) or np.any(eigen[:, -1] < -size))
+
+
+def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
+    """Whether the forms have no common complex zero but 0 on a random subspace of t dimensions.
+
+    They have none if and only if their multiples by all monomials of degree t - 1 span all forms of
+    degree t + 1.
+    """
+    c, delta, _ = B.shape
+    if t <= 0:
+        return True
+    if t > VARIABLES or c < t:
+        return False
+    L = np.linalg.qr(rng.normal(size=(delta, delta)))[0][:, :t]
+    forms = np.einsum("cij,ia,jb->cab", B, L, L)
+    sizes = np.abs(forms).max(axis=(1, 2))
+    forms = forms[sizes > CLEAR * sizes.max()] / sizes[sizes > CLEAR * sizes.max(), None, None]
+    low = list(combinations_with_replacement(range(t), t - 1))
+    place = {m: i for i, m in enumerate(combinations_with_replacement(range(t), t + 1))}
+    M = np.zeros((len(forms) * len(low), len(place)))
+    for n, m in enumerate(low):
+        for i in range(t):
+            for j in range(t):
+                M[n * len(forms) : (n + 1) * len(forms), place[tuple(sorted((*m, i, j)))]] += forms[
+                    :, i, j
+                ]
+    if len(M) < len(place):
+        return False
+    sigma = svd(M, compute_uv=False)
+    return bool(sigma[-1] > CLEAR * sigma[0])
+
+
+# ---- coordinates held
+
+
+def _holding(
+    equations: Equations,
+    here: Here,
+    rows: Sequence[Array],
+    uses: Sequence[np.ndarray],
+    count: int,
+    order: int,
+    rng: np.random.Generator,
+) -> bool:
+    """Whether some `count` coordinates, when held, leave all others isolated, loop by loop."""
+    at = here.split
+    J = equations.linearise(at.q)[1][0]
+    moving = np.flatnonzero(np.abs(at.null_space).max(axis=1) > CLEAR)
+    unknown = np.unique(np.concatenate(list(uses)))
+    choices: list[tuple[int, ...]] = list(combinations(moving.tolist(), count))
+    if len(choices) > HELD:
+        choices = [choices[i] for i in rng.choice(len(choices), HELD, replace=False)]
+    return any(
+        _triangular(equations, at.q, J, rows, uses, np.setdiff1d(unknown, c), order, rng)
+        for c in choices
+    )
+
+
+def _triangular(
+    equations: Equations,
+    q: Array,
+    J: Array,
+    rows: Sequence[Array],
+    uses: Sequence[np.ndarray],
+    left: np.ndarray,
+    order: int,
+    rng: np.random.Generator,
+) -> bool:
+    """Whether the unknowns `left` are isolated, those of one loop after the other."""
+    pending = list(range(len(rows)))
+    while len(left):
+        waiting: list[int] = []
+        for k in pending:
+            own = np.intersect1d(uses[k], left)
+            if not len(own) or _isolated(equations, split_of(q, J, rows[k], own), order, rng):
+                left = np.setdiff1d(left, own)
+            else:
+                waiting.append(k)
+        if len(waiting) == len(pending):
+            return False
+        pending = waiting
+    return True
+
+
+def _isolated(equations: Equations, here: Here, order: int, rng: np.random.Generator) -> bool:
+    """Whether the configuration is an isolated complex solution of some equations in some unknowns."""
+    at = here.split
+    if not here.clear or at.delta > VARIABLES:
+        return False
+    if at.delta == 0:
+        return True
+    if at.corank == 0:
+        return False
+    k = _order(lyapunov_schmidt.obstruction(equations, at, order, rng))
+    if k is None or at.delta == 1:
+        return k is not None
+    return k == 2 and here.exact and _no_zero(quadratic(equations, at), at.delta, rng)
+
+
+SAME = 1e-12
+"""Parts of a unit screw below this are rounding: the screw lies in the group of motions of the
+others."""
+LONG = 12
+"""Joints of a loop up to which it is parted into two chains."""
+
+
+class Part(NamedTuple):
+    """The equations of one cluster: a basis (m, k) of rows that suffice for each of its loops and
+    laws.
+
+    `columns` are the velocities of the cluster, `uses` those of each loop or law.
+    """
+
+    cluster: Cluster
+    rows: list[Array]
+    columns: np.ndarray
+    uses: list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """A dimension that is proven, in how many branches (None: not known), and by what."""
+
+    dim: int
+    branches: int | None
+    why: str
+
+
+# ---- ranks beyond rounding
+
+
+def regular(system: System, rank: Rank, residual: float) -> bool:
+    """Whether every cluster provably has full rank at the closed configuration near by."""
+    s = structure(system)
+    at = rank.screws
+    return all(
+        _certified(s, at, c.cluster, c.values * c.size, c.jacobian, residual, True).regular
+        for c in rank.clusters
+    )
+
+
+def _certified(
+    s: ConstraintGraph,
+    at: Screws,
+    c: Cluster,
+    values: Array,
+    J: Array,
+    residual: float,
+    short: bool,
+) -> Certificate:
+    """The certificate of equations of a cluster, of `short` loops or those of the tree, with
+    singular values of J.
+    """
+    if c.bent:  # of whose second derivatives no bound is known
+        return Certificate(False, 0.0, np.inf)
+    size = c.size_of_loops(s, short)
+    reach = at.reach
+    residual *= len(c.loops) * (1.0 + reach) + 1.0  # loops are sums of others, and read elsewhere
+    out = certify(
+        values,
+        J.shape,
+        residual,
+        _bend(size, at, 2.0 * reach),
+        rounding(size.joints, reach),
+        J.size,
+    )
+    if out.regular or not len(c.loops):
+        return out
+    spans = [  # large mechanisms have small loops
+        _reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3])
+        for i in c.paths(s, short)
+    ]
+    bend = _bend(size, at, 2.0 * max(spans) / at.length)
+    return certify(
+        values, J.shape, residual, bend, rounding(size.joints, reach), int(np.count_nonzero(J))
+    )
+
+
+def _reach(points: Array, center: Array) -> float:
+    d = points - center
+    return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0)))
+
+
+def _bend(size: LoopSizes, at: Screws, D: float) -> float:
+    """A bound of the norm of the second derivatives of the equations of loops whose joints are D
+    lengths apart.
+
+    Two unit turns change the pose at the end of a chain by at most its reach, and by 1 as a
+    rotation; a slide counts one length more. So a loop of n joints has second derivatives of norm n
+    sqrt((D + 1)^2 + 1) at most, and loops that share no joint do not add up.
+    """
+    bend = float(np.hypot(D + 1.0, 1.0))
+    if len(size.rods):
+        rods = (
+            np.linalg.norm(at.M[size.rods, :3, 3] - at.F[size.rods, :3, 3], axis=1).min()
+            / at.length
+        )
+        bend = max(bend, (D + 1.0) * (D + 1.0 + rods) / max(rods, 1e-300))
+    return size.most * bend
+
+
+# ---- one proof for all clusters
+
+
+class Prover:
+    """Proofs of dimensions at one closed configuration q (nq,)."""
+
+    def __init__(self, system: System, equations: Equations, q: Array):
+        self.system = system
+        self.equations = equations
+        self.q = q
+        self.structure = structure(system)
+        self.at = screws(system, q)
+        self.value, self.jacobian = (x[0] for x in equations.linearise(q))
+        self.parts = _parts(system, self.structure, self.at, equations, self.jacobian)
+        self.manifolds: dict[int, Proof | _Open | None] = {}
+
+    def manifold(self) -> Proof | None:
+        """The dimension, if it is proven to be a manifold of as many dimensions as the null space
+        has; else None.
+        """
+        found: list[Proof] = []
+        for k in range(len(self.parts)):
+            proof = self._manifold(k)
+            if not isinstance(proof, Proof):
+                return None
+            found.append(proof)
+        return self._sum(found)
+
+    def dimension(self, order: int, tangents: Sequence[Array]) -> Proof | None:
+        """The dimension, if it can be proven, by forms too; `tangents` (nv, k), in scaled
+        coordinates, span motions that were found: where to look.
+        """
+        rng = np.random.default_rng(0)  # what is proven depends on no seed
+        found: list[Proof] = []
+        for k, part in enumerate(self.parts):
+            proof = self._manifold(k)
+            if isinstance(proof, _Open):
+                proof = _by_forms(self.equations, self.q, part, proof, order, rng, tangents)
+            if proof is None:
+                return None
+            found.append(proof)
+        return self._sum(found)
+
+    def _manifold(self, k: int) -> Proof | _Open | None:
+        """The proof for one cluster, what it leaves open, or None where nothing can be proven;
+        found once.
+        """
+        if k not in self.manifolds:
+            self.manifolds[k] = _prove(
+                self.structure,
+                self.at,
+                self.equations,
+                self.q,
+                self.parts[k],
+                self.value,
+                self.jacobian,
+            )
+        return self.manifolds[k]
+
+    def _sum(self, found: Sequence[Proof]) -> Proof:
+        return _sum(
+            [Proof(self.system.nv - sum(len(p.columns) for p in self.parts), 1, ""), *found]
+        )
+
+
+def _sum(found: Sequence[Proof]) -> Proof:
+    """Dimensions add up, and numbers of branches multiply."""
+    total = sum(p.dim for p in found)
+    counts = [1 if p.branches == 0 else p.branches for p in found]  # what rests multiplies none
+    count = (
+        None
+        if None in counts
+        else int(np.prod([n for n in counts if n is not None]))
+        if total
+        else 0
+    )
+    return Proof(total, count, "; ".join(dict.fromkeys(p.why for p in found if p.why)))
+
+
+def _parts(
+    system: System, s: ConstraintGraph, at: Screws, equations: Equations, J: Array
+) -> list[Part]:
+    """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
+    edges = equations.rows_of
+    out: list[Part] = []
+    for c in s.clusters:
+        rows: list[Array] = []
+        uses: list[np.ndarray] = []
+        for k in c.loops:
+            path = [i for i, _ in s.loops[k].path]
+            own = edges[s.edges[s.loops[k].edge].name]
+            rows.append(
+                _rows(equations.m, own, _group(system, s, at, k, path, J[own], equations.length))
+            )
+            uses.append(
+                np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0])
+            )
+        for law in (s.laws[k] for k in c.laws):
+            rows.append(_rows(equations.m, np.array(law.places), np.eye(law.rows)))
+            uses.append(np.array(law.support, dtype=np.int64))
+        out.append(Part(c, rows, c.velocities, uses))
+    return out
+
+
+def _rows(m: int, at: np.ndarray, mix: Array) -> Array:
+    out = np.zeros((m, mix.shape[1]))
+    out[at] = mix
+    return out
+
+
+def _group(
+    system: System, s: ConstraintGraph, at: Screws, k: int, path: list[int], J: Array, length: float
+) -> Array:
+    """Combinations (rows, d) of the rows of a loop that suffice, for its joints generate a group of
+    d dimensions.
+
+    The rows of a closing joint read, to first order, the twist of its frame M; so in these
+    coordinates the algebra of the group is what rows can become, and nothing else.
+    """
+    edge = s.edges[s.loops[k].edge]
+    rows = s.loops[k].rows
+    if not edge.joint or edge.particle:
+        return np.eye(rows)
+    basis = group_basis(np.concatenate([at.twists[i] for i in path], axis=1), SAME)
+    if basis.shape[1] >= rows:
+        return np.eye(rows)
+    there = at.moved([s.loops[k].edge])[0] @ basis
+    R = at.M[s.loops[k].edge, :3, :3]
+    there = np.concatenate([R.T @ there[:3] * (at.length / length), R.T @ there[3:]])
+    U = np.linalg.qr(there if system.dim == 3 else there[[0, 1, 5]])[0]
+    return U if np.abs(J - U @ (U.T @ J)).max(initial=0.0) < 1e-10 else np.eye(rows)
+
+
+class _Open(NamedTuple):
+    """A cluster that is not proven to be a manifold, with a dimension that is proven from below."""
+
+    here: Here
+    lower: int
+
+
+def _prove(
+    s: ConstraintGraph,
+    at: Screws,
+    equations: Equations,
+    q: Array,
+    part: Part,
+    value: Array,
+    J: Array,
+) -> Proof | _Open | None:
+    """The dimension of one cluster, if it is a manifold; None where nothing can be proven."""
+    here = split_of(q, J, np.hstack(part.rows), part.columns)
+    A = here.matrix
+    delta = here.split.delta
+    corank = here.split.corank
+    own = here.basis.T @ value
+    if (
+        min(A.shape)
+        and _certified(
+            s, at, part.cluster, here.values, A, float(np.linalg.norm(own)), False
+        ).regular
+    ):
+        why = "all constraints are independent in the groups of motions of their loops"
+        return Proof(
+            max(A.shape[1] - A.shape[0], 0),
+            1,
+            why if delta else "no velocity keeps the loops closed",
+        )
+    if not corank or not delta:
+        return None if len(A) else Proof(delta, 1, "")
+    if not here.clear:
+        return None
+    if here.exact and _two_groups(s, at, part.cluster):
+        return Proof(delta, 1, "both chains of the loop fill a group of motions")
+    lower = dimension(equations, q, [here.split.null_space])
+    if lower == delta:
+        return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
+    if delta == 1 and _half_angles(s, at, equations, q, part.cluster, here.split.null_space[:, 0]):
+        return Proof(1, 1, "tangents of half angles in fixed ratios keep the loop closed")
+    return _Open(here, lower)
+
+
+def _by_forms(
+    equations: Equations,
+    q: Array,
+    part: Part,
+    known: _Open,
+    order: int,
+    rng: np.random.Generator,
+    tangents: Sequence[Array],
+) -> Proof | None:
+    """The dimension of one cluster, if leading forms decide."""
+    lower = max(
+        known.lower,
+        dimension(equations, q, [_within(t, part.columns) for t in tangents]),
+    )
+    found = decide(equations, known.here, part.rows, part.uses, lower, order, rng, tangents)
+    return None if found is None else Proof(*found)
+
+
+def _within(T: Array, columns: np.ndarray) -> Array:
+    out = np.zeros_like(T)
+    out[columns] = T[columns]
+    return out
+
+
+def _half_angles(
+    s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, null_space: Array
+) -> bool:
+    """Whether the only loop is of four hinges that move as Bennett's do."""
+    if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+        return False
+    path = [(i, sign) for i, sign in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
+    columns = [x for i, _ in path for x in s.edges[i].columns]
+    if len(columns) != 4 or any(
+        x.index < 0 or abs(x.multiplier) != 1.0 or x.slides for x in columns
+    ):
+        return False
+    axes = np.stack([sign * at.twists[i][:, 0] for i, sign in path], axis=1)
+    if np.abs(np.linalg.norm(axes[3:], axis=0) - 1.0).max() > SAME:
+        return False
+    return half_angles(equations, q, axes, [x.index for x in columns], null_space)
+
+
+def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
+    """Whether the only loop parts into two chains, each of which makes all motions of the group
+    that it generates.
+    """
+    if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+        return False
+    path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
+    if len(path) > LONG or any(
+        s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path
+    ):
+        return False
+    n = len(path)
+    twists = np.concatenate([at.twists[i] for i in path], axis=1)
+    first: list[int] = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
+    first += [first[-1] + x for x in first[1:]]
+    columns = list(range(first[n])) * 2
+    alike = [mask.tolist() for mask in _side_by_side(twists)]
+    # from column i on, how many are alike in pairs
+    runs = [max(_run(mask, columns, i) for mask in alike) for i in range(len(columns))]
+
+    def may(i: int, k: int) -> bool:
+        return first[k] - first[i] > 5 or runs[first[i]] >= first[k] - first[i]
+
+    def fills(i: int, k: int) -> bool:
+        return fills_group(twists[:, columns[first[i] : first[k]]], SAME, CLEAR)
+
+    pairs = [(i, k) for i in range(n) for k in range(i + 1, n) if may(i, k) and may(k, i + n)]
+    return any(fills(i, k) and fills(k, i + n) for i, k in pairs)
+
+
+def _run(alike: list[list[bool]], columns: list[int], first: int) -> int:
+    """How many columns from the first on are alike, each with itself and all others; more than five
+    do not matter.
+    """
+    for k in range(first, min(first + 6, len(columns))):
+        if not all(alike[columns[k]][columns[i]] for i in range(first, k + 1)):
+            return k - first
+    return 6
+
+
+def _side_by_side(twists: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Which screws (6, n) have parallel turns, or slides, and which are reciprocal, as axes that
+    meet: (n, n) masks.
+
+    Fewer than six screws fill a group only if all have parallel turns, or all axes meet in one
+    point.
+    """
+    v = twists[:3].T
+    w = twists[3:].T
+    turned = np.cross(w[:, None], w[None])
+    return np.abs(turned).max(axis=2) < CLEAR, np.abs(v @ w.T + w @ v.T) < CLEAR

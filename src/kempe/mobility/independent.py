@@ -1,0 +1,652 @@
+"""Minimal coordinates of systems with loops: which of the joint coordinates are independent, and
+the others from them.
+
+Near a regular configuration the closed configurations form a surface of dimension p, and p of the n
+velocity coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's
+generalised positions). It is as good as the smallest singular value of the tangent space's rows of
+these p coordinates: 1 where they are the tangent space, 0 where they no longer move the others (a
+turning point of a driver).
+
+The three angles of a ball would be such coordinates, but are not part of q: their place take the
+components of the rotation vector from where the chart was chosen (exponential coordinates, Murray,
+Li, Sastry, 1994, section 2.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.arguments import explained, explained_methods, listed, numbers
+from kempe.arrays import plain
+from kempe.assemble.answer import Assembly
+from kempe.assemble.assemble import assemble
+from kempe.assemble.bound import TOLERANCE
+from kempe.assemble.nearest_exact import said, tolerant
+from kempe.budget import Budget
+from kempe.equations.closure_rows import RANK_TOLERANCE, evaluate, scales
+from kempe.errors import InputError, UnknownNameError
+from kempe.first_order.counting import counting
+from kempe.forward.maximal import to_maximal
+from kempe.mobility.idle_spins import Spin, idle_part, spins_of
+from kempe.mobility.mobility import mobility
+from kempe.model.configurations import as_q, has_loops, one_finite
+from kempe.numerics.newton import gauss_newton
+from kempe.report import Cells, Report
+from kempe.singular_values import svd
+from kempe.spatial import Array, skew
+from kempe.status import Status, member
+from kempe.words import counted, verb
+from kempe.words import listed as listed_words
+
+if TYPE_CHECKING:
+    from kempe.assemble.nearest_exact import Idealised
+    from kempe.model.model import Model as System
+
+# ---- shaky
+
+# Velocities that lead to no motion where the equations touch along all of a motion, and those that
+# do.
+
+
+DIFFERENCE = 1e-5
+"""Step of the central differences of the Jacobian, in radians and characteristic lengths."""
+VANISHES = 1e-6
+"""Second derivatives below this count as zero."""
+
+
+def moving(system: System, q: Array, left: Array, null_space: Array, scale: Array) -> Array:
+    """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have
+    as velocities.
+
+    `left` (rows, k) are the left null vectors. Along a motion at which the rank stays, the second
+    derivatives of the equations vanish for `left`, a velocity and any of the null space; where
+    these leave less than the null space, and as much as there are freedoms, the rest is shaky.
+    Elsewhere the null space is returned as it is.
+    """
+    some = np.cos(np.arange(null_space.shape[1], dtype=float))[None]
+    if not np.abs(_change(system, q, left, null_space, scale, some)).max() > VANISHES:
+        return null_space
+    blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
+    _, sizes, V = svd(blocks.reshape(-1, null_space.shape[1]))
+    shaky = int(np.sum(sizes > VANISHES))
+    if not 0 < shaky < null_space.shape[1]:
+        return null_space
+    from kempe.mobility.mobility import mobility
+
+    if mobility(system, q).dof != null_space.shape[1] - shaky:
+        return null_space
+    return null_space @ V[shaky:].T
+
+
+def _change(
+    system: System, q: Array, left: Array, null_space: Array, scale: Array, along: Array
+) -> Array:
+    """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space,
+    and the null space.
+    """
+    steps = DIFFERENCE * scale * (along @ null_space.T)
+    J = evaluate(
+        system, system.structure.layout.integrate(q, np.concatenate([steps, -steps])), True, True
+    )[1]
+    return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ null_space
+
+
+ENOUGH = 0.1
+"""Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
+MANY = 300
+"""Velocities from which idle spins are looked for only where there is no other choice."""
+TRIES = 60
+LONGEST = 0.5
+"""Steps of a search for rotation vectors, and the longest, in radians and characteristic
+lengths."""
+REACHED = 1e-9
+"""How far coordinates may be from what was requested."""
+FARTHEST = 3.0
+"""Angle of a ball from the origin up to which its rotation vector is used."""
+WORST = 0.02
+"""Conditioning below which a chart is given up, for up to four coordinates a freedom; with more,
+less is usual."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Chart(Report):
+    """Independent coordinates of a system about a closed configuration.
+
+    `independent` are the names of the p coordinates chosen, `dependent` those of all others,
+    `origin` (nq,) where it was chosen, `quality` its conditioning there, from 0 (useless) to 1.
+    Names `B.ex`, `B.ey`, `B.ez` are those of the rotation vector [rad] that leads the ball B from
+    the origin to where it is, in axes of its child. The last of the independent ones, `idle`, move
+    nothing but bodies that spin idly.
+    """
+
+    system: System
+    independent: tuple[str, ...]
+    dependent: tuple[str, ...]
+    origin: Array
+    quality: float
+    idle: tuple[str, ...] = ()
+
+    @property
+    def within(self) -> Idealised | None:  # type: ignore[override]
+        """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
+        return self.system._ideal
+
+    @property
+    def dim(self) -> int:
+        """Number p of independent coordinates."""
+        return len(self.independent)
+
+    @cached_property
+    def _plain(self) -> bool:
+        """Whether all are angles and lengths."""
+        return all(n in self.system.coordinate_names for n in self.independent)
+
+    @property
+    def useful(self) -> tuple[str, ...]:
+        """The independent coordinates that are not idle."""
+        return self.independent[: self.dim - len(self.idle)]
+
+    def u(self, q: Any) -> Array:
+        """The independent coordinates (..., p) of configurations (..., nq)."""
+        q = as_q(self.system, q)
+        if self._plain:
+            return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
+        way = self.system.structure.layout.difference(self.origin, q)
+        way[..., self.system.structure.layout.vector_v] = q[
+            ..., self.system.structure.layout.vector_q
+        ]
+        return way[..., self._rows()]
+
+    def q(self, u: Any, start: Any = None) -> Assembly:
+        """The configuration with these independent coordinates (..., p), reached by one search from
+        `start`.
+
+        Default for `start`: the origin. From far away it may be on another branch: lead it in
+        steps. Idle ones may be left out: what spins then stays about as it is at `start`.
+        """
+        u = numbers(u, "u")
+        given = self.independent
+        if u.ndim == 0 and 1 in (self.dim, len(self.useful)):
+            u = u[None]
+        if u.shape[-1:] != (self.dim,):
+            given = self.useful
+        if u.shape[-1:] != (len(given),):
+            names = ", ".join(self.useful) + (
+                f" (and, idle, {', '.join(self.idle)})" if self.idle else ""
+            )
+            raise InputError(f"u has shape {u.shape}; needed is (..., {self.dim}): {names}")
+        start = self.origin if start is None else start
+        if self._plain:
+            return assemble(
+                self.system,
+                {n: u[..., i] for i, n in enumerate(given)},
+                start,
+                budget=Budget(starts=1),
+            )
+        known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
+        if len(known) < len(given):
+            start = self._led(u, given, start)
+        answer = assemble(self.system, known, start, budget=Budget(starts=1))
+        if len(known) == len(given):
+            return answer
+        off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
+        success = np.logical_and(answer.success, off < REACHED)
+        code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
+        bound = copy(answer.assembler)
+        own = self.system.structure.velocity_names
+        bound.held |= {
+            own[i] for i in self._rows(given)
+        }  # rotation vectors are given, too: they leave nothing open
+        return replace(answer, success=plain(success), code=member(code), assembler=bound)
+
+    def _rows(self, names: Iterable[str] | None = None) -> list[int]:
+        """Velocity indices of the independent coordinates, or of others."""
+        names = self.independent if names is None else tuple(names)
+        own = self.system.structure.velocity_names
+        exponential = {} if {*names} <= {*own} else _numbers(self.system)
+        return [own.index(n) if n in own else exponential[n] for n in names]
+
+    def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
+        """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q
+        (nq,).
+        """
+        system = self.system
+        rows = self._rows(names)
+        out = np.eye(system.nv)
+        way = system.structure.layout.difference(self.origin, q)
+        for i in system.structure.layout.quaternion_v.tolist():
+            out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
+        return out[rows]
+
+    def _led(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
+        """Configurations (..., nq) near those that have such coordinates: Newton's method, of least
+        movement.
+        """
+        system = self.system
+        scale = scales(self.system)
+        rows = self._rows(given)
+        start = as_q(system, near)
+        lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
+        starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
+        wanted = np.broadcast_to(u, (*lead, len(given))).reshape(-1, len(given))
+        out = np.array(starts)
+
+        def both(q: Array, target: Array) -> tuple[Array, Array]:
+            error, J = evaluate(system, q, True, True)
+            more = self._rates(q, given) * scale / scale[rows, None]
+            return np.append(
+                error, (self.u(q)[: len(given)] - target) / scale[rows]
+            ), np.concatenate([J, more])
+
+        for k, target in enumerate(wanted):
+            out[k] = gauss_newton(
+                lambda q, u=target: both(q, u),
+                out[k],
+                TRIES,
+                cut=RANK_TOLERANCE,
+                longest=LONGEST,
+                move=lambda q, y: system.structure.layout.integrate(q, scale * y),
+            ).x
+        return out.reshape(*lead, system.nq)
+
+    def tangent(self, q: Any) -> Array:
+        """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed
+        configuration (nq,).
+        """
+        N, scale = tangent_space(self.system, q, self.dim)
+        N = scale[:, None] * N
+        if self._plain:
+            return N @ np.linalg.inv(N[self._rows()])
+        return N @ np.linalg.inv(self._rates(as_q(self.system, q), self.independent) @ N)
+
+    def condition(self, q: Any) -> float:
+        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not
+        at all.
+
+        It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where
+        these jump.
+        """
+        N, scale = tangent_space(self.system, q, self.dim)
+        if self._plain:
+            return _quality(N, self._rows())
+        q = as_q(self.system, q)
+        way = self.system.structure.layout.difference(self.origin, q)
+        rows = {*self._rows()}
+        own = {
+            i
+            for i in self.system.structure.layout.quaternion_v.tolist()
+            if {i, i + 1, i + 2} & rows
+        }
+        if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
+            return 0.0
+        rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
+        return float(svd(rates @ N, compute_uv=False).min(initial=1.0)) if self.dim else 1.0
+
+    def valid(self, q: Any) -> bool:
+        """Whether the chart can still be used at the closed configuration q (nq,)."""
+        return self.condition(q) >= _worst(self.dim, self.system.nv)
+
+    def next(self, q: Any) -> Chart:
+        """The best chart at the closed configuration q (nq,)."""
+        return independent(self.system, q)
+
+    @property
+    def status(self) -> str:
+        """Which coordinates are independent, and how well they move the others."""
+        idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
+        return (
+            f"{counted(self.dim, 'independent coordinate')}: "
+            f"{', '.join(self.useful) or 'none'}{idle} (conditioning {self.quality:.2g}); "
+            f"dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
+        )
+
+    def _data(self) -> dict[str, Any]:
+        names = ("independent", "dependent", "idle", "useful", "dim", "quality")
+        return {
+            "system": self.system.name,
+            **{n: getattr(self, n) for n in names},
+            "origin": self.origin,
+        }
+
+
+@explained
+@tolerant("q")
+def independent(
+    system: System,
+    q: Any = None,
+    prefer: Iterable[str] = (),
+    *,
+    tolerance: float | str | None = None,
+) -> Chart:
+    """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others
+    follow.
+
+    Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the
+    tangent space: Golub, 1965): angles and lengths; where these cannot do, rotation vectors of
+    balls from q on (`B.ex`, `B.ey`, `B.ez`); and those that move idle spins only come last.
+    `prefer` are names of coordinates that must be among them. Default for q: the closed
+    configuration that `assemble` finds. Errors: `InputError` if q is not closed, or if the
+    preferred ones cannot be set independently, with the reason; `UnknownNameError`.
+    """
+    if q is None:
+        answer = assemble(system)
+        if not answer:
+            raise InputError(f"{system.name} could not be assembled: {answer.status}")
+        q = answer.q
+    q = as_q(system, q)
+    N, scale = tangent_space(system, q)
+    p = N.shape[1]
+    wish = listed(prefer, "prefer")
+    rows = _wished(system, wish) if wish else []
+    if len(set(rows)) < len(rows) or len(rows) > p:
+        given = f"{counted(len(rows), 'coordinate')} {verb(len(rows), 'is', 'are')} preferred"
+        raise InputError(
+            f"{given}; {counted(p, 'freedom')} can be chosen here{', each once' * (p > 1)}"
+        )
+    least = _worst(p, system.nv)
+    if rows and _quality(N, rows) < least:
+        raise InputError(
+            f"{', '.join(wish)} cannot be set independently here: conditioning "
+            f"{_quality(N, rows):.2g}, at least {least:.2g} is needed; the best choice is "
+            f"{', '.join(independent(system, q).independent)}"
+        )
+    plain = sorted(system.structure.layout.vector_v.tolist())
+    found = _extend(N, rows, plain)
+    idle = []
+    quality = _quality(N, found)
+    sure = len(found) == p and quality >= least
+    if not sure or (1 < p < system.nv < MANY and system.dim == 3):
+        spins = spins_of(system, q)
+        if spins or not sure:
+            found, idle = _in_turn(N, rows, plain, spins, idle_part(system, q, N, scale, spins))
+            quality = _quality(N, found)
+    if len(found) < p or (p and quality < least):
+        raise InputError(
+            f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}"
+        )
+    idle = sorted(idle)
+    chosen = [*sorted({*found} - {*idle}), *idle]
+    names = system.structure.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
+    rest = tuple(n for v, n in enumerate(system.structure.velocity_names) if v not in chosen)
+    return Chart(
+        system,
+        tuple(names[v] for v in chosen),
+        rest,
+        q.copy(),
+        quality,
+        tuple(names[v] for v in idle),
+    )
+
+
+def _wished(system: System, names: Iterable[str]) -> list[int]:
+    """Velocity indices of coordinates. Errors: `UnknownNameError`."""
+    number = _numbers(system)
+    for name in names:
+        if name not in number:
+            raise UnknownNameError("coordinate", name, sorted(number), system.name)
+    return [number[n] for n in names]
+
+
+def _in_turn(
+    N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...], idle: Array
+) -> tuple[list[int], list[int]]:
+    """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths
+    first.
+    """
+    nv, p = N.shape
+    moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
+    others = [v for v in range(nv) if v not in plain]
+    found = list(rows)
+    requested = sum(bool(moved[v]) for v in rows)
+    for still in (True, False):
+        most = min(p, p - idle.shape[1] + requested) if still else p
+        own = [v for v in range(nv) if moved[v] != still]
+        for stage in (plain, others):
+            usable = [v for v in stage if moved[v] != still and v not in found]
+            found = _extend(N, found, usable, most, own if stage is plain else ())
+    spinning = [v for v in found if moved[v]]
+    return found, spinning if len(spinning) == idle.shape[1] else []
+
+
+def _is_exponential(system: System, name: str) -> bool:
+    """Whether this is the name of a component of a rotation vector."""
+    return name not in system.coordinate_names
+
+
+def _numbers(system: System) -> dict[str, int]:
+    """Velocity index of each name that a coordinate of a chart can have."""
+    names = system.structure.velocity_names
+    vector = {*system.structure.layout.vector_v.tolist()}
+    return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
+
+
+def _of_log(w: Array) -> Array:
+    """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo,
+    Murray, 1995).
+    """
+    angle = float(np.linalg.norm(w))
+    K = skew(w)
+    if angle < 1e-4:
+        factor = 1.0 / 12.0 + angle**2 / 720.0
+    else:
+        factor = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+    return np.eye(3) + 0.5 * K + factor * K @ K
+
+
+def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
+    """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the
+    scales (nv,).
+
+    Those are left out that lead to no motion, where the equations touch all along
+    (`kempe.motion.crossings`); this need not be looked at where p is known (`dim`).
+
+    Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors:
+    `InputError` if q is not closed.
+    """
+    q = one_finite(system, q)
+    error, J = evaluate(system, q, True, True)
+    if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
+        raise InputError(
+            f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use "
+            "assemble"
+        )
+    U, values, Vt = svd(J, full_matrices=True)
+    rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
+    N = Vt[rank:].T
+    scale = scales(system)
+    if rank < len(J) and 1 < N.shape[1] != dim:
+        N = moving(system, q, U[:, rank:], N, scale)
+    return N, scale
+
+
+def _quality(N: Array, rows: list[int]) -> float:
+    """The smallest singular value of these rows of an orthonormal basis."""
+    return float(svd(N[rows], compute_uv=False).min(initial=1.0)) if rows else 1.0
+
+
+def _worst(p: int, n: int) -> float:
+    """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p /
+    n).
+    """
+    return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
+
+
+def _extend(
+    N: Array,
+    rows: list[int],
+    usable: list[int],
+    most: int | None = None,
+    better: Sequence[int] = (),
+) -> list[int]:
+    """The rows, extended to p (or `most`), each time by that which is farthest from the span of
+    those chosen; it ends where one of the `better` rows is much farther.
+    """
+    rows = list(rows)
+    p = N.shape[1] if most is None else most
+    rest = N.copy()
+    for row in rows:
+        rest = _without(rest, rest[row])
+    while len(rows) < p and usable:
+        size = np.linalg.norm(rest[usable], axis=1)
+        row = usable[
+            int(np.argmax(size.round(9)))
+        ]  # rounding does not decide between equals: the first is taken
+        if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
+            break
+        rows.append(row)
+        rest = _without(rest, rest[row])
+    return rows
+
+
+def _without(N: Array, direction: Array) -> Array:
+    size = np.linalg.norm(direction)
+    if size < 1e-300:
+        return N
+    u = direction / size
+    return N - np.outer(N @ u, u)
+
+
+# ---- parametrizations
+
+# Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized
+# positions without any.
+
+
+SHOWN = 12
+"""Names that the table shows of one row."""
+
+
+class Parametrization(NamedTuple):
+    """A way to say where all bodies are: how many numbers, how many constraints on them, of which
+    `rank`.
+
+    `rank` is None where the loops cannot be closed. `dof` is what is left of the numbers, to first
+    order.
+    """
+
+    what: str
+    numbers: int
+    constraints: int
+    rank: int | None
+    names: tuple[str, ...]
+
+    @property
+    def dof(self) -> int | None:
+        """Numbers less rank: freedoms to first order."""
+        return None if self.rank is None else self.numbers - self.rank
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Parametrizations(Report):
+    """Ways to parametrize the configuration space of a system, as one table; ``print`` it.
+
+    `rows` are the pairs (r, R) of all bodies; with loops the coordinates of all joints; the
+    generalized positions, as many as freedoms. Constraints of velocity and one-sided ones take no
+    dimension, and are not counted.
+    """
+
+    system: System = field(repr=False)
+    rows: tuple[Parametrization, ...]
+    n_b: int
+    """Number of bodies, the ground left out."""
+    n: int | None
+    """Degrees of freedom; None where they are not known."""
+    why: str = ""
+    """Why there are no generalized positions."""
+
+    @property
+    def m_c(self) -> int:
+        """Number of constraints on the pairs."""
+        return self.rows[0].constraints
+
+    def pairs(self, q: Any) -> tuple[Array, Array]:
+        """Positions r (..., n_b, 3) and orientations R (..., n_b, 3, 3) of all bodies at q (...,
+        nq).
+        """
+        X = to_maximal(self.system, q)
+        return X[..., :3, 3].copy(), X[..., :3, :3].copy()
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `UNDETERMINED` where the degrees of freedom are not known."""
+        return Status.UNDETERMINED if self.n is None else Status.SOLVED
+
+    @property
+    def status(self) -> str:
+        """The lecture's sentence: n_b pairs with m_c constraints, or n generalized positions."""
+        known = self.why or f"n = {counted(self.n or 0, 'generalized position')}"
+        pairs = (
+            f"n_b = {counted(self.n_b, 'pair')} (r, R) with m_c = {counted(self.m_c, 'constraint')}"
+        )
+        return f"{self.system.name}: {pairs}, or {known}"
+
+    def _cells(self) -> Cells:
+        rows = [
+            (
+                r.what,
+                *("?" if x is None else str(x) for x in (r.numbers, r.constraints, r.rank, r.dof)),
+                listed_words(r.names, SHOWN),
+            )
+            for r in self.rows
+        ]
+        return ("parameters", "numbers", "constraints", "rank", "left", "names"), rows
+
+    def _lines(self) -> list[str]:
+        heads, rows = self._cells()
+        widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads) - 1)]
+        padded = [
+            [
+                row[0].ljust(widths[0]),
+                *(x.rjust(w) for x, w in zip(row[1:-1], widths[1:], strict=True)),
+                row[-1],
+            ]
+            for row in (heads, *rows)
+        ]
+        return ["  ".join(row) for row in padded]
+
+    def _data(self) -> dict[str, Any]:
+        return {"n_b": self.n_b, "m_c": self.m_c, "n": self.n, "why": self.why} | {
+            "rows": [row._asdict() | {"dof": row.dof} for row in self.rows]
+        }
+
+
+@explained
+def parametrizations(system: System, q: Any = None) -> Parametrizations:
+    """How many numbers say where all bodies are, in pairs with constraints and in generalized
+    positions.
+
+    `q` (nq,): where the rank is taken, default as in `mobility`. Errors: as `mobility`.
+    """
+    m = mobility(system, q)
+    count = counting(system)
+    bodies = system.body_names[1:]
+    rank = None if m.rank_dof is None else count.free - m.rank_dof
+    rows = [Parametrization("pairs (r, R)", count.free, count.taken, rank, bodies)]
+    if has_loops(system) and m.rank is not None:
+        names = system.structure.velocity_names
+        rows.append(
+            Parametrization(
+                "all joints", system.nv, count.taken - count.free + system.nv, m.rank.rank, names
+            )
+        )
+    why = "" if m.closed else "no generalized positions: the loops cannot be closed here"
+    if m.closed and m.dof is None:
+        why = "generalized positions, whose true number is not known"
+    if m.closed:
+        try:
+            names = independent(system, m.q).independent
+            if m.dof in (None, len(names)):
+                rows.append(Parametrization("generalized positions", len(names), 0, 0, names))
+            else:
+                why = f"no generalized positions at this singular q, where n = {m.dof}"
+        except InputError as error:
+            why = f"no generalized positions here: {error}"
+    return Parametrizations(system, tuple(rows), len(bodies), m.dof, why)

@@ -1,0 +1,347 @@
+"""All constraint equations of a system as one smooth, scale-free map: values, Jacobians, Taylor
+series, projection.
+
+Unknowns are all velocity coordinates, those of cut joints included, lengths divided by the
+characteristic length.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.errors import UnsupportedError
+from kempe.first_order.constraint_graph import NO_SERIES, called
+from kempe.kernels.constraints.loop_layout import LINEAR
+from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN, V_INDEX, rows_of
+from kempe.model.configurations import as_q
+from kempe.model.packed_loops import laid_out, loops_of
+from kempe.numerics.clock import TimeLimit
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+BALL_REST = -(10**9)
+"""Mark of the second and third velocity coordinate of a ball."""
+
+ITERATIONS = 60
+LONGEST = 0.2
+"""Longest step of a projection, in scaled coordinates: it is to find what is near."""
+SHARP = 1e-15
+BLUNT = 1e-4
+"""Residuals between these (the first for each equation), where a projection ends, may be halved
+many times."""
+LEAP = 0.6
+"""Plain steps longer than this part of the distance from the center are not taken: where the
+residual is what the digits of a description allow, they would run along the motion to where it is
+less."""
+PLAIN = 40
+HOPELESS = 4
+"""Most plain steps, and steps without gain that end it."""
+FLAT = 1e-13
+STEEP = 1e-3
+"""Singular values, as parts of the largest, that plain steps leave out, and those that lead back
+into the valley."""
+
+
+class Landing(NamedTuple):
+    """Where projections ended: points (N, nq), norms of the residual and distances from the centers
+    (N,).
+
+    With the values (N, m) of the equations there and their Jacobian (N, m, nv) to scaled
+    coordinates.
+    """
+
+    q: Array
+    residual: Array
+    distance: Array
+    value: Array
+    jacobian: Array
+
+
+class Equations:
+    """The packed equations of a system: m of them in nv scaled unknowns."""
+
+    time = TimeLimit(None)
+    """What is looked at where they are evaluated: it raises `TimeUp`. Copies for one call have a
+    limit of their own."""
+
+    def __init__(self, system: System):
+        self.system = system
+        self._loops = loops_of(system, frozenset(system.structure.closures))
+        self.names = self._loops.names
+        found = called(system)
+        if found:
+            raise UnsupportedError(f"constraint {found[0]!r} {NO_SERIES}, which is needed here")
+        self.m = len(self.names)
+        self.nv = system.nv
+        self.nq = system.nq
+        self.length = self._loops.length
+        self.ints = self._loops.ints
+        self.floats = self._loops.floats
+        turning = np.array(system.structure.coordinates.turning)
+        for iv in system.structure.layout.quaternion_v:
+            turning[iv : iv + 3] = True
+        self.turning = turning | np.isin(np.arange(self.nv), self._driving(TURN))
+        self.sliding = np.isin(np.arange(self.nv), self._driving(SLIDE))
+        """Which velocities (nv,) slide something, screws among them."""
+        self.scale = np.where(self.turning, 1.0, self.length)
+        self.ties, self.numbers = self._pack()
+        self.places = np.full(self.nv, BALL_REST, dtype=np.int64)
+        self.places[system.structure.layout.vector_v] = system.structure.layout.vector_q
+        for iq, iv in zip(
+            system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True
+        ):
+            self.places[iv] = -1 - iq
+
+    def _driving(self, kind: int) -> list[int]:
+        """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and
+        are angles.
+        """
+        rows = rows_of(self.ints)
+        return rows[rows[:, KIND] == kind, V_INDEX].tolist()
+
+    def _pack(self) -> tuple[np.ndarray, Array]:
+        """The arrays `ties` and `numbers` of `kempe.kernels.series.jet`."""
+        numbers = [1.0 / self.length]
+        row = 0
+        heads: list[list[int]] = []
+        entries: list[tuple[int, int]] = []
+        factors: list[Any] = []
+        recorded: list[tuple[np.ndarray, Array, list[int]]] = []
+        first = self.system.structure.coordinates.first
+        for tie in self._loops.ties:
+            count = 0
+            size = len(tie.rows)
+            number = tie.number
+            start = len(entries)
+            if tie.relation is not None:
+                unit = 1.0 / self.scale[first[tie.relation.of][1]]
+                number *= unit
+                terms = {tie.relation.of: unit}
+                for name, m in tie.relation.sources.items():
+                    terms[name] = terms.get(name, 0.0) - m * unit
+                for name, factor in terms.items():
+                    entries.append(first[name])
+                    factors.append(factor)
+                count = len(terms)
+            data = -1
+            if tie.tape is not None:
+                data = len(recorded)
+                number = 1.0 / self.length if tie.tape.unit == "m" else 1.0
+                inputs = (
+                    [tie.tape.input(n), *first.get(n, (-1, -1))] for n in tie.tape.tape.inputs
+                )
+                recorded.append((*tie.tape.tape.arrays(), [x for item in inputs for x in item]))
+            heads.append(
+                [
+                    tie.mask,
+                    LINEAR if tie.relation is not None else tie.turns,
+                    size,
+                    row,
+                    count,
+                    start,
+                    data,
+                ]
+            )
+            numbers.append(number)
+            row += size
+        at = 1 + sum(len(item) for group in (heads, entries) for item in group)
+        read, starts = laid_out(recorded, at, len(numbers) + len(factors))
+        for head in heads:
+            head[-1] = starts[head[-1]] if head[-1] >= 0 else -1
+        flat = [x for group in (heads, entries) for item in group for x in item]
+        self.tape_size = 3 * sum(int(ints[1]) for ints, _, _ in recorded)
+        tapes = np.concatenate([np.zeros(0), *(x for _, x, _ in recorded)])
+        return np.array([len(heads), *flat, *read], dtype=np.int64), np.array(
+            [*numbers, *factors, *tapes], dtype=float
+        )
+
+    def linearise(self, q: Any) -> tuple[Array, Array]:
+        """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
+        q = np.array(as_q(self.system, q))
+        q = q.reshape(math.prod(q.shape[:-1]), self.nq)
+        landing = self._project(q, q, 0.0, 0)
+        return landing.value, landing.jacobian
+
+    def project(self, q: Array, centers: Array, radius: Array | float = 0.0) -> Landing:
+        """Points of the solution set near q (N, nq).
+
+        Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
+
+        What is left where equations touch the set goes down in a narrow bent valley, in which steps
+        that must not climb are short: plain steps, which climb out and come back, finish it.
+        """
+        q = np.array(q, dtype=float, order="C")
+        q = q.reshape(math.prod(q.shape[:-1]), self.nq)
+        found = self._project(q, centers, radius, ITERATIONS)
+        radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
+        left = self._left(found, radii)
+        slow = np.flatnonzero((left > self.m * SHARP) & (left < BLUNT))
+        if len(slow):
+            self._finish(
+                found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow]
+            )
+        return found
+
+    @staticmethod
+    def _left(at: Landing, radii: Array) -> Array:
+        """Residuals (N,), the equation of the sphere included."""
+        return np.hypot(at.residual, np.where(radii > 0.0, at.distance - radii, 0.0))
+
+    def _finish(
+        self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array
+    ) -> None:
+        """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are
+        better.
+        """
+        q = found.q[slow]
+        since = np.zeros(len(slow), dtype=int)
+        for _ in range(PLAIN):
+            at = self._project(q.copy(), centers, radii, 0)
+            left = self._left(at, radii)
+            since = np.where(left < 0.5 * best, 0, since + 1)
+            better = left < best
+            best = np.where(better, left, best)
+            for kept, new in zip(found, at, strict=True):
+                kept[slow[better]] = new[better]
+            there = self._step(at, centers, radii, FLAT)
+            step = np.linalg.norm(self.offset(at.q, there), axis=1)
+            on = (left > self.m * SHARP) & (since < HOPELESS) & (step < LEAP * at.distance)
+            if not on.any():
+                return
+            slow, best, since, centers, radii, q = (
+                x[on] for x in (slow, best, since, centers, radii, there)
+            )
+            for _ in range(2):
+                q = self._step(self._project(q, centers, radii, 0), centers, radii, STEEP)
+
+    def _step(self, at: Landing, centers: Array, radii: Array, flat: float) -> Array:
+        """Where (N, nq) undamped steps lead onto the equations and, where radii > 0, the spheres."""
+        q = at.q
+        value = at.value
+        J = at.jacobian
+        x = np.where((radii > 0.0)[:, None], self.offset(centers, q), 0.0)
+        over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
+        error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
+        rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
+        step = -(np.linalg.pinv(rows, flat) @ np.append(value, error[:, None], axis=1)[..., None])[
+            ..., 0
+        ]
+        shorter = np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))
+        return self.move(q, step * shorter[:, None])
+
+    def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
+        """As `project`, overwriting q with the points found."""
+        from kempe.kernels.compiled import projection
+
+        self.time.check()
+        centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
+        radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
+        info = np.zeros((len(q), 3))
+        value = np.zeros((len(q), self.m))
+        J = np.zeros((len(q), self.m, self.nv))
+        projection.project(
+            self.ints,
+            self.floats,
+            self.ties,
+            self.numbers,
+            self.places,
+            self.scale,
+            centers,
+            q,
+            radii,
+            iterations,
+            LONGEST,
+            info,
+            value,
+            J,
+        )
+        return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
+
+    def move(self, q: Array, x: Array) -> Array:
+        """Configurations (..., nq) reached from q (..., nq) by scaled tangent vectors x (..., nv)."""
+        return self.system.structure.layout.integrate(q, np.asarray(x) * self.scale)
+
+    def offset(self, q0: Array, q: Array) -> Array:
+        """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale`
+        (nv,).
+        """
+        return self.system.structure.layout.difference(q0, q) / self.scale
+
+    def series(self, q: Array, n: int, order: int) -> Series:
+        """Taylor series, up to `order`, of the equations along n curves of configurations.
+
+        The curves begin at q (nq,), or each at its own (n, nq); `Series.set` gives their
+        coefficients, order by order.
+        """
+        return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
+
+    @cached_property
+    def rows_of(self) -> dict[str, np.ndarray]:
+        """Places of the equations of joints and of constraints that are no expressions, by name."""
+        out: dict[str, np.ndarray] = {}
+        row = 0
+        for tie in self._loops.ties:
+            if tie.relation is None and not tie.written:
+                out[tie.name] = np.arange(row, row + len(tie.rows))
+            row += len(tie.rows)
+        return out
+
+    @cached_property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of rows and of outputs, one at least for the arrays of kernels."""
+        return max(int(self.ints[N_ROWS]), 1), max(int(self.ints[N_OUT]), 1)
+
+
+class Series:
+    """Taylor series of equations and frames along curves q0 (+) v(t), computed order by order."""
+
+    def __init__(self, equations: Equations, q: Array, order: int):
+        from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
+
+        self.equations = equations
+        self.order = order
+        n = len(q)
+        (rows, outputs) = equations.sizes
+        depth = order + 1
+        self._q = np.ascontiguousarray(q)
+        self._poses = np.zeros((n, rows, depth, POSE_SIZE))
+        self._extra = np.zeros((n, rows, depth, scratch_width(order)))
+        self._frames = np.zeros((n, outputs, depth, 12))
+        self._v = np.zeros((n, depth, equations.nv))
+        self._tapes = np.zeros((n, equations.tape_size, depth))
+        self.values = np.zeros((n, depth, equations.m))
+        """Series (n, order + 1, m) of the equations."""
+
+    def set(self, k: int, x: Array) -> None:
+        """Set the coefficients of order k of the curves: scaled tangent vectors x (n, nv)."""
+        self._v[:, k] = x * self.equations.scale
+
+    def compute(self, first: int, last: int) -> Array:
+        """Values (n, m) of the equations of order `last`, once orders first ... last are computed
+        anew.
+        """
+        from kempe.kernels.compiled import jet
+
+        e = self.equations
+        jet.jets(
+            e.ints,
+            e.floats,
+            e.ties,
+            e.numbers,
+            self._q,
+            self._v,
+            first,
+            last,
+            self._poses,
+            self._extra,
+            self._frames,
+            self._tapes,
+            self.values,
+        )
+        return self.values[:, last]

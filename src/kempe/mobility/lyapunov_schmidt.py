@@ -1,0 +1,230 @@
+"""Lyapunov-Schmidt reduction at a closed configuration: what the equations still say where their
+Jacobian is silent.
+
+Let N span the null space of the Jacobian J at q0 and U its left null space. Curves q(t) = q0 (+) (N
+s(t) + w(t)), w normal to the null space, fulfil all equations but U^T phi, order by order, if w_k =
+-J^+ phi_k; what is left, g(s) = U^T phi, has as many unknowns as the null space has dimensions, and
+its zeros are the solution set near q0 (Golubitsky, Schaeffer, 1985, chapter VII). All g_k being
+zero, every null vector is a velocity and the set is a manifold of that dimension.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.mobility.local_equations import Equations
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+RANK = 1e-6
+"""Singular values below this part of the largest count as zero: where roots are double, q is known
+to 1e-8."""
+LEAST = 0.1
+"""What the largest singular value counts as at least: equations are scaled, and where all vanish it
+is rounding."""
+ZERO = 1e-9
+"""Taylor coefficients below this count as zero; curves are scaled so that their own coefficients
+are at most one."""
+NOT_ZERO = 1e-6
+"""Taylor coefficients above this count as not zero; between the two nothing is certain."""
+DISTURBANCE = 1e-8
+ROUNDING = 1e-10
+"""Size of the disturbance that shows how errors grow, and of the errors themselves, with a
+margin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """A configuration q (nq,) with the singular value decomposition of the scaled Jacobian there."""
+
+    q: Array
+    sigma: Array
+    null_space: Array
+    """Orthonormal basis (nv, delta) of the null space, in scaled coordinates."""
+    cokernel: Array
+    """Orthonormal basis (m, corank) of the left null space: self-stresses."""
+    inverse: Array
+    """Pseudo-inverse (nv, m) of rank r."""
+
+    @property
+    def delta(self) -> int:
+        """Nullity of the Jacobian."""
+        return self.null_space.shape[1]
+
+    @property
+    def corank(self) -> int:
+        """Rows less rank."""
+        return self.cokernel.shape[1]
+
+    @property
+    def rank(self) -> int:
+        """Rank of the Jacobian."""
+        return len(self.null_space) - self.delta
+
+    @property
+    def gap(self) -> float:
+        """Smallest singular value counted as not zero over the largest counted as zero; infinite
+        where none is.
+        """
+        if self.rank == 0:
+            return np.inf
+        rest = self.sigma[self.rank :]
+        floor = 1e-16 * float(self.sigma[0])
+        return (
+            float(self.sigma[self.rank - 1]) / max(float(rest[0]), floor) if len(rest) else np.inf
+        )
+
+
+def split(equations: Equations, q: Array, tolerance: float = RANK) -> Split:
+    """The `Split` of the equations at q (nq,)."""
+    return split_matrix(q, equations.linearise(q)[1][0], tolerance)
+
+
+def split_matrix(q: Array, J: Array, tolerance: float = RANK) -> Split:
+    """The `Split` for a Jacobian (m, nv); singular values below `tolerance` times the largest count
+    as zero.
+    """
+    return split_all(q[None], J[None], tolerance)[0]
+
+
+def split_all(q: Array, J: Array, tolerance: float = RANK) -> list[Split]:
+    """The same for many configurations (N, nq) and Jacobians (N, m, nv)."""
+    m, nv = J.shape[1:]
+    if m == 0:
+        return [Split(p, np.zeros(0), np.eye(nv), np.zeros((0, 0)), np.zeros((nv, 0))) for p in q]
+    out: list[Split] = []
+    for p, U, sigma, Vt in zip(q, *svd(J), strict=True):
+        rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
+        inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
+        out.append(Split(p, sigma, Vt[rank:].T, U[:, rank:], inverse))
+    return out
+
+
+def unit_directions(rng: np.random.Generator, n: int, dim: int) -> Array:
+    """Random unit vectors (n, dim)."""
+    d = rng.normal(size=(n, dim))
+    return d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
+
+
+def axes(rng: np.random.Generator, dim: int) -> Array:
+    """Unit vectors (2 dim, dim) both ways along the axes of a random frame."""
+    d = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
+    return np.concatenate([d, -d])
+
+
+@dataclass(frozen=True, eq=False)
+class Obstruction:
+    """Sizes (order + 1,) of the coefficients of the reduced equations, and of the errors that they
+    may have.
+    """
+
+    size: Array
+    noise: Array
+
+    @property
+    def order(self) -> int | None:
+        """The first order whose coefficients are not zero, None if there is none."""
+        found = np.flatnonzero(self.size > np.maximum(NOT_ZERO, self.noise))
+        return int(found[0]) if found.size else None
+
+    @property
+    def doubt(self) -> float:
+        """The largest coefficient before the first that is not zero that is not surely zero either;
+        0 if none.
+        """
+        size = self.size[: self.order]
+        noise = self.noise[: self.order]
+        return float(np.max(size[size > np.maximum(ZERO, noise)], initial=0.0))
+
+
+def obstruction(
+    equations: Equations, at: Split, order: int, rng: np.random.Generator
+) -> Obstruction:
+    """How large the reduced equations are, order by order, along random curves of the null space.
+
+    Half of the curves are straight lines. A form that vanishes in one random direction vanishes,
+    with probability one, so the lines alone test all of g; the others are there because a second
+    computation of the same catches a slip.
+
+    Errors grow from order to order, near another singular point quickly: by how much is seen from a
+    second run with w disturbed at every order.
+    """
+    n = at.delta + 4
+    s = lines(unit_directions(rng, 2 * n, at.delta), order)
+    for k in range(2, order + 1):
+        s[n:, k] = 0.5**k * rng.normal(size=(n, at.delta))
+    g, slow = _solve(equations, at, s, None)
+    across = rng.normal(size=(len(s), order + 1, equations.nv))
+    across -= across @ at.null_space @ at.null_space.T
+    across *= DISTURBANCE / np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
+    disturbed, _ = _solve(equations, at, s, across)
+    rest = at.sigma[at.rank : at.rank + 1]
+    error = ROUNDING + (float(rest[0]) if rest.size else 0.0)
+    return Obstruction(_largest(g / slow), _largest((disturbed - g) / slow) * error / DISTURBANCE)
+
+
+def _largest(g: Array) -> Array:
+    return np.max(np.linalg.norm(g, axis=2), axis=0, initial=0.0)
+
+
+def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> tuple[Array, Array]:
+    """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the null
+    space, and their scale.
+
+    Divided by the scale (n, order + 1, 1) they belong to curves slowed down until none of their
+    coefficients, those of w included, is over one. s[:, 0] is unused.
+    """
+    n: int
+    depth: int
+    n, depth = s.shape[:2]
+    series = equations.series(at.q, n, depth - 1)
+    g = np.zeros((n, depth, at.corank))
+    fastest = np.ones(n)
+    for k in range(1, depth):
+        x = s[:, k] @ at.null_space.T
+        series.set(k, x)
+        phi = series.compute(k - 1, k)
+        g[:, k] = phi @ at.cokernel
+        x = x - phi @ at.inverse.T
+        if across is not None:
+            x = x + across[:, k]
+        series.set(k, x)
+        fastest = np.maximum(fastest, np.linalg.norm(x, axis=1) ** (1.0 / k))
+    return g, (fastest[:, None] ** np.arange(depth, dtype=float))[..., None]
+
+
+def lines(directions: Array, order: int) -> Array:
+    """Curves (n, order + 1, delta) straight along directions (n, delta)."""
+    s = np.zeros((len(directions), order + 1, directions.shape[1]))
+    s[:, 1] = directions
+    return s
+
+
+def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator) -> Array:
+    """Basis (delta, l) of the null directions u along which the leading form of order k is
+    constant.
+
+    The derivative of a form G of degree k along u, at random d: the linear coefficient of G(d + tau
+    u) in tau, by interpolation in k + 1 points. Where the solution set is a manifold that the
+    equations describe with multiplicity (they touch it), these are the only directions that can be
+    tangent to it.
+    """
+    delta = at.delta
+    n = at.delta + 2
+    tau = np.cos(np.pi * (np.arange(k + 1) + 0.5) / (k + 1))
+    pick = np.linalg.inv(np.vander(tau, increasing=True))[1]
+    d = unit_directions(rng, n, delta)
+    points = (
+        d[:, None, None, :] + tau[:, None] * np.eye(delta)[:, None, :]
+    )  # (n, delta, k + 1, delta)
+    flat = points.reshape(-1, delta)
+    size = np.linalg.norm(flat, axis=1)
+    g = _solve(equations, at, lines(flat / size[:, None], k), None)[0][:, k] * (size**k)[:, None]
+    gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(
+        -1, delta
+    )
+    _, sigma, Vt = svd(gradient)
+    rank = int(np.sum(sigma > 1e-4 * sigma[0]))
+    return Vt[rank:].T

@@ -1,0 +1,289 @@
+"""Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is
+redundant, idle, driven.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import explained, generator
+from kempe.assemble.generic_configurations import NearestClosed, around, close, find_closed
+from kempe.assemble.nearest_exact import tolerant
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.errors import InputError
+from kempe.first_order.constraint_graph import ConstraintGraph, called, structure
+from kempe.first_order.control import control, driven
+from kempe.first_order.counting import counting, loop_counts
+from kempe.first_order.idle_freedoms import idle_freedoms
+from kempe.first_order.rank import Rank, rank_at
+from kempe.first_order.redundant_constraints import redundancy
+from kempe.first_order.wrenches import Wrenches
+from kempe.mobility.answer import ClusterMobility, Mobility, dimensions
+from kempe.mobility.dof_proofs import regular
+from kempe.mobility.one_sided import if_any
+from kempe.mobility.reachable import velocity_freedoms
+from kempe.model.ball_angles import regular_chart
+from kempe.model.configurations import as_q, home_of
+from kempe.model.own_tree import own_tree
+from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.mobility.local_dimension import Branch, LocalDimension
+    from kempe.model.model import Model as System
+
+USUAL = Usual("mobility", time_limit=SHORT)
+
+
+def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any) -> Mobility:
+    """The count alone: the time was up before more was known."""
+    given = None if q is None else _given(system, q)
+    tree = own_tree(system)
+    why = (
+        f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were "
+        "known"
+    )
+    at = NearestClosed(home_of(tree) if given is None else given, False, math.nan, math.nan, why)
+    return replace(_open(tree, system, at), late=True)
+
+
+@explained
+@time_limited(USUAL, _counted)
+@tolerant()
+def mobility(
+    system: System,
+    q: Any = None,
+    actuated: Iterable[str] | None = None,
+    *,
+    local: bool = True,
+    rng: np.random.Generator | int = 0,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Mobility:
+    """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
+
+    `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed
+    configuration is searched); where it is not exactly closed the nearest closed configuration is
+    taken, and where there is none only the count is given. `actuated` names joints or coordinates
+    whose control is looked at (default: those marked in the file). `local=False` leaves out the
+    true number, where the rank does not prove it, and is faster. `rng` draws the generic
+    configurations. Of the `budget` the time_limit (30 s) is read: where it ends the search for the
+    true number, `late` is true, `dof` is None, and the count is known, mostly the ranks, too. Where
+    three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
+    `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
+    """
+    time = time_of(USUAL)
+    time.put_in_order()  # there is nothing to do afterwards
+    shown = system
+    system = own_tree(system)
+    driven(system, actuated)  # a wrong name is refused before any work
+    given = None if q is None else _given(system, q)
+    return _looked_at(system, shown, given, actuated, local, generator(rng), time)
+
+
+def _looked_at(
+    system: System,
+    shown: System,
+    given: Array | None,
+    actuated: Iterable[str] | None,
+    local: bool,
+    rng: np.random.Generator,
+    time: TimeLimit,
+) -> Mobility:
+    """Everything, at the closed configuration that is given, or one that is searched."""
+    at = close(system, given) if given is not None else find_closed(system)
+    if not at.closed:
+        return _open(system, shown, at)
+    other, q, turned = regular_chart(system, at.q)
+    if turned:  # angles of a ball have velocities there that move nothing
+        found = _found(other, shown, replace(at, q=q), actuated, local, rng, time)
+        from kempe.mobility.local_dimension import in_chart
+
+        truth = None if found.local is None else in_chart(system, found.local, turned)
+        return replace(found, q=at.q, local=truth, one_sided=if_any(shown, at.q))
+    return _found(system, shown, at, actuated, local, rng, time)
+
+
+def _found(
+    system: System,
+    shown: System,
+    at: NearestClosed,
+    actuated: Iterable[str] | None,
+    local: bool,
+    rng: np.random.Generator,
+    time: TimeLimit,
+) -> Mobility:
+    """Everything, at a closed configuration whose coordinates are regular; counted over the tree of
+    `shown`.
+    """
+    s = structure(system)
+    motors = driven(system, actuated)
+    rank = rank_at(system, at.q)
+    generic = around(system, rank, motors, rng)
+    truth = None
+    late = False
+    try:
+        truth = _local(system, rank, local, rng, time)
+    except TimeUp:
+        if not time.spent:
+            raise
+        late = True
+    best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
+    idle = idle_freedoms(system, [rank, *generic], motors)
+    dof = (
+        truth.dim
+        if truth is not None
+        else rank.nullity
+        if not rank.dependent or not rank.nullity
+        else None
+    )
+    singular, kind = _kind(rank, best, truth)
+    sure = truth is None and dof is not None and regular(system, rank, at.residual)
+    return Mobility(
+        system.name,
+        system.dim,
+        at.q,
+        True,
+        at.residual,
+        at.given,
+        "",
+        counting(shown),
+        loop_counts(shown, rank.screws),
+        _clusters(s, rank),
+        _outside(system, s),
+        rank,
+        best.nullity,
+        truth,
+        dof,
+        redundancy(system, best),
+        idle,
+        control(system, rank, generic, idle, actuated),
+        singular,
+        kind,
+        velocity_freedoms(system, at.q),
+        sure,
+        if_any(shown, at.q),
+        called(system) if dof is None and local else (),
+        Wrenches(system, at.q),
+        late=late,
+    )
+
+
+def _given(system: System, q: Any) -> Array:
+    given = as_q(system, q)
+    if given.ndim != 1:
+        raise InputError(
+            f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)"
+        )
+    return given
+
+
+def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
+    s = structure(system)
+    return Mobility(
+        system.name,
+        system.dim,
+        at.q,
+        False,
+        at.residual,
+        at.given,
+        at.why,
+        counting(shown),
+        loop_counts(shown, None),
+        _clusters(s, None),
+        _outside(system, s),
+        None,
+        None,
+        None,
+        None,
+        None,
+        (),
+        None,
+        None,
+        "",
+    )
+
+
+def _local(
+    system: System, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
+) -> LocalDimension | None:
+    """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
+    if not wanted or not rank.dependent or not rank.nullity or called(system):
+        return None
+    from kempe.mobility.local_dimension import local_dimension
+
+    return local_dimension(system, rank.q, rng=rng, time=time)
+
+
+def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
+    """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
+    if truth is None or truth.smooth:
+        return []
+    ranks = {b.dim: rank_at(system, b.q) for b in truth.branches if not b.multiple}
+    return [r for dim, r in ranks.items() if r.nullity == dim]
+
+
+def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
+    out: list[ClusterMobility] = []
+    for k, c in enumerate(s.clusters):
+        rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].rows for i in c.laws)
+        r = None if rank is None else rank.clusters[k]
+        out.append(
+            ClusterMobility(
+                tuple(s.edges[i].name for i in c.edges),
+                tuple(s.edges[s.loops[i].edge].name for i in c.loops),
+                len(c.velocities) - rows,
+                None if r is None else r.nullity,
+                None if r is None else r.dependent,
+            )
+        )
+    return tuple(out)
+
+
+def _outside(system: System, s: ConstraintGraph) -> int:
+    """Freedoms of joints that no loop touches."""
+    return system.nv - sum(len(c.velocities) for c in s.clusters)
+
+
+def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
+    """Whether the configuration is a singular point of the configuration space, and its kind in
+    words.
+
+    `best` is the rank of least nullity around it, `truth` the local dimension, where it was
+    computed.
+    """
+    drop = rank.nullity - best.nullity
+    if truth is None:
+        if not drop:
+            return False, ""
+        return True, f"the rank is lower than at other configurations of the branch (by {drop})"
+    if truth.smooth:
+        return False, ""
+    if len(truth.branches) == 0:
+        return True, "shaky: it can move to first order, but is rigid"
+    dims = dimensions(truth.branch_dims)
+    if len(truth.branches) > 1:
+        found = "meet" if truth.counted else "were found"
+        kind = f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
+    else:
+        kind = _kind_of(truth.branches[0])
+    return True, "; ".join([kind, *truth.more])
+
+
+def _kind_of(branch: Branch) -> str:
+    """What the only branch does here."""
+    if branch.multiple:
+        return (
+            "shaky at every configuration of the branch: it can move more to first order than it "
+            "truly does"
+        )
+    if branch.cusp:
+        return "cusp: the motion comes to rest here and goes back beside the way it came"
+    if branch.ends == 1:
+        return "end of the motion: one half of a branch only leads here"
+    return "the rank is lower here, but only one branch passes through"

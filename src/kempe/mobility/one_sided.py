@@ -1,0 +1,534 @@
+"""One-sided constraints at a configuration: which are closed, how far others are open, what is
+still allowed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from math import comb
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, explained_methods
+from kempe.equations.closure_rows import evaluate, full
+from kempe.equations.one_sided import CLOSED, OneSided, one_sided_rows
+from kempe.equations.velocity import rates, velocity_rows
+from kempe.errors import InputError
+from kempe.forward.fk import jacobian
+from kempe.model.configurations import as_q
+from kempe.report import Report
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- cone
+
+# What active one-sided constraints leave to velocities: the cone {v : E v = 0, G v >= 0}, by
+# linear programming.
+#
+# Columns are scaled velocities (slides in lengths of a link), so that rows of turns and slides
+# compare. Facts used: a one-sided row is zero on the whole cone where it takes part in a nonnegative
+# combination of rows that vanishes (Stiemke, 1915); where no row is, and E has full rank, the cone is
+# what curves of the set {e = 0, g >= 0} leave with (Mangasarian and Fromovitz, 1967); otherwise it
+# says to first order what may move.
+
+
+NOTHING = 1e-6
+"""Rows, components and openings below this part of what they are measured against count as zero: at
+a configuration that is 1e-14 from a singular one, where equations are quadratic, rows that vanish
+there are 1e-7."""
+MOST = 3000
+"""Sets of rows that are tried for extreme rays; where there are more the rays are not listed."""
+PRECISE = 1e-10
+"""Tolerances of the linear programs."""
+
+
+class ConeDirections(NamedTuple):
+    """Whether a quantity may fall and may rise, to first order."""
+
+    down: bool
+    up: bool
+
+    def __str__(self) -> str:
+        return _WORDS[self.up][self.down]
+
+
+_WORDS = (("neither up nor down", "down but not up"), ("up but not down", "up and down"))
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """The velocities v (n,) with E v = 0 and G v >= 0; rows of G are named by their places.
+
+    `dimension` is that of the cone, `lineality` that of the velocities whose opposite is allowed,
+    too, with the basis `free` (lineality, n). `implicit` rows are zero at all allowed velocities
+    though E v = 0 does not say so (opposite contacts, a wedge that has closed), `implied` ones
+    because E v = 0 says so; `vanishing` rows are zero themselves: they say nothing to first order.
+    `redundant` rows follow from the others. `rays` (k, n) are the extreme ones (unit vectors,
+    across `free`), None where they are too many. `exact`: each of these velocities begins a motion.
+    """
+
+    size: int
+    dimension: int
+    lineality: int
+    implicit: tuple[int, ...]
+    implied: tuple[int, ...]
+    vanishing: tuple[int, ...]
+    redundant: tuple[int, ...]
+    exact: bool
+    rays: Array | None = field(repr=False)
+    free: Array = field(repr=False)
+    across: Array = field(repr=False)
+    """Basis (dimension - lineality, n) of the cone's span across `free`."""
+    rows: Array = field(repr=False)
+    """The rows that are needed, in that basis: the cone across `free` is where they are not
+    negative."""
+
+    def ways(self, row: ArrayLike) -> ConeDirections:
+        """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row`
+        (n,).
+        """
+        row = np.asarray(row, dtype=float)
+        size = float(np.linalg.norm(row))
+        if size == 0.0:
+            return ConeDirections(False, False)
+        if np.linalg.norm(self.free @ row) > NOTHING * size:
+            return ConeDirections(True, True)
+        if self.rays is not None:
+            rates = self.rays @ row
+            return ConeDirections(
+                bool(np.any(rates < -NOTHING * size)), bool(np.any(rates > NOTHING * size))
+            )
+        own = self.across @ row / size
+        return ConeDirections(_least(own, self.rows) < -NOTHING, _least(-own, self.rows) < -NOTHING)
+
+
+def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Cone:
+    """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >=
+    0.
+
+    Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to
+    unit length.
+    """
+    E = np.asarray(equal, dtype=float)
+    G = np.asarray(one_sided, dtype=float)
+    G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
+    n = E.shape[1]
+    rank, N = _null_space(_unit(E, ignore)[0])
+    full = rank == len(E)
+    G, sizes = _unit(G, ignore)
+    vanishing = sizes <= ignore
+    inner = G @ N.T
+    inner, left = _unit(inner, NOTHING)
+    implied = ~vanishing & (left <= NOTHING)
+    used = np.flatnonzero(~vanishing & ~implied)
+    cut = inner[used]
+    depth, free = _null_space(cut)
+    across = _complement(cut, depth)
+    B = _unit(cut @ across.T, 0.0)[0]
+    closed = _closed(B)
+    redundant = []
+    if depth < len(used):
+        redundant = _redundant(B)
+    wide, across = _kernel_in(B[closed], across)
+    open_rows = [i for i in range(len(used)) if i not in closed and i not in redundant]
+    C = _unit(cut[open_rows] @ across.T, 0.0)[0]
+    rays = _rays(C)
+    names = used.tolist()
+    return Cone(
+        n,
+        len(free) + wide,
+        len(free),
+        tuple(names[i] for i in closed),
+        tuple(np.flatnonzero(implied).tolist()),
+        tuple(np.flatnonzero(vanishing).tolist()),
+        tuple(names[i] for i in redundant),
+        bool(full and not closed and not vanishing.any() and not implied.any()),
+        None if rays is None else rays @ across @ N,
+        free @ N,
+        across @ N,
+        C,
+    )
+
+
+def _unit(rows: Array, ignore: float) -> tuple[Array, Array]:
+    """Rows of unit length, those up to `ignore` zero, and the lengths that they had."""
+    sizes = np.linalg.norm(rows, axis=1)
+    good = sizes > ignore
+    return np.where(good[:, None], rows / np.where(good, sizes, 1.0)[:, None], 0.0), sizes
+
+
+def _null_space(rows: Array) -> tuple[int, Array]:
+    """The rank of unit rows, and an orthonormal basis (n - rank, n) of what they leave at zero."""
+    if not rows.any():
+        return 0, np.eye(rows.shape[1])
+    _, values, Vt = svd(rows)
+    rank = int(np.sum(values > NOTHING * values[0]))
+    return rank, Vt[rank:]
+
+
+def _complement(rows: Array, rank: int) -> Array:
+    """An orthonormal basis (rank, n) of what rows span."""
+    return svd(rows)[2][:rank] if rank else np.zeros((0, rows.shape[1]))
+
+
+def _kernel_in(rows: Array, basis: Array) -> tuple[int, Array]:
+    """Dimension and basis of what rows, written in a basis, leave at zero of its span."""
+    rank, N = _null_space(rows)
+    return len(basis) - rank, N @ basis
+
+
+def _closed(B: Array) -> list[int]:
+    """The rows of a pointed cone {B w >= 0} that are zero on all of it.
+
+    One program: raise as many rows to 1 as can be at once, with w as long as the narrowest opening
+    that counts needs.
+    """
+    k, r = B.shape
+    if k == r:  # independent: each can be raised alone
+        return []
+    from scipy import optimize
+
+    answer = cast(Any, optimize).linprog(
+        np.concatenate([np.zeros(r), -np.ones(k)]),
+        np.hstack([-B, np.eye(k)]),
+        np.zeros(k),
+        bounds=[(-1.0 / NOTHING, 1.0 / NOTHING)] * r + [(0.0, 1.0)] * k,
+        **_METHOD,
+    )
+    return np.flatnonzero(answer.x[r:] < 0.5).tolist()
+
+
+def _redundant(B: Array) -> list[int]:
+    """Rows that follow from the others that are kept; of several that could go the last ones do."""
+    kept = list(range(len(B)))
+    for i in range(len(B) - 1, -1, -1):
+        others = [j for j in kept if j != i]
+        if _least(B[i], B[others]) >= -NOTHING:
+            kept = others
+    return [i for i in range(len(B)) if i not in kept]
+
+
+def _least(row: Array, rows: Array) -> float:
+    """The least of row @ w where rows @ w >= 0, for w within a box of unit size."""
+    from scipy import optimize
+
+    answer = cast(Any, optimize).linprog(
+        row, -rows, np.zeros(len(rows)), bounds=[(-1.0, 1.0)] * len(row), **_METHOD
+    )
+    return float(answer.fun)
+
+
+_METHOD: dict[str, Any] = {
+    "method": "highs",
+    "options": {"primal_feasibility_tolerance": PRECISE, "dual_feasibility_tolerance": PRECISE},
+}
+
+
+def _rays(C: Array) -> Array | None:
+    """Unit vectors (k, r) along the edges of a cone {C w >= 0} of full dimension without a line;
+    None: too many.
+
+    Along an edge r - 1 independent rows are zero.
+    """
+    k, r = C.shape
+    if r == 0:
+        return np.zeros((0, 0))
+    if k == r:
+        edges = np.linalg.inv(C).T
+        return edges / np.linalg.norm(edges, axis=1)[:, None]
+    if comb(k, r - 1) > MOST:
+        return None
+    chosen = np.array([*combinations(range(k), r - 1)], dtype=np.int64)
+    _, values, Vt = svd(C[chosen])
+    alone = np.ones(len(chosen), dtype=bool) if r == 1 else values[:, -1] > NOTHING
+    lines = Vt[alone, -1]
+    both = np.concatenate([lines, -lines])
+    inside = both[np.all(both @ C.T >= -NOTHING, axis=1)]
+    out: list[Array] = []
+    for ray in inside:
+        if all(np.linalg.norm(ray - other) > NOTHING for other in out):
+            out.append(ray)
+    return np.array(out).reshape(-1, r)
+
+
+BLIND = "its gradient vanishes or is not defined here: nothing is known to first order"
+"""What is said of a row that does not tell what it allows."""
+
+
+@dataclass(frozen=True)
+class Side(InWords):
+    """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it,
+    in `unit`.
+
+    `slack` is how far it is inside, negative where it is violated. `state` is "open", "closed" or
+    "violated", `ways` what a closed one still lets its value do, to first order.
+    """
+
+    name: str
+    value: float
+    bound: float
+    unit: str
+    upper: bool
+    limit: bool
+    """Whether it is a limit of a coordinate."""
+    slack: float
+    state: str
+    ways: ConeDirections
+    why: str = ""
+    """Why it can do neither though it is one-sided, or why nothing is known."""
+
+    def __str__(self) -> str:
+        amount = f"{abs(self.slack):.6g} {self.unit}".removesuffix(" 1")
+        if self.state == "open":
+            return f"{self.name}: open by {amount}"
+        if self.state == "violated":
+            return f"{self.name}: violated by {amount}"
+        return f"{self.name}: closed, {self.ways}" + (f" ({self.why})" if self.why else "")
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class OneSidedReport(Report):
+    """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print``
+    it.
+
+    `sides` are all of them, `cone` the velocities that equations, those of rolling among them, and
+    closed sides leave, to first order. Sides that are open take nothing away.
+    """
+
+    system: System = field(repr=False)
+    q: Array
+    sides: tuple[Side, ...]
+    cone: Cone = field(repr=False)
+    scale: Array = field(repr=False)
+    """Radians or metres (nv,) in one unit of each velocity of the cone."""
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the sides that are closed."""
+        return tuple(s.name for s in self.sides if s.state == "closed")
+
+    @property
+    def violated(self) -> tuple[str, ...]:
+        """Names of the sides that do not hold."""
+        return tuple(s.name for s in self.sides if s.state == "violated")
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the cone of allowed velocities."""
+        return self.cone.dimension
+
+    @property
+    def lineality(self) -> int:
+        """How many of these dimensions may be gone both ways."""
+        return self.cone.lineality
+
+    @property
+    def coordinates(self) -> dict[str, ConeDirections]:
+        """What each coordinate may do, to first order: whether it may fall, and rise."""
+        each = np.eye(self.system.nv)
+        return {
+            n: self.cone.ways(row)
+            for n, row in zip(self.system.structure.velocity_names, each, strict=True)
+        }
+
+    def frame(self, frame: FrameLike) -> dict[str, ConeDirections]:
+        """What the origin of a frame may do along the axes of the ground, and its turns about them,
+        to first order.
+        """
+        J = jacobian(self.system, self.q, frame) * self.scale
+        large = np.abs(J).max(axis=1, initial=0.0)
+        J = np.where((large > 1e-9 * large.max(initial=1e-300))[:, None], J, 0.0)
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        return {n: self.cone.ways(row) for n, row in zip(names, J, strict=True)}
+
+    @property
+    def status(self) -> str:
+        """The result in one sentence."""
+        bad = (s for s in self.sides if s.state == "violated")
+        if which := ", ".join(
+            f"{s.name} by {abs(s.slack):.6g} {s.unit}".removesuffix(" 1") for s in bad
+        ):
+            return f"violated: {which}"
+        declared = [s for s in self.sides if not s.limit]
+        touching = sum(s.state == "closed" for s in declared)
+        reached = len(self.active) - touching
+        parts: list[str] = []
+        if declared:
+            verb = "are" if touching > 1 else "is"
+            parts.append(
+                f"{touching or 'none'} of {counted(len(declared), 'one-sided constraint')} {verb} "
+                "closed"
+            )
+        if reached:
+            parts.append(f"{counted(reached, 'limit')} {'is' if reached == 1 else 'are'} reached")
+        text = " and ".join(parts) or "no limit is reached"
+        return text + (f": {self._left()}" if self.active else "")
+
+    def _left(self) -> str:
+        """What closed sides leave, in words."""
+        if self.dimension == 0:
+            return "nothing can move"
+        one_way = self.dimension - self.lineality
+        how = (
+            f"{self.lineality} both ways and {one_way} one way only" if one_way else "all both ways"
+        )
+        return f"what may move has {counted(self.dimension, 'dimension')}, {how}"
+
+    def _data(self) -> dict[str, Any]:
+        return {
+            "sentence": self.sentence,
+            "active": list(self.active),
+            "violated": list(self.violated),
+            "dimension": self.dimension,
+            "lineality": self.lineality,
+            "exact": self.cone.exact,
+            "sides": [
+                {
+                    "name": s.name,
+                    "state": s.state,
+                    "value": s.value,
+                    "bound": s.bound,
+                    "unit": s.unit,
+                    "slack": s.slack,
+                    "allowed": str(s.ways),
+                    "why": s.why,
+                }
+                for s in self.sides
+            ],
+        }
+
+    @property
+    def lines(self) -> list[str]:
+        """What is said of each side but limits that are open; those that are violated and closed
+        come first.
+        """
+        order = {"violated": 0, "closed": 1, "open": 2}
+        shown = [s for s in self.sides if s.state != "open" or not s.limit]
+        out = [str(s) for s in sorted(shown, key=lambda s: order[s.state])]
+        if self.active and not self.cone.exact:
+            out.append("to first order: closed sides that depend on each other may allow less")
+        return out
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"
+
+    def _notes(self) -> list[str]:
+        return self.lines
+
+
+@explained
+def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
+    """What one-sided constraints leave at a configuration: which are closed, by how much others are
+    open.
+
+    `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops.
+    Sides within `tolerance` of their bound, in radians and characteristic lengths, count as closed.
+    Limits of coordinates are among them. Errors: `InputError`.
+    """
+    from kempe.assemble.generic_configurations import find_closed
+
+    at = as_q(system, q) if q is not None else find_closed(system).q
+    if at.ndim != 1:
+        raise InputError(
+            f"q has shape {at.shape}; one-sided constraints are looked at in one configuration"
+        )
+    rows = one_sided_rows(system)
+    values, J = rows.rates(at)
+    found, G = _sides(rows, values, J, tolerance)
+    E, still = _equations(system, at)
+    cone = tangent_cone(E, G)
+    cone = cone if still else replace(cone, exact=False)
+    states = [s.state for s in found]
+    closed = [k for k, state in enumerate(states) if state == "closed"]
+    sides = list(found)
+    for place, k in enumerate(closed):
+        sides[k] = _with_ways(found[k], place, cone, G[place], [found[j].name for j in closed])
+    return OneSidedReport(system, at, tuple(sides), cone, full(system, True).scale)
+
+
+def if_any(system: System, q: Array) -> OneSidedReport | None:
+    """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
+    rows = one_sided_rows(system)
+    if not rows.declared:
+        if not len(rows):
+            return None
+        x = q[rows.at]
+        (low, high) = rows.well_inside
+        if ((x > low) & (x < high)).all():
+            return None
+    return one_sided(system, q)
+
+
+def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[list[Side], Array]:
+    """All sides, and the inward gradients (k, nv) of those that are closed."""
+    out: list[Side] = []
+    G: list[Any] = []
+    for k in range(len(rows)):
+        scale = rows.scale[k]
+        unit = rows.units[k]
+        for upper, bound in ((False, rows.low[k]), (True, rows.high[k])):
+            if not np.isfinite(bound):
+                continue
+            slack = float(bound - values[k] if upper else values[k] - bound)
+            state = (
+                "open"
+                if slack * scale > tolerance
+                else "closed"
+                if slack * scale >= -tolerance
+                else "violated"
+            )
+            both = ConeDirections(True, True)
+            out.append(
+                Side(
+                    rows.side(k, upper),
+                    float(values[k]),
+                    float(bound),
+                    unit,
+                    upper,
+                    k >= rows.declared,
+                    slack,
+                    state,
+                    both,
+                )
+            )
+            if state == "closed":
+                G.append(-J[k] if upper else J[k])
+    return out, np.array(G).reshape(len(G), rows.system.nv)
+
+
+def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
+    """A closed side with what it still allows."""
+    if place in cone.vanishing:
+        return replace(side, ways=ConeDirections(True, True), why=BLIND)
+    if place in cone.implied:
+        return replace(side, ways=ConeDirections(False, False), why="the equations keep it closed")
+    ways = cone.ways(-inward if side.upper else inward)
+    if place in cone.implicit:
+        others = ", ".join(names[i] for i in cone.implicit if i != place)
+        return replace(side, ways=ConeDirections(False, False), why=f"held by {others}")
+    if place in cone.redundant:
+        return replace(side, ways=ways, why="it follows from the others that are closed")
+    return replace(side, ways=ways)
+
+
+def _equations(system: System, q: Array) -> tuple[Array, bool]:
+    """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is
+    one of them.
+
+    Where it is not, what they allow are differences of velocities.
+    """
+    J = evaluate(system, q, True, True)[1]
+    (A, b) = rates(system, q)
+    loops = full(system, True)
+    names = velocity_rows(system).names
+    lengths = np.where([name.unit.startswith("m") for name in names], 1.0 / loops.length, 1.0)
+    return np.concatenate([J, lengths[:, None] * A * loops.scale]), not b.any()

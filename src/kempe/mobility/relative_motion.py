@@ -1,0 +1,209 @@
+"""How one body can move relative to another at a configuration, to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained
+from kempe.assemble.generic_configurations import nearby
+from kempe.assemble.nearest_exact import said, tolerant
+from kempe.equations.closure import Closure
+from kempe.equations.slip import hard_rows, rolls
+from kempe.errors import InputError, UnsupportedError
+from kempe.first_order.rank import rank_at
+from kempe.forward.fk import fk, jacobian
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import as_q
+from kempe.numerics.curves import RANK
+from kempe.numerics.rank import SPARSE, column_space, null_space, null_space_from
+from kempe.report import Nearest, Report
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- transmission
+
+# Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle,
+# dead points.
+#
+# The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that
+# they allow. Where the inputs determine them, the velocity of anything is linear in those of the
+# inputs; no number is differenced.
+
+
+OPEN = 1e-8
+"""Residual, in radians and characteristic lengths, above which a configuration is not closed."""
+
+
+def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
+    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a
+    closed q.
+
+    Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
+    """
+    if inputs and closure.n >= SPARSE and not rolls(closure.system):
+        F, J = closure.loops(q)
+        if float(np.abs(F).max(initial=0.0)) < OPEN:
+            free = null_space_from(J, inputs, RANK)
+            if free is not None:
+                return free
+    F, J = closure.both(q)
+    gap = float(np.abs(F).max(initial=0.0))
+    if not gap < OPEN:
+        raise InputError(
+            f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
+        )
+    if rolls(closure.system):
+        A, b = hard_rows(closure.system, q, closure.unit)
+        if b.any():
+            raise UnsupportedError(
+                f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
+                "not zero), so velocities are not proportional to those of inputs"
+            )
+        J = np.concatenate([J, A])
+    return null_space(J, RANK)
+
+
+ZERO = 1e-9
+"""Velocities below this part of the largest, and singular values likewise, are zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeMotion(Report):
+    """The motions of `body` relative to `to` that all constraints allow at a configuration, to
+    first order.
+    """
+
+    body: str
+    to: str
+    dof: int
+    """Their dimension."""
+    slides: int
+    """Dimension of those among them that do not turn."""
+    twists: Array
+    """A basis (6, dof), orthonormal in radians and typical lengths, rows [linear; angular] in axes
+    of `to`.
+
+    The linear part is the velocity of the origin of `body`.
+    """
+    origin: Array
+    """The origin (3,) of `body` in the frame `to`."""
+    around: int
+    """The largest dimension found at closed configurations some way from here, at least `dof`."""
+    size: float = field(default=1.0, repr=False)
+    """The typical length [m]: pitches far below it are rounding."""
+    within: Nearest | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose motions these are; None: the given one's."""
+
+    @property
+    def status(self) -> str:
+        """The DoF in words; of a single one also the axis, in the frame `to`."""
+        head = f"{self.dof} DoF of {self.body} relative to {self.to}"
+        more = f", {self.slides} of them by sliding alone" if self.dof else ""
+        here = f"; to first order here, around here {self.around}" if self.around > self.dof else ""
+        return head + (f": {self._single()}" if self.dof == 1 else more) + here + said(self.within)
+
+    def _headline(self) -> str:
+        return self.status
+
+    def _data(self) -> dict[str, Any]:
+        return {
+            name: getattr(self, name)
+            for name in ("body", "to", "dof", "slides", "twists", "origin", "around")
+        }
+
+    def _single(self) -> str:
+        v = self.twists[:3, 0]
+        w = self.twists[3:, 0]
+        if self.slides:
+            return f"a slide along {_direction(v)}"
+        speed = float(np.linalg.norm(w))
+        pitch = float(v @ w) / speed**2
+        through = self.origin + np.cross(w, v) / speed**2
+        at = f"{_direction(w)} through ({', '.join(f'{_rounded(x):.4g}' for x in through)})"
+        if abs(pitch) <= ZERO * max(float(np.linalg.norm(v)) / speed, self.size):
+            return f"a turn about {at}"
+        return f"a screw of {pitch:.4g} m a radian about {at}"
+
+
+@explained
+@tolerant("q")
+def relative_motion(
+    system: System,
+    q: ArrayLike,
+    body: FrameLike,
+    to: FrameLike,
+    *,
+    tolerance: float | str | None = None,
+) -> RelativeMotion:
+    """How a body or frame can move relative to another one at q (nq,), where the loops are closed.
+
+    It is the image of the velocities that all constraints allow under the difference of both
+    Jacobians, in the frame `to`. The answer is one of first order: at a singular posture some of it
+    may be the beginning of no motion, of which `mobility` tells, and there may be less of it than
+    around, which is said. Errors: `InputError` for shapes and where q is not closed,
+    `UnknownNameError`, `UnsupportedError` for frames of particles.
+
+    >>> import kempe
+    >>> slider = kempe.load("slider")
+    >>> print(relative_motion(slider, slider.neutral, "B5", "B0"))
+    1 DoF of B5 relative to B0: a slide along x
+    """
+    found = as_q(system, q)
+    if found.shape != (system.nq,):
+        raise InputError(f"q has shape {found.shape}; it must be one configuration ({system.nq},)")
+    names = [system.structure.frame_name(x) for x in (body, to)]
+    for name in names:
+        if system.structure.table.at[name][2]:
+            raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
+    closure = Closure(system)
+    size = characteristic_length(system)
+    basis, origin = _basis(closure, found, names, size)
+    around = [
+        _basis(closure, r.q, names, size)[0].shape[1]
+        for r in nearby(system, rank_at(system, found), np.random.default_rng(0))
+    ]
+    dof = basis.shape[1]
+    turning = column_space(basis[3:], ZERO, 1.0).shape[1]
+    twists = basis * np.repeat([size, 1.0], 3)[:, None]
+    return RelativeMotion(
+        names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size
+    )
+
+
+def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[Array, Array]:
+    """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin
+    is (3,).
+    """
+    system = closure.system
+    rates = closure.unit[:, None] * allowed(closure, q)
+    moved, base = (jacobian(system, q, name) @ rates for name in names)
+    X = fk(system, q, names[0])
+    Y = fk(system, q, names[1])
+    back = Y[:3, :3].T
+    arm = X[:3, 3] - Y[:3, 3]
+    linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
+    return column_space(
+        np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0
+    ), back @ arm
+
+
+def _rounded(x: float) -> float:
+    return 0.0 if abs(x) < ZERO else x
+
+
+def _direction(v: Array) -> str:
+    """The name of an axis, or the unit vector, with its largest entry positive."""
+    v = v / np.linalg.norm(v)
+    k = int(np.argmax(np.abs(v)))
+    if np.delete(np.abs(v), k).max() < 1e-6:
+        return "xyz"[k]
+    v = v * np.sign(v[k])
+    return f"({', '.join(f'{_rounded(x):.4g}' for x in v)})"

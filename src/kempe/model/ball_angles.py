@@ -1,0 +1,91 @@
+"""The same mechanism in angles that are regular where those of its balls are not.
+
+Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90
+degrees: there they have a velocity that moves nothing. That is no freedom of the mechanism. Three
+hinges in a row are: there bodies turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.parts import Joint
+from kempe.joints import R
+from kempe.model.implicit_form import plain
+from kempe.model.model import kept
+from kempe.poses import place
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model, SystemType
+
+NEAR = 0.1
+"""Cosine of the second angle below which angles are measured from here instead."""
+
+
+def regular_chart(
+    system: SystemType, q: Array, held: Collection[str] = ()
+) -> tuple[SystemType, Array, dict[str, Array]]:
+    """The system and q (nq,), with the angles of balls near the singularity of their chart measured
+    from q.
+
+    The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else
+    changes, neither names nor numbers. Balls with an angle that is coupled, or one of `held`, stay,
+    for it has a meaning of its own. The third answer are the rotations (3, 3) by which frames were
+    turned, by name of the joint.
+    """
+    turned: dict[str, Array] = {}
+    for name, at in _balls(system).items():
+        z, y, x = q[at].tolist()
+        if abs(np.cos(y)) < NEAR and not any(system.coordinate_names[i] in held for i in at):
+            turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
+    if not turned:
+        return system, q, turned
+    mechanism = system.mechanism.copy()
+    for name, turn in turned.items():
+        joint: Joint = mechanism.joints[name]
+        mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=turn.T))
+    other = type(system)(mechanism)
+    values = np.array(q)
+    for name in turned:
+        values[_balls(system)[name]] = 0.0
+    return other, values, turned
+
+
+def back(system: Model, q: Array, turned: dict[str, Array]) -> Array:
+    """The configuration (nq,) in coordinates of the system itself for `q` in the chart of
+    `regular_chart`.
+    """
+    q = np.array(q)
+    for name, turn in turned.items():
+        at = _balls(system)[name]
+        z, y, x = q[at]
+        q[at] = spatial.matrix_to_rpy(
+            spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ turn
+        )[::-1]
+    return q
+
+
+@kept
+def _balls(system: Model) -> dict[str, list[int]]:
+    """Indices in q of the three angles of each ball joint given by angles, by joint name."""
+    names = {n: i for i, n in enumerate(system.coordinate_names)}
+    related = {f.source for f in system.structure.couplings.values()} | set(
+        system.structure.couplings
+    )
+    related |= {n for r in system.structure.relations for n in (r.of, *r.sources)}
+    found: dict[str, list[int]] = {}
+    for joint in system.structure.joints.values():
+        particle = system._mechanism.bodies[joint.child].particle
+        own, steps = joint.type.layout(system.dim, particle)
+        last = steps[-3:] if plain(steps) else ()
+        angles = [f"{joint.name}.{own[p.coordinate]}" for p in last if p.kind == R]
+        if [p.axis for p in last] == ["z", "y", "x"] and len(angles) == 3:
+            if set(angles) <= set(names) and not related & set(angles):
+                found[joint.name] = [names[n] for n in angles]
+    return found

@@ -1,1 +1,0 @@
-"""Loop closures and declared constraints, as rows for the kernels."""

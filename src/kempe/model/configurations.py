@@ -1,0 +1,453 @@
+"""The configuration space of a system: reading `q`, random and special configurations, distances,
+its shape.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, generator, known, numbers, together
+from kempe.arrays import converted, is_plain, is_real, named, reals, rows_of, within_range
+from kempe.errors import InputError, UnknownNameError
+from kempe.joints import P, R
+from kempe.late import late
+from kempe.model.coordinates import OF_BALL, PART_OF_BALL, coordinate_name, distinct, returning
+from kempe.model.model import kept
+from kempe.model.structural_order import natural
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+MOST_WOUND = 1e8
+"""Largest angle in a motion, in radians: beyond it, floats are more than a hundred-millionth of a
+radian apart."""
+WANTED = "an array of real numbers or a dict by coordinate name"
+
+
+def as_q(system: Model, q: Any) -> Array:
+    """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations
+    are read.
+
+    An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list
+    of them) is read by name; what is not named is neutral, and in a system with closed loops or
+    relations follows from what is: the configuration that `assemble` finds from home.
+    Errors: `InputError` for a wrong length or type, and for named values that close no loop;
+    `UnknownNameError`.
+    """
+    return _read(system, q, closed_from)
+
+
+def as_start(system: Model, q: Any) -> Array:
+    """Start of a search (..., nq), read as by `as_q`.
+
+    Coordinates that are not named are as at home; no loop is closed. A text is the name of a
+    posture.
+    """
+    if isinstance(q, str):
+        return q_from_dict(system, q, home_of(system))
+    return _read(system, q, from_home, "start")
+
+
+def _read(
+    system: Model,
+    q: Any,
+    complete: Callable[[Model, Mapping[str, Any]], Array],
+    word: str = "q",
+) -> Array:
+    if is_plain(q):
+        array = converted(q, word, WANTED)
+    else:
+        if q.__class__ is not np.ndarray or q.dtype.names:
+            coordinates = named(q)
+            if coordinates is not None:
+                return complete(system, coordinates)
+            rows = rows_of(q)
+            if rows is not None:
+                return np.stack([_read(system, row, complete, word) for row in rows])
+        array = np.require(reals(q, word, WANTED), np.float64, ["C", "A"])
+    if array.ndim == 0 or array.shape[-1] != system.nq:
+        names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
+        got = "a single number" if array.ndim == 0 else counted(array.shape[-1], "coordinate")
+        raise InputError(f"{word} has {got}; {system.name} needs {system.nq}: {names}")
+    return array
+
+
+@kept
+def has_loops(system: Model) -> bool:
+    """Whether q has to fulfil equations: of loops, declared constraints, or relations of several
+    coordinates.
+    """
+    tied = system.structure.closures or system.structure.relations
+    return bool(tied) or any(
+        c.equations(system.dim) for c in system._mechanism.constraints.values()
+    )
+
+
+def home_of(system: Model) -> Array:
+    """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the
+    limits.
+    """
+    if "closed" in system.structure.posture_names:
+        return q_from_dict(system, "closed")
+    return mid(system).copy()
+
+
+def from_home(system: Model, coordinates: Mapping[str, Any]) -> Array:
+    """Configuration (..., nq) with the named values, perhaps not closed.
+
+    Other coordinates are neutral, or as at home where the system has loops.
+    """
+    return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
+
+
+def closed_from(system: Model, coordinates: Mapping[str, Any], start: Any = None) -> Array:
+    """Configuration (..., nq) with the named values; in a system with loops these are closed.
+
+    The search starts at `start`, else at home. Where all coordinates are named nothing is searched
+    for. Errors: `InputError` where no closed configuration was found, with the reason.
+    """
+    q = q_from_dict(system, coordinates, start)  # refuses names and numbers
+    if not has_loops(system):
+        return q
+    given = named(coordinates) or {}
+    if len(given) == system.nq:
+        return q
+    answer = late("assemble")(system, given, start)
+    if np.all(answer.success):
+        return answer.q
+    why = answer.status
+    where = ""
+    if q.ndim > 1:
+        first = int(np.flatnonzero(~np.ravel(answer.success))[0])
+        why = np.ravel(np.asarray(why, dtype=object))[first]
+        where = f"row {first} of "
+    raise InputError(
+        f"{where}q gives {', '.join(map(repr, given)) or 'nothing'} of a system with loops, and "
+        f"the other coordinates must close them: {why} (an array of all {system.nq} is taken as it "
+        "is)"
+    )
+
+
+@kept
+def _places(system: Model) -> dict[str, int]:
+    return {n: i for i, n in enumerate(system.coordinate_names)}
+
+
+def _posture(system: Model, name: str) -> dict[str, float]:
+    """Values of a named posture, of those coordinates that are in `q`. Errors: `UnknownNameError`."""
+    postures = system._mechanism.postures
+    index = _places(system)
+    return {
+        n: x
+        for n, x in postures[known("posture", name, postures, system.name)].items()
+        if n in index
+    }
+
+
+@explained
+def q_from_dict(
+    system: Model, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None
+) -> Array:
+    """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
+
+    What is not named is neutral, or as in `base` (..., nq).
+    """
+    given = _posture(system, coordinates) if isinstance(coordinates, str) else named(coordinates)
+    if given is None:
+        needed = "a dict by coordinate name, or the name of a posture"
+        raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
+    index = _places(system)
+    single = True
+    values: list[float | Array] = []
+    for name, number in given.items():
+        if name not in index:
+            follower = system.structure.couplings.get(name)
+            if follower is not None:
+                follows = (
+                    f"it follows {follower.source!r}"
+                    if follower.source
+                    else f"it is held at {follower.offset:g}"
+                )
+                raise InputError(f"coordinate {name!r} is not part of q: {follows}")
+            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
+        plain = is_real(number)
+        values.append(
+            number
+            if plain
+            else reals(number, f"coordinate {name!r}", "a number, or an array of them")
+        )
+        single = single and plain
+    start = system.neutral if base is None else as_q(system, base)
+    if single:
+        q = start.copy()
+        for name, x in zip(given, values, strict=True):
+            q[..., index[name]] = x
+        return q
+    arrays: list[Array] = [np.asarray(x) for x in values]
+    try:
+        lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in arrays))
+    except ValueError:
+        shapes = ", ".join(f"{n!r} {x.shape}" for n, x in zip(given, arrays, strict=True))
+        raise InputError(
+            f"the values of the coordinates have shapes that do not fit together: {shapes}"
+        ) from None
+    q = np.empty((*lead, system.nq))
+    q[:] = start
+    for name, x in zip(given, arrays, strict=True):
+        q[..., index[name]] = x
+    return q
+
+
+@explained
+def q_dict(system: Model, q: Any) -> dict[str, float]:
+    """Values by coordinate name of one configuration (nq,)."""
+    return dict(zip(system.coordinate_names, one(system, q).tolist(), strict=True))
+
+
+def one(system: Model, q: Any) -> Array:
+    """The argument as one configuration (nq,). Errors: `InputError`."""
+    array = as_q(system, q)
+    if array.ndim != 1:
+        raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
+    return array
+
+
+def one_finite(system: Model, q: Any, what: str = "q") -> Array:
+    """The argument as one configuration (nq,) of numbers that a search can begin with. Errors:
+    `InputError`.
+    """
+    array = as_q(system, q)
+    if array.shape != (system.nq,):
+        raise InputError(
+            f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
+        )
+    return refuse_far(system, array, what)
+
+
+def refuse_far(system: Model, q: Array, what: str) -> Array:
+    """Configurations (..., nq) whose numbers a search can begin with.
+
+    Errors: `InputError` that names the first other one.
+    """
+    within_range(q, what, system.coordinate_names)
+    for i in system.structure.layout.quaternion_q:
+        if not np.all(np.any(q[..., i : i + 4], axis=-1)):
+            raise InputError(
+                f"the quaternion at {what}[{system.coordinate_names[i]!r}] is zero; it has no "
+                "rotation"
+            )
+    return q
+
+
+def refuse_wound(system: Model, q: Array, what: str) -> Array:
+    """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below
+    `MOST_WOUND`.
+    """
+    refuse_far(system, q, what)
+    layout = system.structure.layout
+    turning = system.structure.coordinates.turning
+    for i, k in zip(layout.vector_q, layout.vector_v, strict=True):
+        if turning[k]:
+            refuse_wound_angle(float(q[i]), f"{what}[{system.coordinate_names[i]!r}]")
+    return q
+
+
+def refuse_wound_angle(angle: float, what: str) -> None:
+    """Refuse, with an `InputError`, an angle in a motion whose steps would be lost in its rounding."""
+    if not abs(angle) < MOST_WOUND:
+        raise InputError(
+            f"{what} is {angle:g} rad; angles of a motion must be below {MOST_WOUND:g} rad in "
+            "size, for larger floats are too far apart: subtract whole turns"
+        )
+
+
+def mid(system: Model) -> Array:
+    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a
+    limit is missing.
+
+    It is read-only: `copy` gives one to change.
+    """
+    lower = system.lower
+    upper = system.upper
+    both = np.isfinite(lower) & np.isfinite(upper)
+    with np.errstate(invalid="ignore"):
+        v = np.where(both, 0.5 * lower + 0.5 * upper, np.clip(0.0, lower, upper))
+    q = system.neutral.copy()
+    q[system.structure.layout.vector_q] = v[system.structure.layout.vector_v]
+    q.setflags(write=False)
+    return q
+
+
+@explained
+def random(
+    system: Model, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()
+) -> Array:
+    """Configurations (*shape, nq), uniform inside the limits.
+
+    Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within
+    1 rad; a coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn
+    in the order of the names, so the order of declaration does not matter. Loop closures and
+    relations of several coordinates are not imposed.
+    """
+    sizes = shape if isinstance(shape, (tuple, list)) else (shape,)
+    if not all(
+        isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 0 for n in sizes
+    ):
+        raise InputError(
+            f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative"
+        )
+    shape = tuple(int(n) for n in sizes)
+    rng = generator(rng)
+    layout = system.structure.layout
+    names = system.structure.velocity_names
+    try:
+        q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"shape is {shape}; this memory does not hold so many configurations"
+        ) from None
+    low, high = sampling_box(system)
+    order = sorted(
+        range(len(layout.vector_v)), key=lambda i: natural(names[int(layout.vector_v[i])])
+    )
+    for i in order:
+        iv = layout.vector_v[i]
+        u = rng.random(size=shape)
+        q[..., layout.vector_q[i]] = np.clip((1.0 - u) * low[iv] + u * high[iv], low[iv], high[iv])
+    balls = sorted(
+        range(len(layout.quaternion_v)), key=lambda i: natural(names[int(layout.quaternion_v[i])])
+    )
+    layout.random_quaternions(q, rng, np.array(balls, dtype=np.int64))
+    return q
+
+
+def sampling_box(system: Model) -> tuple[Array, Array]:
+    """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of
+    1 m on each side.
+    """
+    lower = system.lower
+    upper = system.upper
+    reach = np.where(system.structure.coordinates.turning, math.pi, 1.0)
+    with np.errstate(invalid="ignore"):
+        low = np.where(
+            np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * reach, -reach)
+        )
+        high = np.where(
+            np.isfinite(upper), upper, np.where(np.isfinite(lower), lower + 2.0 * reach, reach)
+        )
+    return low, high
+
+
+@explained
+def integrate(system: Model, q: Any, v: ArrayLike) -> Array:
+    """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of
+    time.
+    """
+    v = numbers(v, "v")
+    if v.ndim == 0 or v.shape[-1] != system.nv:
+        got = "a single number" if v.ndim == 0 else counted(v.shape[-1], "coordinate")
+        raise InputError(
+            f"v has {got}; {system.name} has {counted(system.nv, 'velocity coordinate')}"
+        )
+    q = as_q(system, q)
+    if q.shape != v.shape and q.ndim + v.ndim > 2:
+        together({"q": q.shape[:-1], "v": v.shape[:-1]})
+    return system.structure.layout.integrate(q, v)
+
+
+@explained
+def difference(system: Model, q0: Any, q1: Any) -> Array:
+    """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the
+    short way.
+
+    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a
+    constraint tells apart count.
+    """
+    a = as_q(system, q0)
+    b = as_q(system, q1)
+    if a.shape != b.shape:
+        together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
+    return by_short_turns(system.structure.layout.difference(a, b), circles(system))
+
+
+def by_short_turns(v: Array, circle: np.ndarray) -> Array:
+    """Tangent vectors `v` (..., nv), changed in place: where `circle` (nv,) says so, angles turn by
+    at most pi.
+    """
+    v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
+    return v
+
+
+def circles(system: Model) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
+    nothing.
+    """
+    return returning(system._mechanism, system.structure.coordinates)
+
+
+def winding_angles(system: Model) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole
+    turns apart.
+    """
+    coordinates = system.structure.coordinates
+    endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
+    return endless & distinct(system.mechanism, coordinates)
+
+
+@explained
+def interpolate(system: Model, q0: Any, q1: Any, t: ArrayLike) -> Array:
+    """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go
+    the short way.
+    """
+    t = numbers(t, "t")
+    v = difference(system, q0, q1)
+    together({"t": t.shape, "q0 and q1": v.shape[:-1]})
+    return integrate(system, q0, t[..., None] * v)
+
+
+@explained
+def distance(system: Model, q0: Any, q1: Any) -> Array:
+    """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in
+    metres.
+    """
+    return np.linalg.norm(difference(system, q0, q1), axis=-1)
+
+
+# ---- coordinates
+
+# Which joint coordinates make up `q`, and what follows from them by couplings and locks.
+
+
+def units(system: Model) -> dict[str, str]:
+    """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
+    out: dict[str, str] = {}
+    bodies = system._mechanism.bodies
+    for joint in system.structure.joints.values():
+        particle = bodies[joint.child].particle
+        names, primitives = joint.type.layout(system.dim, particle)
+        own = {p.coordinate: "m" for p in primitives if p.kind == P}
+        own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
+        for i, name in enumerate(names):
+            out[coordinate_name(joint.name, name)] = own.get(i, "")
+        for name in joint.type.velocities(system.dim, particle):
+            out.setdefault(coordinate_name(joint.name, name), "rad")
+    return out
+
+
+def check_read(system: Model, names: Iterable[str], what: str) -> None:
+    """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`,
+    `InputError`.
+    """
+    known = [*system.coordinate_names, *system.structure.couplings]
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("coordinate", name, known, what)
+        if name not in system.structure.couplings and name not in system.structure.velocity_names:
+            raise InputError(f"{what}: {PART_OF_BALL.format(name)}: {OF_BALL}")

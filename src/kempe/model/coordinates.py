@@ -1,0 +1,533 @@
+"""Which joint coordinates make up `q`, and what follows from them by couplings and locks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.arrays import reals
+from kempe.constraints.base import Op
+from kempe.constraints.tape import TIME
+from kempe.description.checks import refuse
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Coupling, Joint
+from kempe.errors import UnknownNameError
+from kempe.joints import P, Primitive, Q, R
+from kempe.values import Expression, evaluate
+
+# ---- coordinate layout
+
+# How a configuration is made up, and its tangent vectors.
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How an array `q` is made up: plain coordinates, and unit quaternions (w, x, y, z) whose
+    velocities are angular.
+
+    `vector_q[i]` is the coordinate whose velocity is `vector_v[i]`; a quaternion starts at
+    `quaternion_q[k]`, its three angular velocities, in the axes of the turned frame, at
+    `quaternion_v[k]`.
+    """
+
+    nq: int
+    nv: int
+    vector_q: np.ndarray
+    vector_v: np.ndarray
+    quaternion_q: np.ndarray
+    quaternion_v: np.ndarray
+
+    @cached_property
+    def neutral(self) -> spatial.Array:
+        """Zero coordinates and identity quaternions (nq,); read-only."""
+        q = np.zeros(self.nq)
+        q[self.quaternion_q] = 1.0
+        q.setflags(write=False)
+        return q
+
+    def _quaternions(self, q: spatial.Array) -> spatial.Array:
+        return q[..., self.quaternion_q[:, None] + np.arange(4)]
+
+    def integrate(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
+        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit
+        of time.
+        """
+        q = reals(q, "q")
+        v = reals(v, "v")
+        out = np.array(
+            np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), self.nq))
+        )
+        out[..., self.vector_q] += v[..., self.vector_v]
+        if self.quaternion_q.size:
+            w = v[..., self.quaternion_v[:, None] + np.arange(3)]
+            turned = spatial.quat_wxyz_multiply(
+                spatial.unit(self._quaternions(q)), spatial.quat_wxyz_exp(w)
+            )
+            out[..., self.quaternion_q[:, None] + np.arange(4)] = spatial.unit(turned)
+        return out
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
+        """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the
+        short way.
+        """
+        q0 = reals(q0, "q0")
+        q1 = reals(q1, "q1")
+        out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
+        out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
+        if self.quaternion_q.size:
+            a = spatial.unit(self._quaternions(q0))
+            b = spatial.unit(self._quaternions(q1))
+            w = spatial.quat_wxyz_log(spatial.quat_wxyz_multiply(spatial.quat_wxyz_conjugate(a), b))
+            out[..., self.quaternion_v[:, None] + np.arange(3)] = w
+        return out
+
+    def random_quaternions(
+        self, q: spatial.Array, rng: np.random.Generator, order: np.ndarray | None = None
+    ) -> None:
+        """Fill the quaternions of `q` (..., nq), in place, with uniformly distributed rotations."""
+        for k in range(self.quaternion_q.size) if order is None else order:
+            i = self.quaternion_q[k]
+            q[..., i : i + 4] = spatial.unit(rng.normal(size=(*q.shape[:-1], 4)))
+
+
+def layout_of(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layout:
+    """`Layout` of (kind, first coordinate, first velocity) triples, one for each independent
+    primitive.
+    """
+    vectors = [(iq, iv) for kind, iq, iv in primitives if kind != Q]
+    balls = [(iq, iv) for kind, iq, iv in primitives if kind == Q]
+    vector = np.array(vectors, dtype=np.int64).reshape(-1, 2)
+    ball = np.array(balls, dtype=np.int64).reshape(-1, 2)
+    for array in (vector, ball):
+        array.setflags(write=False)
+    return Layout(nq, nv, vector[:, 0], vector[:, 1], ball[:, 0], ball[:, 1])
+
+
+HELD_TOLERANCE = 1e-9
+"""How far a coordinate that follows a locked one may be outside its limits: rounding of the
+multiplier."""
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A coordinate that is not in `q`: multiplier * source + offset, or the constant `offset` where
+    source is None.
+    """
+
+    source: str | None
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A linear relation with several sources: the row  q[of] - sum multiplier * q[source] - offset = 0."""
+
+    of: str
+    sources: dict[str, float]
+    offset: float
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The coordinates of a system in the order of `q` (and of velocities), with their limits and
+    dependencies.
+    """
+
+    names: tuple[str, ...]
+    velocity_names: tuple[str, ...]
+    first: dict[str, tuple[int, int]]
+    followers: dict[str, Follower]
+    relations: tuple[Relation, ...]
+    layout: Layout
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    turning: np.ndarray
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """Lower and upper limits side by side (nv, 2)."""
+        out = np.stack([self.lower, self.upper], axis=-1)
+        out.setflags(write=False)
+        return out
+
+
+def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
+    """Full names of a joint's coordinates: the joint's name, or 'joint.x' where it has several."""
+    particle = mechanism.bodies[joint.child].particle
+    return [coordinate_name(joint.name, c) for c in joint.type.coordinates(mechanism.dim, particle)]
+
+
+def coordinate_name(joint: str, coordinate: str) -> str:
+    """The full name of a joint's coordinate, which has a name of its own where the joint has
+    several.
+    """
+    return f"{joint}.{coordinate}" if coordinate else joint
+
+
+def coordinates_of(mechanism: Mechanism) -> Coordinates:
+    """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits
+    that do not fit.
+    """
+    balls: set[str] = set()
+    every: dict[str, Joint] = {}
+    taken: dict[str, str] = {}
+    for joint in mechanism.joints.values():
+        particle = mechanism.bodies[joint.child].particle
+        names, primitives = joint.type.layout(mechanism.dim, particle)
+        for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
+            full = coordinate_name(joint.name, name)
+            if full in taken:
+                refuse(
+                    f"joint {joint.name!r}",
+                    f"its coordinate {full!r} has the same name as one of joint {taken[full]!r}",
+                    joint.where,
+                    "rename one of the joints",
+                )
+            taken[full] = joint.name
+        for name in names:
+            every[coordinate_name(joint.name, name)] = joint
+        for p in primitives:
+            if p.kind == Q:
+                balls |= {
+                    coordinate_name(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]
+                }
+    followers, relations = _resolve(mechanism, every, balls)
+    _check_written(mechanism, every, balls)
+    every_name: list[str] = []
+    velocity_names: list[str] = []
+    first: dict[str, tuple[int, int]] = {}
+    triples: list[tuple[int, int, int]] = []
+    for joint in mechanism.joints.values():
+        particle = mechanism.bodies[joint.child].particle
+        local, primitives = joint.type.layout(mechanism.dim, particle)
+        kinds = {p.coordinate: p.kind for p in primitives}
+        # a screw, or a turn that is geared down, counts as a slide: it returns only by going back
+        kinds |= {p.coordinate: P for p in primitives if p.kind != Q and not _returns(p, 1.0)}
+        for i, name in enumerate(local):
+            full = coordinate_name(joint.name, name)
+            if full in followers or i not in kinds:
+                continue
+            size = 4 if kinds[i] == Q else 1
+            first[full] = (len(every_name), len(velocity_names))
+            triples.append((kinds[i], len(every_name), len(velocity_names)))
+            every_name += [coordinate_name(joint.name, n) for n in local[i : i + size]]
+            velocity_names += (
+                [full]
+                if size == 1
+                else [coordinate_name(joint.name, w) for w in ("wx", "wy", "wz")]
+            )
+    layout = layout_of(triples, len(every_name), len(velocity_names))
+    lower, upper, speed = _limits(mechanism, velocity_names, followers)
+    turning = np.zeros(len(velocity_names), dtype=bool)
+    turning[[iv for kind, _, iv in triples if kind == R]] = True
+    for array in (lower, upper, speed, turning):
+        array.setflags(write=False)
+    return Coordinates(
+        tuple(every_name),
+        tuple(velocity_names),
+        first,
+        followers,
+        relations,
+        layout,
+        lower,
+        upper,
+        speed,
+        turning,
+    )
+
+
+def _resolve(
+    mechanism: Mechanism, every: dict[str, Joint], balls: set[str]
+) -> tuple[dict[str, Follower], tuple[Relation, ...]]:
+    """Followers by repeated substitution, without recursion; relations of several sources stay
+    rows.
+    """
+    followers: dict[str, Follower] = {}
+    for name, number in _locks(mechanism, every, balls).items():
+        followers[name] = Follower(None, 0.0, number)
+    pending: dict[str, tuple[dict[str, float], float]] = {}
+    for coupling in mechanism.couplings.values():
+        _check_coupling(mechanism, coupling, every, balls)
+        if coupling.of in followers:
+            said = f"it is locked, but follows {', '.join(coupling.sources)}"
+            refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
+        sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
+        pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
+    relations: list[Relation] = []
+    for of in _in_order(mechanism, pending):
+        sources, offset = pending[of]
+        flat: dict[str, float] = {}
+        for name, factor in sources.items():
+            follower = followers.get(name)
+            if follower is None:
+                flat[name] = flat.get(name, 0.0) + factor
+            else:
+                offset += factor * follower.offset
+                if follower.source is not None:
+                    flat[follower.source] = (
+                        flat.get(follower.source, 0.0) + factor * follower.multiplier
+                    )
+        flat = {k: v for k, v in flat.items() if v != 0.0}
+        if not (math.isfinite(offset) and all(map(math.isfinite, flat.values()))):
+            refuse(
+                f"coupling of {of!r}",
+                "its multiplier or offset is not a number",
+                mechanism.couplings[of].where,
+            )
+        if len(flat) > 1:
+            relations.append(Relation(of, flat, offset))
+        else:
+            source = next(iter(flat), None)
+            followers[of] = Follower(source, flat[source] if source is not None else 0.0, offset)
+    return followers, tuple(relations)
+
+
+def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
+    """Refuse coordinates in equations that do not exist, or that equations cannot read."""
+    for c in (c for c in mechanism.constraints.values() if c.of.reads):
+        reads = [n for n in c.of.reads if n not in mechanism.parameters]
+        operations = {r.op for r in c.of.rows(mechanism.dim)}
+        for name in reads:
+            subject = f"constraint {c.name!r}"
+            if name not in every:
+                allowed = "for the time say time=True" if name == TIME else ""
+                refuse(
+                    subject,
+                    str(UnknownNameError("coordinate", name, every, mechanism.name)),
+                    c.where,
+                    allowed,
+                )
+            if name in balls and Op.VELOCITY not in operations:
+                refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
+        both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
+        if both:
+            refuse(
+                f"constraint {c.name!r}",
+                f"{both[0]!r} is a coordinate and a parameter",
+                c.where,
+                "rename one",
+            )
+
+
+PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do not read"
+OF_BALL = "use a joint with angles=True, or a constraint on a frame"
+
+
+def _in_order(
+    mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]
+) -> list[str]:
+    """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a
+    cycle, printed.
+    """
+    done: dict[str, bool] = {}
+    order: list[str] = []
+    for start in pending:
+        stack = [(start, iter(pending[start][0]))] if start not in done else []
+        done.setdefault(start, False)
+        while stack:
+            name, sources = stack[-1]
+            for source in sources:
+                if source not in pending or done.get(source):
+                    continue
+                if source in done:
+                    path = [n for n, _ in stack]
+                    cycle = " -> ".join([*path[path.index(source) :], source])
+                    where = mechanism.couplings[source].where
+                    refuse(
+                        f"coordinate {source!r}",
+                        f"it follows itself: {cycle}",
+                        where,
+                        "one of them must be free",
+                    )
+                done[source] = False
+                stack.append((source, iter(pending[source][0])))
+                break
+            else:
+                done[name] = True
+                order.append(name)
+                stack.pop()
+    return order
+
+
+def _check_coupling(
+    mechanism: Mechanism, coupling: Coupling, every: dict[str, Joint], balls: set[str]
+) -> None:
+    subject = f"coupling of {coupling.of!r}"
+    for name in (coupling.of, *coupling.sources):
+        if name not in every:
+            refuse(
+                subject,
+                str(UnknownNameError("coordinate", name, every, mechanism.name)),
+                coupling.where,
+            )
+        if name in balls:
+            said = f"{name!r} is part of a quaternion"
+            refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
+    for v in (*coupling.sources.values(), coupling.offset):
+        if isinstance(v, Expression):
+            for name in v.names:
+                if name not in mechanism.parameters:
+                    refuse(
+                        subject,
+                        str(UnknownNameError("parameter", name, mechanism.parameters)),
+                        coupling.where,
+                    )
+
+
+def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
+    for name, number in mechanism.locks.items():
+        subject = f"lock of {name!r}"
+        if name not in every:
+            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
+        joint = every[name]
+        if name in balls:
+            missing = [
+                c
+                for c in coordinate_names(mechanism, joint)
+                if c in balls and c not in mechanism.locks
+            ]
+            if missing:
+                refuse(
+                    subject,
+                    f"a quaternion is locked as a whole; missing are {', '.join(missing)}",
+                    None,
+                )
+            if not any(
+                mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls
+            ):
+                refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
+        local = name[len(joint.name) + 1 :]
+        lower, upper = joint.limits.get(local, (-math.inf, math.inf))
+        if not lower <= number <= upper:
+            refuse(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
+    return mechanism.locks
+
+
+def _limits(
+    mechanism: Mechanism, velocity_names: list[str], followers: dict[str, Follower]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of the coordinates, those of their followers brought back to them."""
+    index = {n: i for i, n in enumerate(velocity_names)}
+    lower = np.full(len(index), -math.inf)
+    upper = np.full(len(index), math.inf)
+    speed = np.full(len(index), math.inf)
+    setter: list[str] = [""] * len(index)
+    for joint in mechanism.joints.values():
+        for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
+            name = coordinate_name(joint.name, local)
+            low, high = joint.limits.get(local, (-math.inf, math.inf))
+            fast = joint.velocity_limits.get(local, math.inf)
+            follower = followers.get(name)
+            if follower is None and name not in index:
+                continue  # a locked quaternion
+            if follower is not None:
+                if follower.source is None:
+                    slack = HELD_TOLERANCE * (1.0 + abs(follower.offset))
+                    if not low - slack <= follower.offset <= high + slack:
+                        refuse(
+                            f"coordinate {name!r}",
+                            f"it is held at {follower.offset:g}, outside its limits "
+                            f"[{low:g}, {high:g}]",
+                            joint.where,
+                        )
+                    continue
+                m = follower.multiplier
+                low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
+                name = follower.source
+                fast = fast / abs(m)
+            i = index[name]
+            before = (lower[i], upper[i])
+            lower[i], upper[i], speed[i] = (
+                max(lower[i], low),
+                min(upper[i], high),
+                min(speed[i], fast),
+            )
+            if lower[i] > upper[i]:
+                if lower[i] - upper[i] > HELD_TOLERANCE * (1.0 + abs(lower[i])):
+                    _refuse_limits(
+                        mechanism.joints[setter[i]],
+                        before,
+                        joint,
+                        (low, high),
+                        name,
+                        follower is None,
+                    )
+                lower[i] = upper[i] = (
+                    before[1] if low > before[1] else before[0]
+                )  # they touch, up to rounding
+            if (lower[i], upper[i]) != before:
+                setter[i] = joint.name
+    return lower, upper, speed
+
+
+def _refuse_limits(
+    first: Joint,
+    before: tuple[float, float],
+    second: Joint,
+    now: tuple[float, float],
+    name: str,
+    swap: bool,
+):
+    """Refuse limits of two joints that one coordinate moves; the one that follows is named as the
+    subject.
+    """
+    a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
+    refuse(
+        f"joint {a[0].name!r}",
+        f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in "
+        f"[{a[1][0]:g}, {a[1][1]:g}], those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]",
+        a[0].where,
+        "these must overlap",
+    )
+
+
+def relation_text(relation: Relation) -> str:
+    """The relation as an equation."""
+    terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
+    return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
+
+
+def _returns(p: Primitive, multiplier: float) -> bool:
+    """Whether a primitive is as before after a full turn of what moves it by `multiplier`."""
+    return p.kind == R and (p.multiplier * multiplier).is_integer()
+
+
+def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
+    nothing.
+    """
+    back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
+    number = {name: i for i, name in enumerate(c.velocity_names)}
+    for joint in mechanism.joints.values() if c.followers else ():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = c.followers.get(names[p.coordinate])
+            if (
+                follower is not None and follower.source is not None
+            ):  # it must return after a full turn, too
+                back[number[follower.source]] &= _returns(p, follower.multiplier)
+    for relation in c.relations:
+        for name in (relation.of, *relation.sources):
+            back[number[name]] = False
+    return back & ~distinct(mechanism, c)
+
+
+def distinct(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell
+    whole turns apart.
+    """
+    out = np.zeros(len(c.velocity_names), dtype=bool)
+    number = {name: i for i, name in enumerate(c.velocity_names)}
+    for declared in mechanism.constraints.values():
+        for name in declared.of.reads if declared.positions(mechanism.dim) else ():
+            source = c.followers[name].source if name in c.followers else name
+            if source in number:
+                out[number[source]] = True
+    return out

@@ -1,0 +1,705 @@
+"""Loops as data: what ties which frames together over which coordinates, packed for the kernels.
+
+A *tie* is one constraint between two frames A and B: a joint that the tree left out, a declared
+constraint, a frame held in place (a pin), or a linear relation of coordinates. A joint that the
+tree left out is tied in one of two forms. *Implicit*, A is its frame F and B its frame M, held as
+the joint holds them; its own coordinates are read off afterwards. *Explicit*, A is led on through
+the joint's own motion, and coincides with B; its coordinates are unknowns like all others. So a
+coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
+that has no implicit form (`kempe.model.implicit_form`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from kempe.description.parts import Joint
+from kempe.joints import P, Q, R
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kernels.forward.table_layout import HEADER, OUTPUT_INTS, ROW_INTS
+from kempe.model.characteristic_length import characteristic_length, moved, origin_of
+from kempe.model.constraint_program import (
+    Centre,
+    CompiledFunction,
+    PackedLoops,
+    RecordedRows,
+    Tie,
+    declared_ties,
+)
+from kempe.model.coordinates import Relation, coordinate_names, returning
+from kempe.model.implicit_form import ImplicitForm, implicit_form, slides_along_z
+from kempe.model.model import kept
+from kempe.model.primitive_table import End, Table, lower
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+__all__ = [
+    "Centre",
+    "CompiledFunction",
+    "PackedLoops",
+    "Tie",
+    "characteristic_length",
+    "loops_of",
+    "must_be_explicit",
+    "pack",
+    "plane_normal",
+]
+
+
+# ---- loop plan
+
+# Ties, packed for the kernels as `kempe.kernels.constraints.loop_layout` says.
+
+
+READINGS = {
+    "x": L.READ_X,
+    "y": L.READ_Y,
+    "z": L.READ_Z,
+    "turn z": L.READ_ANGLE,
+    "turn rx": L.READ_RX,
+    "turn ry": L.READ_RY,
+    "turn yaw": L.READ_YAW,
+    "turn pitch": L.READ_PITCH,
+    "turn roll": L.READ_ROLL,
+    "quaternion": L.READ_QUATERNION,
+}
+
+
+def _readings(system: Model, joint: Joint) -> list[tuple[int, int]]:
+    """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
+    names = coordinate_names(system._mechanism, joint)
+    first = system.structure.coordinates.first
+    form = implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
+    return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
+
+
+def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
+    """Rows that move row b against row a, with the sign of their motion; -1 is the ground."""
+    ways: list[list[int]] = []
+    for row in (a, b):
+        way: list[int] = []
+        while row >= 0:
+            way.append(row)
+            row = int(parent[row])
+        ways.append(way)
+    common = set(ways[0]) & set(ways[1])
+    return [
+        (sign, r)
+        for sign, way in zip((-1.0, 1.0), ways, strict=True)
+        for r in way
+        if r not in common
+    ]
+
+
+def laid_out(
+    recorded: list[tuple[np.ndarray, np.ndarray, list[int]]], at: int, numbers_at: int
+) -> tuple[np.ndarray, list[int]]:
+    """The integers of TAPE ties, as `loop_layout` says, to stand at `at`, and where those of each
+    begin.
+
+    The numbers of their tapes stand at `numbers_at`, one after the other.
+    """
+    out: list[int] = []
+    work = 0
+    starts: list[int] = []
+    for ints, floats, inputs in recorded:
+        starts.append(at + len(out))
+        out += [starts[-1] + L.TAPE_INPUTS + len(inputs), numbers_at, work, *inputs, *ints.tolist()]
+        numbers_at = numbers_at + len(floats)
+        work = work + 3 * int(ints[1])
+    return np.array(out, dtype=np.int64), starts
+
+
+class LoopPlan:
+    """The integers and numbers of `loop_layout`, being collected."""
+
+    def __init__(
+        self,
+        system: Model,
+        ties: list[Tie],
+        ints: np.ndarray,
+        held: frozenset[str],
+        length: float,
+        scaled: bool,
+        wide: np.ndarray | None = None,
+    ):
+        self.system = system
+        self.ties = ties
+        self.length = length
+        self.scaled = scaled
+        self.number = [t.number for t in ties]
+        n = int(ints[0])
+        self.rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
+        self.outputs = ints[HEADER + ROW_INTS * n :].reshape(-1, OUTPUT_INTS)
+        self.held = np.array([name in held for name in system.structure.velocity_names], dtype=bool)
+        c = system.structure.coordinates
+        self.turns = c.turning.copy()
+        for iv in system.structure.layout.quaternion_v:
+            self.turns[iv : iv + 3] = True
+        self.turns[self.rows[self.rows[:, 0] == R, 3]] = (
+            True  # what slides and turns together counts as a turn
+        )
+        self.scale = np.where(self.turns, 1.0, length)
+        self.place = np.full(system.nv, -1, dtype=np.int64)
+        self.sort = np.full(system.nv, L.SLIDE, dtype=np.int64)
+        self.place[system.structure.layout.vector_v] = system.structure.layout.vector_q
+        self.place[system.structure.layout.quaternion_v] = system.structure.layout.quaternion_q
+        self.sort[self.turns] = L.BOUND_TURN
+        self.sort[returning(system._mechanism, c)] = L.CIRCLE
+        self.wide = np.zeros(system.nv, dtype=bool) if wide is None else wide
+        self.sort[self.wide] = L.CIRCLE
+        for iv in system.structure.layout.quaternion_v:
+            self.sort[iv : iv + 3] = L.BALL_FIRST, L.BALL_MORE, L.BALL_MORE
+        self.entries: list[tuple[int, int]] = []
+        self.factors: list[float] = []
+        self.locals: list[int] = []
+        self.uses: list[list[tuple[int, int]]] = [[] for _ in range(system.nv)]
+        self.recorded: list[tuple[np.ndarray, np.ndarray, list[int]]] = []
+        """Of each TAPE tie the integers and numbers of its tape, and what its inputs are."""
+
+    def tie(self, k: int, tie: Tie) -> list[int]:
+        """The integers of tie k; appends its entries and locals."""
+        entry = len(self.entries)
+        local = len(self.locals)
+        columns: dict[int, int] = {}
+        if tie.relation is not None:
+            self._linear(k, tie.relation, columns)
+        elif tie.turns == L.OWN:
+            columns.update({tie.own + n: n for n in range(3 if tie.ball else 1)})
+        elif tie.function is not None:
+            columns.update({v: n for n, v in enumerate(tie.function.support)})
+        else:
+            for sign, row in self._rows(k, tie) if tie.tape is None or tie.tape.moved else ():
+                kind = int(self.rows[row, 0])
+                iv = int(self.rows[row, 3])
+                if self.held[iv]:
+                    continue
+                first = columns.setdefault(iv, len(columns))
+                for more in range(1, 3 if kind == Q else 1):
+                    columns.setdefault(iv + more, len(columns))
+                self.entries.append((row, first))
+                self.factors.append(sign)
+        if tie.tape is not None:
+            self._record(tie.tape, columns)
+        self.locals += list(columns)
+        for v, column in columns.items():
+            if not self.held[v]:
+                self.uses[v].append((k, column))
+        return [len(self.entries) - entry, entry, len(columns), local]
+
+    def _record(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
+        """Collect what a TAPE tie reads: its tape, and for each input what it is."""
+        ints, floats = recorded.tape.arrays()
+        first = self.system.structure.coordinates.first
+        inputs: list[int] = []
+        for name in recorded.tape.inputs:
+            place = -1
+            column = -1
+            if (what := recorded.input(name)) == L.COORDINATE:
+                place, v = first[name]
+                column = -1 if self.held[v] else columns.setdefault(v, len(columns))
+            elif what == L.GIVEN:
+                place = recorded.given.index(name)
+            inputs += [what, place, column]
+        self.recorded.append((ints, floats, inputs))
+
+    def _linear(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
+        first = self.system.structure.coordinates.first
+        terms = {relation.of: 1.0}
+        for name, m in relation.sources.items():
+            terms[name] = terms.get(name, 0.0) - m
+        self.number[k] /= (
+            norm := max(abs(m) * self.scale[first[n][1]] for n, m in terms.items()) ** self.scaled
+        )
+        for name, factor in terms.items():
+            columns[first[name][1]] = len(columns)  # held ones, too: their values count
+            self.entries.append((first[name][0], 0))
+            self.factors.append(factor / norm)
+
+    def _rows(self, k: int, tie: Tie) -> list[tuple[float, int]]:
+        """The rows that move B against A, with signs; a centre is moved by all that carry mass, and
+        A moves apart.
+        """
+        if tie.centre is None:
+            return self._moving(k)
+        share = self._shares(tie.centre)
+        return [(-s, r) for s, r in moving(int(self.outputs[2 * k, 0]), -1, self.rows[:, 1])] + [
+            (1.0, r) for r in range(len(share)) if share[r] > 0.0
+        ]
+
+    def _shares(self, centre: Centre) -> np.ndarray:
+        """For each row (n,) the mass of all that it moves."""
+        share = centre.rows[:, 0].copy()
+        for r in range(len(share) - 1, -1, -1):
+            if self.rows[r, 1] >= 0:
+                share[self.rows[r, 1]] += share[r]
+        return share
+
+    def _moving(self, k: int) -> list[tuple[float, int]]:
+        return moving(int(self.outputs[2 * k, 0]), int(self.outputs[2 * k + 1, 0]), self.rows[:, 1])
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """The two arrays."""
+        first_row = 0
+        block = 0
+        pin = 0
+        given = 0
+        ties: list[list[int]] = []
+        bounds: list[float] = []
+        centres: list[np.ndarray] = []
+        for k, tie in enumerate(self.ties):
+            n_entries, entry, n_locals, local = self.tie(k, tie)
+            rows = len(tie.rows)
+            data = tie.function.address if tie.function is not None else tie.own
+            work = 0
+            if tie.tape is not None:
+                data = len(self.recorded) - 1
+                work = 3 * tie.tape.tape.size
+            ties.append(
+                [
+                    tie.mask,
+                    tie.turns,
+                    rows,
+                    first_row,
+                    n_entries,
+                    entry,
+                    n_locals,
+                    local,
+                    block,
+                    pin if tie.pin else -1,
+                    self._lengths(tie),
+                    given if tie.given else -1,
+                    len(bounds) if tie.bounds else -1,
+                    len(centres) if tie.centre is not None else -1,
+                    data,
+                ]
+            )
+            pin = pin + tie.pin
+            given = given + (len(tie.tape.given) if tie.tape else 4 if tie.ball else 1) * tie.given
+            first_row = first_row + rows
+            block = block + rows * n_locals + work
+            unit = self.length if self._lengths(tie) else 1.0
+            bounds += [x / unit for low, high in tie.bounds for x in (low, high)]
+            if tie.centre is not None:
+                rows_ = np.column_stack([tie.centre.rows, self._shares(tie.centre)])
+                centres += [np.concatenate([rows_.ravel(), tie.centre.rest])]
+        reading = [
+            (code, iq, k)
+            for k, t in enumerate(self.ties)
+            if t.joint is not None
+            for code, iq in _readings(self.system, t.joint)
+        ]
+        envelope, size = self._envelope(ties, first_row)
+        starts = np.concatenate([[0], np.cumsum([len(u) for u in self.uses])])
+        lists = [
+            ties,
+            self.entries,
+            self.locals,
+            starts,
+            [x for u in self.uses for x in u],
+            envelope,
+            reading,
+            np.stack([self.place, self.sort, self.held], axis=1),
+        ]
+        flat = [np.asarray(x, dtype=np.int64).ravel() for x in lists]
+        places = L.HEAD + np.concatenate([[0], np.cumsum([len(x) for x in flat])])
+        numbers_at = (
+            sum(len(x) for x in (self.number, self.factors, bounds)) + 2 + 5 * self.system.nv
+        )
+        numbers_at += sum(len(c) for c in centres)
+        read, starts_at = laid_out(self.recorded, int(places[-1]), numbers_at)
+        for t, tie in zip(flat[0].reshape(-1, L.TIE_INTS), self.ties, strict=True):
+            if tie.tape is not None:
+                t[L.DATA] = starts_at[t[L.DATA]]
+        flat.append(read)
+        head = [len(ties), first_row, len(reading), pin, block, size, *places[:8].tolist()]
+        lists = [
+            [1.0 / self.length, self.length],
+            [*self.scale, *self._ranges()],
+            self.number,
+            self.factors,
+            bounds,
+        ]
+        at = np.cumsum([len(x) for x in lists])
+        head += [*at[1:].tolist(), *self._base()]
+        lists += [*centres, *(x for _, x, _ in self.recorded)]
+        weights = np.concatenate([np.array(x, dtype=float) for x in lists])
+        return np.concatenate([np.array(head, dtype=np.int64), *flat]), weights
+
+    def _lengths(self, tie: Tie) -> int:
+        """How many of its rows, the first ones, are lengths."""
+        if tie.turns == L.OWN:
+            return int(self.sort[tie.own] == L.SLIDE)
+        if tie.tape is not None:
+            return len(tie.rows) * (tie.tape.unit == "m")
+        return tie.mask.bit_count() + (tie.turns == L.DISTANCE)
+
+    def _base(self) -> tuple[int, int]:
+        """A tie that holds, in the ground, a frame of what a free joint moves, and the first of
+        that joint's rows.
+        """
+        if (
+            len(self.rows) < 4
+            or self.rows[:4, 0].tolist() != [P, P, P, Q]
+            or np.any(self.rows[:4, 1] != range(-1, 3))
+        ):
+            return -1, -1
+        for turns in (L.FULL, L.NO_TURN):
+            for k, tie in enumerate(self.ties):
+                held = (
+                    tie.mask == 7 and tie.turns == turns and not tie.bounds and tie.centre is None
+                )
+                way = [r for _, r in self._moving(k)] if tie.pin and held else []
+                if self.outputs[2 * k, 0] < 0 and set(range(4)) <= set(way):
+                    return k, 0
+        return -1, -1
+
+    def _ranges(self) -> list[float]:
+        """Limits, and where to draw random coordinates from."""
+        low = self.system.structure.coordinates.lower
+        high = self.system.structure.coordinates.upper
+        reach = np.where(self.turns, np.pi, self.length)
+        far = np.where(np.isfinite(low), low, -np.inf)
+        near = np.where(np.isfinite(high), high, np.inf)
+        draw_low = np.where(
+            np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach)
+        )
+        draw_high = np.where(
+            np.isfinite(high), high, np.where(np.isfinite(low), far + 2.0 * reach, reach)
+        )
+        return [
+            *np.where(self.wide, -np.inf, low),
+            *np.where(self.wide, np.inf, high),
+            *draw_low,
+            *draw_high,
+        ]
+
+    def _envelope(self, ties: list[list[int]], m: int) -> tuple[list[tuple[int, int]], int]:
+        """For each row of J J^T its first column that is not zero, and where the row begins."""
+        own = [t[L.FIRST_ROW] for t in ties]
+        first = own.copy()
+        for use in self.uses:
+            if use:
+                least = min(own[k] for k, _ in use)
+                for k, _ in use:
+                    first[k] = min(first[k], least)
+        at = 0
+        out: list[tuple[int, int]] = []
+        for k, t in enumerate(ties):
+            for r in range(t[L.ROWS]):
+                out.append((first[k], at))
+                at += t[L.FIRST_ROW] + r - first[k] + 1
+        return out, at
+
+
+Places = dict[str, tuple[int, int]]
+"""For each coordinate by name its place in q, and in the velocities."""
+TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
+
+
+def must_be_explicit(system: Model, known: Iterable[str] = ()) -> frozenset[str]:
+    """The explicit loop joints: those cut without an implicit form, or with known, limited or
+    coupled coordinates.
+    """
+    related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
+    related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
+    related |= {
+        f.source for f in system.structure.couplings.values() if f.source is not None
+    }  # others move with them
+    v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
+    limited = np.isfinite(system.lower) | np.isfinite(system.upper)
+    out: set[str] = set()
+    for name in system.structure.closures:
+        names = system.structure.coordinates_of_joint(name)
+        none = _implicit(system, system.structure.joints[name]) is None
+        if none or any(
+            c in system.structure.couplings
+            or c in related
+            or (c in v_index and limited[v_index[c]])
+            for c in names
+        ):
+            out.add(name)
+    return frozenset(out)
+
+
+def loops_of(
+    system: Model,
+    explicit: frozenset[str],
+    held: frozenset[str] = frozenset(),
+    pins: tuple[tuple[str, bool], ...] = (),
+    length: float | None = None,
+    one_sided: bool = False,
+) -> PackedLoops:
+    """The packed loops of a system; with `one_sided` those declared constraints, too, that hold
+    between bounds.
+
+    `explicit` names the left-out joints in explicit form, `held` the velocity coordinates that are
+    no unknowns, `pins` the frames that are held in place (with their orientation where the flag
+    says so). Equations and unknowns are scaled by `length` (default: the characteristic length);
+    with length 1 they are in metres.
+    """
+    return _packed(system, explicit, held, pins, length, one_sided)
+
+
+@kept
+def _packed(
+    system: Model,
+    explicit: frozenset[str],
+    held: frozenset[str],
+    pins: tuple[tuple[str, bool], ...],
+    length: float | None,
+    one_sided: bool,
+) -> PackedLoops:
+    return pack(system, explicit, held, pins, length, one_sided=one_sided)
+
+
+def pack(
+    system: Model,
+    explicit: frozenset[str],
+    held: frozenset[str] = frozenset(),
+    pins: tuple[tuple[str, bool], ...] = (),
+    length: float | None = None,
+    further: Callable[[Table], list[Tie]] | None = None,
+    wide: np.ndarray | None = None,
+    level: Callable[[Tie], int] | None = None,
+    one_sided: bool = False,
+    drawn: Model | None = None,
+) -> PackedLoops:
+    """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows
+    of the table.
+
+    `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties
+    of a lower `level` stand before others, so that of rows that depend on each other the later ones
+    yield. The frames of `further` ties are those of the `drawn` system, where given: it has the
+    same coordinates, and other dimensions.
+    """
+    size = characteristic_length(system) if length is None else length
+    origin = origin_of(system)
+    table = _lowered(system, {n: n in explicit for n in system.structure.closures}, origin)
+    frames = table
+    if drawn is not None:
+        table, frames = _side_by_side(_lowered(drawn, {}, origin), table)
+    ties = _ties(system, table, explicit, pins, one_sided) + (further(frames) if further else [])
+    ties = [t for t in ties if t.rows or t.joint]
+    first = system.structure.coordinates.first
+    ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
+    at = dict(table.at)
+    for k, tie in enumerate(ties):
+        at["tie", k, 0] = tie.a
+        at["tie", k, 1] = tie.b
+    table = replace(table, at=at)
+    every = (
+        range(len(table.kind)) if any(t.centre for t in ties) else None
+    )  # a centre is moved by all that has mass
+    ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
+    plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).arrays()
+    for tie in ties:
+        if tie.function is not None:
+            tie.function.scale = L.velocity_lists(weights, system.nv)[0]
+    names = tuple((t.name, row) for t in ties for row in t.rows)
+    unknown = np.array(
+        [i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64
+    )
+    return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
+
+
+def _lowered(system: Model, ends: dict[str, bool], origin: np.ndarray) -> Table:
+    """The table of a system with the ends of joints that the tree left out, measured from `origin`
+    (3,).
+    """
+    mechanism = system._mechanism
+    given = system.structure
+    table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
+    return moved(table, -origin) if origin.any() else table
+
+
+def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
+    """The rows of two tables over the same coordinates as one table: with the ends of the second,
+    and of the first.
+    """
+    n = len(first.kind)
+    behind = np.where(second.parent < 0, -1, second.parent + n)
+    ends = {
+        name: (row if row < 0 else row + n, X, particle)
+        for name, (row, X, particle) in second.at.items()
+    }
+    both = Table(
+        np.concatenate([first.kind, second.kind]),
+        np.concatenate([first.parent, behind]),
+        np.concatenate([first.iq, second.iq]),
+        np.concatenate([first.iv, second.iv]),
+        np.concatenate([first.multiplier, second.multiplier]),
+        np.concatenate([first.offset, second.offset]),
+        np.concatenate([first.placement, second.placement]),
+        ends,
+        second.nq,
+        second.nv,
+    )
+    return both, replace(both, at=first.at)
+
+
+# ---- what is tied
+
+
+def held_ties(system: Model, table: Table) -> list[Tie]:
+    """All ties that hold positions: of joints that the tree left out, in explicit form, and of
+    declared constraints.
+
+    One-sided constraints are among them. `table` has the frames of these joints, led on through
+    their motion.
+    """
+    return _ties(system, table, frozenset(system.structure.closures), (), True)
+
+
+def _ties(
+    system: Model,
+    table: Table,
+    explicit: frozenset[str],
+    pins: tuple[tuple[str, bool], ...],
+    one_sided: bool,
+) -> list[Tie]:
+    mechanism = system._mechanism
+    ties = [
+        _of_joint(system, table, mechanism.joints[n], n in explicit)
+        for n in system.structure.closures
+    ]
+    ties += declared_ties(system, table, one_sided)
+    ground = (-1, np.eye(4), False)
+    for relation in system.structure.relations:
+        ties.append(
+            Tie(
+                relation.of,
+                ground,
+                ground,
+                turns=L.LINEAR,
+                number=relation.offset,
+                relation=relation,
+            )
+        )
+    for frame, turned in pins:
+        mask = _mask("xyz"[: system.dim])
+        turns = L.NO_TURN if not turned else L.ANGLE if system.dim == 2 else L.FULL
+        ties.append(Tie(frame, ground, table.at[frame], mask, turns, pin=True))
+    return ties
+
+
+def _flat(end: End, of: End, table: Table) -> End:
+    """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the
+    plane is along z.
+    """
+    z = plane_normal(of, table)
+    x = np.array([0.0, 0.0, 1.0])
+    C = np.eye(4)
+    C[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return end[0], end[1] @ C, end[2]
+
+
+def plane_normal(end: End, table: Table) -> np.ndarray:
+    """The normal of the plane of a planar system, in axes of a frame: the same in all
+    configurations.
+    """
+    z = np.array([0.0, 0.0, 1.0])
+    row = end[0]
+    way: list[np.ndarray] = [end[1]]
+    while row >= 0:
+        way.append(table.placement[row])
+        row = int(table.parent[row])
+    for X in reversed(way):
+        z = X[:3, :3].T @ z
+    return z
+
+
+def _of_joint(system: Model, table: Table, joint: Joint, explicit: bool) -> Tie:
+    """The tie of a joint that the tree left out."""
+    a = table.at[joint.name, "F"]
+    b = table.at[joint.name, "M"]
+    if slides_along_z(joint.type, system.dim, b[2]):
+        a = _flat(a, b, table)
+        b = _flat(b, b, table)
+    if explicit:
+        turns = "" if b[2] else "z" if system.dim == 2 else "xyz"
+        return Tie(joint.name, a, b, _mask("xyz"[: system.dim]), TURNS[turns])
+    form = _implicit(system, joint)
+    assert form is not None, f"joint {joint.name!r} must be explicit"
+    return Tie(joint.name, a, b, _mask(form.position), TURNS[form.turns], joint=joint)
+
+
+def _implicit(system: Model, joint: Joint) -> ImplicitForm | None:
+    return implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
+
+
+def _mask(axes: str) -> int:
+    """The bits of some axes, as one integer."""
+    return sum(1 << "xyz".index(a) for a in axes)
+
+
+def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
+    """The ties so that those that share coordinates are near each other: it keeps the envelope of J
+    J^T small.
+    """
+    if len(ties) < 8:
+        return ties
+    from scipy.sparse import csgraph, csr_matrix
+
+    users: dict[int, list[int]] = {}
+    for k, tie in enumerate(ties):
+        for v in _coordinates_of(tie, table, first):
+            users.setdefault(v, []).append(k)
+    pairs = [(i, j) for use in users.values() for i in use for j in use]
+    if not pairs:
+        return ties
+    i, j = np.array(pairs).T
+    graph = csr_matrix((np.ones(len(pairs)), (i, j)), shape=(len(ties), len(ties)))
+    order: np.ndarray = cast(Any, csgraph).reverse_cuthill_mckee(graph, symmetric_mode=True)
+    return [ties[int(k)] for k in order]
+
+
+def _by_level(
+    ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places
+) -> list[Tie]:
+    """The ties in the order of levels, each in an order of its own, so that it is the same without
+    the last level.
+
+    Those of the last level that hold one coordinate each stand before the first other one that it
+    moves: this keeps the envelope small.
+    """
+    last = max(level(t) for t in ties)
+    loose = [t for t in ties if t.own >= 0 and level(t) == last]
+    groups = [
+        [t for t in ties if level(t) == n and t not in loose]
+        for n in sorted({level(t) for t in ties})
+    ]
+    out: list[Tie] = []
+    for tie in (t for group in groups for t in _in_order(group, table, first)):
+        moved_by = _coordinates_of(tie, table, first)
+        out += [*(t for t in loose if t.own in moved_by), tie]
+        loose = [t for t in loose if t.own not in moved_by]
+    return out + loose
+
+
+def _coordinates_of(tie: Tie, table: Table, first: Places) -> set[int]:
+    """Velocity coordinates that the equations of a tie depend on, by which its neighbours in the
+    order are found.
+
+    `table` holds the rows of the tree, `first` the places of coordinates by name.
+    """
+    if tie.own >= 0:
+        return {tie.own}
+    if tie.function is not None:
+        return set(tie.function.support)
+    if tie.centre is not None:
+        return set(table.iv.tolist())
+    if tie.tape is not None:
+        own = {first[name][1] for name in tie.tape.coordinates}
+        return own | (_between(tie, table) if tie.tape.moved else set())
+    return _between(tie, table)
+
+
+def _between(tie: Tie, table: Table) -> set[int]:
+    """Velocity coordinates that move frame B of a tie against its frame A."""
+    return {int(table.iv[row]) for _, row in moving(tie.a[0], tie.b[0], table.parent)}

@@ -1,1 +1,0 @@
-"""The spanning tree: bodies, coordinates, and the table of primitive motions."""

@@ -1,0 +1,689 @@
+"""One ball or particle that falls and bounces between planes: parabolas in closed form, and what
+happens between them.
+
+The centre moves in a flat space of slides, on which an acceleration acts that does not depend on
+the mass. Planes are smooth and push along their normals only: an impact reverses the normal speed
+times the restitution (Newton), in a corner by Moreau's law, v' = -e v + (1 + e) proj(v) with the
+projection on the velocities that no touched plane forbids; so no mass is needed. Bounces on one
+plane that get smaller and smaller end at a time that is the sum of a geometric series: from there
+on the ball rests on the plane, or slides. Sources: Moreau, *Unilateral contact and dry friction in
+finite freedom dynamics*, 1988; Brogliato, *Nonsmooth Mechanics*, 2016.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, Protocol, cast
+
+import numpy as np
+
+from kempe.budget import look
+from kempe.numerics.clock import TimeLimit
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+FADED = 1e-9
+"""Part of the largest impact speed below which bounces on one plane count as the rest of their
+geometric series."""
+GONE = 1e-11
+"""Part of it below which a normal speed counts as none: what falls through the rounding of places
+gets that fast."""
+ROUNDING = 4e-15
+"""Part of the distances from the origin up to which a gap is rounding."""
+TOUCH = 1e-9
+"""Gap [m] below which a start touches a plane; more inside it is refused."""
+SAME_TIME = 1e-13
+"""Part of the time to an impact within which others happen at the same time."""
+AGAIN = 64
+"""Impacts at one instant after which the rest of them is taken as without rebound."""
+FADED_MOVING = 1e-6
+"""As `FADED`, on planes that move: the place of such a plane is known to rounding only, and so are
+low hops."""
+WINDOWS = 64
+"""Parts of the duration, at least, in which impacts on moving planes are looked for."""
+LOOKS = 16
+"""Places in such a part at which gaps and their rates are evaluated."""
+INTEGRATION = 1e-12
+"""Local error of the motion along moving planes."""
+MOST = 100_000
+"""Events after which it is broken off."""
+
+
+class Plane(NamedTuple):
+    """A plane that the centre stays above: gap = `offset` + `normal` . y; `name` is that of the
+    contact or limit.
+    """
+
+    name: str
+    normal: Array
+    offset: float
+
+
+class Impact(NamedTuple):
+    """What happened: "bounce", "lands" (and stays), "settles" (after infinitely many bounces) or
+    "leaves".
+
+    `planes` says which.
+
+    `before` and `after` are rates of the gap [m/s], of the plane that was hit hardest.
+    """
+
+    kind: str
+    time: float
+    planes: tuple[int, ...]
+    before: float
+    after: float
+    y: Array
+    v: Array
+
+
+class Parabola(NamedTuple):
+    """A parabola: from `time` on the place is y + v s + a s^2 / 2, with s the time since then."""
+
+    time: float
+    y: Array
+    v: Array
+    a: Array
+
+
+class MovingPlanes(Protocol):
+    """Planes that move and turn by a law of time: gap = `normals` . y + `offsets`."""
+
+    names: tuple[str, ...]
+
+    def at(self, t: Array | float) -> tuple[Array, Array]:
+        """Normals (..., m, k) and offsets (..., m) at times (...)."""
+        ...
+
+    def rates(self, t: Array | float) -> tuple[Array, Array]:
+        """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
+        ...
+
+    def accelerations(self, t: float) -> tuple[Array, Array]:
+        """Second derivatives of normals (m, k) and offsets (m,) at a time."""
+        ...
+
+
+class Flight:
+    """The motion of the centre in coordinates (k,) that have the metric of space, above `planes`."""
+
+    def __init__(self, planes: Sequence[Plane], gravity: Array, restitution: float):
+        self.planes = planes
+        self.gravity = gravity
+        self.restitution = restitution
+        self.N = np.array([p.normal for p in planes]).reshape(len(planes), len(gravity))
+        self.offsets = np.array([p.offset for p in planes])
+        self.arcs: list[Parabola] = []
+        self.impacts: list[Impact] = []
+        self.broken = False
+        self._largest = 0.0
+        self.known = 0.0
+
+    def gaps(self, y: Array) -> Array:
+        """How far (m,) a place (k,) is above each plane."""
+        return self.N @ y + self.offsets
+
+    def run(self, y: Array, v: Array, duration: float) -> None:
+        """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known`
+        up to a time.
+        """
+        time = 0.0
+        again = 0
+        touching = set(np.flatnonzero(self.gaps(y) <= TOUCH).tolist())
+        while True:
+            v = self._impact(time, y, v, touching, again > AGAIN)
+            v, a, held = self._pressed(v, touching)
+            self.arcs.append(Parabola(time, y, v, a))
+            self.known = time
+            look()
+            step, hit = self._next(y, v, a, touching, held)
+            settling = self._settling(y, v, a, touching - held, held)
+            if settling is not None and time + settling[0] < duration:
+                rest, i, tangent, pull = settling
+                self.arcs[-1] = Parabola(time, y, tangent, pull)
+                y = y + rest * (tangent + 0.5 * rest * pull)
+                v = tangent + rest * pull
+                time = time + rest
+                touching = self._touched(y, held | {i})
+                self.impacts.append(Impact("settles", time, (i,), 0.0, 0.0, y, v))
+            elif not time + step < duration or len(self.impacts) >= MOST:
+                self.broken = time + step < duration
+                return
+            else:
+                again = again + 1 if step <= 0.0 else 0
+                time = time + step
+                y = y + step * (v + 0.5 * step * a)
+                v = v + step * a
+                y = self._onto(y, hit | held)
+                touching = self._touched(y, hit | held)
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Places and velocities (n, k) at times (n,)."""
+        starts = np.array([arc.time for arc in self.arcs])
+        k = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
+        y, v, a = (np.array([getattr(arc, name) for arc in self.arcs])[k] for name in "yva")
+        s = (t - starts[k])[:, None]
+        return y + s * (v + 0.5 * s * a), v + s * a
+
+    def _impact(self, time: float, y: Array, v: Array, touching: set[int], soft: bool) -> Array:
+        """The velocity after what it makes hit; `soft` impacts have no rebound."""
+        index = sorted(touching)
+        N = self.N[index]
+        for k in range(AGAIN + 1):
+            rates = N @ v
+            self._largest = max(self._largest, float(np.linalg.norm(v)))
+            size = GONE * self._largest * np.linalg.norm(N, axis=1)
+            if not (rates < -size).any():
+                return v
+            e = 0.0 if soft or k == AGAIN else self.restitution
+            after = -e * v + (1.0 + e) * nearest_in_cone(v, N)
+            worst = int(np.argmin(rates))
+            rebound = float(N[worst] @ after)
+            rebound = rebound if rebound > size[worst] else 0.0
+            kind = "bounce" if rebound else "lands"
+            planes = tuple(index[i] for i in np.flatnonzero(rates < -size))
+            self.impacts.append(Impact(kind, time, planes, float(rates[worst]), rebound, y, after))
+            v = after
+        return v
+
+    def _pressed(self, v: Array, touching: set[int]) -> tuple[Array, Array, set[int]]:
+        """The velocity without rounding, the acceleration, and the planes that stay touched."""
+        slow = GONE * self._largest
+        still = [i for i in sorted(touching) if self.N[i] @ v <= slow * np.linalg.norm(self.N[i])]
+        a = nearest_in_cone(self.gravity, self.N[still])
+        strength = 1e-12 * float(np.linalg.norm(self.gravity))
+        held = {i for i in still if self.N[i] @ a <= strength * np.linalg.norm(self.N[i])}
+        flat = self.N[sorted(held)]
+        if len(flat):
+            v = v - np.linalg.pinv(flat) @ (flat @ v)
+            a = a - np.linalg.pinv(flat) @ (flat @ a)
+            a = np.where(np.linalg.norm(a) <= strength, 0.0, a)
+            v = np.where(np.linalg.norm(v) <= slow and not a.any(), 0.0, v)
+        return v, a, held
+
+    def _next(
+        self, y: Array, v: Array, a: Array, touching: set[int], held: set[int]
+    ) -> tuple[float, set[int]]:
+        """The time to the next impact, infinite where there is none, and its planes."""
+        gaps = self.gaps(y)
+        times: dict[int, float] = {}
+        for i in range(len(self.planes)):
+            if i not in held:
+                gap = 0.0 if i in touching else max(float(gaps[i]), 0.0)
+                times[i] = first_zero(gap, float(self.N[i] @ v), float(self.N[i] @ a))
+        step = min(times.values(), default=math.inf)
+        return step, {i for i, t in times.items() if t <= step * (1.0 + SAME_TIME)}
+
+    def _settling(
+        self, y: Array, v: Array, a: Array, leaving: set[int], held: set[int]
+    ) -> tuple[float, int, Array, Array] | None:
+        """Where bounces on one plane get small: the time in which they end, the plane, and the
+        motion along it.
+        """
+        hops = [i for i in leaving if self.N[i] @ a < 0.0]
+        if len(hops) != 1 or self.restitution >= 1.0:
+            return None
+        n = self.N[hops[0]]
+        rate = float(n @ v)
+        pull = -float(n @ a)
+        small = rate < FADED * self._largest * np.linalg.norm(n)
+        if not small or any(
+            abs(self.N[j] @ n) > 1e-12 * np.linalg.norm(self.N[j]) * np.linalg.norm(n) for j in held
+        ):
+            return None
+        rest = 2.0 * rate / (pull * (1.0 - self.restitution))
+        tangent = v - n * (rate / (n @ n))
+        along = a + n * (pull / (n @ n))
+        others = set(range(len(self.planes))) - held - set(hops)
+        gaps = self.gaps(y)
+        for j in others:
+            if (
+                first_zero(
+                    max(float(gaps[j]), 0.0), float(self.N[j] @ tangent), float(self.N[j] @ along)
+                )
+                <= rest
+            ):
+                return None
+        return rest, hops[0], tangent, along
+
+    def _touched(self, y: Array, known: set[int]) -> set[int]:
+        """The planes that a place touches, or is above only by rounding."""
+        rounding = ROUNDING * (np.abs(self.N) @ np.abs(y) + np.abs(self.offsets))
+        return known | set(np.flatnonzero(self.gaps(y) <= rounding).tolist())
+
+    def _onto(self, y: Array, touching: set[int]) -> Array:
+        """The place (k,) put onto planes that it touches but for rounding."""
+        index = sorted(touching)
+        return y - np.linalg.pinv(self.N[index]) @ self.gaps(y)[index] if index else y
+
+
+def first_zero(gap: float, rate: float, acceleration: float) -> float:
+    """The first time at which a gap, not negative now, falls through zero; infinite where it does
+    not.
+
+    A gap of zero that opens counts when it closes again. By the form of the roots that does not
+    cancel.
+    """
+    if gap <= 0.0:
+        if rate > 0.0:
+            return -2.0 * rate / acceleration if acceleration < 0.0 else math.inf
+        return 0.0 if rate < 0.0 or acceleration < 0.0 else math.inf
+    square = rate * rate - 2.0 * acceleration * gap
+    if acceleration == 0.0:
+        return -gap / rate if rate < 0.0 else math.inf
+    if square <= 0.0 or (rate >= 0.0 and acceleration > 0.0):
+        return math.inf
+    root = math.sqrt(square)
+    return 2.0 * gap / (root - rate) if rate < 0.0 else (rate + root) / -acceleration
+
+
+def nearest_in_cone(v: Array, N: Array) -> Array:
+    """The vector nearest to v (k,) of those with N x >= 0, N (m, k)."""
+    found = nearest_inside(v, N, np.zeros(len(N)))
+    return np.zeros(len(v)) if found is None else found
+
+
+def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
+    """The vector nearest to v (k,) of those with N x + w >= 0, N (m, k): by the sets of planes that
+    may hold it back.
+
+    None where there is no such vector.
+    """
+    lengths = np.linalg.norm(N, axis=1)
+    if not (N @ v + w < 0.0).any():
+        return v
+    if not lengths.all():
+        return None
+    unit = N / lengths[:, None]
+    w = w / lengths
+    size = float(np.linalg.norm(v)) + float(np.abs(w).max())
+    for count in range(1, len(v) + 1):
+        for some in itertools.combinations(range(len(N)), count):
+            A: Array = unit[list(some)]
+            if svd(A, compute_uv=False)[-1] < 1e-9:
+                continue
+            push = np.linalg.solve(A @ A.T, -A @ v - w[list(some)])
+            x = v + A.T @ push
+            if (push >= -1e-15 * size).all() and (unit @ x + w >= -1e-13 * size).all():
+                return x
+    return None
+
+
+class Stretch(NamedTuple):
+    """A part of a motion from `time` on: `at` gives places and velocities (n, k) at times (n,);
+    `held` are planes.
+    """
+
+    time: float
+    at: Callable[[Array], tuple[Array, Array]]
+    held: tuple[int, ...]
+
+
+class MovingFlight:
+    """The motion of the centre in coordinates (k,) that have the metric of space, above planes that
+    move.
+
+    Between impacts it is a parabola, along planes that are touched a motion that they push along
+    their normals (integrated). An impact reverses the rate of the gap, times the restitution: v' =
+    -e v + (1 + e) x, with x the velocity nearest to v that closes no touched gap. The times of
+    impacts are zeros of gaps, looked for at `LOOKS` places of `WINDOWS` parts of the duration and
+    between the extremes there: a gap that closes and opens again twice within one such step is not
+    seen.
+    """
+
+    def __init__(self, planes: MovingPlanes, gravity: Array, restitution: float, time: TimeLimit):
+        self.planes = planes
+        self.gravity = gravity
+        self.restitution = restitution
+        self.budget = time
+        self.stretches: list[Stretch] = []
+        self.impacts: list[Impact] = []
+        self.reason = ""
+        self.known = 0.0
+        self._largest = 0.0
+
+    def run(self, y: Array, v: Array, duration: float) -> None:
+        """Compute stretches and impacts from a place and a velocity (k,) on, for a duration [s]."""
+        t = 0.0
+        again = 0
+        leaving = set[int]()
+        touching = set(np.flatnonzero(self._gaps(0.0, y) <= TOUCH).tolist())
+        while t < duration:
+            self.budget.check()
+            self.known = t
+            after = self._impact(t, y, v, touching, again > AGAIN)
+            if after is None or len(self.impacts) >= MOST:
+                closing = " and ".join(repr(self.planes.names[i]) for i in sorted(touching))
+                self.reason = (
+                    f"at {t:.10g} s {closing} leave it no room"
+                    if after is None
+                    else f"broken off after {MOST} events"
+                )
+                return
+            v, held = self._pressed(t, y, after, touching - leaving)
+            rest = self._settling(t, y, v, touching - held - leaving, held)
+            if rest is not None and t + rest[0] < duration:
+                touching = held | {rest[1]}
+                self.stretches.append(
+                    Stretch(t, partial(_parabola, t, y, v, 0.0 * v), tuple(sorted(touching)))
+                )
+                t = t + rest[0]
+                y, v = self._onto(t, y + rest[0] * v, v, touching)
+                self.impacts.append(Impact("settles", t, (rest[1],), 0.0, 0.0, y, v))
+                continue
+            before = t
+            t, y, v, hit, leaving = self._go(t, y, v, touching, held, duration)
+            again = again + 1 if t - before <= SAME_TIME * duration else 0
+            if again > 2 * AGAIN:
+                self.reason = f"from {t:.10g} s on one impact follows the other at once"
+                return
+            y, v = self._onto(t, y, v, hit | held, places_only=True)
+            touching = self._touched(t, y, hit | held)
+        self.known = duration
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Places and velocities (n, k) at times (n,) up to `known`."""
+        starts = np.array([s.time for s in self.stretches])
+        which = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
+        y = np.empty((len(t), len(self.gravity)))
+        v = np.empty((len(t), len(self.gravity)))
+        for k, stretch in enumerate(self.stretches):
+            some = which == k
+            if not some.any():
+                continue
+            y[some], v[some] = stretch.at(t[some])
+            for i in np.flatnonzero(some) if stretch.held else ():
+                y[i], v[i] = self._onto(float(t[i]), y[i], v[i], set(stretch.held))
+        return y, v
+
+    # ---- gaps
+
+    def _gaps(self, t: Array | float, y: Array) -> Array:
+        """Gaps (..., m) at times (...) and places (..., k)."""
+        N, o = self.planes.at(t)
+        return (N @ y[..., None])[..., 0] + o
+
+    def _rates(self, t: Array | float, y: Array, v: Array) -> tuple[Array, Array]:
+        """Normals (..., m, k) and the rates (..., m) of the gaps, at times (...), places and
+        velocities (..., k).
+        """
+        N, _ = self.planes.at(t)
+        turn, shift = self.planes.rates(t)
+        return N, (N @ v[..., None] + turn @ y[..., None])[..., 0] + shift
+
+    def _bending(self, t: float, y: Array, v: Array) -> Array:
+        """Second derivatives (m,) of the gaps where the centre does not accelerate."""
+        turn, _ = self.planes.rates(t)
+        more, shift = self.planes.accelerations(t)
+        return 2.0 * turn @ v + more @ y + shift
+
+    def _onto(
+        self, t: float, y: Array, v: Array, planes: set[int], places_only: bool = False
+    ) -> tuple[Array, Array]:
+        """Place and velocity (k,) put onto planes that are touched, but for rounding."""
+        index = sorted(planes)
+        if not index:
+            return y, v
+        N, o = self.planes.at(t)
+        back = np.linalg.pinv(N[index])
+        y = y - back @ (N[index] @ y + o[index])
+        return y, v if places_only else v - back @ self._rates(t, y, v)[1][index]
+
+    def _touched(self, t: float, y: Array, known: set[int]) -> set[int]:
+        """The planes that a place touches, or is above only by rounding."""
+        N, o = self.planes.at(t)
+        rounding = ROUNDING * (np.abs(N) @ np.abs(y) + np.abs(o))
+        return known | set(np.flatnonzero(N @ y + o <= rounding).tolist())
+
+    # ---- what happens at an instant
+
+    def _impact(self, t: float, y: Array, v: Array, touching: set[int], soft: bool) -> Array | None:
+        """The velocity after what it makes hit, None where no velocity opens all gaps; `soft`:
+        without rebound.
+        """
+        index = sorted(touching)
+        for k in range(AGAIN + 1):
+            N, rates = (x[index] for x in self._rates(t, y, v))
+            self._largest = max(
+                self._largest, float(np.linalg.norm(v)), float(np.abs(rates).max(initial=0.0))
+            )
+            size = GONE * self._largest * np.linalg.norm(N, axis=1)
+            if not (rates < -size).any():
+                return v
+            nearest = nearest_inside(v, N, rates - N @ v)
+            if nearest is None:
+                return None
+            e = 0.0 if soft or k == AGAIN else self.restitution
+            after = -e * v + (1.0 + e) * nearest
+            worst = int(np.argmin(rates))
+            rebound = float((rates + N @ (after - v))[worst])
+            rebound = rebound if rebound > size[worst] else 0.0
+            planes = tuple(index[i] for i in np.flatnonzero(rates < -size))
+            kind = "bounce" if rebound else "lands"
+            self.impacts.append(Impact(kind, t, planes, float(rates[worst]), rebound, y, after))
+            v = after
+        return v
+
+    def _pressed(self, t: float, y: Array, v: Array, touching: set[int]) -> tuple[Array, set[int]]:
+        """The velocity without rounding, and the planes that stay touched."""
+        N, rates = self._rates(t, y, v)
+        lengths = np.linalg.norm(N, axis=1)
+        still = [i for i in sorted(touching) if rates[i] <= 1e2 * GONE * self._largest * lengths[i]]
+        _, held = self._pushed(t, y, v, still)
+        return self._onto(t, y, v, held)[1], held
+
+    def _pushed(self, t: float, y: Array, v: Array, still: list[int]) -> tuple[Array, set[int]]:
+        """The acceleration (k,) with these planes touched at no rate, and those of them that stay
+        touched.
+        """
+        N = self.planes.at(t)[0][still]
+        c = self._bending(t, y, v)[still]
+        a = nearest_inside(self.gravity, N, c)
+        if a is None:
+            a = self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)
+        strength = 1e-9 * (float(np.linalg.norm(self.gravity)) + np.abs(c))
+        return a, {
+            i
+            for i, x in zip(still, N @ a + c - strength * np.linalg.norm(N, axis=1), strict=True)
+            if x <= 0.0
+        }
+
+    def _settling(
+        self, t: float, y: Array, v: Array, leaving: set[int], held: set[int]
+    ) -> tuple[float, int] | None:
+        """Where bounces on one plane get small: the time in which they end, and the plane."""
+        if self.restitution >= 1.0 or not leaving:
+            return None
+        N, rates = self._rates(t, y, v)
+        a = self._pushed(t, y, v, sorted(held))[0]
+        pull = -(N @ a + self._bending(t, y, v))
+        slow = 1e2 * GONE * self._largest * np.linalg.norm(N, axis=1)
+        hops = [i for i in leaving if pull[i] > 0.0 and rates[i] > slow[i]]
+        if len(hops) != 1:
+            return None
+        i = hops[0]
+        n = N[i]
+        small = rates[i] < FADED_MOVING * self._largest * np.linalg.norm(n)
+        if not small or any(
+            abs(N[j] @ n) > 1e-12 * np.linalg.norm(N[j]) * np.linalg.norm(n) for j in held
+        ):
+            return None
+        return 2.0 * float(rates[i]) / (float(pull[i]) * (1.0 - self.restitution)), i
+
+    # ---- what happens in between
+
+    def _go(
+        self, t: float, y: Array, v: Array, touching: set[int], held: set[int], duration: float
+    ) -> tuple[float, Array, Array, set[int], set[int]]:
+        """To the next impact, or to where a held plane is left: time, place, velocity, planes that
+        are hit, or left.
+        """
+        window = duration / WINDOWS
+        fresh = touching - held
+        if fresh:  # low hops: the window fits the first of them
+            N, rates = self._rates(t, y, v)
+            pull = -(N @ self._pushed(t, y, v, sorted(held))[0] + self._bending(t, y, v))
+            hops = [
+                2.0 * float(rates[i] / pull[i]) for i in fresh if pull[i] > 0.0 and rates[i] > 0.0
+            ]
+            window = min([window, *(4.0 * h for h in hops)])
+        begin = t
+        solver: Any = self._solver(t, y, v, held, duration) if held else None
+        while True:
+            self.budget.check()
+            end = min(begin + window, duration)
+            at = self._step(solver, held) if held else partial(_parabola, t, y, v, self.gravity)
+            end = float(solver.t) if held else end
+            hit = self._first(at, begin, end, set(range(len(self.planes.names))) - held, fresh)
+            left = self._left(at, begin, end, sorted(held)) if held else None
+            stop = min(x for x in (hit and hit[0], left and left[0], end) if x is not None)
+            self.stretches.append(Stretch(begin, at, tuple(sorted(held))))
+            z, w = (x[0] for x in at(np.array([stop])))
+            if held:
+                z, w = self._onto(stop, z, w, held)
+            if hit is not None and hit[0] <= stop:
+                return stop, z, w, hit[1], set()
+            if left is not None and left[0] <= stop:
+                self.impacts.append(Impact("leaves", stop, (left[1],), 0.0, 0.0, z, w))
+                return stop, z, w, set(), {left[1]}
+            if stop >= duration:
+                return stop, z, w, set(), set()
+            if held:
+                solver.y, solver.f = (
+                    np.concatenate([z, w]),
+                    solver.fun(stop, np.concatenate([z, w])),
+                )
+            begin = end
+            window = duration / WINDOWS
+            gaps = self._gaps(begin, z)
+            fresh = {i for i in fresh if gaps[i] <= 0.0}
+
+    def _solver(self, t: float, y: Array, v: Array, held: set[int], duration: float) -> Any:
+        from scipy import integrate
+
+        index = sorted(held)
+        k = len(y)
+
+        def slope(s: float, x: Array) -> Array:
+            """Velocity and acceleration, all held planes pushing or pulling."""
+            N = self.planes.at(s)[0][index]
+            c = self._bending(s, x[:k], x[k:])[index]
+            return np.concatenate(
+                [x[k:], self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)]
+            )
+
+        return cast(Any, integrate).DOP853(
+            slope,
+            t,
+            np.concatenate([y, v]),
+            duration,
+            rtol=INTEGRATION,
+            atol=INTEGRATION,
+            max_step=duration / WINDOWS,
+        )
+
+    def _step(self, solver: Any, held: set[int]) -> Callable[[Array], tuple[Array, Array]]:
+        said = solver.step()
+        if solver.status == "failed":
+            raise ArithmeticError(f"at {solver.t:.6g} s the planes move too fast: {said}")
+        dense = solver.dense_output()
+        k = len(self.gravity)
+        return lambda s: (dense(s)[:k].T, dense(s)[k:].T)
+
+    def _first(
+        self,
+        at: Callable[[Array], tuple[Array, Array]],
+        begin: float,
+        end: float,
+        planes: set[int],
+        fresh: set[int],
+    ) -> tuple[float, set[int]] | None:
+        """The first zero of a gap that closes within a step, and its planes; gaps of `fresh` planes
+        open first.
+        """
+        s = np.linspace(begin, end, LOOKS + 1)
+        y, v = at(s)
+        gaps = self._gaps(s, y)
+        rates = self._rates(s, y, v)[1]
+
+        def gap(i: int, x: float) -> float:
+            return float(self._gaps(x, at(np.array([x]))[0][0])[i])
+
+        def rate(i: int, x: float) -> float:
+            p, w = (z[0] for z in at(np.array([x])))
+            return float(self._rates(x, p, w)[1][i])
+
+        found: dict[int, float] = {}
+        for i in sorted(planes):
+            for k in range(LOOKS):
+                a = float(s[k])
+                b = float(s[k + 1])
+                opens = i in fresh and k == 0  # it touches at a, and may close again at once
+                if opens and rates[0, i] > 0.0 and rates[1, i] < 0.0:
+                    a = zero_of(partial(rate, i), a, b)
+                    if gap(i, a) <= 0.0:  # a hop lower than rounding
+                        found[i] = a
+                        break
+                elif (
+                    rates[k, i] < 0.0 < rates[k + 1, i]
+                    and gaps[k + 1, i] > 0.0
+                    and (gaps[k, i] > 0.0 or opens)
+                ):
+                    b = zero_of(partial(rate, i), a, b)
+                if gap(i, b) <= 0.0 and (
+                    gap(i, a) > 0.0 or (not opens and k == 0 and rates[0, i] < 0.0)
+                ):
+                    found[i] = zero_of(partial(gap, i), a, b) if gap(i, a) > 0.0 else a
+                    break
+        if not found:
+            return None
+        first = min(found.values())
+        return first, {i for i, x in found.items() if x <= first + SAME_TIME * (end - begin)}
+
+    def _left(
+        self, at: Callable[[Array], tuple[Array, Array]], begin: float, end: float, held: list[int]
+    ) -> tuple[float, int] | None:
+        """The time within a step from which on a held plane would have to pull, and the plane."""
+
+        def pushes(x: float) -> Array:
+            p, w = (z[0] for z in at(np.array([x])))
+            N = self.planes.at(x)[0][held]
+            c = self._bending(x, p, w)[held]
+            return np.linalg.lstsq(N @ N.T, -(N @ self.gravity + c), rcond=1e-9)[
+                0
+            ] * np.linalg.norm(N, axis=1)
+
+        def least(x: float) -> float:
+            return float(pushes(x).min())
+
+        s = np.linspace(begin, end, LOOKS // 4 + 1).tolist()
+        weak = [
+            k
+            for k in range(len(s) - 1)
+            if least(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))
+        ]
+        if not weak:
+            return None
+        a = s[weak[0]]
+        b = s[weak[0] + 1]
+        return zero_of(least, a, b) if least(a) > 0.0 else a, held[int(np.argmin(pushes(b)))]
+
+
+def _parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, Array]:
+    """Places and velocities (n, k) at times s (n,) of a parabola that begins at t."""
+    u = (s - t)[:, None]
+    return y + u * (v + 0.5 * u * a), v + u * a
+
+
+def zero_of(f: Callable[[float], float], a: float, b: float) -> float:
+    """A zero between a and b, at which the signs of f differ; the end that is a zero."""
+    fa = f(a)
+    fb = f(b)
+    if fa == 0.0 or fb == 0.0 or (fa > 0.0) == (fb > 0.0):
+        return a if fa == 0.0 else b
+    from scipy import optimize
+
+    return float(cast(Any, optimize).brentq(f, a, b, xtol=1e-16, rtol=1e-15))

@@ -1,0 +1,942 @@
+"""Singular points of a curve of configurations: where exactly, and which branches meet there.
+
+At a singular point of the constraints the Jacobian loses rank: there are more null directions than
+the curve has, and as many new combinations of equations that vanish to first order. Their
+second-order forms on the null space tell the directions of the branches: the tangent cone (Müller,
+*J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3). Where the cone is degenerate, at
+cusps and where branches touch, small spheres around the point show the half-branches (Milnor,
+*Singular Points of Complex Hypersurfaces*, 1968, sections 2 and 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from kempe.equations.closure import LEAST, Closure, DrivenClosure
+from kempe.numerics.clock import TimeLimit
+from kempe.numerics.curves import NONE, RANK, Node, correct, node, step
+from kempe.numerics.newton import gauss_newton, gauss_newton_of_many, least_squares
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+DIFFERENCE = 1e-5
+"""Step of the central differences of the Jacobian; error about 1e-10, which only slows Newton's
+method."""
+SINGULAR = 1e-11
+"""Residual below which a point counts as singular: lengths given with eleven digits cross, not
+nearly cross."""
+PROBE = 2e-3
+"""Distance at which a direction is checked to be that of a branch."""
+SAME_LINE = 1e-4
+"""Directions nearer than this are one."""
+NO_FORM = 1e-7
+"""Size of second-order forms up to which they are errors of differences."""
+DOUBLE = 1e-3
+"""Derivative of the second-order forms, relative to their size, below which a direction counts as
+double."""
+AHEAD = 0.8
+"""Cosine between a chord and the direction of a branch at a singular point for them to be the same
+branch."""
+
+REACH = 0.1
+"""Distance from a singular point within which a curve may be hidden by rounding, or steps become
+too short."""
+RADII = (0.02, 0.06, 0.2, 0.4)
+"""Radii of the spheres, in radians and characteristic lengths: branches that touch closely part
+farther out."""
+INWARDS = 0.8 ** np.arange(12)
+LEAST_SAMPLES = 6
+"""Parts of the radius at which a half-branch is sampled, and the least number of samples of one
+that is used."""
+PARTED = 5e-7
+"""Singular value, relative to the largest and to 1, above which a sample is regular: rounding of
+equations moves points of the curve by less than the distance of another branch then."""
+CIRCLE = 128
+CHORDS = 40
+HALVINGS = 24
+"""Directions on a circle in the null space, most steps of a chord iteration, and halvings of an
+interval."""
+STARTS = 32
+MOST_STARTS = 512
+LOOKS = 3
+"""Starts on a sphere in the null space, times 2 to the power of its dimension, most of them, and
+repetitions."""
+VALLEY = 32
+CLUSTER = 0.4
+"""Places along a valley, and the part of its length within which roots belong to the point at its
+center."""
+MOST_NUMBERS = 10**7
+"""Most numbers of the Jacobians of one such batch."""
+DEGREE = 8
+"""Degree of the polynomials that describe both halves of a branch."""
+UNLIKE = 1e-3
+"""Deviation of samples from a polynomial, as a part of the radius, above which two halves are not
+one branch."""
+CLEAR = 5.0
+"""How many times better two halves of a branch must fit than other pairs do."""
+ALONG = 0.5
+"""Cosine between the tangents of two halves that continue each other, or leave side by side."""
+SURE = 0.3
+ALIKE = 0.1
+"""Distance of a point from its half-branch, as parts of that from the next one and of that from the
+center."""
+RESTS = 1e-6
+"""Entries of the tangent of a cusp below this are zero."""
+
+
+def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Array:
+    """Derivatives (n, k, d) of `J.T @ left` (left: (rows, k)) along the columns of `along` (n, d)."""
+    out = np.empty((equations.n, left.shape[1], along.shape[1]))
+    for j in range(along.shape[1]):
+        y = DIFFERENCE * along[:, j]
+        change = equations.matrix(equations.move(x, y)) - equations.matrix(equations.move(x, -y))
+        out[:, :, j] = change.T @ left / (2.0 * DIFFERENCE)
+    return out
+
+
+def locate(
+    equations: Closure, x: Array, nullity: int, reach: float, tries: int = 20
+) -> Array | None:
+    """The point near `x`, at most `reach` away, where the loops are closed and the null space has
+    dimension `nullity`.
+
+    Newton's method on the equations together with ``J.T @ left = 0`` and a normalisation of the
+    left null vectors, which is regular where branches cross transversally (Moore, *Numer. Funct.
+    Anal. Optim.* 1980). None where there is no such point.
+    """
+    n = equations.n
+    left: Array = np.asarray(svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
+    rows, k = left.shape
+    fixed = left
+    start = x
+    nq = len(x)
+
+    def both(z: Array) -> tuple[Array, Array]:
+        F, J = equations.both(z[:nq])
+        near = np.linalg.norm(equations.between(start, z[:nq])) <= reach
+        return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(
+            1, np.inf
+        ), J
+
+    def newton(z: Array, missing: Array, J: Array) -> Array:
+        x = z[:nq]
+        left = z[nq:].reshape(k, rows).T
+        A = np.zeros((rows + n * k + k * k, n + rows * k))
+        A[:rows, :n] = J
+        A[rows : rows + n * k, :n] = (
+            second_order(equations, x, left, np.eye(n)).transpose(1, 0, 2).reshape(n * k, n)
+        )
+        for i in range(k):
+            columns = slice(n + rows * i, n + rows * (i + 1))
+            A[rows + n * i : rows + n * (i + 1), columns] = J.T
+            A[rows + n * k + k * i : rows + n * k + k * (i + 1), columns] = fixed.T
+        return least_squares(A, np.concatenate([-missing, np.zeros(k * k)]))
+
+    found = gauss_newton(
+        both,
+        np.append(x, left.T),
+        tries,
+        step=newton,
+        met=1e-15,
+        move=lambda z, y: np.append(equations.move(z[:nq], y[:n]), z[nq:] + y[n:]),
+    )
+    if not found.size <= SINGULAR:
+        return None
+    x = found.x[:nq]
+    found = _nullity(svd(equations.matrix(x), compute_uv=False))
+    if found <= nullity:
+        return x if found == nullity else None
+    better = locate(
+        equations, x, found, reach, tries
+    )  # more equations, which make it regular again
+    return x if better is None else better
+
+
+def _nullity(values: Array) -> int:
+    """How many singular values (n,) of the derivatives of equations, which are scaled, count as
+    zero.
+    """
+    return int(np.sum(values <= RANK * max(float(values[0]), LEAST)))
+
+
+def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
+    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at
+    `x` move.
+
+    And whether some are double, or second order does not tell any: then they need not be tangents
+    of branches.
+    """
+    U, s, Vt = svd(equations.matrix(x))
+    n = equations.n
+    d = _nullity(s)
+    if d <= 1:
+        return Vt[n - d :], False
+    null_space = Vt[n - d :].T
+    left = U[:, n - d :]
+    forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
+    forms = 0.5 * (forms + forms.transpose(0, 2, 1))
+    size = np.abs(forms).max()
+    if size < NO_FORM:
+        return np.zeros((0, n)), True
+    forms = forms / size
+    found = _two(forms) if d == 2 else _many(forms, equations.budget)
+    least = [
+        svd(forms @ u, compute_uv=False)[d - 2] for u in found
+    ]  # rank d - 1 where a zero is simple
+    return found @ null_space.T, min(least, default=1.0) < DOUBLE
+
+
+def _two(forms: Array) -> Array:
+    """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
+    rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
+    Vt = svd(rows)[2]
+    a, b, c = Vt[0]  # a u^2 + b u v + c v^2, the combination of the forms that is largest
+    root = b * b - 4.0 * a * c
+    if root < -1e-8:
+        return np.zeros((0, 2))
+    w = -0.5 * (b + np.copysign(np.sqrt(max(root, 0.0)), b))
+    found = [np.array(v) / np.hypot(*v) for v in ((w, a), (c, w)) if np.hypot(*v) > 1e-6]
+    lines = np.array(found if root > 1e-8 else found[:1])
+    other = np.einsum("ki,mij,kj->km", lines, forms, lines)
+    return lines[np.abs(other).max(axis=1) < 1e-6]
+
+
+def _many(forms: Array, budget: TimeLimit) -> Array:
+    """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on
+    the sphere.
+    """
+    d: int = forms.shape[1]
+    rng = np.random.default_rng(0)
+    found: list[Array] = []
+
+    def both(u: Array) -> tuple[Array, Array]:
+        return np.append(np.einsum("i,mij,j->m", u, forms, u), 0.0), np.vstack([2.0 * forms @ u, u])
+
+    def onto(u: Array, y: Array) -> Array:
+        return (u + y) / np.linalg.norm(u + y)
+
+    for _ in range(40 * 2**d):
+        budget.check()
+        u = rng.normal(size=d)
+        u = u / np.linalg.norm(u)
+        u, left, _ = gauss_newton(both, u, 40, cut=1e-12, last=1e-15, move=onto)
+        if np.abs(left).max() < 1e-9 and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
+            found.append(u)
+    return np.array(found).reshape(-1, d)
+
+
+def branch_lines(equations: Closure, x: Array) -> Array:
+    """Directions (k, n) of the curves through a singular point: those of the tangent cone along
+    which one can walk.
+    """
+    return _walkable(equations, x, cone(equations, x)[0])
+
+
+def branches_at(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
+    """Directions (k, n) of the curves through a singular point, and their germ where second order
+    does not tell.
+    """
+    directions, degenerate = cone(equations, x)
+    germ = germ_at(equations, x) if degenerate else None
+    return (_walkable(equations, x, directions), None) if germ is None else (germ.lines, germ)
+
+
+def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
+    """Those of the directions (k, n) of the tangent cone along which one can walk."""
+    lines: list[Array] = []
+    for t in directions:
+        for sign in (1.0, -1.0):
+            other = correct(equations, equations.move(x, sign * PROBE * t), t)
+            if other is None:
+                continue
+            y = equations.between(x, other.x) * sign
+            if (
+                y @ t < 0.9 * np.linalg.norm(y)
+                or node(equations, other.x, None, other.J).nullity > 1
+            ):
+                continue
+            if all(abs(t @ v) < 1.0 - SAME_LINE for v in lines):
+                lines.append(t)
+            break
+    return np.array(lines).reshape(-1, equations.n)
+
+
+def singular_node(
+    equations: Closure, x: Array, toward: Array, came: Array | None = None
+) -> Node | None:
+    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not
+    at a cusp.
+
+    Where several branches have that direction it is the one of the point `came` (nq,), which is
+    before the other.
+    """
+    lines, germ = branches_at(equations, x)
+    if germ is not None:
+        before = None if came is None else germ.half_of(equations, [came])
+        half = int(np.argmax(germ.tangents @ toward)) if before is None else germ.partner[before]
+        cosines = germ.tangents @ toward / max(float(np.linalg.norm(toward)), 1e-300)
+        alike = before is None and int(np.sum(cosines > cosines[half] - SAME_LINE)) > 1
+        return None if cosines[half] < AHEAD or alike or germ.cusp(half) else germ.node(half)
+    if not len(lines):
+        return None
+    cosines = lines @ toward / max(float(np.linalg.norm(toward)), 1e-300)
+    best = int(np.argmax(np.abs(cosines)))
+    if abs(cosines[best]) < AHEAD:
+        return None
+    at = node(equations, x)
+    t = lines[best] * np.sign(cosines[best])
+    return Node(x, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
+
+
+def passage(
+    equations: Closure, points: Sequence[Array], known: Sequence[Germ], period: Array
+) -> SingularNode | None:
+    """Where a curve goes on that comes to rest at a singular point: the node there, from which it
+    leaves.
+
+    `points` (nq,) are the last ones of the curve. Germs that are `known` come first, whole periods
+    (nv,) away: where branches touch closely, rounding leaves open where exactly.
+    """
+    for germ in known:
+        moved = germ.moved(equations, points[-1], period)
+        if (
+            np.linalg.norm(equations.between(moved.x, points[-1]))
+            < np.linalg.norm(germ.samples[:, -1], axis=1).max()
+        ):
+            if (found := _going_on(equations, moved, points)) is not None:
+                return found
+    here = points[-1]
+    along = equations.between(points[-2], points[-1])
+    for nullity in (2, 3, 4):
+        x = locate(equations, here, nullity, REACH) if nullity <= equations.n else None
+        germ = None if x is None else germ_at(equations, x, nullity)
+        if germ is not None and nullity == 2:
+            x = center(
+                equations, germ.x, germ.tangents[0], float(np.linalg.norm(germ.samples[0, 0]))
+            )
+            germ = None if x is None else germ_at(equations, x, nullity)
+        if (found := _going_on(equations, germ, points)) is not None:
+            return found
+    for reach in RADII[1:]:
+        x = center(equations, here, along, reach)
+        germ = None if x is None else germ_at(equations, x, 2)
+        if (found := _going_on(equations, germ, points)) is not None:
+            return found
+    return None
+
+
+def _going_on(
+    equations: Closure, germ: Germ | None, points: Sequence[Array]
+) -> SingularNode | None:
+    """The node from which a curve goes on that came to a singular point by some points (nq,); None
+    where it did not.
+    """
+    half = None if germ is None else germ.half_of(equations, points)
+    return None if germ is None or half is None else germ.node(germ.partner[half])
+
+
+def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | None:
+    """The singular point (nq,) near x (nq,) along a tangent (n,) of the curve, where Newton's
+    method stops early.
+
+    Over the tangent the reduced equation has a valley, whose depth is a power of the distance from
+    the point. The mean of the roots of its polynomial near by is known far better than each (Zeng,
+    *Math. Comp.* 74, 2005). None where there are no roots, or the loops are not closed there.
+    """
+    for _ in range(3):
+        z = _Sphere.at(equations, x, 2).valley(along, reach)
+        if z is None:
+            return None
+        x = equations.move(x, z)
+    return x if np.abs(equations.values(x)).max(initial=0.0) < equations.tolerance(x) else None
+
+
+def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
+    """The singular point between two neighbours of one branch, or None."""
+    y = equations.between(a.x, b.x)
+    h = float(np.linalg.norm(y))
+    f = a.sigma / max(a.sigma + b.sigma, 1e-300)
+    guess = equations.move(a.x, f * y)
+    for nullity in (2, 3, 4):
+        if nullity > equations.n:
+            break
+        x = locate(equations, guess, nullity, 2.0 * h)
+        if x is None:
+            continue
+        z = equations.between(a.x, x)
+        along = float(z @ y) / h
+        if -1e-9 <= along <= h + 1e-9 and np.linalg.norm(z - along * y / h) <= 0.25 * h:
+            return singular_node(equations, x, y, a.x)
+    return None
+
+
+# ---- half-branches
+
+
+@dataclass(frozen=True, eq=False)
+class Germ:
+    """The half-branches of a curve at a singular point `x` (nq,), and which two of them are one
+    branch.
+
+    `samples` (k, m, n) are tangent vectors from `x` to m points on each of k half-branches, the
+    farthest first, `tangents` (k, n) unit vectors along which they leave `x`, `partner` (k,) the
+    index of the other half. `curves` (k, DEGREE, n) are the coefficients of polynomials without
+    constant term that describe the half-branches, in the distance from `x` or its square root (at a
+    cusp) or cube root, as `roots` (k,) say.
+    """
+
+    x: Array
+    nullity: int
+    samples: Array
+    tangents: Array
+    partner: tuple[int, ...]
+    roots: tuple[int, ...]
+    curves: Array
+
+    @property
+    def lines(self) -> Array:
+        """Directions (., n) of the branches."""
+        return self.tangents[[i for i, j in enumerate(self.partner) if i < j]]
+
+    def cusp(self, half: int) -> bool:
+        """Whether a half-branch and its partner leave side by side."""
+        return float(self.tangents[half] @ self.tangents[self.partner[half]]) > 0.0
+
+    def node(self, half: int) -> SingularNode:
+        """The node at `x` from which a half-branch leaves."""
+        others = [i for i, j in enumerate(self.partner) if i < j and half not in (i, j)]
+        lines = self.tangents[[half, *others]]
+        return SingularNode(
+            self.x, self.tangents[half], 0.0, self.nullity, NONE, NONE, lines, germ=self, half=half
+        )
+
+    def first(self, equations: Closure, half: int) -> Node:
+        """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
+        z = self.samples[half, -1]
+        return node(equations, equations.move(self.x, z), z)
+
+    def moved(self, equations: Closure, x: Array, period: Array) -> Germ:
+        """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
+        y = equations.between(self.x, x) * equations.unit
+        turns = np.round(np.divide(y, period, out=np.zeros_like(y), where=period > 0.0))
+        return replace(self, x=equations.system.structure.layout.integrate(self.x, turns * period))
+
+    def half_of(self, equations: Closure, points: Sequence[Array]) -> int | None:
+        """The half-branch on which points (nq,) at different distances from `x` lie; None where
+        they do not tell.
+        """
+        for x in points:
+            z = equations.between(self.x, x)
+            size = float(np.linalg.norm(z))
+            if size > np.linalg.norm(self.samples[:, 0], axis=1).min():
+                continue
+            gaps = np.array(
+                [
+                    np.linalg.norm(_powers(np.array([size]), self.roots[i]) @ c - z)
+                    for i, c in enumerate(self.curves)
+                ]
+            )
+            first, second = np.argsort(gaps)[:2]
+            if gaps[first] < min(SURE * gaps[second], ALIKE * size):
+                return int(first)
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class SingularNode(Node):
+    """A node at the singular point of a germ, on one of its half-branches."""
+
+    germ: Germ = field(kw_only=True, repr=False)
+    half: int = field(kw_only=True)
+
+    def reversed(self) -> SingularNode:
+        """The same point, walked the other way."""
+        return replace(self, t=-self.t, half=self.germ.partner[self.half])
+
+    def back(self) -> SingularNode:
+        """The node from which the other half of the branch leaves."""
+        return self.germ.node(self.germ.partner[self.half])
+
+    def arrival(self) -> list[Node]:
+        """The node at which the other half of the branch arrives, where that is not this node, too:
+        at a cusp.
+        """
+        t = -self.germ.tangents[self.germ.partner[self.half]]
+        return (
+            [Node(self.x, t, self.sigma, self.nullity, NONE, NONE)]
+            if self.germ.cusp(self.half)
+            else []
+        )
+
+    def may_be(self, equations: Closure, points: Sequence[Array]) -> bool:
+        """Whether points (nq,) near by may lie on the branch of this node: they do not lie on
+        another one.
+        """
+        half = self.germ.half_of(equations, points)
+        return half is None or half in (self.half, self.germ.partner[self.half])
+
+
+def germ_at(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
+    """The germ of the curve at a singular point, None where there is none, or one that small
+    spheres do not tell.
+
+    The null space there has the dimension `nullity`, where that is given, up to what the digits of
+    `x` leave.
+    """
+    nullity = nullity or _nullity(svd(equations.matrix(x), compute_uv=False))
+    if isinstance(equations, DrivenClosure) or nullity < 2:
+        return None
+    sphere = _Sphere.at(equations, x, nullity)
+    for radius in RADII:
+        points = sphere.circle(radius) if nullity == 2 else sphere.search(radius)
+        if points is None:
+            return None  # more than a curve
+        halves = [sphere.inwards(z) for z in points]
+        count = min((len(h) for h in halves), default=0)
+        if count < LEAST_SAMPLES or len(halves) % 2:
+            continue
+        germ = _paired(x, np.array([h[:count] for h in halves]), sphere.null_space)
+        if germ is not None:
+            return germ
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Sphere:
+    """Where small spheres around a singular point meet the curve.
+
+    The curve lies over the null space (n, d): what is across it follows from the equations whose
+    derivatives there do not vanish, with the pseudo-inverse `inverse` (n, rows); the others, those
+    of `left` (rows, k), are then equations in the null space (Lyapunov, Schmidt; Golubitsky,
+    Schaeffer, 1985, chapter VII).
+    """
+
+    equations: Closure
+    x: Array
+    null_space: Array
+    inverse: Array
+    left: Array
+
+    @staticmethod
+    def at(equations: Closure, x: Array, nullity: int) -> _Sphere:
+        """The spheres around a point (nq,) at which the null space has so many dimensions, or
+        nearly has.
+        """
+        U, s, Vt = svd(equations.matrix(x))
+        rank = equations.n - nullity
+        return _Sphere(
+            equations, x, Vt[rank:].T, (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, U[:, rank:]
+        )
+
+    def valley(self, tangent: Array, reach: float) -> Array | None:
+        """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of
+        the curve there.
+
+        The null space has two dimensions. None where the valley has no roots near by.
+        """
+        t = self.null_space.T @ tangent
+        t /= np.linalg.norm(t)
+        a = reach * np.cos(np.pi * (np.arange(VALLEY) + 0.5) / VALLEY)
+        b = np.zeros(VALLEY)
+        h = 1e-3 * reach
+        axes = np.stack([t, [-t[1], t[0]]])
+
+        def values(a: Array, b: Array) -> Array:
+            return self.reduced(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
+
+        own = svd(values(np.append(a, a), np.repeat([h, -h], VALLEY)), full_matrices=False)[2][0]
+        for _ in range(4):
+            low, at, high = (values(a, b + k * h) @ own for k in (-1, 0, 1))
+            bent = high - 2.0 * at + low
+            b = b - np.clip(
+                np.where(
+                    bent != 0.0, 0.5 * h * (high - low) / np.where(bent != 0.0, bent, 1.0), 0.0
+                ),
+                -0.1 * reach,
+                0.1 * reach,
+            )
+        chebyshev: Any = np.polynomial.chebyshev  # its types are not known
+        depth = chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
+        roots: np.ndarray = np.asarray(chebyshev.chebroots(depth))
+        near = roots[np.abs(roots) < CLUSTER]
+        if not len(near):
+            return None
+        at = reach * float(np.real(near).mean())
+        aside = chebyshev.chebval(at / reach, chebyshev.chebfit(a / reach, b, VALLEY // 2))
+        return self.reduced((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
+
+    def reduced(self, z: Array) -> tuple[Array, Array]:
+        """Tangent vectors (m, n) with the components of z (m, n) in the null space, and the values
+        (m, k) there.
+        """
+        z, F = np.array(z), np.zeros((len(z), self.left.shape[0]))
+        for _ in range(CHORDS):
+            F = self.equations.many(self.equations.move(self.x, z), False)[0]
+            y = F @ self.inverse.T
+            z -= y
+            if np.abs(y).max(initial=0.0) < 1e-15:
+                break
+        return z, F @ self.left
+
+    def circle(self, radius: float) -> list[Array]:
+        """Tangent vectors to the points of the curve over a circle in a null space of two
+        dimensions.
+        """
+        angles = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE + 0.1
+
+        def at(angles: Array) -> tuple[Array, Array]:
+            return self.reduced(
+                radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self.null_space.T
+            )
+
+        values = at(angles)[1]
+        if not np.isfinite(values).all():
+            return []
+        _, size, Vt = svd(values, full_matrices=False)
+        out: list[Array] = []
+        for own in Vt[size > max(1e-6 * size[0], 1e-14)]:
+            a, b = self._brackets(angles, values @ own, lambda angles, own=own: at(angles)[1] @ own)
+            for _ in range(HALVINGS if len(a[0]) else 0):
+                middle = 0.5 * (a[0] + b[0])
+                value = at(middle)[1] @ own
+                left = (value > 0.0) == (a[1] > 0.0)
+                a = np.where(left, middle, a[0]), np.where(left, value, a[1])
+                b = np.where(left, b[0], middle), np.where(left, b[1], value)
+            out += [] if not len(a[0]) else list(at(0.5 * (a[0] + b[0]))[0])
+        return self._points(out)
+
+    @staticmethod
+    def _brackets(
+        angles: Array, values: Array, function: Callable[[Array], Array]
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Ends, with the values there, of intervals of a circle at whose ends a function has
+        different signs.
+
+        Between samples of one sign the least one may be beside two zeros: it is followed to where
+        the sign changes.
+        """
+        step = float(angles[1] - angles[0])
+        ahead = np.roll(values, -1)
+        change = np.flatnonzero((values > 0.0) != (ahead > 0.0))
+        starts = [angles[change]]
+        first = [values[change]]
+        ends = [angles[change] + step]
+        last = [ahead[change]]
+        size = np.abs(values)
+        behind = np.roll(values, 1)
+        same = ((values > 0.0) == (ahead > 0.0)) & ((values > 0.0) == (behind > 0.0))
+        dip = np.flatnonzero(same & (size <= np.abs(ahead)) & (size <= np.abs(behind)))
+        center = angles[dip]
+        sign = np.sign(values[dip])
+        low = center - step
+        high = center + step
+        for _ in range(HALVINGS):
+            if not len(center):
+                break
+            third = (high - low) / 3.0
+            a = low + third
+            b = high - third
+            fa = sign * function(a)
+            fb = sign * function(b)
+            k = np.minimum(fa, fb) < 0.0
+            for side in (-step, step):
+                starts.append(center[k] + side)
+                first.append(sign[k])
+                ends.append(np.where(fa < fb, a, b)[k])
+                last.append(-sign[k])
+            low = np.where(fa > fb, a, low)[~k]
+            high = np.where(fa > fb, high, b)[~k]
+            center = center[~k]
+            sign = sign[~k]
+        return (np.concatenate(starts), np.concatenate(first)), (
+            np.concatenate(ends),
+            np.concatenate(last),
+        )
+
+    def search(self, radius: float) -> list[Array] | None:
+        """Tangent vectors to the points of the curve on a sphere over the null space, from many
+        starts.
+
+        None where the points are not isolated: more than a curve leads there.
+        """
+        e = self.equations
+        (n, d) = self.null_space.shape
+        rng = np.random.default_rng(0)
+        out = list[Array]()
+
+        def both(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+            return e.many(x)
+
+        def on_sphere(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+            F, J = e.many(x)
+            z = e.between(self.x, x)
+            over = 0.5 * (np.sum(z * z, axis=1) - radius * radius) / radius
+            return np.append(F, over[:, None], axis=1), np.append(J, z[:, None] / radius, axis=1)
+
+        for _ in range(LOOKS):
+            e.budget.check()
+            count = max(8, min(STARTS * 2**d, MOST_STARTS, MOST_NUMBERS // (e.rows * n)))
+            z = rng.normal(size=(count, d)) @ self.null_space.T
+            z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
+            x = gauss_newton_of_many(
+                both, e.move(self.x, z), 6, cut=1e-4, longest=radius, move=e.move
+            )
+            z = e.between(self.x, x)
+            size = np.linalg.norm(z, axis=1, keepdims=True)
+            z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
+            x = gauss_newton_of_many(
+                on_sphere, e.move(self.x, z), 30, cut=1e-6, longest=radius, move=e.move
+            )
+            left, J = on_sphere(x, np.arange(len(x)))
+            good = np.abs(left).max(axis=1, initial=0.0) < 1e-9
+            few = J[good][:8, :-1]
+            if (
+                len(few)
+                and np.median(np.sum(svd(few, compute_uv=False)[:, : n - 1] < PARTED, axis=1)) > 0
+            ):
+                return None
+            known = len(out)
+            out = self._points([*out, *e.between(self.x, x[good])])
+            if len(out) == known:
+                break
+        return out
+
+    def _points(self, vectors: Sequence[Array]) -> list[Array]:
+        """Tangent vectors to the points of the curve near those to which vectors lead, each once."""
+        out: list[Array] = []
+        for z in vectors:
+            found = self._corrected(z)
+            if found is not None and all(
+                np.linalg.norm(found[0] - o) > 1e-4 * np.linalg.norm(o) for o in out
+            ):
+                out.append(found[0])
+        return out
+
+    def _corrected(self, z: Array) -> tuple[Array, Array] | None:
+        """The tangent vector to the regular point of the curve in the plane across z (n,), and the
+        curve's direction there; or None.
+        """
+        e = self.equations
+        size = float(np.linalg.norm(z))
+        there = correct(e, e.move(self.x, z), z / size)
+        if there is None:
+            return None
+        found = e.between(self.x, there.x)
+        (_, s, Vt) = svd(there.J)
+        near = np.linalg.norm(found - z) < 0.5 * size
+        return (found, Vt[-1]) if near and s[e.n - 2] > PARTED * max(float(s[0]), 1.0) else None
+
+    def inwards(self, z: Array) -> Array:
+        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the
+        center.
+
+        The next one is looked for on the parabola through the center and the last one, with the
+        direction there.
+        """
+        out = list[Array]()
+        radius = float(np.linalg.norm(z))
+        there = self._corrected(z)
+        while there is not None:
+            z, t = there
+            out.append(z)
+            if len(out) == len(INWARDS):
+                break
+            size = float(np.linalg.norm(z))
+            along = float(t @ z) / size
+            rate = z / size
+            rate = t / along if abs(along) > 0.1 else rate
+            part = INWARDS[len(out)] * radius / size
+            there = self._corrected(
+                (2.0 * part - part * part) * z - (part - part * part) * size * rate
+            )
+        return np.array(out)
+
+
+def _powers(distance: Array, root: int) -> Array:
+    """Powers (m, DEGREE) of a root of distances (m,), the parameter of a half-branch."""
+    return (distance ** (1.0 / root))[:, None] ** np.arange(1.0, DEGREE + 1.0)
+
+
+def _fit(A: Array, B: Array) -> Array:
+    """The X (n, k) that makes |A X - B| least."""
+    return np.asarray(np.linalg.lstsq(A, B, rcond=1e-12)[0], dtype=float)
+
+
+def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
+    """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes,
+    or None.
+    """
+    size = np.linalg.norm(samples, axis=2)
+    turned = (-1.0) ** np.arange(1, DEGREE + 1)
+    k = len(samples)
+    radius = float(size.max())
+    rates = samples[:, -1] / size[:, -1, None]
+    fits: list[tuple[float, int, int, int, Array]] = []
+    for i in range(k):
+        for j in range(i):
+            cosine = float(rates[i] @ rates[j])
+            for root in () if abs(cosine) < ALONG else (2,) if cosine > 0.0 else (1, 3):
+                there = np.vstack([_powers(size[i], root), _powers(size[j], root) * turned])
+                scale = np.abs(there).max(axis=0)
+                both = np.vstack([samples[i], samples[j]])
+                c = np.zeros((DEGREE, samples.shape[2]))
+                fitted = _fit((there / scale)[:, root - 1 :], both)
+                c[root - 1 :] = fitted / scale[root - 1 :, None]
+                fits.append((float(np.abs(there @ c - both).max()) / radius, i, j, root, c))
+    partner = [-1] * k
+    roots = [1] * k
+    left = set(range(k))
+    curves = np.zeros((k, DEGREE, samples.shape[2]))
+    tangents = np.array(rates)
+    for off, i, j, root, c in sorted(fits, key=lambda fit: fit[0]):
+        if i not in left or j not in left or off > UNLIKE:
+            continue
+        others = [o for o, a, b, *_ in fits if len({a, b} & {i, j}) == 1 and {a, b} <= left]
+        if off * CLEAR > min(others, default=np.inf):
+            return None  # too near to tell: farther out branches have parted
+        left -= {i, j}
+        partner[i] = j
+        partner[j] = i
+        roots[i] = root
+        roots[j] = root
+        curves[i], curves[j] = c, c * turned[:, None]
+        t = null_space @ (null_space.T @ c[root - 1])
+        t /= np.linalg.norm(t)
+        if root == 2:
+            t[np.abs(t) < RESTS] = 0.0
+        tangents[i], tangents[j] = t, t if root == 2 else -t
+    return (
+        None
+        if left
+        else Germ(x, null_space.shape[1], samples, tangents, tuple(partner), tuple(roots), curves)
+    )
+
+
+# ---- deflation
+
+# Curves along which the equations touch: the Jacobian has a larger null space all along than the
+# curve has tangents.
+#
+# There the curve is where the equations hold and the small singular values of the Jacobian vanish,
+# too. These equations together are regular if the null space is cut down to a tangent to second order
+# (deflation: Leykin, Verschelde, Zhao, *Theor. Comput. Sci.* 359, 2006).
+
+
+ALIGNED = 0.7
+"""Least singular value of the product of two bases from which one need not follow the other."""
+
+
+class RankEquations:
+    """Equations that hold the rank of those before at what it is at a point:
+    ``left.T @ J @ null_space = 0``.
+
+    The bases of the two null spaces are those of the point itself, as near as may be to the last
+    ones used, so that the equations change continuously.
+    """
+
+    def __init__(self, equations: Closure, x: Array):
+        J = equations.matrix(x)[: equations.real]
+        U, s, Vt = svd(J)
+        self.nullity = J.shape[1] - int(np.sum(s > RANK * s.max(initial=1e-300)))
+        rank = J.shape[1] - self.nullity
+        self._left = U[:, rank:]
+        self._null_space = Vt[rank:].T
+        self._before = len(equations.more)
+
+    @property
+    def count(self) -> int:
+        """How many equations there are."""
+        return self._left.shape[1] * self.nullity
+
+    def write(
+        self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
+    ) -> None:
+        """Write the residuals of these equations and their derivatives into F and J (., n) from row
+        `at` on.
+        """
+        own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
+        U, _, Vt = svd(own)
+        rank = own.shape[1] - self.nullity
+        here = slice(at, at + self.count)
+        left = self._near(U[:, rank:], self._left)
+        null_space = self._near(Vt[rank:].T, self._null_space)
+        if min(_least(left.T @ self._left), _least(null_space.T @ self._null_space)) < ALIGNED:
+            self._left = left
+            self._null_space = null_space
+        F[here] = (left.T @ own @ null_space).ravel()
+        if with_matrix:
+            padded = np.zeros((equations.rows, left.shape[1]))
+            padded[:at] = left
+            before = _Before(equations, self._before)
+            J[here] = (
+                second_order(before, x, padded, null_space)
+                .transpose(1, 2, 0)
+                .reshape(self.count, -1)
+            )
+
+    @staticmethod
+    def _near(basis: Array, to: Array) -> Array:
+        """The basis of the same space that is nearest to another (Procrustes)."""
+        U, _, Vt = svd(basis.T @ to)
+        return basis @ (U @ Vt)
+
+
+class _Before(Closure):
+    """Equations without the further ones from a number on."""
+
+    def __init__(self, equations: Closure, further: int):
+        vars(self).update(vars(equations))
+        self._equations = equations
+        self._further_ones = further
+
+    def matrix(self, x: Array) -> Array:
+        """Derivative (rows, n) of these equations at `x`."""
+        return self._equations.both(x, True, self._further_ones)[1]
+
+
+def hold_rank(
+    equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]], length: float = PROBE
+) -> bool:
+    """Hold the rank at a point (nq,) from here on, if the equations then leave a curve through it;
+    True if they do.
+
+    `curve` gives the equations of the curve, these or equations made of them, and its node at the
+    point. The curve must have this `length` on both sides: branches that touch closely look like
+    one of low rank near by.
+    """
+    low = RankEquations(equations, x)
+    if not low.count or rank_held(equations):
+        return False
+    equations.add(low)
+    along, here = curve()
+    if here.nullity == 1 and all(_goes_on(along, n, length) for n in (here, here.reversed())):
+        return True
+    equations.leave_out(low)
+    return False
+
+
+def _goes_on(curve: Closure, a: Node, length: float) -> bool:
+    """Whether the curve can be followed from a node over a length, by steps that double."""
+    h = PROBE
+    gone = 0.0
+    here = a
+    while gone < length:
+        there = step(curve, here, h)
+        if there is None:
+            return False
+        h, gone, here = 2.0 * h, gone + h, there
+    return True
+
+
+def rank_held(equations: Closure) -> bool:
+    """Whether the equations hold the rank."""
+    return any(isinstance(m, RankEquations) for m in equations.more)
+
+
+def _least(A: Array) -> float:
+    """The least singular value."""
+    return float(svd(A, compute_uv=False).min(initial=1.0))

@@ -1,0 +1,1055 @@
+"""Inputs that follow given time courses: the mechanism moves along, never jumping to another
+branch.
+
+Between two samples the inputs move on a straight line, and the configuration is continued along it
+as a curve in configurations and length of that line. So a change point is passed straight on at any
+number of samples, and where the inputs ask for more than the mechanism can do the curve turns back:
+a toggle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.answers.tables import write_table
+from kempe.arguments import explained, explained_methods, flag, interruptible, until_interrupt
+from kempe.arrays import is_mapping, reals, within_range
+from kempe.assemble.dyads import held_at
+from kempe.assemble.nearest_exact import tolerant
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.constraints.tape import TIME
+from kempe.equations.closure import Closure, DrivenClosure, close
+from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.slip import rolls, slip_of
+from kempe.equations.velocity import rates
+from kempe.errors import InputError, UnsupportedError
+from kempe.model.configurations import as_q, home_of, refuse_wound_angle
+from kempe.model.time_coordinate import clocked, timed
+from kempe.motion.crossings import branch_lines, hold_rank, locate, singular_node
+from kempe.motion.events import AWKWARD, OneSidedEnds, checked, root
+from kempe.motion.held_spins import hold_spins, spins_held
+from kempe.motion.path import Event, Motion
+from kempe.motion.start import (
+    angle_or_slide,
+    begin,
+    longest_step,
+    periods,
+    start_of,
+    too_free,
+    why_open,
+    wish_of,
+)
+from kempe.motion.trace import Progress
+from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, time_limited, time_of
+from kempe.numerics.curves import (
+    ACROSS,
+    BEND,
+    LEAST_STEP,
+    RANK,
+    Node,
+    bend,
+    correct,
+    next_step,
+    node,
+    step,
+)
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- input segments
+
+# One straight segment of the inputs after the other, and the configuration continued along it.
+#
+# The curve lives in configurations and the length gone on the segment. Where it turns back in that
+# length the inputs cannot go on (a toggle); where two of its branches cross is a change point.
+
+
+SAME_INPUT = 1e-9
+"""How far a toggle may be from the inputs requested and still be what was requested."""
+NO_CHANGE = 1e-13
+"""Changes of the inputs, in radians and characteristic lengths, below which they rest."""
+FORWARD = 1e-6
+"""Least share of a direction that the inputs must have for it to lead on."""
+STEEP = 0.02
+"""Share of the inputs below which their values do not fix a point well: near a toggle it is found
+otherwise."""
+REGULAR = 0.1
+"""Share of the inputs in the direction above which a point is far enough from a toggle to return
+to."""
+AT_ONCE = 1e-6
+"""Distance from a change point within which the branch is taken for straight."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where the motion is: configuration, values of the inputs; velocity and direction of the
+    inputs on arrival.
+    """
+
+    q: Array
+    u: Array
+    velocity: Array | None = None
+    direction: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stuck:
+    """The pose where the inputs cannot go on, their values there, why; `reached` if more was not
+    requested.
+    """
+
+    q: Array
+    u: Array
+    reason: str
+    reached: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentContext:
+    """What does not change from one segment to the next; `singular` collects the change points
+    passed.
+
+    `index` are the velocity indices of the inputs, `wish` (nv,) a direction that chooses among
+    branches at the start.
+    """
+
+    closure: Closure
+    index: list[int]
+    longest: float
+    limits: OneSidedEnds
+    wish: Array
+    singular: list[Event] = field(default_factory=list[Event])
+
+    @property
+    def unit(self) -> Array:
+        """Radians or metres in one unit of each input."""
+        return self.closure.unit[self.index]
+
+    def follow(
+        self, state: State, stuck: Stuck | None, last: Array, u: Array, k: int
+    ) -> tuple[State, Stuck | None, float]:
+        """The state after the inputs moved from `last` to `u` in sample k, what holds it, and the
+        size of a jump.
+
+        While held, it waits at the last regular state until the inputs can be reached from there on
+        a straight way.
+        """
+        before = len(self.singular)
+        if stuck is not None and len(u) == 1 and (u - stuck.u) @ (stuck.u - state.u) > 0.0:
+            return state, replace(stuck, reached=False), 0.0  # further beyond
+        there, stop = self.go(state, u, k)
+        if stuck is None:
+            return there, stop, 0.0
+        if stop is not None:
+            del self.singular[before:]
+            same = stop.reached and not stuck.reached
+            return state, stop if same else replace(stuck, reached=stop.reached), 0.0
+        passed = len(self.singular)
+        back, entry = self.go(
+            there, last, k
+        )  # on the way that the inputs came: where did they come in again?
+        del self.singular[passed:]
+        q = back.q if entry is None else entry.q
+        return there, None, float(np.linalg.norm(self.closure.between(stuck.q, q)))
+
+    def go(self, state: State, u: Array, k: int) -> tuple[State, Stuck | None]:
+        """The state with the inputs moved straight to `u`; or the last regular one, and where it is
+        stuck.
+        """
+        change = (u - state.u) / self.unit
+        length = float(np.linalg.norm(change))
+        if length < NO_CHANGE:
+            return state, None
+        way, a = self._begin(state, change / length)
+        if a.t[-1] < FORWARD:  # it begins at a toggle
+            ways = [
+                n
+                for n in (a, a.reversed())
+                if (b := step(way, n, self.longest)) is not None and b.x[-1] > 0.0
+            ]
+            if not ways:
+                return state, self._stuck(way, a, "no configuration with these inputs", length)
+            a = max(ways, key=lambda n: float(n.t[:-1] @ self.wish))
+        regular = a
+        was = a
+        h = 0.25 * self.longest
+        while True:
+            left = length - float(a.x[-1])
+            landing = a.t[-1] > STEEP and h * a.t[-1] >= left
+            if a.t[-1] > STEEP and not landing and h * a.t[-1] > 0.5 * left:
+                h = 0.5 * left / float(a.t[-1])  # leave more than rounding for the landing
+            b = land(way, a, length) if landing else step(way, a, h)
+            found = checked(way, a, b)
+            if found is None:
+                h = 0.5 * (left / float(a.t[-1]) if landing else h)
+                if h < LEAST_STEP:
+                    return self._state(way, regular), self._stuck(
+                        way, a, "the motion is not smooth here", length
+                    )
+                continue
+            for n in found:
+                stop, end = self._ends(way, a, n, length)
+                if stop is not None:
+                    return self._state(way, regular), stop
+                if end is not None:
+                    return replace(self._state(way, end), u=u), None
+                self._passed(n, k)
+                regular = n if n.t[-1] > REGULAR and n.lines is None else regular
+                a, was = n, a
+            if landing:
+                return replace(self._state(way, a), u=u), None
+            h = next_step(h, self.longest, was, a)
+
+    def _state(self, way: DrivenClosure, a: Node) -> State:
+        return State(a.x[:-1], way.at(float(a.x[-1])), a.t[:-1], way.direction)
+
+    def _stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
+        return Stuck(
+            a.x[:-1], way.at(float(a.x[-1])), reason, abs(float(a.x[-1]) - length) < SAME_INPUT
+        )
+
+    def _passed(self, n: Node, k: int) -> None:
+        if n.lines is not None:
+            kind = "bifurcation" if len(n.lines) > 1 else "singular"
+            lines = n.lines[:, :-1] * self.closure.unit
+            self.singular.append(
+                Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines)
+            )
+
+    def _ends(
+        self, way: DrivenClosure, a: Node, b: Node, length: float
+    ) -> tuple[Stuck | None, Node | None]:
+        """What ends the segment between two nodes: a limit, or that the curve turns back; or the
+        node at its end.
+        """
+        turn = None
+        if b.t[-1] <= 0.0:
+            turn = root(way, a, b, lambda n: float(n.t[-1])) or a
+        far = b if turn is None else turn
+        hit = self.limits.hit(way, a, b)
+        if hit is not None and float(hit[0].x[-1]) < min(float(far.x[-1]), length) + NO_CHANGE:
+            return self._stuck(way, hit[0], f"beyond {hit[1]}", length), None
+        if turn is not None and float(turn.x[-1]) < length + SAME_INPUT:
+            return self._stuck(way, turn, "no configuration with these inputs", length), None
+        if float(far.x[-1]) <= length + NO_CHANGE:
+            return None, None
+        high = float(a.t @ way.between(a.x, far.x))
+        return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
+
+    def _begin(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
+        """The equations of a segment and its first node; what spins idly is held, and so is the
+        rank where it is low all along.
+        """
+        spins = spins_held(self.closure)
+        if spins is not None:
+            spins.begin(state.q)
+        way, here = self._way(state, direction)
+        loose = here.nullity > 1 or (
+            here.nullity == 1 and abs(here.t[-1]) < FORWARD
+        )  # what moves may be but a spin
+        if loose and spins is None and hold_spins(self.closure, state.q, self.index):
+            way, here = self._way(state, direction)
+        if here.nullity > 1 and hold_rank(
+            self.closure, state.q, lambda: self._way(state, direction)
+        ):
+            way, here = self._way(state, direction)
+        return way, self._first(way, here, state)
+
+    def _way(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
+        """The equations of a segment, and the node where it begins."""
+        way = DrivenClosure(self.closure, self.index, state.u, direction)
+        return way, node(way, np.append(state.q, 0.0))
+
+    def _first(self, way: DrivenClosure, here: Node, state: State) -> Node:
+        """The node at the beginning of a segment, on the branch of arrival where several meet."""
+        x = here.x
+        if here.nullity == 1:
+            return here if here.t[-1] >= 0.0 else here.reversed()
+        if here.nullity == 0:
+            names = ", ".join(
+                repr(self.closure.system.structure.velocity_names[i]) for i in self.index
+            )
+            raise UnsupportedError(
+                f"{self.closure.system.name} has fewer freedoms than inputs: {names} cannot be "
+                "moved independently; drive fewer of them"
+            )
+        polished = locate(way, x, here.nullity, 1e-5)
+        lines = branch_lines(way, x if polished is None else polished)
+        lines = lines[np.abs(lines[:, -1]) > FORWARD]
+        if not len(lines):
+            J = self.closure.matrix(state.q)
+            names = [self.closure.system.structure.velocity_names[i] for i in self.index]
+            raise UnsupportedError(too_free(self.closure, J, names))
+        lines = lines * np.sign(lines[:, -1:])
+        motion = lines[:, :-1] / np.linalg.norm(lines[:, :-1], axis=1)[:, None]
+        if state.velocity is not None and state.direction is not None:
+            along = float(state.direction @ way.direction)
+            merit = motion @ (state.velocity * (1.0 if abs(along) < 1e-9 else along))
+        elif np.any(self.wish):
+            merit = np.abs(motion @ self.wish)
+        else:
+            merit = lines[:, -1]
+        best = int(np.argmax(merit))
+        return Node(
+            x, lines[best], here.sigma, max(here.nullity, 2), here.matrix, here.image, lines
+        )
+
+
+def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
+    """The node of the curve at this length of the segment, or None where that is too far to be sure
+    of it.
+    """
+    size = (length - float(a.x[-1])) / float(a.t[-1])
+    guess = way.move(a.x, size * a.t)
+    across = np.zeros(way.n)
+    across[-1] = 1.0
+    there = correct(way, guess, across)
+    if there is None or float(np.linalg.norm(way.between(guess, there.x))) > ACROSS * size:
+        return _land_on_crossing(way, a, guess, length, size)
+    b = node(way, there.x, way.between(a.x, there.x), there.J)
+    if b.sigma < AWKWARD:
+        b = _land_on_crossing(way, a, there.x, length, size) or b
+    return b if b.t[-1] > STEEP and bend(a, b) <= BEND else None
+
+
+def _land_on_crossing(
+    way: DrivenClosure, a: Node, guess: Array, length: float, size: float
+) -> Node | None:
+    """The node at this length where it is on a change point, or so near that the branch is
+    straight.
+    """
+    x = locate(way, guess, 2, size)
+    if x is None or abs(float(x[-1]) - length) > AT_ONCE:
+        return None
+    b = singular_node(way, x, way.between(a.x, x))
+    if b is None or b.t[-1] < FORWARD or bend(a, b) > BEND:
+        return None
+    if abs(float(x[-1]) - length) < 1e-12:
+        return b
+    x = way.move(x, b.t * (length - float(x[-1])) / b.t[-1])
+    return replace(b, x=x)
+
+
+# ---- rolling drive
+
+# Inputs that follow time courses, of what rolls: all else follows by integration, and the motion
+# must not slip.
+#
+# The velocities satisfy the inputs and the loops; among those that do, the ones that slip least are
+# taken. They are integrated by the classical method of Runge and Kutta, and after each sample the
+# inputs have their values and the loops are closed. Whether the motion slips is decided by its
+# samples.
+
+
+STEP = 0.02
+"""Longest step of integration, in radians and characteristic lengths."""
+MOST = 10_000
+"""Steps at most between two samples."""
+MIDDLE = 12
+"""Repetitions after which the middle of a step is known."""
+MISS = 1e-9
+"""By how much loops may miss the velocities of inputs, of rows of size 1."""
+
+
+class RollingSamples(NamedTuple):
+    """Configurations (n, nq) at the samples that were done, why the motion ends, if early, and what
+    broke it off.
+    """
+
+    q: Array
+    reason: str
+    broken: BaseException | None
+
+
+def driven(
+    system: System,
+    names: Sequence[str],
+    hold: Mapping[str, float],
+    start: Any,
+    clock: Array,
+    samples: Callable[[int, int], list[Array]],
+    limits: bool,
+    budget: TimeLimit,
+) -> RollingSamples | None:
+    """The motion of what rolls under inputs, by their `samples` as `drive` gives them; None where
+    it cannot begin.
+
+    Errors: `UnsupportedError` where the inputs leave freedoms.
+    """
+    index = [angle_or_slide(system, n) for n in (*names, *hold)]
+    follow = _Follow(system, index, names, hold, budget)
+    q = _first(system, start, hold, names, samples(0, 1)[-1])
+    if q is None:
+        return None
+    out = [q]
+    reason = ""
+    broken = None
+    rows = one_sided_rows(system)
+    before = samples(0, 1)[-1]
+    try:
+        for k in range(1, len(clock)):
+            budget.check()
+            q = follow.to(
+                out[-1], float(clock[k - 1]), float(clock[k]), before, lambda n, k=k: samples(k, n)
+            )
+            before = samples(k, 1)[-1]
+            if q is None:
+                reason = f"at time {clock[k]:.6g} the inputs cannot be had: the loops do not close"
+                break
+            over = rows.beyond(q, not limits)
+            if over.any():
+                name = rows.names[int(np.argmax(over))]
+                reason = (
+                    f"it stops before time {clock[k]:.6g}, where {name!r} would be beyond its limit"
+                )
+                break
+            out.append(q)
+    except BROKEN_OFF as error:
+        broken = error
+    done = np.array(out)
+    slip = slip_of(system, done, clock[: len(done)])
+    if slip is not None:
+        speed = abs(slip.amount) / slip.time
+        reason = (
+            f"the inputs make it slip: before time {clock[slip.index]:.6g} by {speed:.3g} "
+            f"{slip.unit}/s across {slip.name!r}; getting there is a manoeuvre"
+        )
+        done = done[: slip.index]
+    return RollingSamples(done, reason, broken)
+
+
+def _first(
+    system: System, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array
+) -> Array | None:
+    """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None
+    on failure.
+    """
+    near = start_of(system, start, hold)
+    index = [angle_or_slide(system, n) for n in (*names, *hold)]
+    closure = Closure(system)
+    near[closure.place[index]] = [*u, *hold.values()]
+    return close(Closure(system, index, near), near)
+
+
+class _Follow:
+    """Velocities that follow from those of inputs, and steps along them."""
+
+    def __init__(
+        self,
+        system: System,
+        index: list[int],
+        names: Sequence[str],
+        hold: Mapping[str, float],
+        time: TimeLimit,
+    ) -> None:
+        self.system = system
+        self.index = index
+        self.closure = Closure(system)
+        self.time = time
+        self.names = names
+        self.held = [0.0] * len(hold)
+        self.slips = False
+        self.loops = len(self.closure.weight)
+
+    def at(self, q: Array, t: float, speeds: Array) -> Array:
+        """Velocities (nv,) without unit. Errors: `UnsupportedError` where they are not determined."""
+        unit = self.closure.unit
+        A, b = rates(self.system, q, t)
+        A = A * unit
+        size = np.linalg.norm(A, axis=1)
+        size = np.where(size > 0.0, size, 1.0)
+        A = A / size[:, None]
+        b = b / size
+        J = self.closure.matrix(q)[: self.loops]
+        M = np.concatenate([J, np.eye(len(unit))[self.index]])
+        wanted = np.concatenate([np.zeros(len(J)), np.append(speeds, self.held) / unit[self.index]])
+        U, s, Vt = svd(M)
+        rank = int(np.sum(s > RANK))
+        z = Vt[:rank].T @ ((U.T @ wanted)[:rank] / s[:rank])
+        if np.abs(M @ z - wanted).max(initial=0.0) > MISS * max(
+            1.0, float(np.abs(wanted).max(initial=0.0))
+        ):
+            raise UnsupportedError(
+                f"the inputs {', '.join(map(repr, self.names))} fight each other: the loops do not "
+                "allow their velocities together"
+            )
+        N = Vt[rank:].T
+        if not N.shape[1]:
+            return z
+        _, s, Vt = svd(A @ N)
+        free = int(np.sum(s > RANK))
+        if free < N.shape[1]:
+            loose = Vt[free:] @ N.T
+            moving = [
+                n
+                for n, x in zip(
+                    self.system.structure.velocity_names, np.abs(loose).max(axis=0), strict=True
+                )
+                if x > 1e-6
+            ]
+            many = len(loose)
+            raise UnsupportedError(
+                f"the inputs {', '.join(map(repr, self.names))} leave {many} "
+                f"freedom{'s' * (many != 1)} of motion, among {', '.join(map(repr, moving[:6]))}; "
+                "drive or hold more, or give velocities (system.simulate)"
+            )
+        z = z + N @ np.linalg.lstsq(A @ N, b - A @ z, rcond=RANK)[0]
+        self.slips |= bool(
+            np.abs(A @ z - b).max(initial=0.0) > MISS * max(1.0, float(np.linalg.norm(z)))
+        )
+        return z
+
+    def to(
+        self, q: Array, t0: float, t1: float, u: Array, samples: Callable[[int], list[Array]]
+    ) -> Array | None:
+        """The configuration (nq,) at the next sample, of times t0 to t1 and inputs u to those of
+        the `samples`.
+        """
+        end = samples(1)[-1]
+        h = t1 - t0
+        speed = float(np.linalg.norm(self.at(q, t0, (end - u) / h)))
+        parts = min(max(1, math.ceil(speed * h / STEP)), MOST)
+        values = [u, *samples(2 * parts)]
+        self.slips = False
+        x = q
+        for k in range(parts):
+            self.time.check()
+            x = self._runge_kutta(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
+        # between samples of inputs that are too many, straight lines do, if those at samples do not
+        if self.slips:
+            x = self._middle(q, t0, h, u, end)
+        near = x.copy()
+        near[self.closure.place[self.index[: len(end)]]] = end
+        return close(Closure(self.system, self.index, near), near)
+
+    def _runge_kutta(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
+        """One step of the classical method, along the parabola through three values of the inputs."""
+        a, m, b = values
+        first = (4 * m - 3 * a - b) / h
+        middle = (b - a) / h
+        last = (a - 4 * m + 3 * b) / h
+        k1 = self.at(q, t, first)
+        k2 = self.at(self.closure.move(q, 0.5 * h * k1), t + 0.5 * h, middle)
+        k3 = self.at(self.closure.move(q, 0.5 * h * k2), t + 0.5 * h, middle)
+        k4 = self.at(self.closure.move(q, h * k3), t + h, last)
+        return self.closure.move(q, h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+    def _middle(self, q: Array, t: float, h: float, u: Array, end: Array) -> Array:
+        """One step by the velocities that slip least in its own middle."""
+        z = self.at(q, t, (end - u) / h)
+        for _ in range(MIDDLE):
+            z = self.at(self.closure.move(q, 0.5 * h * z), t + 0.5 * h, (end - u) / h)
+        return self.closure.move(q, h * z)
+
+
+USUAL = Usual("drive", step=None, time_limit=LONG, progress=None)
+CONTINUOUS = 1e-5
+"""Distance between the pose that was held and the one from which it goes on, above which that is a
+jump."""
+BETWEEN = 0.2
+"""Change of an input between two samples above which a function is evaluated in between, too."""
+MOST_PARTS = 200
+"""Values in between two samples for which a function is evaluated at most."""
+
+
+def _samples_text(first: int, last: int) -> str:
+    """'sample 3', 'samples 3 to 5'."""
+    return f"sample {first}" if first == last else f"samples {first} to {last}"
+
+
+@dataclass(frozen=True, eq=False)
+class Toggle(InWords):
+    """Samples `first` to `last`, whose inputs cannot be reached: `q` (nq,) is held there, for this
+    `reason`.
+    """
+
+    first: int
+    last: int
+    q: Array
+    inputs: dict[str, float]
+    reason: str
+
+    def __str__(self) -> str:
+        at = ", ".join(f"{k!r} = {v:.9g}" for k, v in self.inputs.items())
+        return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Drive(Motion):
+    """The motion of a mechanism whose inputs were prescribed.
+
+    `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values
+    requested. Where `held` (n,) the inputs cannot be reached and the last pose stays: see
+    `toggles`. `jumps` are (index, distance) of samples at which the motion is not continuous: it
+    went on from elsewhere than it was held. `singular_points` are the change points passed,
+    straight on. Where the work was `interrupted`, or the time limit came (`late`), these are the
+    samples that were done.
+    """
+
+    also = ("times", "inputs", "held", "jumps", "interrupted", "late")
+
+    system: System
+    q: Array
+    times: Array
+    inputs: dict[str, Array]
+    held: Array
+    toggles: tuple[Toggle, ...]
+    jumps: tuple[tuple[int, float], ...]
+    singular_points: tuple[Event, ...]
+    success: bool
+    interrupted: bool
+    reason: str = field(default="", repr=False)
+    late: bool = False
+    _clock: Array | None = field(default=None, repr=False)
+    """Time (n,) at which each configuration holds, where equations depend on time: of those `held`
+    an earlier one."""
+
+    def __repr__(self) -> str:
+        return (
+            f"Drive({self.system.name!r}, {counted(len(self.q), 'sample')}, "
+            f"held={int(self.held.sum())})"
+        )
+
+    def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of
+        frames.
+        """
+        names, columns = self._columns("time", self.times, frames)
+        return [*names, "held"], np.column_stack([columns, self.held])
+
+    def save(self, path: str | FilePath, frames: Iterable[FrameLike] = ()) -> FilePath:
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
+        `InputError`.
+        """
+        return write_table(path, *self.table(frames))
+
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where inputs cannot be reached, or it jumps."""
+        return (
+            Status.SOLVED
+            if self.success
+            else self._broken_off()
+            or (Status.NOT_FOUND if self.reason and len(self) < 2 else Status.PARTLY)
+        )
+
+    def _when(self) -> Any:
+        return 0.0 if self._clock is None else self._clock
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        """The inputs, of samples that are not held, where they belong to coordinates."""
+        own = [] if self.reason else [n for n in self.inputs if n in self.system.coordinate_names]
+        return held_at(
+            self.system, {n: np.where(self.held, self.values(n), self.inputs[n]) for n in own}
+        )
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        if self.reason:
+            return self.reason
+        text = (
+            f"{counted(len(self), 'sample')}, {counted(len(self.singular_points), 'change point')} "
+            "passed"
+        )
+        if self.toggles:
+            count = int(self.held.sum())
+            text += (
+                f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose "
+                "is held"
+            )
+        if self.jumps:
+            text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
+        return text + self._partial()
+
+    def _notes(self) -> Sequence[str]:
+        lines = [str(toggle) for toggle in self.toggles]
+        lines += [
+            f"sample {k}: it goes on {size:.6g} away from where it was held"
+            for k, size in self.jumps
+        ]
+        return [*lines, *super()._notes()]
+
+
+def _not_begun(
+    time: TimeLimit,
+    system: System,
+    inputs: Mapping[str, Any],
+    times: Any = None,
+    start: Any = None,
+    **_: Any,
+) -> Drive:
+    """The motion where the time was up before a closed configuration was known: it stays where
+    `start` is, or home.
+    """
+    near = (
+        home_of(system)
+        if start is None or isinstance(start, str) or is_mapping(start)
+        else as_q(system, start)
+    )
+    clock, samples = _samples(inputs, times)
+    requested = {n: np.array([v]) for n, v in zip(inputs, samples(0, 1)[-1].tolist(), strict=True)}
+    said = (
+        f"nothing was driven: {time.reason(TimeUp())} came before a closed configuration was known"
+    )
+    return Drive(
+        system,
+        near[None],
+        clock[:1],
+        requested,
+        np.ones(1, dtype=bool),
+        (),
+        (),
+        (),
+        False,
+        False,
+        said,
+        True,
+    )
+
+
+@explained
+@interruptible
+@time_limited(USUAL, _not_begun)
+@tolerant()
+def drive(
+    system: System,
+    inputs: Mapping[str, ArrayLike | Callable[[float], float]],
+    times: ArrayLike | None = None,
+    start: ArrayLike | Mapping[str, float] | str | None = None,
+    *,
+    hold: Mapping[str, float] | None = None,
+    toward: Mapping[str, float] | None = None,
+    limits: bool = True,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Drive:
+    """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of
+    `start`.
+
+    `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a
+    function of time, which needs `times` (n,), growing. Samples may be coarse: in between the
+    motion is continued in steps of arc length. `start` is as in `trace` (default: the posture
+    "closed", or what the first inputs give). It goes straight on through change points. `toward`
+    gives rates by coordinate name that choose the branch if the start
+    is a change point; otherwise the branch that moves least. Where the inputs ask for what the
+    mechanism cannot do, or for what is beyond a limit, the last pose is held until they come back.
+    Of the `budget` are read: step (0.1 at most), time_limit (600 s for the whole call),
+    progress(sample, total), called now and then; the time limit leaves the samples that were done,
+    Ctrl-C as the `answer` of an `Interrupted`.
+
+    With velocity constraints, what is not driven rolls along (from the first values of the inputs
+    on), and the motion ends before it slips: `status` says where; `toward` and the step do not
+    count. Equations in time follow `times`.
+
+    Errors: `UnsupportedError` where the inputs leave freedoms or fight each other;
+    `UnknownNameError`; `InputError`.
+
+    >>> from kempe import Mechanism
+    >>> m = Mechanism("parallelogram", dim=2)
+    >>> left, bar, right = m.body("left"), m.body("bar"), m.body("right")
+    >>> _ = m.revolute("A", m.ground, left)
+    >>> _ = m.revolute("B", left, bar, at=(1, 0))
+    >>> _ = m.revolute("C", bar, right, at=(3, 0), child_at=(1, 0))
+    >>> _ = m.revolute("D", m.ground, right, at=(3, 0))
+    >>> motion = drive(m.build(), {"A": [0.0, 2.0, 4.0, 6.0]})
+    >>> motion.values("D").round(9).tolist(), len(motion.singular_points)
+    ([0.0, 2.0, 4.0, 6.0], 1)
+    """
+    if not isinstance(inputs, Mapping):
+        raise InputError(
+            f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name"
+        )
+    flag(limits, "limits")
+    spend = USUAL.of(budget)
+    if timed(system):
+        return _in_time(system, inputs, times, start, hold, toward, limits, budget)
+    names = list(inputs)
+    index = [angle_or_slide(system, n) for n in names]
+    if hold and set(hold) & set(names):
+        raise InputError(
+            f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of "
+            "them"
+        )
+    turning = system.structure.coordinates.turning
+    angles = {n for n, i in zip(names, index, strict=True) if turning[i]}
+    clock, samples = _samples(inputs, times, angles)
+    longest = longest_step(spend.step)
+    time = time_of(USUAL, budget)
+    time.put_in_order()  # there is nothing to do afterwards
+    if rolls(system):
+        rolled = driven(system, names, dict(hold or {}), start, clock, samples, limits, time)
+        return _rolled(rolled, system, names, clock, samples)
+    first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
+    closure, q = _begin(system, start, dict(hold or {}), first, index)
+    if q is None:
+        near = start_of(system, start, dict(hold or {}))
+        requested = {n: np.array([v]) for n, v in first.items()}
+        said = why_open(system, start, {**(hold or {}), **first})
+        return Drive(
+            system,
+            near[None],
+            clock[:1],
+            requested,
+            np.ones(1, dtype=bool),
+            (),
+            (),
+            (),
+            False,
+            False,
+            said,
+        )
+    closure.budget = time
+    wish = wish_of(system, toward)
+    context = SegmentContext(
+        closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit
+    )
+    return _run(context, q, names, clock, samples, spend.progress)
+
+
+def _in_time(
+    system: System,
+    inputs: Mapping[str, Any],
+    times: Any,
+    start: Any,
+    hold: Any,
+    toward: Any,
+    limits: bool,
+    budget: Budget | None,
+) -> Drive:
+    """The motion where equations depend on time, which is driven as a coordinate of its own."""
+    if TIME in inputs and TIME not in system.coordinate_names:
+        raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
+    clock, _ = _samples({**inputs, TIME: 0.0}, times)
+    found = until_interrupt(
+        drive,
+        clocked(system),
+        {**inputs, TIME: clock},
+        clock,
+        _with_time(system, start, clock),
+        hold=hold,
+        toward=toward,
+        limits=limits,
+        budget=budget,
+    )
+    return _without_time(found, system)
+
+
+def _with_time(system: System, start: Any, clock: Array) -> Any:
+    """The start with the first time, where it is a configuration."""
+    if start is None or isinstance(start, str) or not clock.size:
+        return start
+    return (
+        {**start, TIME: clock[0]}
+        if is_mapping(start)
+        else np.append(np.asarray(start, float), clock[0])
+    )
+
+
+def _without_time(found: Drive, system: System) -> Drive:
+    """The motion in the coordinates of the system itself."""
+    inputs = {n: x for n, x in found.inputs.items() if n != TIME}
+    toggles = tuple(replace(toggle, q=toggle.q[:-1]) for toggle in found.toggles)
+    events = tuple(replace(event, q=event.q[:-1]) for event in found.singular_points)
+    return replace(
+        found,
+        system=system,
+        q=found.q[:, :-1],
+        inputs=inputs,
+        toggles=toggles,
+        singular_points=events,
+        _clock=found.q[:, -1],
+    )
+
+
+def _rolled(
+    found: RollingSamples | None,
+    system: System,
+    names: list[str],
+    clock: Array,
+    samples: Callable[[int, int], list[Array]],
+) -> Drive:
+    """The motion of what rolls, as an answer."""
+    if found is None:
+        found = RollingSamples(
+            start_of(system, None, {})[None], "the loops do not close near the start", None
+        )
+    n = len(found.q)
+    requested = np.array([samples(k, 1)[-1] for k in range(n)]).reshape(n, len(names))
+    return Drive(
+        system,
+        found.q,
+        clock[:n],
+        {name: requested[:, j] for j, name in enumerate(names)},
+        np.zeros(n, dtype=bool),
+        (),
+        (),
+        (),
+        not found.reason and found.broken is None,
+        isinstance(found.broken, KeyboardInterrupt),
+        found.reason,
+        isinstance(found.broken, TimeUp),
+    )
+
+
+def _samples(
+    inputs: Mapping[str, Any], times: ArrayLike | None, angles: Set[str] = frozenset()
+) -> tuple[Array, Callable[[int, int], list[Array]]]:
+    """The times (n,), and a function (k, parts) that gives the inputs on the way from sample k - 1
+    to sample k.
+    """
+    if not inputs:
+        raise InputError("there are no inputs; give values by coordinate name")
+    functions = [n for n, f in inputs.items() if callable(f)]
+    arrays = {n: _numbers(v, f"input {n!r}") for n, v in inputs.items() if not callable(v)}
+    sizes = {a.shape[0] for a in arrays.values() if a.ndim == 1}
+    if times is not None:
+        clock = _numbers(times, "times")
+    elif functions and not sizes:
+        raise InputError(
+            f"inputs {', '.join(map(repr, functions))} are functions of time; give the times"
+        )
+    else:
+        clock = np.arange(float(max(sizes, default=1)))
+    bad = [n for n, a in arrays.items() if a.ndim > 1 or (a.ndim == 1 and a.shape != clock.shape)]
+    if not clock.size:
+        raise InputError("there are no samples: times or inputs are empty")
+    if clock.ndim != 1 or bad:
+        raise InputError(
+            f"times and inputs must be one number or {clock.shape} numbers; {', '.join(bad)} differ"
+        )
+    back = np.flatnonzero(~(np.diff(clock) > 0.0))
+    if np.isfinite(clock).all() and len(back):
+        k = int(back[0])
+        raise InputError(
+            f"times must grow from sample to sample: {clock[k + 1]:g} at sample {k + 1} comes "
+            f"after {clock[k]:g}"
+        )
+    full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
+    for name, a in {"times": clock, **{f"input {n!r}": a for n, a in full.items()}}.items():
+        within_range(a, name)
+    for n in angles & full.keys():
+        refuse_wound_angle(float(np.abs(full[n]).max()), f"input {n!r}")
+
+    def value(name: str, before: int, k: int, f: float) -> float:
+        if name in functions:
+            t = (1.0 - f) * clock[before] + f * clock[k]
+            found = _numbers(inputs[name](t), f"input {name!r} at time {t:g}")
+            if found.size != 1:
+                raise InputError(
+                    f"input {name!r} at time {t:g} has shape {found.shape}; it must be one number"
+                )
+            number = float(within_range(found, f"input {name!r} at time {t:g}").item())
+            if name in angles:
+                refuse_wound_angle(number, f"input {name!r} at time {t:g}")
+            return number
+        return float((1.0 - f) * full[name][before] + f * full[name][k])
+
+    def at(k: int, parts: int) -> list[Array]:
+        before = max(k - 1, 0)
+        return [
+            np.array([value(n, before, k, float(f)) for n in inputs])
+            for f in np.linspace(0.0, 1.0, parts + 1)[1:]
+        ]
+
+    return clock, at
+
+
+def _numbers(values: Any, subject: str) -> Array:
+    return reals(values, subject, "numbers")
+
+
+def _begin(
+    system: System,
+    start: Any,
+    hold: dict[str, float],
+    first: dict[str, float],
+    index: Sequence[int],
+) -> tuple[Closure, Array | None]:
+    """The equations, and a closed configuration to begin with."""
+    if start is None and "closed" not in system.structure.posture_names:
+        start = first
+    closure, q = begin(system, start, hold)
+    if q is None:
+        return closure, None
+    u = q[closure.place[list(index)]]
+    period = periods(system)[list(index)]
+    gap = np.array(list(first.values())) - u
+    turns = np.divide(gap, period, out=np.zeros_like(gap), where=period > 0.0)
+    q[closure.place[list(index)]] += np.round(turns) * period
+    return closure, q
+
+
+def _run(
+    context: SegmentContext,
+    q: Array,
+    names: list[str],
+    clock: Array,
+    samples: Callable[[int, int], list[Array]],
+    progress: Progress | None,
+) -> Drive:
+    """The motion through all samples."""
+    state = State(q, q[context.closure.place[context.index]])
+    requested: list[Array] = []
+    poses: list[Array] = []
+    held: list[bool] = []
+    toggles: list[Toggle] = []
+    jumps: list[tuple[int, float]] = []
+    stuck: Stuck | None = None
+    last = state.u
+    broken = None
+    try:
+        with context.closure.budget:
+            for k in range(len(clock)):
+                end = samples(k, 1)[-1]
+                parts = (
+                    int(np.ceil(np.abs((end - last) / context.unit).max() / BETWEEN)) if k else 1
+                )
+                single = (
+                    len(names) == 1 or stuck is None
+                )  # a way back in several inputs is looked for once a sample
+                for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
+                    state, stuck, gap = context.follow(state, stuck, last, u, k)
+                    last = u
+                    if gap > CONTINUOUS:
+                        jumps.append((k, gap))
+                requested.append(end)
+                poses.append(state.q if stuck is None else stuck.q)
+                held.append(stuck is not None and not stuck.reached)
+                if stuck is not None and not stuck.reached:
+                    if toggles and toggles[-1].last == k - 1 and toggles[-1].q is stuck.q:
+                        toggles[-1] = replace(toggles[-1], last=k)
+                    else:
+                        at = dict(zip(names, stuck.u.tolist(), strict=True))
+                        toggles.append(Toggle(k, k, stuck.q, at, stuck.reason))
+                if progress is not None and k % 16 == 0:
+                    progress(k + 1, len(clock))
+    except BROKEN_OFF as error:
+        broken = error
+    n = len(held)
+    values = np.array(requested[:n]).reshape(n, len(names))
+    return Drive(
+        context.closure.system,
+        np.array(poses[:n]).reshape(n, context.closure.system.nq),
+        clock[:n],
+        {name: values[:, j] for j, name in enumerate(names)},
+        np.array(held[:n], dtype=bool),
+        tuple(toggles),
+        tuple(j for j in jumps if j[0] < n),
+        tuple(context.singular),
+        not (broken or any(held) or jumps),
+        isinstance(broken, KeyboardInterrupt),
+        late=isinstance(broken, TimeUp),
+    )

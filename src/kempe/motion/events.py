@@ -1,0 +1,479 @@
+"""What happens along a curve: steps through crossings, limits, the way back to the start, extremes,
+singular points.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kempe.equations.closure import Closure
+from kempe.equations.one_sided import OneSided, one_sided_rows
+from kempe.motion.crossings import (
+    AHEAD,
+    SingularNode,
+    branches_at,
+    crossing,
+    locate,
+    passage,
+    rank_held,
+    singular_node,
+)
+from kempe.numerics import curves
+from kempe.numerics.curves import BEND, Node, bend, flipped, inside, node, step
+from kempe.numerics.newton import LARGE, sign_change
+from kempe.spatial import Array
+from kempe.words import InWords
+
+AWKWARD = 1e-5
+"""Relative singular value below which a step had better land elsewhere: rounding is blown up
+there."""
+HIDDEN = 1e-5
+"""Relative singular value, falling, below which a curve may come to a point near which rounding
+hides it."""
+NEARLY = 1e-3
+"""Relative singular value at both ends of a step below which it may lead past a point where
+branches touch."""
+RESTING = 1e-9
+"""Rates below this count as zero."""
+NOISE = 1e-12
+"""Rates below this count as zero where each look at one costs milliseconds; places then are known
+to as many digits."""
+SAME_NODE = 1e-9
+"""Distance between neighbours below which they are one point, at which the curve arrives and from
+which it leaves."""
+RECENT = 100
+"""Points of a walk that are kept, to tell on which half-branch it came to a singular point."""
+HOME = 1e-7
+"""Distance from the start at which a curve has returned to it, if it also arrives in the same
+direction."""
+HOME_CROSSING = 1e-4
+"""The same where the start is a crossing: points beside it are known less well."""
+ARRIVED = 0.999
+"""Cosine between the directions of departure and arrival."""
+
+
+@dataclass(frozen=True)
+class WalkEnd:
+    """Why a walk ends: a sentence."""
+
+    reason: str
+
+
+def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterator[Node | WalkEnd]:
+    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on
+    through crossings.
+
+    At a cusp the curve arrives at one node and leaves from another one, at the same point.
+    `periods` (nv,) are 0 for coordinates that do not come back by turning on.
+    """
+
+    def taken(a: Node, h: float) -> list[Node] | None:
+        b = step(equations, a, h)
+        if b is not None and b.sigma < AWKWARD:
+            b = step(equations, a, 1.3 * h) or b
+        return checked(equations, a, b)
+
+    h = 0.25 * longest
+    known = [a.germ] if isinstance(a, SingularNode) else []
+    while True:
+        if isinstance(a, SingularNode):
+            there = a.germ.first(equations, a.half)
+            h = min(longest, 0.5 * float(np.linalg.norm(equations.between(a.x, there.x))))
+            a = there
+            yield a
+        last = deque([a.x], maxlen=RECENT)
+        singular = None
+        sigma = a.sigma
+        for b in curves.walk(a, taken, longest, h):
+            before = last[-1]
+            last.append(b.x)
+            if (
+                b.sigma < min(HIDDEN, sigma) and b.lines is None
+            ):  # nearer to a point where rounding hides the curve
+                singular = passage(equations, last, known, periods)
+                way = equations.between(before, b.x if singular is None else singular.x)
+                along = float(way @ equations.between(before, b.x))
+                if singular is not None and along > 0.0:  # else the walk leaves it
+                    if along < way @ way:
+                        yield b  # not beyond it
+                    break
+                singular = None
+            yield b
+            sigma = b.sigma
+        else:
+            singular = passage(equations, last, known, periods) if len(last) > 1 else None
+        if singular is None:
+            yield WalkEnd("a point where the curve is not smooth")
+            return
+        known.append(singular.germ)
+        yield from singular.arrival()
+        yield singular
+        a = singular
+
+
+def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
+    """A step from `a` to `b` with the crossing in between, if any; None where it may have changed
+    the branch.
+    """
+    if b is None:
+        return None
+    turned = sides_change(equations, a, b)
+    if not turned:
+        return None if turned is None or _touches(equations, a, b) else [b]
+    middle = crossing(equations, a, b)
+    if isinstance(
+        middle, SingularNode
+    ):  # the step may have led to another one of the branches that touch there
+        return [middle, middle.germ.first(equations, middle.half)]
+    return None if middle is None else [middle, b]
+
+
+def _touches(equations: Closure, a: Node, b: Node) -> bool:
+    """Whether a step may have led past a singular point at which branches touch, to another branch
+    or round a cusp.
+    """
+    if max(a.sigma, b.sigma) > NEARLY or a.lines is not None:
+        return False
+    y = equations.between(a.x, b.x)
+    h = float(np.linalg.norm(y))
+    x = locate(equations, equations.move(a.x, 0.5 * y), 2, h) if equations.n > 1 else None
+    germ = None if x is None else branches_at(equations, x)[1]
+    if germ is None:
+        return False
+    along = float(equations.between(a.x, germ.x) @ y) / h
+    first, second = (germ.half_of(equations, [n.x]) for n in (a, b))
+    return 0.0 < along < h and first is not None and second not in (None, germ.partner[first])
+
+
+def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
+    """`flipped`, with derivatives of the same equations at both nodes.
+
+    What holds the rank changes its bases on the way, and equations in other bases have determinants
+    of other signs.
+    """
+    if rank_held(equations) and a.nullity == 1:
+        here = node(equations, a.x, a.t)
+        a = replace(a, matrix=here.matrix, image=here.image)
+    return flipped(a, b)
+
+
+def root(
+    equations: Closure,
+    a: Node,
+    b: Node,
+    function: Callable[[Node], float],
+    low: float = 0.0,
+    high: float | None = None,
+) -> Node | None:
+    """The node between two neighbours where `function` of it, of different signs at both ends, is
+    zero.
+    """
+    end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
+    found: dict[float, Node] = {}
+    large = equations.rows > LARGE
+
+    def at(distance: float) -> float:
+        here = inside(equations, a, b, distance, False)
+        if here is None:
+            return 0.0  # rounding only: a point between two neighbours always exists
+        found[distance] = here
+        value = function(here)
+        return 0.0 if large and abs(value) < NOISE else value
+
+    distance = sign_change(at, low, end)
+    if distance is None:
+        here = min(found.values(), key=lambda n: abs(function(n)), default=None)
+    else:
+        here = found.get(distance) or inside(equations, a, b, distance)
+    return here if here is None or here.matrix.size else node(equations, here.x, here.t)
+
+
+def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
+    """The start again, whole turns away, if the curve returns to it between two neighbours in the
+    same direction.
+
+    `periods` (nv,) are 0 for coordinates that do not come back by turning on.
+    """
+    shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
+    there = equations.system.structure.layout.integrate(start.x, -shift)
+    if isinstance(start, SingularNode):
+        moved = [equations.system.structure.layout.integrate(n.x, shift) for n in (a, b)]
+        if not start.may_be(equations, moved):
+            return None
+    if np.linalg.norm(equations.between(b.x, there)) < (
+        HOME if start.lines is None else HOME_CROSSING
+    ):
+        return replace(start, x=there) if start.t @ b.t > ARRIVED else None
+    z = equations.between(a.x, there)
+    chord = equations.between(a.x, b.x)
+    along = float(a.t @ z)
+    if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
+        return None
+    here = inside(equations, a, b, along)
+    if here is None or start.t @ here.t < ARRIVED:
+        return None
+    gap = float(np.linalg.norm(equations.between(here.x, there)))
+    return (
+        replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
+    )
+
+
+def _ratio(x: Array, periods: Array) -> Array:
+    return np.divide(x, periods, out=np.zeros_like(x), where=periods > 0.0)
+
+
+def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
+    """Where velocities of coordinates change their sign: (node before, node after, coordinate),
+    along the curve.
+    """
+    out: list[tuple[int, int, int]] = []
+    rates = np.array([n.t for n in nodes])
+    count = len(nodes)
+    for i in indices:
+        if np.abs(rates[:, i]).max() < 1e-7:
+            continue  # it rests
+        moving = np.flatnonzero(np.abs(rates[:, i]) > RESTING).tolist()
+        pairs = list(zip(moving, moving[1:], strict=False))
+        if closed and moving[0] > 0 and moving[-1] == count - 1 - moving[0]:
+            pairs.append((moving[-1], moving[0]))
+        out += [(k, m, i) for k, m in pairs if rates[k, i] * rates[m, i] <= 0.0]
+    return sorted(out)
+
+
+def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
+    """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None
+    where it rests.
+    """
+    if m == k + 1 and np.linalg.norm(equations.between(nodes[k].x, nodes[m].x)) < SAME_NODE:
+        return nodes[m]  # a cusp
+    if m == k + 1:
+        return root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
+    if m == k + 2 or m < k:
+        return nodes[(k + 1) % len(nodes)]  # it rests exactly at a node
+    return None  # it rests for a while
+
+
+def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
+    """The nodes, and between them those singular points that no determinant shows: where two things
+    vanish at once.
+    """
+    out = [nodes[0]]
+    for k in range(1, len(nodes) - 1):
+        a, m, b = nodes[k - 1 : k + 2]
+        if not (m.sigma <= a.sigma and m.sigma <= b.sigma) or any(
+            n.lines is not None for n in (a, m, b)
+        ):
+            out.append(m)
+            continue
+        before = equations.between(a.x, m.x)
+        after = equations.between(m.x, b.x)
+        h = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        found = None
+        if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
+            x = next(
+                (
+                    x
+                    for n in (2, 3, 4)
+                    if n <= equations.n and (x := locate(equations, m.x, n, 2.0 * h)) is not None
+                ),
+                None,
+            )
+            found = None if x is None else singular_node(equations, x, m.t, a.x)
+        if found is None:
+            out.append(m)
+            continue
+        y = equations.between(m.x, found.x)
+        size = float(np.linalg.norm(y))
+        along = float(y @ m.t)
+        if size < 1e-6:
+            out.append(found)
+        elif abs(along) < AHEAD * size or size > 1.5 * h or bend(m, found) > BEND:
+            out.append(m)
+        else:
+            out += [m, found] if along > 0.0 else [found, m]
+    return out + nodes[-1:] if len(nodes) > 1 else out
+
+
+# ---- one sided ends
+
+# Where one-sided rows end a walk along a curve: limits of coordinates, and declared one-sided
+# constraints.
+
+
+TOUCH = 1e-12
+"""Radians or metres beyond a bound that are rounding."""
+OUTSIDE = 1e-9
+"""How far, as a part of 1 and the bound, a start may be beyond a bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneSidedEnd(InWords):
+    """A bound of a one-sided constraint or coordinate: `sign` is +1 for an upper bound and -1 for a
+    lower one.
+    """
+
+    name: str
+    limit: float
+    sign: float
+    of: int | None
+    """The velocity coordinate that it limits, None for a declared row."""
+
+    def over(self, x: Array) -> float:
+        """How far the bounded quantity is beyond the bound at configuration x; negative inside."""
+        return self.sign * (self.value(x) - self.limit)
+
+    def value(self, x: Array) -> float:
+        """Value of the bounded quantity at x."""
+        raise NotImplementedError
+
+    def rate(self, n: Node) -> float:
+        """Rate along the curve, at a node, at which the bounded quantity goes outwards."""
+        raise NotImplementedError
+
+    def outside(self, over: float) -> str:
+        """Sentence, without its end, that the bound is violated by `over`."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateBound(OneSidedEnd):
+    """A limit of a coordinate at `place` in q."""
+
+    place: int
+
+    def value(self, x: Array) -> float:
+        """The value of the coordinate."""
+        return float(x[self.place])
+
+    def rate(self, n: Node) -> float:
+        """The rate of the coordinate."""
+        return self.sign * float(n.t[self.of])
+
+    def outside(self, over: float) -> str:
+        """That it is violated."""
+        return f"{self.name!r} is outside its limits"
+
+    def __str__(self) -> str:
+        return (
+            f"the {'upper' if self.sign > 0 else 'lower'} limit {self.limit:.9g} of {self.name!r}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RowBound(OneSidedEnd):
+    """A bound of a declared row, the one at `index` of `rows`."""
+
+    rows: OneSided
+    index: int
+
+    def value(self, x: Array) -> float:
+        """The row's value; of a driven curve, x goes on behind the coordinates."""
+        return float(self.rows.values(x[: self.rows.system.nq], declared=True)[self.index])
+
+    def rate(self, n: Node) -> float:
+        """Its rate, in scaled units."""
+        system = self.rows.system
+        J = self.rows.rates(n.x[: system.nq], declared=True)[1]
+        return self.sign * float(J[self.index] @ n.t[: system.nv])
+
+    def outside(self, over: float) -> str:
+        """That it is violated, and by how much."""
+        return f"{self} is violated by {over:.6g} {self.rows.units[self.index]}".removesuffix(" 1")
+
+    def __str__(self) -> str:
+        return f"the one-sided constraint {self.rows.side(self.index, self.sign > 0)!r}"
+
+
+class OneSidedEnds:
+    """What is one-sided in a system, as ends of a walk: declared rows, and with `limits` those of
+    its coordinates.
+    """
+
+    def __init__(self, equations: Closure, limits: bool = True):
+        system = equations.system
+        rows = one_sided_rows(equations.system)
+        self.limits = limits
+        """Whether limits of coordinates count."""
+        self.all: list[OneSidedEnd] = []
+        place = equations.place
+        for i in range(system.nv) if limits else ():
+            if place[i] >= 0 and i not in equations.held:
+                for bound, sign in zip(
+                    system.structure.limits[i].tolist(), (-1.0, 1.0), strict=True
+                ):
+                    if np.isfinite(bound):
+                        self.all.append(
+                            CoordinateBound(
+                                system.structure.velocity_names[i], bound, sign, i, int(place[i])
+                            )
+                        )
+        for k in range(rows.declared):
+            for bound, sign in ((rows.low[k], -1.0), (rows.high[k], 1.0)):
+                if np.isfinite(bound):
+                    self.all.append(RowBound(rows.names[k], float(bound), sign, None, rows, k))
+
+    def outside(self, x: Array) -> str:
+        """What is violated at `x`, as a sentence without its end; empty where nothing is."""
+        for bound in self.all:
+            if (over := bound.over(x)) > OUTSIDE * (1.0 + abs(bound.limit)):
+                return bound.outside(over)
+        return ""
+
+    def may_end(self, n: Node, moving: list[int]) -> bool:
+        """Whether one of the `moving` velocity coordinates, or a declared row, goes towards a bound
+        at a node.
+        """
+        return any(
+            bound.rate(n) > 0.0 for bound in self.all if bound.of is None or bound.of in moving
+        )
+
+    def hit(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
+        """The first node between two neighbours at which a bound is reached, and which: None if
+        there is none.
+        """
+        best: tuple[float, Node, str] | None = None
+        for bound in self.all:
+            reached = _reached(equations, a, b, bound)
+            if reached is not None:
+                distance = float(a.t @ equations.between(a.x, reached.x))
+                if best is None or distance < best[0]:
+                    best = (distance, reached, str(bound))
+        return None if best is None else best[1:]
+
+
+def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node | None:
+    def over(n: Node) -> float:
+        return bound.over(n.x)
+
+    before = over(a)
+    after = over(b)
+    if before > -TOUCH:
+        if (rate := bound.rate(a)) > RESTING:
+            return a
+        if after <= TOUCH:
+            return None
+        if rate >= -RESTING:
+            return a  # at rest on the bound, and then beyond it
+    last = b
+    low = 0.0
+    if (
+        before <= -TOUCH
+        and after <= TOUCH
+        and (bound.rate(a) <= RESTING or bound.rate(b) >= -RESTING)
+    ):
+        # inside at both ends, and no largest value in between; rates of what rests are rounding
+        return None
+    if after <= TOUCH or before > -TOUCH:
+        turn = root(equations, a, b, bound.rate)
+        if turn is None or (after <= TOUCH and over(turn) <= TOUCH):
+            return None
+        if after <= TOUCH:
+            last = turn
+        else:
+            low = float(a.t @ equations.between(a.x, turn.x))
+    high = float(a.t @ equations.between(a.x, last.x))
+    return root(equations, a, b, over, low, high)

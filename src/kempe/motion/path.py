@@ -1,0 +1,442 @@
+"""`Path`: the answer of `trace`, a curve of configurations with what happens on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.answers.answer import Configurations
+from kempe.answers.tables import write_table
+from kempe.answers.wording import immovable
+from kempe.arguments import explained_methods, interruptible, numbers
+from kempe.arrays import is_whole
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.equations.closure import Closure
+from kempe.errors import InputError, UnknownNameError, shown
+from kempe.forward.fk import fk
+from kempe.model.configurations import q_dict
+from kempe.motion.crossings import SingularNode
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
+from kempe.numerics.curves import BLUNT
+from kempe.numerics.newton import gauss_newton_of_many
+from kempe.report import Cells
+from kempe.spatial import Array
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- other branches
+
+# Assembly modes that a traced path does not pass: a mechanism that is built again may move on
+# another branch.
+
+
+MOST_SIGNS = 6
+"""Dyads of mechanisms whose assembly modes are looked at: 64 modes, in some hundredths of a
+second."""
+
+
+def elsewhere(path: Path) -> tuple[str, Array]:
+    """The input, and other configurations (k, nq) with its value at the path's start that the path
+    does not pass.
+
+    They are looked for where they are in closed form, inside the limits. The input is the driver; a
+    path that has none, or a driver that is not a coordinate, takes the first coordinate with which
+    there are some. `held` coordinates stay. Of mechanisms of many dyads there are none.
+    """
+    from kempe.assemble.dyads import Incomplete, closed_form
+    from kempe.assemble.modes import assembly_modes
+
+    system = path.system
+    nothing = ("", np.zeros((0, path.system.nq)))
+    if not system.structure.closures or not path.success or len(path.track.s) < 2:
+        return nothing
+    start = q_dict(system, path.q[0])
+    held = {name: start[name] for name in path.held}
+    for name in [path.driver] if path.driver in start else start:
+        plan = None if name in held else closed_form(system, (name, *held))
+        if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
+            modes = assembly_modes(system, {name: start[name], **held})
+            others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]
+            if others:
+                return name, np.array(others)
+    return nothing
+
+
+def _passes(path: Path, q: Array) -> bool:
+    """Whether a path may pass q: on the way from one node to the next it is no farther from one
+    than these are.
+    """
+    track = path.track
+    e = path.track.equations
+    y = np.array([e.between(node, q) for node in track.q]) * e.unit
+    turning = path.system.structure.coordinates.turning
+    y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit
+    return bool(np.linalg.norm(y, axis=1).min() <= np.diff(track.s).max())
+
+
+MOST = 10**7
+"""Points at most of a path that is resampled."""
+USUAL = Usual("resample", time_limit=TIME_LIMIT, progress=None)
+SLICE = 1024
+"""Points that are closed at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Event(InWords):
+    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is
+    special.
+
+    `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate
+    turns back), "bifurcation" (several branches meet), "cusp" (the motion comes to rest and goes
+    back beside the way it came) or "singular" (the rank drops, no branch leaves). `coordinate` and
+    `value`
+    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along
+    the branches found at a singular point, that of the path first; `nullity` counts the independent
+    first-order motions there.
+    """
+
+    q: Array
+    s: float
+    kind: str
+    coordinate: str = ""
+    value: float = float("nan")
+    nullity: int = 1
+    directions: Array | None = field(default=None, repr=False)
+    node: SingularNode | None = field(default=None, repr=False)
+    """The singular point as a node of the path, where branches touch or end in a cusp."""
+
+    def __str__(self) -> str:
+        if self.coordinate:
+            return f"s = {self.s:.6g}: {self.kind}, {self.coordinate!r} = {self.value:.9g}"
+        lines = 0 if self.directions is None else len(self.directions)
+        where = f", {lines} branches" if lines > 1 else ""
+        return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their
+    equations.
+    """
+
+    equations: Closure
+    q: Array
+    s: Array
+    t: Array
+
+    def at(self, s: Array) -> Array:
+        """Configurations (k, nq) at arc lengths (k,) inside the track: cubic between nodes, then
+        closed exactly.
+        """
+        out = np.empty((len(s), self.q.shape[1]))
+        for i in range(0, len(s), SLICE):
+            out[i : i + SLICE] = self._slice(s[i : i + SLICE])
+        return out
+
+    def _slice(self, s: Array) -> Array:
+        if len(self.s) == 1:
+            return np.repeat(self.q, len(s), axis=0)
+        k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
+        size = (self.s[k + 1] - self.s[k])[:, None]
+        u = (s - self.s[k])[:, None] / np.where(
+            size > 0.0, size, 1.0
+        )  # a cusp is two nodes at one place
+        e = self.equations
+        t = self.t
+        y = e.between(self.q[k], self.q[k + 1])
+        a = size * t[k]
+        b = size * t[k + 1]
+        x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
+        across = (1 - u) * t[k] + u * t[k + 1]
+
+        def both(x: Array, at: np.ndarray) -> tuple[Array, Array]:
+            F, J = e.many(x)
+            return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate(
+                [J, across[at, None]], axis=1
+            )
+
+        x = gauss_newton_of_many(both, x, 3, cut=BLUNT, move=e.move)
+        ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
+        x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
+        return x
+
+
+@explained_methods
+class Motion(Configurations):
+    """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
+
+    is_motion = True
+
+    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
+        """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
+        X = fk(self.system, self.q, frame)
+        return X if poses else X[:, :3, 3].copy()
+
+    def values(self, coordinate: str) -> Array:
+        """Values (n,) of one coordinate along the motion."""
+        names = self.system.coordinate_names
+        if coordinate not in names:
+            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
+        return self.q[:, names.index(coordinate)].copy()
+
+    def _columns(
+        self, first: str, column: Array, frames: Iterable[FrameLike]
+    ) -> tuple[list[str], Array]:
+        """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
+        names = [first, *self.system.coordinate_names]
+        columns = [column[:, None], self.q]
+        axes = "xyz"[: self.system.dim]
+        for frame in [frames] if isinstance(frames, str) else frames:
+            names += [f"{self.system.structure.frame_name(frame)}.{axis}" for axis in axes]
+            columns.append(self.curve(frame)[:, : len(axes)])
+        return names, np.hstack(columns)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Path(Motion):
+    """A curve of closed configurations of a mechanism with one degree of freedom.
+
+    `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped.
+    `s` (n,) is the arc length: angles in radians, slides in characteristic lengths (`unit_length`,
+    metres). `closed` tells whether the last point is the first one again (angles without limits up
+    to whole turns), `ends` why it stops at its first and last point. `success` is false where no
+    configuration closes the loops or the work was broken off, because it was `interrupted` from the
+    keyboard or the time limit came (`late`): then the path is the part that was done, and `remark`
+    says what else is missing. `others` are the branches that `trace(..., switch=True)` found at
+    bifurcations.
+    """
+
+    also = (
+        "s",
+        "closed",
+        "ends",
+        "length",
+        "turns",
+        "driver",
+        "held",
+        "interrupted",
+        "late",
+        "hint",
+    )
+
+    q: Array
+    s: Array
+    closed: bool
+    ends: tuple[str, str]
+    turning_points: tuple[Event, ...]
+    singular_points: tuple[Event, ...]
+    extremes: tuple[Event, ...]
+    driver: str | None
+    held: tuple[str, ...]
+    frames: tuple[str, ...]
+    success: bool
+    interrupted: bool
+    track: Track = field(repr=False)
+    others: tuple[Path, ...] = ()
+    late: bool = False
+    remark: str = ""
+
+    @property
+    def system(self) -> System:
+        """The system that moves."""
+        return self.track.equations.system
+
+    @property
+    def length(self) -> float:
+        """Arc length of the whole curve."""
+        return float(self.s[-1]) if len(self.s) else 0.0
+
+    @property
+    def unit_length(self) -> float:
+        """Metres of a slide that count as one unit of arc length."""
+        from kempe.model.characteristic_length import characteristic_length
+
+        return characteristic_length(self.system)
+
+    @property
+    def turns(self) -> dict[str, int]:
+        """For a closed path, whole turns by coordinate: those that do not come back by going back."""
+        if not self.closed:
+            return {}
+        e = self.track.equations
+        change = self.q[-1] - self.q[0]
+        names = self.system.structure.velocity_names
+        return {
+            name: round(change[e.place[i]] / (2.0 * np.pi))
+            for i, name in enumerate(names)
+            if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0
+        }
+
+    def __repr__(self) -> str:
+        what = f"{counted(len(self.q), 'point')}, length={self.length:.6g}, closed={self.closed}"
+        return f"Path({self.system.name!r}, {what})"
+
+    def at(self, s: ArrayLike) -> Array:
+        """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on
+        around.
+
+        Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
+        """
+        s = numbers(s, "s")
+        if not np.isfinite(s).all():
+            raise InputError("s holds a NaN or an infinity; arc lengths are finite numbers")
+        length = self.length
+        slack = 1e-9 * (1.0 + length)
+        if not self.closed and (s.min(initial=0.0) < -slack or s.max(initial=0.0) > length + slack):
+            raise InputError(f"s is outside the path, which runs from 0 to {length:.9g}")
+        flat = s.ravel()
+        around = self.closed & ((flat < 0.0) | (flat > length))
+        rounds = np.where(around, np.floor(flat / max(length, 1e-300)), 0.0)
+        change = self.track.q[-1] - self.track.q[0]
+        change[self.system.structure.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
+        out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
+        return out.reshape(*s.shape, self.system.nq)
+
+    @interruptible
+    def resample(self, n: int, *, budget: Budget | None = None) -> Path:
+        """The same path with `n` points at equal distances of arc length, its ends included.
+
+        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then;
+        the time limit, or Ctrl-C, leaves those points that were done, see `late`, `remark` and
+        `kempe.Interrupted`. Errors: `InputError`.
+        """
+        spend = USUAL.of(budget)
+        if not is_whole(n) or not 2 <= n <= MOST:
+            raise InputError(
+                f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}"
+            )
+        time = TimeLimit(spend.time_limit)
+        broken = None
+        done: list[tuple[Array, Array]] = []
+        time.put_in_order()  # there is nothing to do afterwards
+        try:
+            for i in range(0, int(n), SLICE):
+                time.check()
+                s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (
+                    self.length / (int(n) - 1)
+                )
+                s[s > self.length] = self.length
+                if i + SLICE >= n:
+                    s[-1] = self.length
+                done.append((s, self.track.at(s)))
+                if spend.progress is not None:
+                    spend.progress(i + len(s), float(s[-1]))
+        except BROKEN_OFF as error:
+            broken = error
+        s = np.concatenate([np.zeros(0), *(part[0] for part in done)])
+        q = np.concatenate([np.empty((0, self.system.nq)), *(part[1] for part in done)])
+        if broken is None:
+            return replace(self, q=q, s=s)
+        more = "; ".join(
+            filter(None, [self.remark, f"{len(q)} of {counted(n, 'point')} at equal distances"])
+        )
+        late = isinstance(broken, TimeUp)
+        interrupted = isinstance(broken, KeyboardInterrupt)
+        ends = (self.ends[0], time.reason(broken))
+        return replace(
+            self,
+            q=q,
+            s=s,
+            closed=False,
+            ends=ends,
+            success=False,
+            late=late,
+            interrupted=interrupted,
+            remark=more,
+        )
+
+    def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default:
+        `self.frames`).
+        """
+        return self._columns("s", self.s, self.frames if frames is None else frames)
+
+    def save(self, path: str | FilePath, frames: Iterable[FrameLike] | None = None) -> FilePath:
+        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
+        `InputError`.
+        """
+        return write_table(path, *self.table(frames))
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        if len(self) == 1 and (self.ends[0] == self.ends[1] or not (self.interrupted or self.late)):
+            still = immovable(self.system)
+            return self.ends[1] + (f"; {still}" if still else "")
+        what = "closed curve" if self.closed else "curve"
+        text = f"{what} of length {self.length:.6g} through {counted(len(self), 'point')}"
+        turning = [f"{counted(abs(k), 'turn')} of {name!r}" for name, k in self.turns.items()]
+        text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
+        if not self.closed:
+            text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
+        return text + self._partial() + (f"; {self.remark}" if self.remark else "")
+
+    def _cells(self) -> Cells:
+        """The range of each coordinate."""
+        low = self.q.min(axis=0)
+        high = self.q.max(axis=0)
+        each = zip(self.system.coordinate_names, low.tolist(), high.tolist(), strict=True)
+        return ("coordinate", "least", "largest"), [(n, f"{a:.6g}", f"{b:.6g}") for n, a, b in each]
+
+    def _lines(self) -> Sequence[str]:
+        return ()
+
+    def _notes(self) -> Sequence[str]:
+        lines = [str(event) for event in (*self.turning_points, *self.singular_points)]
+        lines += [f"another branch: {path.status}" for path in self.others]
+        lines += [f"{said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
+        return [*lines, *super()._notes()]
+
+    def _data(self) -> dict[str, Any]:
+        events = {
+            name: [_event_data(e, self._by_name) for e in getattr(self, name)]
+            for name in ("turning_points", "singular_points", "extremes")
+        }
+        return super()._data() | events | {"others": [path._data() for path in self.others]}
+
+    @cached_property
+    def _elsewhere(self) -> tuple[str, Array]:
+
+        return elsewhere(self)
+
+    @property
+    def elsewhere(self) -> Array:
+        """Other assembly modes (k, nq) at the start of the path that it does not pass, where they
+        have a closed form.
+
+        They have the driver's value there; without a driver, that of the first coordinate with
+        which there are some.
+        """
+        return self._elsewhere[1]
+
+    @property
+    def hint(self) -> str:
+        """The sentence that says how many assembly modes are not on the path; empty where none are
+        known.
+        """
+        name, q = self._elsewhere
+        if not len(q):
+            return ""
+        value = self.q[0][self.system.coordinate_names.index(name)]
+        many = "1 other assembly mode" if len(q) == 1 else f"{len(q)} other assembly modes"
+        return (
+            f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
+        )
+
+
+def _event_data(event: Event, by_name: Callable[[Array], Any]) -> dict[str, Any]:
+    own = (
+        {"coordinate": event.coordinate, "value": event.value}
+        if event.coordinate
+        else {"nullity": event.nullity}
+    )
+    return {"s": event.s, "kind": event.kind, **own, "q": by_name(event.q)}

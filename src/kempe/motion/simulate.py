@@ -1,0 +1,695 @@
+"""Motion in time without masses: inputs that are velocities, and one ball or particle that falls
+and bounces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, explained_methods, interruptible, numbers
+from kempe.arrays import is_mapping, is_real, is_whole, named, reals
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.equations import closure_rows
+from kempe.equations.one_sided import OneSided, one_sided_rows
+from kempe.equations.velocity import rates
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.forward.fk import fk, jacobian
+from kempe.model.configurations import random
+from kempe.model.time_coordinate import clocked, timed
+from kempe.motion.bounces import MOST, TOUCH, Flight, MovingFlight, Plane
+from kempe.motion.path import Motion
+from kempe.motion.rolling import roll, slip
+from kempe.motion.start import start_of
+from kempe.motion.wheeled import binding
+from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, begun_within
+from kempe.spatial import Array
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- falling
+
+# What falls and bounces without that its mass matters: one ball or particle, recognised from the
+# kinematics.
+#
+# The centre of the one moving body moves in a flat space of slides; turns do not move it. One-sided
+# rows that are planes in that space are what it bounces on, limits of its slides among them.
+
+
+SAME = 1e-9
+TRIALS = 5
+SEED = 1687
+NEEDED = "simulate knows, without masses,"
+
+
+@dataclass(frozen=True, eq=False)
+class Falling:
+    """A ball or particle: its slides (indices into q and velocities), and what turns it.
+
+    The centre is `basis` @ y + a point; y = `shape` @ slides, so that y has the metric of space.
+    """
+
+    system: System
+    body: str
+    slides_q: np.ndarray
+    slides_v: np.ndarray
+    basis: Array
+    shape: Array
+    planes: tuple[Plane, ...]
+    """The planes, those that move as they are at time 0."""
+    moving: MovingRows | None = None
+    """The planes where some of them move."""
+
+    def y(self, q: Array) -> Array:
+        """Coordinates (..., k) of the centre."""
+        return q[..., self.slides_q] @ self.shape.T
+
+    def motion(
+        self, q: Array, v: Array, flight: Flight | MovingFlight, t: Array
+    ) -> tuple[Array, Array]:
+        """Configurations (n, nq) and velocities (n, nv) at times (n,), of a flight from q with
+        velocities v (nv,).
+        """
+        y, dy = flight.at(t)
+        turning = v.copy()
+        turning[self.slides_v] = 0.0
+        out = self.system.structure.layout.integrate(q, turning * t[:, None])
+        back = np.linalg.inv(self.shape)
+        out[:, self.slides_q] = y @ back.T
+        rate = np.repeat(turning[None], len(t), axis=0)
+        rate[:, self.slides_v] = dy @ back.T
+        return out, rate
+
+
+def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
+    """The one ball or particle of a system, from q (nq,) with velocities v (nv,). Errors:
+    `UnsupportedError`.
+    """
+    _no_others(system, q)
+    body, point = _body(system)
+    samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (TRIALS,))])
+    J = np.asarray(jacobian(system, samples, body))
+    arm = fk(system, samples, body)[:, :3, :3] @ point
+    centre = J[:, :3] + np.cross(J[:, 3:], arm[:, :, None], axis=1)
+    turning = np.abs(J[:, 3:]).max(axis=(0, 1)) > SAME
+    slides = ~turning & (np.abs(centre).max(axis=(0, 1)) > SAME)
+    D = centre[0][:, slides]
+    steady = np.abs(centre[:, :, slides] - D).max(initial=0.0) < SAME
+    swung = np.flatnonzero(np.abs(centre[:, :, turning]).max(axis=(0, 1), initial=0.0) > SAME)
+    if len(swung) or not steady:
+        names = [system.structure.velocity_names[i] for i in np.flatnonzero(turning)]
+        raise UnsupportedError(
+            f"{system.name}: {', '.join(map(repr, names))} swings the centre of {body!r} about a "
+            f"joint, as a pendulum: that needs its moments of inertia; {NEEDED} one ball or "
+            "particle that slides freely"
+        )
+    basis, shape = np.linalg.qr(D)
+    if np.linalg.matrix_rank(shape, 1e-9) < shape.shape[1]:
+        raise UnsupportedError(
+            f"{system.name}: the slides of {body!r} are not independent; {NEEDED} one ball or "
+            "particle with independent slides"
+        )
+    slides_v = np.flatnonzero(slides)
+    place = dict(
+        zip(
+            system.structure.layout.vector_v.tolist(),
+            system.structure.layout.vector_q.tolist(),
+            strict=True,
+        )
+    )
+    slides_q = np.array([place[int(i)] for i in slides_v], dtype=int)
+    moving = MovingRows(system, q, slides_q, slides_v, shape, duration) if timed(system) else None
+    planes = (
+        _planes(system, body, q, slides_q, shape, samples)
+        if moving is None
+        else _moving_planes(system, body, moving, samples, duration)
+    )
+    _turns(system, body, q, v, turning, duration)
+    return Falling(system, body, slides_q, slides_v, basis, shape, planes, moving)
+
+
+class MovingRows:
+    """One-sided rows that are planes in the space of the slides, as laws of time.
+
+    Row k of `rows` is the lower bound, or with a sign of -1 the upper bound, of a one-sided row of
+    the clocked system.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        q: Array,
+        slides_q: np.ndarray,
+        slides_v: np.ndarray,
+        shape: Array,
+        duration: float,
+    ):
+        self.rows: OneSided = one_sided_rows(clocked(system))
+        self.slides_q = slides_q
+        self.slides_v = slides_v
+        self.back = np.linalg.inv(shape)
+        self.duration = duration
+        self.base = np.append(q, 0.0)
+        self.base[slides_q] = 0.0
+        sides = [
+            (k, sign)
+            for k in range(len(self.rows))
+            for sign in (1.0, -1.0)
+            if (k < self.rows.declared or self.rows.at[k - self.rows.declared] in slides_q)
+            and math.isfinite(self.rows.low[k] if sign > 0.0 else self.rows.high[k])
+        ]
+        self.at_row = np.array([k for k, _ in sides], dtype=int)
+        self.sign = np.array([s for _, s in sides])
+        self.bound = np.where(
+            self.sign > 0.0, self.rows.low[self.at_row], self.rows.high[self.at_row]
+        )
+        self.names = tuple(self.rows.side(k, sign < 0.0) for k, sign in sides)
+        units = closure_rows.scales(self.rows.system)
+        self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
+
+    def only(self, which: np.ndarray) -> None:
+        """Keep only some of the planes."""
+        self.at_row = self.at_row[which]
+        self.sign = self.sign[which]
+        self.bound = self.bound[which]
+        self._unscale = self._unscale[which]
+        self.names = tuple(n for n, keep in zip(self.names, which, strict=True) if keep)
+
+    def _read(self, slides: Array, t: Array | float) -> tuple[Array, Array]:
+        """Values (..., m), less their bounds, and gradients (..., m, nv) at slides (k,) and times
+        (...).
+        """
+        x = np.repeat(self.base[None], np.size(t), axis=0)
+        x[:, self.slides_q], x[:, -1] = slides, np.ravel(t)
+        values, J = self.rows.rates(x)
+        values = self.sign * (values[:, self.at_row] - self.bound)
+        J = self.sign[:, None] * J[:, self.at_row] * self._unscale
+        lead = np.shape(t)
+        return values.reshape(*lead, len(self.sign)), J.reshape(*lead, *J.shape[1:])
+
+    def at(self, t: Array | float) -> tuple[Array, Array]:
+        """Normals (..., m, k) and offsets (..., m) at times (...)."""
+        values, J = self._read(np.zeros(len(self.slides_q)), t)
+        return J[..., self.slides_v] @ self.back, values
+
+    def rates(self, t: Array | float) -> tuple[Array, Array]:
+        """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
+        k = len(self.slides_q)
+        shift = self._read(np.zeros(k), t)[1][..., -1]
+        with np.errstate(invalid="ignore"):  # a law may begin at an infinite rate
+            turn = np.stack([self._read(row, t)[1][..., -1] - shift for row in np.eye(k)], axis=-1)
+            return turn @ self.back, shift
+
+    def accelerations(self, t: float) -> tuple[Array, Array]:
+        """Second derivatives of normals (m, k) and offsets (m,), by seven differences within the
+        duration.
+        """
+        h = min(1e-3, self.duration / 8192.0)
+        first = min(max(t - 3.0 * h, 0.0), self.duration - 6.0 * h)
+        nodes = np.arange(7.0) + (first - t) / h
+        powers = np.array([nodes**i for i in range(7)])
+        weights: Array = np.asarray(np.linalg.solve(powers, np.eye(7)[1]), dtype=float) / h
+        turn, shift = self.rates(first + h * np.arange(7.0))
+        return (weights[:, None, None] * turn).sum(axis=0), weights @ shift
+
+
+def _moving_planes(
+    system: System, body: str, moving: MovingRows, samples: Array, duration: float
+) -> tuple[Plane, ...]:
+    """The planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
+    rows = moving.rows
+    clocks = np.linspace(0.0, duration, 4 * len(samples))
+    x = np.column_stack([np.repeat(samples, 4, axis=0), clocks])
+    values = moving.sign * (rows.values(x)[:, moving.at_row] - moving.bound)
+    N, o = moving.at(clocks)
+    predicted = (N @ np.linalg.solve(moving.back, x[:, moving.slides_q].T).T[..., None])[..., 0] + o
+    off = np.abs(values - predicted).max(axis=0, initial=0.0)
+    size = 1.0 + np.abs(predicted).max(axis=0, initial=0.0)
+    for name, miss, large in zip(moving.names, off, size, strict=True):
+        if not miss <= SAME * large:
+            raise UnsupportedError(
+                f"{system.name}: {name!r} is no plane for the centre of {body!r} at every time; "
+                "simulate knows bounces on planes, which may move"
+            )
+    moving.only(np.linalg.norm(N, axis=-1).max(axis=0, initial=0.0) >= SAME)
+    N, o = moving.at(0.0)
+    return tuple(Plane(*each) for each in zip(moving.names, N, o.tolist(), strict=True))
+
+
+def start_of_flight(fall: Falling, q: Array) -> None:
+    """Refuse a start (nq,) that is not above all planes. Errors: `InputError`, with the distance."""
+    for plane in fall.planes:
+        gap = plane.offset + float(plane.normal @ fall.y(q))
+        if gap < -TOUCH:
+            raise InputError(
+                f"the start is {-gap:.6g} m inside {plane.name!r}; a start must be above it, or "
+                "touch it"
+            )
+
+
+def _no_others(system: System, q: Array) -> None:
+    """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
+    if timed(system):
+        system = clocked(system)
+        q = np.append(q, 0.0)
+    if rates(system, q)[0].shape[-2]:
+        raise UnsupportedError(
+            f"{system.name} rolls (it has velocity constraints): how it would roll by itself needs "
+            "masses and moments of inertia; inputs={...} gives velocities instead"
+        )
+    if held := binding(system, q):
+        raise UnsupportedError(
+            f"{system.name}: {held!r} (a loop, a rod or another position constraint) would push: "
+            f"that needs masses; {NEEDED} one ball or particle"
+        )
+
+
+def _body(system: System) -> tuple[str, Array]:
+    """The one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
+    samples = random(system, np.random.default_rng(SEED), (TRIALS,))
+    moving = [
+        b
+        for b in system.body_names[1:]
+        if np.abs(np.asarray(jacobian(system, samples, b))).max() > SAME
+    ]
+    if not moving:
+        raise UnsupportedError(f"{system.name} has no body that moves")
+    first = np.linalg.inv(fk(system, samples, moving[0]))
+    for other in moving[1:]:
+        X = first @ fk(system, samples, other)
+        if np.abs(X - X[0]).max() > SAME:
+            raise UnsupportedError(
+                f"{system.name} has several moving bodies ({moving[0]!r}, {other!r}, ...): how "
+                f"they push each other needs masses; {NEEDED} one ball or particle"
+            )
+    if len(moving) > 1:
+        parts = ", ".join(map(repr, moving))
+        raise UnsupportedError(
+            f"{system.name}: {parts} are one rigid body of several parts: its centre of mass needs "
+            f"their masses; {NEEDED} one ball or particle"
+        )
+    centre = system.mechanism.bodies[moving[0]].center
+    return moving[0], np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
+
+
+def _planes(
+    system: System, body: str, q: Array, slides_q: np.ndarray, shape: Array, samples: Array
+) -> tuple[Plane, ...]:
+    """The planes of one-sided rows. Errors: `UnsupportedError`."""
+    rows = one_sided_rows(system)
+    limited = [
+        k for k in range(len(rows)) if k < rows.declared or rows.at[k - rows.declared] in slides_q
+    ]
+    if not limited:
+        return ()
+    base = q.copy()
+    base[slides_q] = 0.0
+    moved = np.repeat(base[None], len(slides_q), axis=0)
+    moved[np.arange(len(slides_q)), slides_q] = 1.0
+    origin = rows.values(base)[limited]
+    slope = rows.values(moved)[:, limited] - origin
+    trials = samples.copy()
+    predicted = origin + trials[:, slides_q] @ slope
+    off = np.abs(rows.values(trials)[:, limited] - predicted).max(axis=0)
+    size = 1.0 + np.abs(predicted).max(axis=0)
+    for k, miss, large in zip(limited, off, size, strict=True):
+        if miss > SAME * large:
+            turned = np.repeat(base[None], len(trials), axis=0)
+            turned[:, slides_q] = trials[:, slides_q]
+            kept = np.abs(rows.values(turned)[:, limited] - predicted).max(axis=0)[limited.index(k)]
+            if kept <= SAME * large:
+                raise UnsupportedError(
+                    f"{system.name}: how {rows.names[k]!r} is touched depends on how {body!r} is "
+                    "turned (its point is not the centre): an impact there needs moments of "
+                    f"inertia; {NEEDED} one ball or particle"
+                )
+            raise UnsupportedError(
+                f"{system.name}: {rows.names[k]!r} is no plane for the centre; simulate knows "
+                "bounces on planes"
+            )
+    planes: list[Plane] = []
+    back = np.linalg.inv(shape)
+    for k, at, column in zip(limited, origin, slope.T, strict=True):
+        normal = column @ back
+        if np.linalg.norm(normal) < SAME:
+            continue
+        for upper, end in ((False, rows.low[k]), (True, rows.high[k])):
+            if math.isfinite(end):
+                sign = -1.0 if upper else 1.0
+                planes.append(Plane(rows.side(k, upper), sign * normal, float(sign * (at - end))))
+    return tuple(planes)
+
+
+def _turns(
+    system: System, body: str, q: Array, v: Array, turning: np.ndarray, duration: float
+) -> None:
+    """Refuse bodies whose turning does not go on evenly. Errors: `UnsupportedError`."""
+    moving = np.flatnonzero(turning & (v != 0.0))
+    if not len(moving):
+        return
+    names = ", ".join(repr(system.structure.velocity_names[i]) for i in moving)
+    vectors = set(system.structure.layout.vector_v.tolist())
+    angles = [int(i) for i in moving if int(i) in vectors]
+    if len(angles) and int(turning.sum()) > 1:
+        raise UnsupportedError(
+            f"{system.name}: {names} would not turn {body!r} evenly; give a free joint (with a "
+            "quaternion), or no turning velocity"
+        )
+    for i in angles:
+        place = int(
+            system.structure.layout.vector_q[system.structure.layout.vector_v.tolist().index(i)]
+        )
+        end = q[place] + v[i] * duration
+        if not system.lower[i] - 1e-12 <= end <= system.upper[i] + 1e-12:
+            raise UnsupportedError(
+                f"{system.name}: {names} would turn {body!r} to its limit: an impact there needs "
+                "its moment of inertia"
+            )
+
+
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s^2], down z, in the plane down y, where none is given."""
+TOLERANCE = 1e-11
+"""Local error of a step of integration."""
+MOST_SAMPLES = 10**7
+USUAL = Usual("simulate", points=200, time_limit=LONG)
+
+
+@dataclass(frozen=True)
+class Bounce(InWords):
+    """What happened to a ball at a `time` [s], at `q` (nq,): with the gap's rate `before` and
+    `after` [m/s].
+
+    `kind` is "bounce", "lands" (it stays on the plane), "settles" (infinitely many bounces have
+    ended), or "leaves" (a plane that moves would have to pull from then on). `contacts` are the
+    names of the planes or limits.
+    """
+
+    kind: str
+    time: float
+    contacts: tuple[str, ...]
+    before: float
+    after: float
+    q: Array = field(repr=False, compare=False)
+
+    def __str__(self) -> str:
+        where = " and ".join(map(repr, self.contacts))
+        if self.kind == "settles":
+            return f"{self.time:.10g} s: settles on {where}, after infinitely many bounces"
+        if self.kind == "leaves":
+            return f"{self.time:.10g} s: leaves {where}"
+        rebound = f", {self.after:.6g} m/s after it" if self.kind == "bounce" else ", and stays"
+        return f"{self.time:.10g} s: {self.kind} on {where} with {-self.before:.6g} m/s{rebound}"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Simulation(Motion):
+    """A motion in time: configurations `q` (n, nq) and velocities `v` (n, nv) at times `t` (n,)
+    [s].
+
+    `events` are bounces. `success` is false where the motion ends before its time, `status` says
+    why. `slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
+    `interrupted`, or the time limit came (`late`), these are the samples that were done.
+    """
+
+    also = ("t", "v", "slip", "interrupted", "late")
+
+    system: System
+    t: Array
+    q: Array
+    v: Array
+    events: tuple[Bounce, ...]
+    success: bool
+    reason: str = ""
+    slip: float = 0.0
+    interrupted: bool = False
+    late: bool = False
+    frames: tuple[str, ...] = ()
+    _at: Callable[[Array], tuple[Array, Array]] | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"Simulation({self.system.name!r}, {counted(len(self.t), 'sample')}, "
+            f"{counted(len(self.events), 'event')})"
+        )
+
+    def at(self, t: ArrayLike) -> Array:
+        """Configurations (..., nq) at times `t` (...): of a ball that falls exactly, else between
+        samples (cubic).
+
+        Errors: `InputError` for times outside.
+        """
+        return self._sampled(t)[0]
+
+    def velocity(self, t: ArrayLike) -> Array:
+        """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
+        return self._sampled(t)[1]
+
+    def _when(self) -> Any:
+        return self.t
+
+    def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
+        t = numbers(t, "t")
+        if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
+            raise InputError(
+                f"t is outside the motion, which is known from {self.t[0]:g} to {self.t[-1]:.9g} s"
+            )
+        q, v = (self._at or self._between)(t.ravel())
+        return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
+
+    def _between(self, t: Array) -> tuple[Array, Array]:
+        if len(self.t) == 1:
+            return np.repeat(self.q, len(t), axis=0), np.repeat(self.v, len(t), axis=0)
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
+        h = (self.t[k + 1] - self.t[k])[:, None]
+        u = (t - self.t[k])[:, None] / h
+        way = self.system.structure.layout.difference(self.q[k], self.q[k + 1])
+        a = h * self.v[k]
+        b = h * self.v[k + 1]
+        y = u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * way - u * u * (1 - u) * b
+        return self.system.structure.layout.integrate(self.q[k], y), (1 - u) * self.v[
+            k
+        ] + u * self.v[k + 1]
+
+    def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
+        """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
+        return self._columns("time", self.t, frames)
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        text = f"{self.t[-1]:.6g} s in {counted(len(self.t), 'sample')}"
+        bounces = sum(e.kind == "bounce" for e in self.events)
+        if self.events:
+            text += f", {counted(bounces, 'bounce')}"
+            ends = [e for e in self.events if e.kind != "bounce"]
+            text += (
+                f"; from {ends[-1].time:.10g} s on it stays on "
+                f"{' and '.join(map(repr, ends[-1].contacts))}"
+                if (ends and ends[-1] is self.events[-1] and ends[-1].kind != "leaves")
+                else ""
+            )
+        return text + self._partial() + (f"; {self.reason}" if self.reason else "")
+
+    def _notes(self) -> Sequence[str]:
+        lines = [str(e) for e in self.events[:20]]
+        if len(self.events) > 20:
+            lines += [f"... {len(self.events)} events in all, the last one:", str(self.events[-1])]
+        return [*lines, *super()._notes()]
+
+
+@explained
+@interruptible
+def simulate(
+    system: System,
+    duration: float,
+    start: ArrayLike | Mapping[str, float] | str | None = None,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    velocity: ArrayLike | Mapping[str, float] | None = None,
+    acceleration: ArrayLike | None = None,
+    restitution: float = 1.0,
+    tolerance: float | None = None,
+    budget: Budget | None = None,
+) -> Simulation:
+    """The motion of a system in time, for a `duration` [s] from a configuration on, as a
+    `Simulation`.
+
+    With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity
+    coordinate, or a twist of a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others
+    follow from the velocity constraints and the closed loops, and are integrated with the local
+    error `tolerance` (1e-11); position constraints are met at each sample to rounding. It ends
+    where a coordinate meets its limit, or the inputs cannot be had.
+
+    Without `inputs`: one ball or particle that falls from `start` with a `velocity` (nv,) (default:
+    at rest) by a uniform `acceleration` (3,) [m/s^2] (default: 9.81 down z, in the plane down y),
+    and bounces on what keeps it on one side of a plane: contacts, other inequalities, limits of its
+    slides. Smooth planes: the normal speed is reversed times `restitution`, from 0 to 1. The answer
+    is exact (times in closed form), and goes on after the infinitely many bounces that end at t1 +
+    2 v / (a (1 - e)), v the speed after the impact at t1. What would need masses is refused.
+
+    The time is 0 at the start. Equations and inequalities in time hold at every time. Planes may
+    move: an impact reverses the rate of the gap, and a body that rests on a plane moves with it as
+    long as the plane pushes. With planes that move, times of impacts are found numerically, from
+    the gaps at 1024 places of the duration.
+
+    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many evenly spread
+    times, and those of all events. Errors: `UnsupportedError` with the reason; `InputError`, also
+    for a start inside a plane, with the distance; `UnknownNameError`.
+    """
+    if not is_real(duration) or not 0.0 < duration < math.inf:
+        raise InputError(
+            f"duration is {duration!r}; it must be a time in seconds, positive and finite"
+        )
+    spend = USUAL.of(budget)
+    samples = spend.points
+    if not is_whole(samples) or not 2 <= samples <= MOST_SAMPLES:
+        raise InputError(
+            f"points is {samples!r}; it must be a whole number, at least 2 and at most "
+            f"{MOST_SAMPLES}"
+        )
+    limit = TimeLimit(spend.time_limit)
+    with begun_within(USUAL, limit):
+        q = start_of(system, start, {}).astype(float)
+    times = np.linspace(0.0, float(duration), int(samples))
+    if inputs is not None:
+        allowed = TOLERANCE if tolerance is None else tolerance
+        return _rolls(system, q, times, inputs, velocity, acceleration, allowed, limit)
+    if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
+        raise InputError(
+            f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)"
+        )
+    v = _velocity(system, velocity)
+    with begun_within(USUAL, limit):
+        fall = falling(system, q, v, float(duration))
+        start_of_flight(fall, q)
+    g = _acceleration(system, acceleration)
+    gravity = fall.basis.T @ g
+    first = (fall.y(q), fall.shape @ v[fall.slides_v])
+    broken: BaseException | None = None
+    if fall.moving is None:
+        flight = Flight(fall.planes, gravity, float(restitution))
+        end = float(duration)
+        try:
+            with limit:
+                flight.run(*first, float(duration))
+        except BROKEN_OFF as error:
+            broken = error
+            end = flight.known
+        end = flight.impacts[-1].time if flight.broken else end
+        reason = f"broken off after {MOST} events" if flight.broken else ""
+    else:
+        flight = MovingFlight(fall.moving, gravity, float(restitution), limit)
+        try:
+            with limit:
+                flight.run(*first, float(duration))
+        except BROKEN_OFF as error:
+            broken = error
+        end = flight.known
+        reason = flight.reason
+    happened = np.array([e.time for e in flight.impacts])
+    t = np.union1d(times[times <= end], happened)
+    x, w = fall.motion(q, v, flight, t)
+    at = fall.motion(q, v, flight, happened)[0]
+    names = [p.name for p in fall.planes]
+    events = tuple(
+        Bounce(e.kind, e.time, tuple(names[i] for i in e.planes), e.before, e.after, at[k])
+        for k, e in enumerate(flight.impacts)
+    )
+    return Simulation(
+        system,
+        t,
+        x,
+        w,
+        events,
+        not reason and broken is None,
+        reason,
+        interrupted=isinstance(broken, KeyboardInterrupt),
+        late=isinstance(broken, TimeUp),
+        frames=(fall.body,),
+        _at=partial(fall.motion, q, v, flight),
+    )
+
+
+def _rolls(
+    system: System,
+    q: Array,
+    times: Array,
+    inputs: Any,
+    velocity: Any,
+    acceleration: Any,
+    tolerance: Any,
+    time: TimeLimit,
+) -> Simulation:
+    if not is_mapping(inputs):
+        raise InputError(
+            f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name"
+        )
+    if velocity is not None or acceleration is not None:
+        name = "velocity" if velocity is not None else "acceleration"
+        raise InputError(
+            f"{name} is for what falls by itself; with inputs all velocities follow from these"
+        )
+    if not is_real(tolerance) or not 1e-14 <= tolerance <= 1e-3:
+        raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
+    with begun_within(USUAL, time):
+        found = roll(system, inputs, q, times, float(tolerance), time)
+    late = isinstance(found.broken, TimeUp)
+    interrupted = isinstance(found.broken, KeyboardInterrupt)
+    return Simulation(
+        system,
+        found.t,
+        found.q,
+        found.v,
+        (),
+        not found.reason and found.broken is None,
+        found.reason,
+        slip(system, found.t, found.q, found.v),
+        interrupted,
+        late,
+    )
+
+
+def _velocity(system: System, velocity: Any) -> Array:
+    """Velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
+    v = np.zeros(system.nv)
+    given = None if velocity is None else named(velocity)
+    names = list(system.structure.velocity_names)
+    if given is not None:
+        for name, x in given.items():
+            if name not in names:
+                raise UnknownNameError("velocity", name, names, system.name)
+            if not is_real(x):
+                raise InputError(f"the velocity of {name!r} is {x!r}; it must be a number")
+            v[names.index(name)] = x
+    elif velocity is not None:
+        v = reals(velocity, "velocity").astype(float)
+    if v.shape != (system.nv,) or not np.isfinite(v).all():
+        raise InputError(
+            f"velocity has shape {v.shape}; it must be ({system.nv},) finite numbers: "
+            f"{', '.join(names)}"
+        )
+    return v
+
+
+def _acceleration(system: System, acceleration: Any) -> Array:
+    """The acceleration (3,) of what falls. Errors: `InputError`."""
+    if acceleration is None:
+        return np.array([0.0, 0.0, -GRAVITY] if system.dim == 3 else [0.0, -GRAVITY, 0.0])
+    a = reals(acceleration, "acceleration").astype(float)
+    if system.dim == 2 and a.shape == (2,):
+        a = np.append(a, 0.0)
+    if a.shape != (3,) or not np.isfinite(a).all():
+        size = "(3,) or (2,)" if system.dim == 2 else "(3,)"
+        raise InputError(
+            f"acceleration has shape {a.shape}; it must be {size} finite numbers in m/s^2"
+        )
+    return a

@@ -1,0 +1,359 @@
+"""Where a motion begins: the configuration, its sense, and what comes back by turning all round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.arrays import is_mapping, is_real
+from kempe.equations.closure import Closure, close
+from kempe.equations.one_sided import one_sided_rows
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.joints import R
+from kempe.model.configurations import as_q, home_of, q_from_dict, random, refuse_wound
+from kempe.model.coordinates import coordinate_names
+from kempe.motion.crossings import PROBE, SingularNode, branches_at, hold_rank, locate
+from kempe.motion.held_spins import hold_spins
+from kempe.numerics.curves import RANK, Node, node
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+MOST_TURNS = 1000
+"""Turns of a coordinate after which those that follow it must be where they were, for that to count
+as coming back."""
+SAME_VALUE = 1e-9
+"""Difference of values that is rounding."""
+SAME_RATIO = 1e-12
+"""How near a factor must be to a ratio of whole numbers to be that ratio."""
+RESTS = 1e-6
+"""Share of the driver in a direction below which it rests."""
+SEED = 1837
+STARTS = 16
+"""Random starts from which a configuration within one-sided constraints is looked for."""
+LOW_RANK = 0.1
+"""Length of a curve on both sides of the start over which the rank is low, if it is low all
+along."""
+LONGEST = 0.1
+"""Longest step unless the caller says otherwise, in radians and characteristic lengths over all
+coordinates."""
+
+
+def longest_step(step: float | None) -> float:
+    """The longest step of arc length, as given or by default. Errors: `InputError`."""
+    if step is None:
+        return LONGEST
+    if not is_real(step) or not 1e-6 <= step <= 1.0:
+        raise InputError(
+            f"step is {step!r}; it must be between 1e-6 and 1, in radians and characteristic "
+            "lengths"
+        )
+    return float(step)
+
+
+def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
+    """The rates (nv,) that choose a sense or a branch. Errors: `InputError`, `UnknownNameError`."""
+    wish = np.zeros(system.nv)
+    for name, rate in (toward or {}).items():
+        i = angle_or_slide(system, name)
+        if not is_real(rate) or not math.isfinite(rate):
+            raise InputError(
+                f"toward gives the rate {rate!r} to {name!r}; it must be a finite number"
+            )
+        wish[i] = rate
+    return wish
+
+
+def angle_or_slide(system: System, name: str) -> int:
+    """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by
+    name.
+
+    Errors: `InputError` for a coupled coordinate, which is not part of q; `UnknownNameError` for
+    components of a quaternion and for unknown names.
+    """
+    names = list(system.structure.velocity_names)
+    layout = system.structure.layout
+    if name in names and (i := names.index(name)) in layout.vector_v:
+        return i
+    follower = system.structure.couplings.get(name)
+    if follower is not None:
+        said = (
+            f"it follows {follower.source!r}"
+            if follower.source
+            else f"it is held at {follower.offset:g}"
+        )
+        raise InputError(f"coordinate {name!r} is not part of q: {said}")
+    allowed: list[str] = [names[int(i)] for i in layout.vector_v]
+    raise UnknownNameError("angle or slide", name, allowed, system.name)
+
+
+def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
+    """The configuration (nq,) that `start` names, before any loop is closed."""
+    if start is None:
+        q = home_of(system)
+    elif isinstance(start, str):
+        q = q_from_dict(system, start)
+    elif is_mapping(start):
+        q = q_from_dict(system, start, home_of(system))
+    else:
+        q = as_q(system, start)
+    if q.shape != (system.nq,):
+        raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
+    refuse_wound(system, q, "start")
+    held = q_from_dict(system, hold, q)
+    if held.shape != q.shape:
+        raise InputError(f"hold is {shown(hold)}; it must be one number for each coordinate")
+    return refuse_wound(system, held, "hold")
+
+
+def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
+    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or
+    None.
+
+    What `assemble` calls closed is closed here, too: loops whose numbers contradict each other by a
+    little more than rounding are followed within the tolerance of `assemble`.
+    """
+    held = [angle_or_slide(system, n) for n in hold]
+    near = start_of(system, start, hold)
+    equations = Closure(system, held, near)
+    known: dict[str, Any] = (
+        {n: v for n, v in start.items() if n not in hold} if is_mapping(start) else {}
+    )
+    fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
+    q = (
+        None if known else close(fixed, near)
+    )  # what is known may be far: then on the branch that `assemble` finds
+    if q is None:
+        from kempe.assemble.assemble import assemble
+        from kempe.assemble.bound import TOLERANCE, of_equations
+
+        answer = assemble(system, known={**hold, **known}, start=near)
+        if not answer.success:  # what is one-sided is then reported
+            answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
+        q = close(fixed, answer.q) if answer.success else None
+        if q is None and answer.success:
+            equations.closed = fixed.closed = TOLERANCE
+            q = close(fixed, answer.q)
+    if start is None and q is not None and one_sided_rows(system).beyond(q, declared=True).any():
+        q = _within(system, hold, fixed, near, q)
+    return equations, q
+
+
+def _within(
+    system: System, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array
+) -> Array:
+    """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else
+    q as it is.
+    """
+    from kempe.assemble.assemble import assemble
+
+    rows = one_sided_rows(system)
+    rng = np.random.default_rng(SEED)
+    for start in (near, *random(system, rng, (STARTS,))):
+        answer = assemble(system, dict(hold), start)
+        found = close(fixed, answer.q) if answer.success else None
+        if found is not None and not rows.beyond(found).any():
+            return found
+    return q
+
+
+def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:
+    """The sentence for a motion that cannot begin: which loop is open at the start, by how much,
+    and why.
+    """
+    from kempe.assemble.assemble import assemble
+
+    known = {**start, **hold} if is_mapping(start) else hold
+    answer = assemble(system, known=known, start=start_of(system, start, hold))
+    return f"the loops do not close near the start{'' if answer.success else f': {answer.status}'}"
+
+
+class WoundFollower(NamedTuple):
+    """A coupled coordinate that is not where it was when its `source` (index) has turned round: it
+    turns or slides on by `factor`, in radians or metres, with each radian of the source.
+    """
+
+    name: str
+    source: int
+    factor: float
+    turns: bool
+
+
+def periods(system: System, limits: bool = True) -> Array:
+    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that
+    never happens.
+
+    With `limits` a coordinate that has some does not turn all round.
+    """
+    return _turning(system, limits)[0]
+
+
+def followers(system: System, limits: bool = True) -> list[WoundFollower]:
+    """The coupled coordinates that keep those which they follow from ever coming back by turning
+    on.
+    """
+    return _turning(system, limits)[1]
+
+
+def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
+    c = system.structure.coordinates
+    whole = np.where(
+        c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0
+    ).astype(object)
+    number = {name: i for i, name in enumerate(system.structure.velocity_names)}
+    mechanism = system.mechanism
+    couplings = system.structure.couplings
+    never: list[WoundFollower] = []
+    for joint in mechanism.joints.values() if couplings else ():
+        names = coordinate_names(mechanism, joint)
+        for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
+            follower = couplings.get(names[p.coordinate])
+            if follower is None or follower.source is None:
+                continue
+            i = number[follower.source]
+            factor = p.multiplier * follower.multiplier
+            ratio = Fraction(factor).limit_denominator(MOST_TURNS)
+            if p.kind == R and abs(float(ratio) - factor) < SAME_RATIO:
+                whole[i] = math.lcm(int(whole[i]), ratio.denominator) if whole[i] else 0
+            elif whole[i] or any(f.source == i for f in never):
+                whole[i] = 0
+                never.append(WoundFollower(names[p.coordinate], i, factor, p.kind == R))
+    found = 2.0 * math.pi * whole.astype(float)
+    return np.where(_distinct(system, found), 0.0, found), never
+
+
+def _distinct(system: System, period: Array) -> np.ndarray:
+    """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
+    rows = one_sided_rows(system)
+    out = np.zeros(system.nv, dtype=bool)
+    if rows.declared:
+        q = random(system, np.random.default_rng(0), 3)
+        before = rows.values(q, declared=True)
+        for i in np.flatnonzero(period):
+            after = rows.values(
+                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]),
+                declared=True,
+            )
+            out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
+    return out
+
+
+def first_node(
+    equations: Closure, q: Array, driver: str | None, toward: Mapping[str, float] | None
+) -> Node | None:
+    """The node at the start with its sense chosen; None where nothing can move. Errors:
+    `UnsupportedError`.
+    """
+    system = equations.system
+    wish = wish_of(system, toward)
+    wish = wish / equations.unit if equations.n == system.nv else wish
+    if not equations.n:
+        return None
+    here = node(equations, q)
+    requested = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
+    # what moves may be but a spin
+    rests = driver is not None and here.nullity == 1 and abs(here.t[requested[-1]]) < RESTS
+    if (here.nullity > 1 or rests) and hold_spins(equations, q, requested):
+        here = node(equations, q)
+
+    def low_rank(length: float) -> bool:
+        return hold_rank(equations, q, lambda: (equations, node(equations, q)), length)
+
+    if here.nullity > 1 and low_rank(LOW_RANK):
+        here = node(equations, q)
+    if here.nullity == 0:
+        return None
+    if here.nullity > 1:
+        several = _at_bifurcation(equations, here, driver, wish)
+        if several is None and not low_rank(PROBE):
+            raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
+        here = several or node(equations, q)
+    if isinstance(here, SingularNode) and here.germ.cusp(here.half):
+        return here  # both halves leave to the same side
+    i = (
+        angle_or_slide(system, driver)
+        if driver
+        else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
+    )
+    sense = float(here.t @ wish) if abs(here.t @ wish) > 1e-9 else float(here.t[i])
+    return here.reversed() if sense < 0.0 else here
+
+
+def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node | None:
+    """The node at a start where first order leaves several motions, on the branch nearest to the
+    wish, if any.
+    """
+    x = here.x
+    polished = locate(equations, x, here.nullity, 1e-5)
+    x = x if polished is None else polished
+    lines, germ = branches_at(equations, x)
+    if germ is not None:
+        if driver is not None and not wish.any():
+            wish = np.eye(equations.n)[angle_or_slide(equations.system, driver)]
+        return germ.node(int(np.argmax(np.round(germ.tangents @ wish, 9))))
+    if not len(lines):
+        return None
+    if np.linalg.norm(wish) > 0.0:
+        merit = np.abs(lines @ wish)
+    elif driver is not None:
+        merit = np.abs(lines[:, angle_or_slide(equations.system, driver)])
+    else:
+        merit = -np.arange(float(len(lines)))
+    best = int(np.argmax(merit))
+    at = node(equations, x)
+    return Node(x, lines[best], at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
+
+
+def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
+    """Why the motion is not one curve: which coordinates still move with the drivers held."""
+    system = equations.system
+    _, s, Vt = svd(matrix)
+    null_space = Vt[int(np.sum(s > RANK * s[0])) :]
+    count = len(null_space)
+    rows = null_space[:, [angle_or_slide(system, d) for d in drivers]].T
+    if drivers:
+        _, s, Vt = svd(rows)
+        null_space = Vt[int(np.sum(s > RANK)) :] @ null_space
+    sizes = dict(zip(system.structure.velocity_names, np.abs(null_space).max(axis=0), strict=True))
+    moving = [n for n, size in sizes.items() if size > 1e-6]
+    named = [n for n in moving if n in system.coordinate_names]
+    balls = list(dict.fromkeys(n.rpartition(".")[0] for n in moving if n not in named))
+    still = (
+        f"with {' and '.join(map(repr, drivers))} held still, these still move"
+        if drivers
+        else "these move"
+    )
+    many = len(null_space) - (not drivers)
+    own = null_space[:, [n in named for n in system.structure.velocity_names]]
+    enough = int(np.sum(svd(own, compute_uv=False) > 1e-6)) >= many if named else False
+    head = (
+        f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; "
+        f"{still}: "
+    )
+    if not named:
+        return (
+            f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} "
+            "without coordinates that can be held: angles=True gives a ball angles"
+        )
+    which, them = ("one", "it") if many == 1 else (str(many), "them")
+    also = (
+        f" (and balls, which have angles to hold with angles=True: {_listed(balls)})"
+        if balls and not enough
+        else ""
+    )
+    return (
+        f"{head}{_listed(named)}{also}; hold {which} of them (hold={{name: value}}), or lock "
+        f"{them}; a singular point where branches of several freedoms meet is no place to start"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in quotes, the first six of them."""
+    return ", ".join(map(repr, names[:6])) + (", ..." if len(names) > 6 else "")

@@ -1,0 +1,652 @@
+"""How a mechanism with one degree of freedom moves: its whole branch, by continuation; other
+branches by switching.
+
+Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990): the
+driver is not special, so dead points are ordinary points. At a crossing the walk goes straight on,
+and where branches touch or end in a cusp it goes on along the half-branch that is the other half of
+its own; what other branches there are is recorded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, flag, interruptible
+from kempe.arrays import is_mapping, is_whole
+from kempe.assemble.nearest_exact import tolerant
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.equations.closure import Closure
+from kempe.equations.slip import slip_of
+from kempe.errors import InputError
+from kempe.model.configurations import as_q, home_of
+from kempe.motion.crossings import SingularNode, rank_held
+from kempe.motion.events import (
+    HOME_CROSSING,
+    SAME_NODE,
+    OneSidedEnds,
+    WalkEnd,
+    extreme,
+    hidden_crossings,
+    home,
+    sides_change,
+    turns,
+    walk,
+)
+from kempe.motion.held_spins import spins_held
+from kempe.motion.path import Event, Path, Track
+from kempe.motion.start import (
+    MOST_TURNS,
+    SAME_RATIO,
+    angle_or_slide,
+    begin,
+    first_node,
+    followers,
+    longest_step,
+    periods,
+    start_of,
+    why_open,
+)
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
+from kempe.numerics.curves import Node, arc, bend, node, step
+from kempe.spatial import Array
+from kempe.words import plural
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- endless
+
+# Motions that have no end: slides that run away to infinity, and gears that never bring all back
+# to where it was.
+#
+# That a curve runs away is evidence, found by going on in longer and longer steps; so is a ratio of
+# whole numbers that is missing: a computer's number is always a fraction. What is said is what was
+# looked at.
+
+
+FAR = 50.0
+"""Characteristic lengths that a slide, and radians that a turn without return, is away before one
+looks ahead."""
+AHEAD = 1e4
+"""How many of them one looks ahead."""
+STRAIGHT = 1e-9
+"""Change of the direction over `SOON` below which a curve counts as straight, and one looks ahead
+at once."""
+SAME_RATE = 1e-8
+"""How near the ratio of two rates of a straight curve must be to one of whole numbers: rates are
+computed, far from the origin with less digits."""
+SOON = 8.0
+"""Arc length after which that is checked."""
+NO_RETURN = "a place like any other of a motion that does not come back"
+"""How a reason begins that holds both ways."""
+ROUNDS = 10
+"""Turns after which a curve ends that a gear ratio keeps from closing."""
+MOVES = 1e-9
+"""Share of a direction below which a coordinate rests."""
+
+
+class Endless:
+    """Whether a walk from a first node on has no end; `limits` are those that may still end it."""
+
+    def __init__(self, equations: Closure, first: Node, periods: Array, limits: OneSidedEnds):
+        self.equations = equations
+        self.first = first
+        self.periods = periods
+        self.limits = limits
+        system = equations.system
+        self.away = np.array(
+            [i for i in system.structure.layout.vector_v if not periods[i]], dtype=np.int64
+        )
+        self.place = equations.place[self.away]
+        self.followers = followers(system, limits.limits)
+        self.next = FAR
+        self.requested = False
+
+    def reason(self, b: Node, length: float) -> str:
+        """Why the curve has no end, as the place where it ends; empty as long as nothing speaks for
+        that.
+        """
+        for f in self.followers:
+            if f.turns and self._turned(b, f.source) > 2.0 * math.pi * ROUNDS:
+                return self._unrelated(f.name, f.factor, f.source)
+        if not self.requested and length > SOON:
+            self.requested = True
+            if float(np.abs(b.t - self.first.t).max()) < STRAIGHT:
+                return self._straight(b)
+        if not self.away.size:
+            return ""
+        out = np.abs(b.x[self.place] - self.first.x[self.place]) / self.equations.unit[self.away]
+        if float(out.max()) < self.next:
+            return ""
+        self.next *= 4.0
+        return self._runs_away(b)
+
+    def hint(self, b: Node) -> str:
+        """What is known about when a curve closes that was not followed so far."""
+        whole = np.flatnonzero(self.periods > 7.0)
+        i = max(whole.tolist(), key=lambda i: self._turned(b, i), default=-1)
+        if i < 0 or self._turned(b, i) < 2.0 * math.pi:
+            return ""
+        name = self.equations.system.structure.velocity_names[i]
+        turns = round(self.periods[i] / (2.0 * math.pi))
+        done = f"{self._turned(b, i) / (2.0 * math.pi):.4g}"
+        after = f"{done} {plural(float(done), 'turn')} of {name!r}"
+        return f", after {after}: by its gear ratios all is as before after {turns}"
+
+    def _turned(self, b: Node, i: int) -> float:
+        """How far coordinate i is from where it was at first."""
+        at = self.equations.place[i]
+        return abs(float(b.x[at] - self.first.x[at]))
+
+    def _straight(self, b: Node) -> str:
+        """The same of a curve that has been straight so far: coordinates grow at constant rates."""
+        moving = [
+            int(i) for i in self.equations.system.structure.layout.vector_v if abs(b.t[i]) > MOVES
+        ]
+        for f in self.followers:
+            if f.turns and f.source in moving:
+                return self._unrelated(f.name, f.factor, f.source)
+        if any(i in self.away for i in moving):
+            return self._runs_away(b)
+        lead = max(moving, key=lambda i: abs(b.t[i]) / self.periods[i], default=-1)
+        for i in moving:
+            factor = float(b.t[i] / b.t[lead])
+            ratio = Fraction(factor * self.periods[lead] / self.periods[i]).limit_denominator(
+                MOST_TURNS
+            )
+            if abs(float(ratio) * self.periods[i] / self.periods[lead] - factor) > SAME_RATE:
+                return self._unrelated(
+                    self.equations.system.structure.velocity_names[i], factor, lead, SAME_RATE
+                )
+        return ""
+
+    def _unrelated(self, name: str, factor: float, source: int, within: float = SAME_RATIO) -> str:
+        digits = round(-math.log10(within))
+        of = self.equations.system.structure.velocity_names[source]
+        return (
+            f"{NO_RETURN} within {MOST_TURNS} turns of {of!r}: {name!r} turns "
+            f"{abs(factor):.{digits}g} times as fast, which to {digits} digits is no ratio of "
+            f"whole numbers up to {MOST_TURNS}"
+        )
+
+    def _runs_away(self, b: Node) -> str:
+        """Look ahead in longer and longer steps; what runs away, empty where anything turns back or
+        ends.
+        """
+        equations = self.equations
+        h = 1.0
+        gone = 0.0
+        rest = [i for i in self.away if abs(b.t[i]) > 1e-3]
+        if not rest or self.limits.may_end(b, rest):
+            return ""
+        a = b
+        while gone < AHEAD:
+            c = step(equations, a, h)
+            if (
+                c is None
+                or bend(a, c) > 0.1
+                or sides_change(equations, a, c)
+                or np.any(c.t[rest] * b.t[rest] <= 0.0)
+            ):
+                if h <= 1e-2 * max(gone, 1.0):
+                    return ""
+                h *= 0.5
+                continue
+            gone = gone + h
+            a = c
+            h = min(2.0 * h, max(gone, 1.0))
+        names = equations.system.structure.velocity_names
+        shown = [
+            f"{names[i]!r} = {a.x[equations.place[i]]:.3g}"
+            for i in sorted(rest, key=lambda i: -abs(a.t[i]))[:3]
+        ]
+        return f"infinity: nothing turns back as far as it was followed, to {', '.join(shown)}"
+
+
+NONE = np.zeros((0, 0))
+SAME_POINT = 1e-6
+"""Distance below which two singular points are the same."""
+
+LOW = "the rank is low all along, so that crossings with other branches may be passed unseen"
+"""What is said of a path along which the equations touch."""
+AGAIN = 4
+"""How often a path is walked again, at most, with idle spins held by directions that are farther
+from their lines."""
+MOST_POINTS = 100_000
+"""Points of a path unless the caller says otherwise."""
+WAYS = ("both", "forward", "branches")
+USUAL = Usual("trace", points=MOST_POINTS, step=None, time_limit=TIME_LIMIT, progress=None)
+
+Progress = Callable[[int, float], Any]
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What all walks of one call share."""
+
+    driver: str | None
+    ways: str
+    longest: float
+    limits: bool
+    most: int
+    progress: Progress | None
+    periods: Array
+    time: TimeLimit
+
+
+def _not_begun(
+    time: TimeLimit,
+    system: System,
+    driver: str | None = None,
+    start: Any = None,
+    *,
+    hold: Mapping[str, float] | None = None,
+    ways: str = "both",
+    limits: bool = True,
+    budget: Budget | None = None,
+    **_: Any,
+) -> Path:
+    """The path where the time was up before a closed configuration was known: it stays where
+    `start` is, or at home.
+    """
+    near = (
+        home_of(system)
+        if start is None or isinstance(start, str) or is_mapping(start)
+        else as_q(system, start)
+    )
+    options = _options(system, driver, ways, limits, USUAL.of(budget))
+    held = [*(hold or ())]
+    equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
+    said = (
+        f"it was not followed: {time.reason(TimeUp())} came before a closed configuration was known"
+    )
+    return replace(_failed(equations, options, said, near), late=True)
+
+
+@explained
+@interruptible
+@time_limited(USUAL, _not_begun)
+@tolerant()
+def trace(
+    system: System,
+    driver: str | None = None,
+    start: ArrayLike | Mapping[str, float] | str | None = None,
+    *,
+    hold: Mapping[str, float] | None = None,
+    toward: Mapping[str, float] | None = None,
+    ways: str = "both",
+    limits: bool = True,
+    tolerance: float | str | None = None,
+    budget: Budget | None = None,
+) -> Path:
+    """The `Path` of a mechanism with one degree of freedom: its whole branch through `start`.
+
+    `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default:
+    the posture "closed", else mid-range); it is closed first. `driver` is the coordinate that
+    counts as the input: the path begins with it growing, and points where it turns back are its
+    dead points. `hold` fixes other coordinates at values. `toward` gives rates by coordinate name
+    that choose the sense, and the branch where the start is a bifurcation. The path goes straight
+    on through points where branches cross or touch, and back beside itself at a cusp; where
+    branches touch to third order, or more than two do, a path that does not start there may end, or
+    change from one to another. `ways`: "both" directions from the start, "forward" only, or
+    "branches": both, and the branches met at bifurcations, too, see `Path.others`. The path ends
+    where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end
+    (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
+    the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit
+    (120 s for the whole call), progress(points, length), called now and then. The time limit
+    returns what was done, and says so by `Path.late`; Ctrl-C raises `Interrupted`, whose `answer`
+    is what was done.
+
+    Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`;
+    `InputError`.
+
+    >>> from kempe import Mechanism
+    >>> m = Mechanism("slider-crank", dim=2)
+    >>> crank, rod, slider = m.body("crank"), m.body("rod"), m.body("slider")
+    >>> _ = m.revolute("A", m.ground, crank)
+    >>> _ = m.revolute("B", crank, rod, at=(1, 0))
+    >>> _ = m.revolute("C", rod, slider, at=(2, 0))
+    >>> _ = m.prismatic("S", m.ground, slider, axis=(1, 0))
+    >>> path = trace(m.build(), "S", {"A": 0.5})
+    >>> path.closed, [round(e.value, 9) for e in path.turning_points]
+    (True, [3.0, 1.0])
+    """
+    options = _options(system, driver, ways, limits, USUAL.of(budget))
+    held = dict(hold or {})
+    equations, q = begin(system, start, held)
+    if q is None:
+        return _failed(
+            equations, options, why_open(system, start, held), start_of(system, start, held)
+        )
+    if said := OneSidedEnds(equations, limits).outside(q):
+        return _failed(equations, options, f"{said} at the start", q)
+    equations.budget = options.time
+    try:
+        return without_slip(_followed(equations, q, options, toward))
+    except TimeUp as error:
+        said = (
+            f"it was not followed: {options.time.reason(error)} came before the directions at its "
+            "start were known"
+        )
+        return replace(_failed(equations, options, said, q), late=True)
+    finally:
+        equations.budget = TimeLimit(None)  # the path keeps them
+
+
+def without_slip(path: Path) -> Path:
+    """The path, no success where it slips: what is traced are positions."""
+    slip = slip_of(path.system, path.q)
+    if slip is None:
+        return path
+    said = (
+        f"before point {slip.index} it {slip.text}: positions were traced, drive and simulate "
+        "follow what rolls"
+    )
+    return replace(path, success=False, remark="; ".join(filter(None, [path.remark, said])))
+
+
+def _followed(
+    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
+) -> Path:
+    """The path from a closed configuration on."""
+    first = first_node(equations, q, options.driver, toward)
+    if first is None:
+        return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
+    path = _trace(equations, first, options)
+    spins = spins_held(equations)
+    for _ in range(AGAIN):
+        if spins is None or path.late or path.interrupted or not spins.turned(path.q):
+            break
+        first = (
+            first_node(equations, q, options.driver, toward) or first
+        )  # held otherwise, what spins turns less
+        path = _trace(equations, first, options)
+    if rank_held(equations):
+        path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))
+    if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
+        said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky)"
+        return _failed(equations, options, said, q, True)
+    return _with_others(equations, path, options) if options.ways == "branches" else path
+
+
+def branches(
+    system: System, driver: str | None = None, start: Any = None, **options: Any
+) -> tuple[Path, ...]:
+    """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
+    options["ways"] = "branches"
+    path = trace(system, driver, start, **options)
+    return (replace(path, others=()), *path.others)
+
+
+# ---- where it begins
+
+
+def _options(
+    system: System, driver: str | None, ways: str, limits: bool, spend: Budget
+) -> _Options:
+    flag(limits, "limits")
+    if ways not in WAYS:
+        raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
+    if driver is not None:
+        angle_or_slide(system, driver)
+    longest = longest_step(spend.step)
+    points = spend.points
+    if not is_whole(points) or points < 2:
+        raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
+    return _Options(
+        driver,
+        ways,
+        longest,
+        limits,
+        int(points),
+        spend.progress,
+        periods(system, limits),
+        time_of(USUAL, spend),
+    )
+
+
+# ---- the walk
+
+
+def _trace(equations: Closure, first: Node, options: _Options) -> Path:
+    """The whole branch from its first node."""
+    nodes, reason, closed, broken = _one_way(equations, first, options, options.most)
+    ends = ("the start", reason)
+    left = options.most - len(nodes)
+    if (
+        options.ways != "forward"
+        and not closed
+        and broken is None
+        and left > 1
+        and not reason.startswith(NO_RETURN)
+    ):
+        singular = isinstance(first, SingularNode)
+        back, other, _, broken = _one_way(
+            equations, first.back() if singular else first.reversed(), options, left
+        )
+        nodes = (
+            [n.reversed() for n in reversed(back[1:])]
+            + (first.arrival() if singular else [])
+            + nodes
+        )
+        ends = (other, reason)
+    return _path(equations, nodes, options, closed, ends, broken)
+
+
+def _one_way(
+    equations: Closure, first: Node, options: _Options, most: int
+) -> tuple[list[Node], str, bool, BaseException | None]:
+    """Nodes from the first on, why they end, whether they came home, and what broke the walk off,
+    if anything did.
+    """
+    nodes = [first]
+    limits = OneSidedEnds(equations, options.limits)
+    length = 0.0
+    endless = Endless(equations, first, options.periods, limits)
+    try:
+        for b in walk(equations, first, options.longest, options.periods):
+            a = nodes[-1]
+            if isinstance(b, WalkEnd):
+                return nodes, b.reason, False, None
+            hit = None if a.x is b.x else limits.hit(equations, a, b)
+            back = home(equations, a, b, first, options.periods) if length > 0.0 else None
+            if back is not None and (hit is None or _before(equations, a, back, hit[0])):
+                return [*nodes, back], "the start", True, None
+            if hit is not None:
+                return nodes if hit[0] is a else [*nodes, hit[0]], hit[1], False, None
+            nodes.append(replace(b, matrix=NONE, image=NONE))  # the walk keeps its last one whole
+            length += arc(equations, a, b)
+            if reason := endless.reason(b, length):
+                return nodes, reason, False, None
+            if options.progress is not None and len(nodes) % 16 == 0:
+                options.progress(len(nodes), length)
+            if len(nodes) >= most:
+                return nodes, f"the {options.most} points allowed{endless.hint(b)}", False, None
+    except BROKEN_OFF as error:
+        return nodes, options.time.reason(error), False, error
+    raise AssertionError("a walk ends only with a reason")
+
+
+def _before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
+    return float(
+        np.linalg.norm(equations.between(a.x, first.x) - equations.between(a.x, second.x))
+    ) < 1e-12 or (
+        float(a.t @ equations.between(a.x, first.x))
+        <= float(a.t @ equations.between(a.x, second.x))
+    )
+
+
+def _path(
+    equations: Closure,
+    nodes: list[Node],
+    options: _Options,
+    closed: bool,
+    ends: tuple[str, str],
+    broken: BaseException | None,
+) -> Path:
+    """The answer from the nodes of a branch."""
+    system = equations.system
+    remark = ""
+    found: list[Event] = []
+    options.time.put_in_order()
+    indices = [int(i) for i in system.structure.layout.vector_v if i not in equations.held]
+    s = None
+    k = 0
+    try:
+        nodes = hidden_crossings(equations, nodes)
+        s = _lengths(equations, nodes)
+        for k, m, i in turns(nodes, closed, indices):
+            if (n := extreme(equations, nodes, k, m, i)) is not None:
+                name = system.structure.velocity_names[i]
+                kind = "fold of the driver" if name == options.driver else "extreme"
+                at = float(s[k]) + arc(equations, nodes[k], n) if n is not nodes[0] else 0.0
+                found.append(Event(n.x, at, kind, name, float(n.x[equations.place[i]])))
+    except BROKEN_OFF as error:
+        broken = broken or error
+        s = _lengths(equations, nodes) if s is None else s
+        remark = f"where it turns back was looked for up to s = {s[k]:.6g} only"
+    found.sort(key=lambda e: e.s)
+    track = Track(equations, np.array([n.x for n in nodes]), s, np.array([n.t for n in nodes]))
+    once = np.append(True, np.diff(s) > SAME_NODE)  # cusps are two nodes
+    turning = tuple(e for e in found if options.driver is None or e.coordinate == options.driver)
+    held = tuple(system.structure.velocity_names[i] for i in equations.held)
+    singular = _singular(equations, nodes[:-1] if closed else nodes, s)
+    return Path(
+        track.q[once],
+        s[once],
+        closed,
+        ends,
+        turning,
+        singular,
+        tuple(found),
+        options.driver,
+        held,
+        (),
+        broken is None,
+        isinstance(broken, KeyboardInterrupt),
+        track,
+        late=isinstance(broken, TimeUp),
+        remark=remark,
+    )
+
+
+def _lengths(equations: Closure, nodes: list[Node]) -> Array:
+    """Arc lengths (n,) of nodes."""
+    return np.concatenate(
+        [[0.0], np.cumsum([arc(equations, a, b) for a, b in zip(nodes, nodes[1:], strict=False)])]
+    )
+
+
+def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
+    """The singular points among nodes at arc lengths `s`."""
+    out: list[Event] = []
+    for k, n in enumerate(nodes):
+        if n.lines is not None:
+            own = np.argmax(np.abs(n.lines @ n.t))
+            order = [int(own), *(j for j in range(len(n.lines)) if j != own)]
+            lines = n.lines[order] * equations.unit
+            own = n if isinstance(n, SingularNode) else None
+            cusp = own is not None and own.germ.cusp(own.half)
+            kind = "bifurcation" if len(lines) > 1 else "cusp" if cusp else "singular"
+            out.append(Event(n.x, float(s[k]), kind, nullity=n.nullity, directions=lines, node=own))
+    return tuple(out)
+
+
+def _failed(
+    equations: Closure, options: _Options, reason: str, q: Array, success: bool = False
+) -> Path:
+    """The path of one point that could not be left."""
+    track = Track(equations, q[None], np.zeros(1), np.zeros((1, equations.n)))
+    held = tuple(equations.system.structure.velocity_names[i] for i in equations.held)
+    return Path(
+        track.q,
+        track.s,
+        False,
+        (reason, reason),
+        (),
+        (),
+        (),
+        options.driver,
+        held,
+        (),
+        success,
+        False,
+        track,
+    )
+
+
+# ---- other branches
+
+
+def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
+    """The path with the branches that leave it at its bifurcations, and those that leave these."""
+    found = [path]
+    waiting = list(path.singular_points)
+    broken = None
+    try:
+        while waiting and all(found):
+            event = waiting.pop(0)
+            assert event.directions is not None
+            for first in _branches_of(equations, event):
+                if any(_covers(equations, p, first, options.periods) for p in found):
+                    continue
+                other = _trace(equations, first, options)
+                found.append(other)
+                waiting += other.singular_points
+    except BROKEN_OFF as error:
+        broken = error
+    if broken is None and all(found):
+        return replace(path, others=tuple(found[1:]))
+    late = isinstance(broken, TimeUp) or any(p.late for p in found)
+    interrupted = isinstance(broken, KeyboardInterrupt) or any(p.interrupted for p in found)
+    more = "; ".join(filter(None, [path.remark, "other branches were not all followed"]))
+    return replace(
+        path,
+        others=tuple(found[1:]),
+        success=False,
+        interrupted=interrupted,
+        late=late,
+        remark=more,
+    )
+
+
+def _branches_of(equations: Closure, event: Event) -> list[Node]:
+    """A node on each of the branches that meet at a singular point of a path."""
+    if event.node is not None:
+        germ = event.node.germ
+        return [germ.node(i) for i, j in enumerate(germ.partner) if i < j]
+    assert event.directions is not None
+    at = node(equations, event.q)
+    lines = event.directions / equations.unit
+    return [
+        Node(event.q, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines) for t in lines
+    ]
+
+
+def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
+    """Whether a path goes through a singular point on the branch of the node `first` there."""
+    for event in path.singular_points:
+        y = equations.between(event.q, first.x) * equations.unit
+        turns = np.divide(y, period, out=np.zeros_like(y), where=period > 0.0)
+        gap = np.linalg.norm((y - np.round(turns) * period) / equations.unit)
+        if event.node is not None and isinstance(first, SingularNode):
+            other = event.node
+            own = equations.move(first.x, first.germ.samples[first.half, 1])
+            back = equations.system.structure.layout.integrate(own, -np.round(turns) * period)
+            if gap < HOME_CROSSING and other.germ.half_of(equations, [back]) in (
+                other.half,
+                other.back().half,
+            ):
+                return True
+        elif gap < SAME_POINT and event.directions is not None:
+            own = event.directions[0] / equations.unit
+            if abs(own @ first.t) > 0.999 * np.linalg.norm(own) * np.linalg.norm(first.t):
+                return True
+    return False

@@ -1,0 +1,369 @@
+"""Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle,
+dead points.
+
+The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that
+they allow. Where the inputs determine them, the velocity of anything is linear in those of the
+inputs; no number is differenced.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import brief, explained, explained_methods, listed
+from kempe.arrays import reals
+from kempe.assemble.nearest_exact import said, tolerant
+from kempe.constraints.tape import TWIST
+from kempe.equations.closure import Closure
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.forward.fk import fk, jacobian
+from kempe.joints import P, R
+from kempe.mobility.relative_motion import allowed
+from kempe.model.configurations import as_q
+from kempe.motion.path import Event, Path
+from kempe.motion.start import angle_or_slide
+from kempe.numerics.curves import RANK
+from kempe.report import Cells, Nearest, Report
+from kempe.singular_values import svd
+from kempe.spatial import Array
+from kempe.status import Status, member
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class LoopJacobian(Report):
+    """Velocities of outputs by those of inputs, through closed loops.
+
+    `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each
+    row is. `nullity` (...) counts the first-order motions of the mechanism, `rank` (...) the
+    independent ones among the inputs; `margin` (...) is the smallest singular value of the inputs
+    on the null space: 0 at a dead point. `code` (...) is one of `Status.SOLVED`, `DEAD_POINT`,
+    `UNDETERMINED`.
+    """
+
+    __repr__ = brief
+
+    matrix: Array
+    inputs: tuple[str, ...]
+    rows: tuple[str, ...]
+    rank: Any
+    nullity: Any
+    margin: Any
+    code: Any = field()
+    within: Nearest | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose velocities these are; None: the given
+    one's."""
+
+    @property
+    def status(self) -> Any:
+        """The sentence for one configuration, an array of them for several."""
+        if np.ndim(self.code) == 0:
+            return self._sentence(int(self.code), int(self.rank), int(self.nullity)) + said(
+                self.within
+            )
+        out = np.empty(np.shape(self.code), dtype=object)
+        for i in np.ndindex(out.shape):
+            out[i] = self._sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
+        return out
+
+    def _sentence(self, code: Any, rank: int, nullity: int) -> str:
+        names = " and ".join(map(repr, self.inputs))
+        motions = counted(nullity, "first-order motion")
+        if code == Status.SOLVED:
+            return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
+        if code == Status.DEAD_POINT:
+            some = f"only {rank} of" if rank else "none of"
+            return f"dead point: {some} the inputs ({names}) can move independently ({motions})"
+        return (
+            f"not determined: with {names} at rest the outputs still move ({motions}, rank {rank} "
+            "of the inputs)"
+        )
+
+    def _headline(self) -> str:
+        if np.ndim(self.code):
+            many = counted(np.size(self.code), "configuration")
+            return f"{int(np.sum(self.success))} of {many}: the outputs are determined"
+        return self.status
+
+    def _cells(self) -> Cells:
+        if np.ndim(self.code):
+            return (), ()
+        rows = zip(self.rows, self.matrix, strict=True)
+        return ("", *self.inputs), [(name, *(f"{x:.6g}" for x in row)) for name, row in rows]
+
+    def _lines(self) -> list[str]:
+        heads, rows = self._cells()
+        width = max(map(len, self.rows), default=0)
+        lines = [(name, *row) for name, *row in [heads, *rows]] if heads else []
+        return [f"{name:<{width}}  " + "  ".join(f"{x:>12}" for x in row) for name, *row in lines]
+
+    def _data(self) -> dict[str, Any]:
+        return {
+            name: getattr(self, name)
+            for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")
+        }
+
+
+@explained
+@tolerant("q")
+def loop_jacobian(
+    system: System,
+    q: ArrayLike,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    in_frame: str = "world_aligned",
+    *,
+    tolerance: float | str | None = None,
+) -> LoopJacobian:
+    """The `LoopJacobian` of closed configurations `q` (..., nq): velocities of outputs by those of
+    inputs.
+
+    `inputs` are names of angles and slides, as many as the mechanism has freedoms (more may be free
+    where they do not move the outputs: idle spins). `outputs` are names of coordinates, one row
+    each, or of bodies and frames, six rows each, [linear; angular] expressed `in_frame` as in
+    `System.jacobian`; where a coordinate and a frame share a name write "joint:name" or
+    "frame:name". Errors: `InputError` for a configuration that is not closed or an unclear name,
+    `UnknownNameError`.
+    """
+    inputs = _listed(inputs)
+    outputs = _listed(outputs)
+    q = as_q(system, q)
+    closure = Closure(system)
+    index = [angle_or_slide(system, n) for n in inputs]
+    kinds = [_output(system, n) for n in outputs]
+    rows = tuple(
+        r
+        for kind, name in kinds
+        for r in ([name] if kind == "joint" else [f"{name}.{t}" for t in TWIST])
+    )
+    lead = q.shape[:-1]
+    matrix = np.full((*lead, len(rows), len(index)), np.nan)
+    rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
+    margin = np.zeros(lead)
+    for i in np.ndindex(lead):
+        free = allowed(closure, q[i], index)
+        motion = free * closure.unit[:, None]
+        out = np.vstack(
+            [
+                motion[[angle_or_slide(system, n)]]
+                if kind == "joint"
+                else jacobian(system, q[i], n, in_frame) @ motion
+                for kind, n in kinds
+            ]
+        )
+        nullity[i] = free.shape[1]
+        U, s, Vt = svd(free[index])
+        rank[i] = int(np.sum(s > RANK))
+        margin[i] = s[len(index) - 1] if len(s) >= len(index) else 0.0
+        rest = out @ Vt[rank[i] :].T
+        scale = np.abs(out).max(initial=0.0)
+        if rank[i] < len(index):
+            code[i] = Status.DEAD_POINT
+        elif np.abs(rest).max(initial=0.0) > 1e-7 * max(scale, 1e-300):
+            code[i] = Status.UNDETERMINED
+        else:
+            k = int(rank[i])
+            matrix[i] = out @ (Vt[:k].T / s[:k]) @ U.T / closure.unit[index]
+    if not lead:
+        return LoopJacobian(
+            matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code)
+        )
+    return LoopJacobian(matrix, tuple(inputs), rows, rank, nullity, margin, code)
+
+
+def _listed(names: Sequence[str]) -> list[str]:
+    out = list(listed(names, "inputs or outputs"))
+    if not out:
+        raise InputError("inputs and outputs must each name at least one coordinate or frame")
+    return out
+
+
+def _output(system: System, name: str) -> tuple[str, str]:
+    """("joint" or "frame", name) of an output."""
+    kind, colon, rest = str(name).partition(":")
+    if colon and kind in ("joint", "frame"):
+        return kind, rest if kind == "joint" else system.structure.frame_name(rest)
+    coordinate = name in system.structure.velocity_names
+    frame = name in system.frame_names
+    if coordinate and frame:
+        raise InputError(
+            f"{name!r} is a coordinate and a frame; write 'joint:{name}' or 'frame:{name}'"
+        )
+    if not coordinate and not frame:
+        raise UnknownNameError(
+            "coordinate or frame",
+            name,
+            (*system.structure.velocity_names, *system.frame_names),
+            system.name,
+        )
+    return ("joint", name) if coordinate else ("frame", name)
+
+
+@explained
+@tolerant("q")
+def mechanical_advantage(
+    system: System,
+    q: ArrayLike,
+    input: str,
+    output: str,
+    direction: ArrayLike | None = None,
+    still: Sequence[str] = (),
+    *,
+    tolerance: float | str | None = None,
+) -> Any:
+    """Force (or torque) at the output per force (or torque) at the input, without losses, at `q`
+    (..., nq).
+
+    By the principle of virtual power the velocity of the input divided by that of the output;
+    infinite where the output rests (a toggle), 0 where the input does (a dead point), NaN where the
+    ratio is not determined. `output` is a coordinate, or a frame with a `direction` (3,) in the
+    ground frame in which it pushes. `still` names other inputs that do not move. `tolerance` and
+    errors are as those of `loop_jacobian`.
+    """
+    q = as_q(system, q)
+    closure = Closure(system)
+    i = angle_or_slide(system, input)
+    others = [angle_or_slide(system, n) for n in listed(still, "still")]
+    kind, name = _output(system, output)
+    if (kind == "frame") != (direction is not None):
+        raise InputError(
+            f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none"
+        )
+    push = np.zeros(3) if direction is None else reals(direction, "direction")
+    if kind == "frame" and (push.shape != (3,) or not np.linalg.norm(push) > 0.0):
+        raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
+    out = np.full(q.shape[:-1], np.nan)
+    for k in np.ndindex(out.shape):
+        motion = allowed(closure, q[k]) * closure.unit[:, None]
+        if others:
+            _, s, Vt = svd(motion[others])
+            motion = motion @ Vt[int(np.sum(s > RANK)) :].T
+        far = (
+            motion[angle_or_slide(system, name)]
+            if kind == "joint"
+            else (push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)
+        )
+        s, Vt = svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
+        if not len(s) or s[0] < RANK or (len(s) > 1 and s[1] > RANK * max(s[0], 1.0)):
+            continue
+        near = motion[i] @ Vt[0]
+        far = far @ Vt[0]
+        out[k] = near / far if abs(far) > 1e-13 * abs(near) else math.inf
+    return float(out) if out.ndim == 0 else out
+
+
+def dead_points(path: Path, input: str) -> tuple[Event, ...]:
+    """The points of a path where `input` turns back: there it cannot move the mechanism on."""
+    angle_or_slide(path.system, input)
+    return tuple(e for e in path.extremes if e.coordinate == input)
+
+
+# ---- angles
+
+
+def pressure_angle(
+    system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
+) -> Any:
+    """Angle (...) in [0, pi/2] between the force that the coupler transmits at a joint and the way
+    the output can go.
+
+    `joint` connects the coupler, which pulls along the line to its other joint (a two-force
+    member), and the output link, whose other joint is a revolute or prismatic one and says which
+    way the point can go. `coupler` and `output` name these other joints; they need not be given
+    where there is one each. `output` also says which of the two bodies is the output link (default:
+    the one nearer to the ground). 0 is best, pi/2 is stuck. Source: Alt, *Werkstattstechnik* 1932.
+    Errors: `UnsupportedError`, `InputError`, `UnknownNameError`.
+    """
+    far, near = _dyad(system, joint, coupler, output)
+    q = as_q(system, q)
+    p = _at(system, q, joint)[..., :3, 3]
+    a = _at(system, q, far)[..., :3, 3]
+    base = _at(system, q, near)
+    axis = base[..., :3, 2]
+    kind = _kind(system, near)
+    way = axis if kind == P else np.cross(axis, p - base[..., :3, 3])
+    pull = p - a
+    across = np.linalg.norm(np.cross(pull, way), axis=-1)
+    angle = np.arctan2(across, np.abs(np.sum(pull * way, axis=-1)))
+    return float(angle) if angle.ndim == 0 else angle
+
+
+@explained
+def transmission_angle(
+    system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
+) -> Any:
+    """Angle (...) in [0, pi/2] between the coupler and the output link at their joint: pi/2 less
+    the pressure angle.
+
+    Where the output link slides, the angle between the coupler and the normal of the slide. pi/2 is
+    best, below about 40 degrees a linkage runs badly, 0 is stuck. Arguments as in `pressure_angle`.
+    """
+    return 0.5 * math.pi - pressure_angle(system, q, joint, coupler, output)
+
+
+def _kind(system: System, name: str) -> int | None:
+    """R or P for a joint with one turn or one slide, else None."""
+    joint = system.structure.joints[name]
+    primitives = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
+    return primitives[0].kind if len(primitives) == 1 and primitives[0].kind in (R, P) else None
+
+
+def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -> tuple[str, str]:
+    """The other joints of the coupler and of the output link."""
+    joints = system.structure.joints
+    for name in (joint, coupler, output):
+        if name is not None and name not in joints:
+            raise UnknownNameError("joint", name, system.joint_names, system.name)
+    ends = {joints[joint].parent, joints[joint].child}
+    if system.body_names[0] in ends:
+        raise InputError(
+            f"joint {joint!r} is on the ground; it must connect the coupler and the output link"
+        )
+    at: dict[str, list[str]] = {b: [] for b in ends}
+    for other in joints.values():
+        for body in {other.parent, other.child} & ends:
+            if other.name != joint:
+                at[body].append(other.name)
+    if output is None:
+        ground = system.body_names[0]
+        grounded = [
+            (b, n)
+            for b, names in at.items()
+            for n in names
+            if ground in (joints[n].parent, joints[n].child)
+        ]
+        if len(grounded) != 1:
+            raise UnsupportedError(
+                f"joint {joint!r} has {len(grounded)} bodies with a joint to the ground beside it; "
+                "name the other joints: coupler=..., output=..."
+            )
+        output = grounded[0][1]
+    link = next((b for b in ends if output in at[b]), None)
+    if link is None or _kind(system, output) is None:
+        raise InputError(
+            f"{output!r} must be a revolute or prismatic joint of a body that {joint!r} connects"
+        )
+    rest = [n for b in ends - {link} for n in at[b]]
+    if coupler is None and len(rest) != 1:
+        raise UnsupportedError(
+            f"the coupler has {len(rest)} other joints: {', '.join(rest)}; name one: coupler=..."
+        )
+    if coupler is not None and coupler not in rest:
+        raise InputError(f"{coupler!r} is no joint of the coupler; these are: {', '.join(rest)}")
+    return coupler or rest[0], output
+
+
+def _at(system: System, q: Array, name: str) -> Array:
+    """Pose (..., 4, 4) of frame F of a joint."""
+    joint = system.structure.joints[name]
+    return fk(system, q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters)

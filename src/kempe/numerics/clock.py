@@ -1,0 +1,213 @@
+"""Whether the time of a call is up: for loops, and a clock that kernels can look at."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+import threading
+import time
+from collections.abc import Callable, Generator
+from functools import cache
+from typing import Any, TypeVar
+
+from kempe.arguments import deadline
+from kempe.budget import Budget, TimeUp, Usual, checks, look, watched_by
+from kempe.errors import TimeLimitError
+from kempe.model.constraint_program import KernelFunction
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+SHORT = 30.0
+"""Seconds that a single call may take which usually takes less than a second."""
+TIME_LIMIT = 120.0
+"""Seconds that a call may take whose work nobody can tell beforehand, unless the caller says
+otherwise."""
+LONG = 600.0
+"""The same where samples or targets say how much work there is."""
+LEAST = 1e-3
+"""Seconds that are left, at least."""
+SHARE = 0.8
+"""Part of the time after which what was found is put in order: that takes the rest."""
+
+
+class TimeLimit(watched_by):
+    """The time of one call [s], None for as long as it takes. Errors: `InputError`.
+
+    As a block: what is done in it ends with `TimeUp` at the next `look`, on whichever layer that
+    is. It comes once in each thread, so that what was done can be put in order by whoever catches
+    it; `spent` says that it came.
+    """
+
+    def __init__(self, limit: Any):
+        self.limit = limit
+        self.end = deadline(limit)
+        self._told: set[int] = set()
+        self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
+        super().__init__(*(() if limit is None else (self._once,)))
+
+    @property
+    def spent(self) -> bool:
+        """Whether `TimeUp` came."""
+        return bool(self._told)
+
+    def _once(self) -> None:
+        thread = threading.get_ident()
+        if thread not in self._told and time.monotonic() >= self.soon:
+            self._told.add(thread)
+            raise TimeUp
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left, at least some for what ends at once; None where there is no limit."""
+        return None if self.limit is None else max(self.end - time.monotonic(), LEAST)
+
+    def check(self) -> None:
+        """Raise `TimeUp` if the time of the call is spent, or that of a verb which asks it."""
+        look()
+        if self.limit is not None and time.monotonic() >= self.soon:
+            self._told.add(threading.get_ident())
+            raise TimeUp
+
+    def put_in_order(self) -> None:
+        """Let the rest of the time be used, too."""
+        self.soon = self.end
+
+    def reason(self, error: BaseException) -> str:
+        """What ended the computation, as text: the interrupt, or the time limit."""
+        if not isinstance(error, TimeUp):
+            return "the interrupt"
+        return "the time limit" if self.limit is None else f"the time limit of {self.limit:g} s"
+
+
+ENDLESS = TimeLimit(None)
+"""No time limit."""
+
+
+def time_limited(
+    usual: Usual, otherwise: Callable[..., Any] | None = None
+) -> Callable[[Function], Function]:
+    """A decorator for verbs: their time limit is looked at on all layers, from the first line to
+    the last.
+
+    Verbs say themselves what was done by then. Where the time is up before anything is, `otherwise`
+    answers, from the `TimeLimit` and the arguments of the verb; without it `TimeLimitError` is
+    raised. A verb that another one asks, without a time limit of its own, has the time of that one.
+    """
+
+    def of(verb: Function) -> Function:
+        @functools.wraps(verb)
+        def call(*args: Any, **options: Any) -> Any:
+            budget = options.get("budget")
+            outer = getattr(_running, "call", None)
+            limit = usual.of(budget).time_limit
+            if checks() and (budget is None or budget.time_limit is None):
+                limit = None
+            time = TimeLimit(limit)
+            _running.call = usual, time
+            try:
+                with time:
+                    return verb(*args, **options)
+            except TimeUp:
+                if not time.spent:
+                    raise  # that of a verb which called this one
+            finally:
+                _running.call = outer
+            if otherwise is None:
+                raise TimeLimitError(usual.verb, time.limit)
+            return otherwise(time, *args, **options)
+
+        return call  # type: ignore[return-value]
+
+    return of
+
+
+@contextlib.contextmanager
+def begun_within(usual: Usual, time: TimeLimit) -> Generator[None]:
+    """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in
+    it.
+
+    For verbs that keep what was done by then once the work has begun: before that there is nothing
+    to keep.
+    """
+    try:
+        with time:
+            yield
+    except TimeUp:
+        if not time.spent:
+            raise  # that of a verb which called this one
+        raise TimeLimitError(usual.verb, time.limit) from None
+
+
+_running = threading.local()
+
+
+def time_of(usual: Usual, budget: Budget | None = None) -> TimeLimit:
+    """The time of the call of a `time_limited` verb that runs now; where none does, that of a
+    budget.
+    """
+    verb, time = getattr(_running, "call", None) or (None, ENDLESS)
+    return time if verb is usual else TimeLimit(usual.of(budget).time_limit)
+
+
+class EndReached(TimeUp):
+    """A kernel came to the end that its caller set by `up_at`; it says itself what it ended."""
+
+
+def up_at(end: float) -> Callable[[], None]:
+    """A check for `watched_by` that raises `EndReached` from the time `end` of `time.monotonic` on."""
+
+    def check() -> None:
+        if end < math.inf and time.monotonic() >= end:
+            raise EndReached
+
+    return check
+
+
+BROKEN_OFF = (KeyboardInterrupt, TimeUp)
+"""What ends long work early; what was done by then is the answer."""
+
+
+def partial(interrupted: bool, late: bool) -> str:
+    """End of a sentence about a computation that ended early; '' otherwise."""
+    why = "interrupted" if interrupted else "stopped by the time limit"
+    return f" ({why}: this is the part that was done)" if interrupted or late else ""
+
+
+class Clock:
+    """The function `look` as kernels call it: it writes 1 where the work must end.
+
+    What it raises is kept for the thread until it is `taken` after the kernel.
+    """
+
+    def __init__(self):
+        def work(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
+            out[0] = 1.0  # what stays where it raises, and until the error is taken
+            if getattr(self._thread, "error", None) is None:
+                look()
+                out[0] = 0.0
+
+        self._thread = threading.local()
+        self._called = KernelFunction(work, self._keep)
+
+    @property
+    def address(self) -> int:
+        """The address at which kernels call it."""
+        return self._called.address
+
+    def _keep(self, error: BaseException) -> None:
+        self._thread.error = error
+
+    def taken(self) -> TimeUp | None:
+        """The `TimeUp` of a look of a kernel since the last call; other errors are raised."""
+        error = getattr(self._thread, "error", None)
+        self._thread.error = None
+        if error is None or isinstance(error, TimeUp):
+            return error
+        raise error
+
+
+@cache
+def clock() -> Clock:
+    """The one clock of all kernels."""
+    return Clock()

@@ -1,0 +1,238 @@
+"""One tracer for curves of configurations: predictor along the tangent, corrector across it, steps
+that stay on it.
+
+A curve is where n - 1 independent equations of n unknowns hold; there may be more, dependent ones.
+Everything is done in numbers without unit: turns in radians, slides and positions divided by a
+characteristic length.
+Source: Allgower, Georg, *Numerical Continuation Methods*, 1990, chapters 2, 6 and 8.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from kempe.numerics.newton import LARGE, GaussNewtonEnd, gauss_newton, least_squares
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+RANK = 1e-8
+"""Singular values below this, relative to the largest, count as zero."""
+CLOSED = 1e-13
+"""Residual below which the equations hold; rounding leaves about 1e-15. A shaky structure cannot
+move by 1e-6 then."""
+BEND = 0.25
+"""Largest angle between the tangents at both ends of a step."""
+IDEAL_BEND = 0.1
+"""Angle between tangents that the step length aims at."""
+ACROSS = 0.25
+"""Largest correction, relative to the step, that is still taken for the same curve."""
+LEAST_STEP = 1e-6
+"""Steps below this are given up: the curve has a cusp or an end there."""
+BLUNT = 1e-7
+"""Relative singular values below which a correction is only rounding noise, blown up."""
+NONE = np.zeros((0, 0))
+
+
+class Curve:
+    """The equations of a curve over points x (n,), each a vector. `n` is the number of unknowns.
+
+    What is written here is what others than plain vectors, or with other correctors, do in their
+    own way.
+    """
+
+    least = 0.0
+    """What the largest singular value counts as at least, where the size of equations is known."""
+    n: Any
+    """How many variables there are: set once by some curves, a property of others."""
+
+    def both(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n
+        rows, some zero.
+        """
+        raise NotImplementedError
+
+    def matrix(self, x: Array) -> Array:
+        """Derivative (rows, n) of the equations at `x`."""
+        return self.both(x)[1]
+
+    def move(self, x: Array, y: Array) -> Array:
+        """The point reached from `x` by the tangent vector `y` (n,)."""
+        return x + y
+
+    def between(self, x: Array, other: Array) -> Array:
+        """The tangent vector (n,) from `x` to `other`."""
+        return other - x
+
+    def tolerance(self, x: Array) -> float:
+        """Residual below which the equations hold at `x`."""
+        return CLOSED
+
+    def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
+        """The corrected point of the curve near `x`, in the plane normal to the direction `across`
+        (n,); or None.
+        """
+        return correct(self, x, across)
+
+    def node(self, x: Array, toward: Array, J: Array) -> Node:
+        """The node at a point of the curve, with its derivatives, the tangent in the sense of
+        `toward` (n,).
+        """
+        return node(self, x, toward, J)
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A point of a curve: where, the unit tangent, how regular it is.
+
+    `sigma` is the last singular value that is not zero on the regular curve, relative to the
+    largest; `nullity` counts those that are zero here: 1 at regular points. `lines` (k, n) are the
+    directions of all branches at a singular point, None where the point is regular.
+    """
+
+    x: Array
+    t: Array
+    sigma: float
+    nullity: int
+    matrix: Array = field(repr=False)
+    image: Array = field(repr=False)
+    lines: Array | None = None
+
+    def reversed(self) -> Node:
+        """The same point, walked the other way."""
+        return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
+
+
+def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None) -> Node:
+    """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
+    J = equations.matrix(x) if J is None else J
+    U, s, Vt = svd(J, full_matrices=False)
+    n = equations.n
+    scale = max(float(s[0]), equations.least) or 1.0
+    nullity = int(np.sum(s <= RANK * scale))
+    t = Vt[-1]
+    if toward is not None:
+        null_space = Vt[n - max(int(np.sum(s <= BLUNT * scale)), 1) :]
+        along = null_space.T @ (null_space @ toward)
+        size = np.linalg.norm(along)
+        t = along / size if size > 0.0 else t
+    image = U[:, : n - 1]
+    sigma = float(s[n - 2] / scale) if n > 1 else 1.0
+    return Node(x, t, sigma, nullity, J, image)
+
+
+def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> GaussNewtonEnd | None:
+    """The point of the curve in the plane through `x` normal to the direction `across` (n,), or
+    None.
+
+    Newton's method with least squares, so that dependent equations do no harm.
+    """
+
+    def both(x: Array) -> tuple[Array, Array]:
+        F, J = equations.both(x)
+        return np.append(F, 0.0), np.vstack([J, across])
+
+    found = gauss_newton(both, x, tries, cut=BLUNT, halving=True, move=equations.move)
+    return (
+        GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1])
+        if found.size < equations.tolerance(found.x)
+        else None
+    )
+
+
+def step(curve: Curve, a: Node, h: float) -> Node | None:
+    """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long
+    to be safe.
+    """
+    guess = curve.move(a.x, h * a.t)
+    there = curve.corrected(guess, a.t)
+    if there is None or float(np.linalg.norm(curve.between(guess, there.x))) > ACROSS * h:
+        return None
+    b = curve.node(there.x, curve.between(a.x, there.x), there.J)
+    return b if bend(a, b) <= BEND else None
+
+
+def next_step(h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_BEND) -> float:
+    """The next step length, from how much the tangent turned in the last one."""
+    factor = 1.5 if ideal == math.inf else min(1.5, max(0.5, ideal / max(bend(a, b), 1e-9)))
+    return min(longest, h * factor)
+
+
+def walk(
+    a: Node,
+    taken: Callable[[Node, float], list[Node] | None],
+    longest: float,
+    h: float,
+    *,
+    least: float = LEAST_STEP,
+    ideal: float = IDEAL_BEND,
+) -> Iterator[Node]:
+    """Nodes of a curve after `a`, by steps of which the first has the length `h`, until they would
+    be below `least`.
+
+    `taken` gives the nodes that a step of some length from a node leads to, None where that is too
+    long. `ideal` is the angle between tangents that the length aims at.
+    """
+    while True:
+        found = taken(a, h)
+        if found is None:
+            h *= 0.5
+            if h < least:
+                return
+            continue
+        yield from found
+        h = next_step(h, longest, a, found[-1], ideal)
+        a = found[-1]
+
+
+def bend(a: Node, b: Node) -> float:
+    """Angle between the tangents of two nodes."""
+    return 2.0 * float(np.arcsin(min(1.0, 0.5 * float(np.linalg.norm(b.t - a.t)))))
+
+
+def flipped(a: Node, b: Node) -> bool | None:
+    """Whether the determinant of the equations and the tangent changes its sign between two nodes.
+
+    It does at a simple crossing of branches, and where a step went over to another branch
+    (Allgower, Georg, 1990, section 8.1). None where the nodes are too different to tell. The image
+    of the equations at `a` stands for both: of dependent equations only independent combinations
+    count.
+    """
+    if a.nullity > 1 or b.nullity > 1:
+        return False
+    size = np.linalg.slogdet(a.image.T @ b.image)[1]
+    if size < np.log(0.2):
+        return None
+    sign = np.linalg.slogdet(np.vstack([a.image.T @ b.matrix, b.t]))[0]
+    own = np.linalg.slogdet(np.vstack([a.image.T @ a.matrix, a.t]))[0]
+    return bool(sign * own < 0.0)
+
+
+def inside(equations: Curve, a: Node, b: Node, distance: float, whole: bool = True) -> Node | None:
+    """The node between two neighbours at `distance` along the tangent of the first.
+
+    One that is not `whole` may lack singular values and matrices, where these cost much.
+    """
+    y = equations.between(a.x, b.x)
+    h = float(a.t @ y)
+    f = distance / h
+    guess = equations.move(a.x, distance * a.t + f * f * (y - h * a.t))
+    there = correct(equations, guess, a.t)
+    if there is None:
+        return None
+    along = (1.0 - f) * a.t + f * b.t
+    if whole or len(there.r) <= LARGE:
+        return node(equations, there.x, along, there.J)
+    t = least_squares(np.vstack([there.J, along]), np.append(np.zeros(len(there.r)), 1.0), BLUNT)
+    return Node(there.x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
+
+
+def arc(equations: Curve, a: Node, b: Node) -> float:
+    """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an
+    error O(h^5).
+    """
+    return float(np.linalg.norm(equations.between(a.x, b.x))) * (1.0 + bend(a, b) ** 2 / 24.0)

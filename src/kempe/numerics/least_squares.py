@@ -1,0 +1,314 @@
+"""Least squares under bounds, as one step of velocities needs it: damped at singularities, or with
+a direction kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.numerics.rank import null
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+Bend = Callable[[Array], Array]
+"""Derivatives (k, m, n) of equations A (m, n) along directions (k, n)."""
+NEAR = 0.05
+"""Singular values below it are damped, those at zero fully."""
+FLAT = 1e-13
+"""Singular values below this fraction of the largest are zero: freedoms that are not seen."""
+SHIFT = 2.0
+"""Weight, as a multiple of `NEAR`, by which joints beside those at a bound keep the velocities
+without bounds."""
+LEAST = 1e-5
+"""Weight of small corrections against what is corrected, so that the best ones are unique."""
+BENT = 0.01
+"""Sine of the angle by which a direction that is kept may be bent, at singular values of zero."""
+WALL = 0.25
+"""Largest part by which a singular value may fall in one cycle where a direction is kept."""
+DEAD = 1e-7
+"""Singular values below this fraction of the largest are zero: first order leads nowhere."""
+AWAY = 1e-6
+"""Least curvature, in radians and characteristic lengths, by which a singular configuration is
+left."""
+NULL_SPEED = 0.1
+"""Cost of self-motion, against that of a slower twist."""
+NO_PART = 1e-6
+"""Part of what is wished up to which none of it is had."""
+NOISE = 1e-9
+"""Part of the largest velocity up to which one is rounding."""
+INWARD = 1e-14
+"""Gradients below this fraction of what is required release no bound: rounding."""
+SLACK = 1e-13
+"""By how much a row that no step moves may seem to be beyond its bound: rounding."""
+
+
+def damped(
+    A: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    damping: float,
+    G: Array | None = None,
+    near: float | None = NEAR,
+    bend: Bend | None = None,
+    shift: float = LEAST,
+    wished: Wish | None = None,
+) -> Array:
+    """The x (n,) with low <= G x <= high that makes |A x - b| least, damped and small.
+
+    Directions whose singular values are below `near` are damped, by at most `damping` (Maciejewski
+    and Klein, 1988). Where this x is outside the bounds, the nearest one within them is taken, in
+    the metric of the damped equations and of x itself with the weight `shift`: with `SHIFT`, x
+    changes slowly where others take over. Without G the bounds are those of x; with it zero must be
+    within them. Without `near` both are relative to the largest singular value. A singular
+    configuration that leads nowhere to first order is left where `bend` gives a way. `wished` is
+    the solution without bounds, where it is known.
+    """
+    x, hard, s, Vt = wished or wish(A, b, damping, near)
+    n = A.shape[1]
+    k = len(s)
+    most = float(s[:1].max(initial=0.0))
+    if bend is not None and (way := _way_out(A, b, s, Vt, bend)) is not None:
+        force, lead = way
+        slow = damping * (most or 1.0) if near is None else damping
+        fastest = part_within((lead if G is None else G @ lead) / NOISE, low, high) / NOISE
+        x = x + (min(force / (2.0 * slow), fastest) if slow else fastest) * lead
+    value = x if G is None else G @ x
+    if (value >= low).all() and (value <= high).all():
+        return x
+    weak = shift * (near or NEAR * (most or 1.0))
+    if G is None:
+        H = A.T @ A + (Vt[:k].T * hard**2) @ Vt[:k] + weak**2 * np.eye(n)
+        return least_in_box(H, H @ x, low, high)[0]
+    kept = hard > 0.0
+    rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
+    still = np.zeros(len(Vt))
+    return bounded(rows, rows @ x, low, high, still, G)
+
+
+def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float, Array] | None:
+    """Where first order leads nowhere to a part of b: its size, and the unit direction (n,) that
+    bends towards it.
+
+    The direction is that of the largest curvature towards b among those that move nothing to first
+    order.
+    """
+    k = len(s)
+    size = math.sqrt(b @ b)
+    dead = Vt[int((s > DEAD * s[:1].max(initial=0.0)).sum()) :]
+    if not size or not len(dead) or len(dead) == len(Vt) - k:
+        return None
+    moved = Vt[: len(Vt) - len(dead)]
+    part = b - A @ (moved.T @ ((moved @ (A.T @ b)) / np.square(s[: len(moved)])))
+    force = math.sqrt(part @ part)
+    if force <= BENT * size:
+        return None
+    values, W = np.linalg.eigh(np.einsum("a,iaj,kj->ik", part / force, bend(dead), dead))
+    return (force, dead.T @ W[:, -1]) if values[-1] > AWAY else None
+
+
+class Wish(NamedTuple):
+    """The damped x (n,) that makes |A x - b| least; the damping (k,) of each of the singular values
+    `s` (k,) of A, and its right singular vectors (n, n).
+    """
+
+    x: Array
+    hard: Array
+    s: Array
+    Vt: Array
+
+    @property
+    def rows(self) -> Array:
+        """Rows (k, n) whose squares are the damping."""
+        some = self.hard > 0.0
+        return self.hard[some, None] * self.Vt[: len(self.hard)][some]
+
+
+def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0) -> Wish:
+    """The solution of `damped` without bounds; `more` damps all directions."""
+    U, s, Vt = svd(A, full_matrices=True)
+    most = float(s[0]) if len(s) else 0.0
+    seen = s > FLAT * most
+    if near is None:
+        near = NEAR * (most or 1.0)
+        damping = damping * (most or 1.0)
+    hard = np.where(
+        seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0
+    )
+    hard = np.sqrt(np.square(hard) + more * more) if more else hard
+    k = len(s)
+    part = np.where(seen, s / np.where(seen, s * s + hard * hard, 1.0), 0.0)
+    return Wish(Vt[:k].T @ (part * (U[:, :k].T @ b)), hard, s, Vt)
+
+
+def scaled(
+    A: Array,
+    b: Array,
+    low: Array,
+    high: Array,
+    dt: float,
+    bend: Bend,
+    G: Array | None = None,
+    near: float | None = NEAR,
+) -> Array:
+    """The x (n,) with low <= G x <= high that gives a large part of b, its direction kept, and is
+    small.
+
+    The part is the largest one, but for a little that self-motions cost. Towards a singular
+    configuration it is so small that no singular value, of those that the direction needs, falls by
+    more than `WALL` in one cycle: the motion comes to rest there. From a singular configuration the
+    motion leaves along a curvature towards b. There a direction is kept to `BENT`. `bend` gives the
+    derivatives (k, m, n) of A along directions (k, n).
+    """
+    n = A.shape[1]
+    size = math.sqrt(b @ b)
+    inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
+    if not size or inside.any() or not n:
+        return inside
+    U, s, Vt = svd(A, full_matrices=True)
+    k = len(s)
+    most = float(s[0])
+    near = near or NEAR * (most or 1.0)
+    G = np.eye(n) if G is None else G
+    along = U[:, :k].T @ b
+    weak = s < near
+    left = np.abs(along) - np.where(
+        weak, BENT * size * (1.0 - np.square(np.minimum(s / near, 1.0))), 0.0
+    )
+    along = np.sign(along) * np.maximum(left, 0.0)
+    blind = U[:, k:].T @ b
+    if math.sqrt(blind @ blind) > BENT * size:
+        return inside
+    dead = s <= DEAD * most
+    y = Vt[:k].T @ np.where(dead, 0.0, along / np.where(dead, 1.0, s))
+    if (along[dead] != 0.0).any():
+        if (way := _way_out(A, b, s, Vt, bend)) is None:
+            return inside
+        x = way[1] / NOISE
+        return part_within(G @ x, low, high) * x
+    part = part_within(G @ y, low, high)
+    x = part * y
+    spare = Vt[int((~dead).sum()) :]
+    if part < 1.0 and len(spare):
+        x = _relieved(y, spare, low, high, G)
+    weak = np.flatnonzero(weak & (along != 0.0))
+    if len(weak) and x.any():
+        falls = np.einsum("ai,aj,ij->i", U[:, weak], bend(x[None])[0], Vt[weak]) * dt
+        x = x * float(
+            np.min(
+                np.where(falls < -WALL * s[weak], WALL * s[weak] / -np.minimum(falls, -1e-300), 1.0)
+            )
+        )
+    return x if float(b @ (A @ x)) > NO_PART * size * size else inside
+
+
+def part_within(x: Array, low: Array, high: Array) -> float:
+    """The largest part of x (n,), at most 1, that is within bounds; rounding counts as zero."""
+    big = np.abs(x) > NOISE * np.abs(x).max(initial=0.0)
+    room = np.where(x > 0.0, high, low)[big] / x[big]
+    return min(1.0, max(0.0, float(room.min(initial=1.0))))
+
+
+def _relieved(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Array:
+    """A large part of y (n,) within bounds, with a self-motion, of the rows of `spare` (k, n), that
+    lets it be so.
+    """
+    value = np.abs(G @ y)
+    width = np.where(np.isfinite(high - low), high - low, 0.0)
+    speed = min(float(value.max()), 0.5 * float(width.max(initial=0.0))) or 1.0
+    B = np.diag(np.append(1.0, np.full(len(spare), NULL_SPEED / speed)))
+    rows = np.column_stack([G @ y, G @ spare.T])
+    x = bounded(
+        B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), np.zeros(len(B)), rows
+    )
+    return x[0] * y + spare.T @ x[1:]
+
+
+def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, np.ndarray]:
+    """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries
+    are at no bound.
+    """
+    z: Array = np.asarray(np.linalg.solve(H, push), dtype=float)
+    free = (low < z) & (z < high)
+    if free.all():
+        return z, free
+    z = np.minimum(np.maximum(z, low), high)
+    for _ in range(10 * len(z)):
+        own = free.nonzero()[0]
+        step = np.zeros(len(z))
+        step[own] = np.linalg.solve(H[own[:, None], own], (push - H @ z)[own])
+        ahead = z + step
+        over = free & ((ahead < low) | (ahead > high))
+        if over.any():
+            room = np.where(step < 0.0, low - z, high - z)[over] / step[over]
+            which = over.nonzero()[0][int(np.argmin(room))]
+            z = np.minimum(np.maximum(z + float(room.min()) * step, low), high)
+            z[which] = low[which] if step[which] < 0.0 else high[which]
+            free[which] = False
+            continue
+        z = ahead
+        slope = push - H @ z
+        pull = np.where(free | (low >= high), 0.0, np.where(z <= low, slope, -slope))
+        worst = int(np.argmax(pull))
+        if pull[worst] <= INWARD * float(np.abs(push).max()):
+            break
+        free[worst] = True
+    return z, free
+
+
+def bounded(
+    A: Array, b: Array, low: Array, high: Array, first: Array, G: Array | None = None
+) -> Array:
+    """The x (n,) with low <= G x <= high that makes |A x - b| least: active set (Stark and Parker,
+    1995).
+
+    Without G the bounds are those of x: `first` (n,) says which are tried first, those that it
+    violates. With G, whose rows then need not be independent, `first` must be within them. A must
+    have full column rank.
+    """
+    plain = G is None
+    eye = np.eye(A.shape[1])
+    rows: Array = eye if G is None else G
+    x = np.minimum(np.maximum(first, low), high) if plain else first.copy()
+    held = (first <= low) | (first >= high) if plain else np.zeros(len(low), dtype=bool)
+    for _ in range(10 * len(low) + 10):
+        Z = eye[:, ~held] if plain else null(rows[held])
+        if Z.shape[1]:
+            step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=None)[0]
+            value = rows @ x
+            way = rows @ step
+            slack = 0.0 if plain else SLACK * max(1.0, float(np.abs(way).max(initial=0.0)))
+            over = ~held & (
+                ((way < 0.0) & (value + way < low - slack))
+                | ((way > 0.0) & (value + way > high + slack))
+            )
+            if over.any():
+                ratio = np.where(way < 0.0, low - value, high - value)[over] / way[over]
+                part = min(max(float(ratio.min()), 0.0), 1.0)
+                block = (
+                    np.flatnonzero(over)[ratio <= part]
+                    if plain
+                    else np.flatnonzero(over)[[np.argmin(ratio)]]
+                )
+                x = x + part * step
+                if plain:  # to the last bit
+                    x = np.minimum(np.maximum(x, low), high)
+                    x[block] = np.where(way[block] < 0.0, low[block], high[block])
+                held[block] = True
+                continue
+            x = x + step
+        slope = A.T @ (A @ x - b)
+        if not held.any():
+            break
+        at_low = rows[held] @ x - low[held] <= high[held] - rows[held] @ x
+        push = slope[held] if plain else np.linalg.lstsq(rows[held].T, slope, rcond=None)[0]
+        pull = np.where(low[held] < high[held], np.where(at_low, -push, push), 0.0)
+        worst = int(np.argmax(pull))
+        if pull[worst] <= INWARD * max(1.0, float(np.abs(b).max(initial=0.0))):
+            break
+        held[np.flatnonzero(held)[worst]] = False
+    return x

@@ -1,0 +1,244 @@
+"""How many orders of magnitude the lengths of a chain span, and what of that double precision can
+carry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.arrays import median
+from kempe.kernels.forward.table_layout import (
+    KIND,
+    MULTIPLIER,
+    SLIDE,
+    TURN,
+    V_INDEX,
+    numbers_of,
+    placements_of,
+    rows_of,
+)
+from kempe.spatial import Array
+
+NOISE = 1e-14
+"""Parts of an offset that are rounding: cos(pi / 2) of a length, say."""
+
+NOTHING = 1e-12
+"""Parts of a middling length of the chain that are no length."""
+
+EVEN = 1e3
+SQUEEZED = 3.0
+"""Ratio of lengths to their median from which a chain is uneven, and to which they are brought
+then."""
+
+WIDE = 1e5
+"""Ratio of lengths from which solutions are searched for and polished with care."""
+
+AWAY = 1e8
+"""Largest lengths of the chain that its base may be from the origin, likewise."""
+
+BLUR = 100.0
+"""Roundings of an angle, in units of the square of the ratio of lengths: seen are up to 10."""
+
+EPSILON = float(np.finfo(float).eps)
+
+
+class Span(NamedTuple):
+    """The smallest and the largest length between the joints of a chain and to its tip, in metres;
+    0, 0 without any.
+
+    `middle` is the median of the steps from joint to joint, `away` how far from the ground's origin
+    the first stands.
+    """
+
+    smallest: float
+    largest: float
+    middle: float
+    away: float
+
+    @property
+    def wide(self) -> bool:
+        """Whether a length is too large beside the others for answers without a word of caution.
+
+        Small ones do no harm: calibrated arms have some that are nearly zero.
+        """
+        return self.largest >= WIDE * self.middle > 0.0 or self.away > AWAY * self.largest > 0.0
+
+    @property
+    def rounding(self) -> float:
+        """Rounding error of positions, in metres."""
+        return 16.0 * EPSILON * max(self.largest, self.away)
+
+    @property
+    def blur(self) -> float:
+        """Rounding error of angles, where one long link makes short ones imprecise."""
+        return BLUR * EPSILON * (self.largest / self.middle) ** 2 if self.middle > 0.0 else 0.0
+
+    def figures(self) -> str:
+        """Text with the ratio of the lengths, and the rounding error of positions."""
+        largest = max(self.largest, self.away)
+        orders = math.log10(largest) - math.log10(self.smallest)
+        what = "the distance of the base" if self.away > self.largest else "the longest"
+        return (
+            f"lengths from {self.smallest:.3g} m to {largest:.3g} m, {what}, span {orders:.0f} "
+            "orders of magnitude, of which double precision keeps 16: positions are known to "
+            f"{self.rounding:.1g} m"
+        )
+
+    def sentence(self) -> str:
+        """Sentence of caution, on rounding, for an answer that was not found."""
+        return f"{self.figures()}, and solutions may be missed"
+
+
+def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
+    """The span of a table of a chain."""
+    p = np.abs(offsets(ints, floats))
+    away = float(p[0].max())
+    p = p[1:]
+    p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
+    if not p.any():
+        return Span(0.0, 0.0, 0.0, away)
+    return Span(float(p[p > 0.0].min()), float(p.max()), median(p.max(axis=1)), away)
+
+
+def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
+    """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what
+    is rounding.
+    """
+    p = placements_of(ints, floats)[..., 3]
+    return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
+
+
+def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
+    """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None
+    where none is.
+
+    What freedoms a chain has does not depend on how large its lengths are, only on which are zero:
+    so they are counted with lengths of one size. The first joint stands at the origin.
+    """
+    p = offsets(ints, floats)
+    p[0] = 0.0
+    steps = np.abs(p).max(axis=1)
+    if not steps.any():
+        return None
+    middle = median(steps[steps > NOISE * steps.max()])
+    p = np.where(np.abs(p) > NOTHING * middle, p, 0.0)
+    sizes = np.abs(p[np.nonzero(p)])
+    if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:
+        return None
+    return np.sign(p) * np.where(
+        p == 0.0, 0.0, np.clip(np.abs(p), middle / SQUEEZED, middle * SQUEEZED)
+    )
+
+
+# ---- serial chain
+
+# The chain that moves one frame, packed for the kernels of the numerical inverse model.
+
+
+class ReachBound(NamedTuple):
+    """What lengths alone say: how far and how near a point of the frame can be to a point of the
+    ground.
+    """
+
+    centre: Array
+    """The point of the ground (3,)."""
+    largest: float
+    smallest: float
+    point: Array
+    """The point of the frame (3,), in its axes: its origin, or one of the last axis."""
+
+
+def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
+    """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is,
+    by less lengths.
+
+    Of an axis that turns the best point counts: of the first the one nearest to the second joint,
+    of the last the one nearest to the joint before.
+    """
+    table = rows_of(ints)
+    rows = placements_of(ints, floats)
+    R = rows[..., :3]
+    p = rows[..., 3].copy()
+    n = len(table)
+    kinds = table[:, KIND]
+    start = p[0]
+    slides = 0.0
+    for row in np.flatnonzero(kinds == SLIDE):
+        slides += float(
+            np.max(
+                np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])
+            )
+        )
+    if n and kinds[0] == TURN:
+        start = start + p[1, 2] * R[0, :, 2]
+        p[1, 2] = 0.0
+    out = [_bound(start, p[1:], slides, bool(np.any(kinds == SLIDE)), np.zeros(3))]
+    if n and kinds[-1] == TURN:
+        along = 0.0
+        if n > 2:
+            axis = R[n - 1, :, 2]
+            along = -float(p[n - 1] @ axis)
+            p[n - 1] = p[n - 1] + along * axis
+        point = R[n].T @ (np.array([0.0, 0.0, along]) - rows[n, :, 3])
+        out.append(_bound(start, p[1:n], slides, bool(np.any(kinds[:-1] == SLIDE)), point))
+    return [b for b in out if math.isfinite(b.largest)]
+
+
+def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array) -> ReachBound:
+    """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point
+    away.
+    """
+    lengths = np.sqrt((p * p).sum(axis=-1))
+    total = float(lengths.sum()) + slides
+    longest = 0.0 if any_slide else float(lengths.max(initial=0.0))
+    return ReachBound(start, total, max(0.0, 2.0 * longest - total), point)
+
+
+# ---- proofs
+
+# Why there is no answer, as data: what proves it, and what was found out; `wording` says it.
+
+
+ROUNDING = 1e-14
+"""What rounding makes of lengths, in parts of them."""
+
+
+def by_lengths(
+    bounds: Sequence[ReachBound],
+    X: Array,
+    tolerance: tuple[float, float],
+    turned: bool = True,
+    axes: Sequence[int] = (0, 1, 2),
+    dim: int = 3,
+    along: Array | None = None,
+) -> Array:
+    """How far (..., 2) in metres poses X (..., 4, 4) of a frame are past the bounds of its chain.
+
+    First as to the place, then together with the orientation, where that is `turned`, or points
+    `along` an axis (3,) of the frame. `axes` of the pose are those along which its place counts:
+    with fewer than `dim`, no place is too near. These are lower bounds of the error in its place;
+    zero within the tolerances and what rounding makes of them.
+    """
+    linear, angular = tolerance
+    out = np.zeros((*X.shape[:-2], 2))
+    p = X[..., :3, 3]
+    R = X[..., :3, :3]
+    size = np.abs(p).max(axis=-1)
+    for centre, largest, smallest, point in bounds:
+        arm = float(np.linalg.norm(point))
+        on_axis = along is not None and float(np.linalg.norm(np.cross(point, along))) < 1e-12 * arm
+        if arm > 0.0 and not (turned or on_axis):
+            continue
+        away = p + R @ point - centre
+        if len(axes) < 3:
+            away = np.einsum("...ji,...j->...i", R, away)[..., list(axes)]
+        far = np.linalg.norm(away, axis=-1)
+        off = far - largest if len(axes) < dim else np.maximum(far - largest, smallest - far)
+        k = int(arm > 0.0)
+        slack = linear + arm * angular + ROUNDING * (largest + arm + size)
+        out[..., k] = np.where(off > slack, np.maximum(out[..., k], off), out[..., k])
+    return out

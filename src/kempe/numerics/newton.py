@@ -1,0 +1,297 @@
+"""Where equations hold, or come nearest to it: Gauss-Newton steps, each the least change that
+linear equations ask.
+
+There may be more equations than unknowns, or fewer, and dependent ones do no harm: the step is that
+of the pseudo-inverse, whose small singular values are left out. Sources: Ben-Israel, "A
+Newton-Raphson method for the solution of systems of equations", J. Math. Anal. Appl. 15 (1966);
+Bjorck, *Numerical Methods for Least Squares Problems*, 1996, chapter 9.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.budget import look
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+# ---- roots
+
+# Where a function of one number changes its sign.
+
+
+ROUNDING = 1e-15
+"""Distance of two points, absolute and as a part of their size, between which a function is not
+looked at again."""
+
+
+def sign_change(f: Callable[[float], float], low: float, high: float) -> float | None:
+    """The place, to rounding, where f changes its sign between low and high; None where it has one
+    sign at both ends.
+
+    What is returned is a place where f was evaluated: the one of the last two with the smaller
+    value. Inverse quadratic interpolation where it is safe, else bisection. Source: T. R.
+    Chandrupatla, "A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
+    function without using derivatives", Advances in Engineering Software 28 (1997), 145-149.
+    """
+    b = low
+    a = high
+    fb = f(b)
+    fa = f(a)
+    if fa == 0.0 or fb == 0.0:
+        return b if fb == 0.0 else a
+    if (fa > 0.0) == (fb > 0.0) or math.isnan(fa + fb):
+        return None
+    part = 0.5
+    while True:
+        x = a + part * (b - a)
+        fx = f(x)
+        if (fx > 0.0) == (fa > 0.0):
+            c = a
+            fc = fa
+        else:
+            b, fb, c, fc = a, fa, b, fb
+        a = x
+        fa = fx
+        best, least = (a, fa) if abs(fa) < abs(fb) else (b, fb)
+        margin = ROUNDING * (1.0 + 2.0 * abs(best)) / abs(b - a)
+        if least == 0.0 or margin > 0.5:
+            return best
+        xi = (a - b) / (c - b)
+        phi = (fa - fb) / (fc - fb)
+        part = 0.5
+        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+            part = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (
+                fc - fb
+            )
+        part = min(max(part, margin), 1.0 - margin)
+
+
+# ---- newton certificate
+
+# Proof, by the theorem of Newton and Kantorovich, that equations have a solution near a point, and
+# a regular one.
+#
+# Kantorovich, 1948; Ortega, Rheinboldt, 1970, section 12.6. It needs three numbers: how far the
+# equations are from zero, the smallest singular value of their Jacobian, and a bound of their second
+# derivatives.
+
+
+UNIT = float(np.finfo(float).eps)
+OPERATIONS = 16.0
+"""Roundings for each joint on the way to a number, with a margin."""
+
+
+class Certificate(NamedTuple):
+    """What is proven of the solutions near a point.
+
+    `regular`: whether the Jacobian keeps its full rank up to every solution within `radius`, so
+    that solutions are a manifold there, or isolated; with at most as many equations as unknowns an
+    exact one exists within `radius`. `smallest` bounds the smallest singular value from below.
+    """
+
+    regular: bool
+    smallest: float
+    radius: float
+
+
+def certify(
+    values: Array, shape: tuple[int, int], residual: float, bend: float, entry: float, entries: int
+) -> Certificate:
+    """The `Certificate` of equations with these singular `values` (descending) and this `shape` (m,
+    n) of the Jacobian.
+
+    `residual` is the norm of the equations, `bend` bounds the norm of their second derivative
+    around the point, `entry` the rounding error of each of the `entries` of the Jacobian that are
+    not zero, and of each equation.
+    """
+    m, n = shape
+    if not m or not n:
+        return Certificate(True, np.inf, 0.0)
+    rounding = entry * np.sqrt(entries) + UNIT * max(m, n) * float(values[0])
+    smallest = float(values[min(m, n) - 1]) - rounding
+    if smallest <= 0.0:
+        return Certificate(False, 0.0, np.inf)
+    off = residual + entry * np.sqrt(m)
+    return Certificate(2.0 * off * bend < smallest**2, smallest, 2.0 * off / smallest)
+
+
+def rounding(joints: int, reach: float) -> float:
+    """Bound of the rounding error of a number that comes from a chain of `joints`, `reach` lengths
+    from the origin.
+    """
+    return UNIT * OPERATIONS * (1.0 + joints) * (1.0 + reach)
+
+
+CUT = 1e-9
+"""Singular values below this fraction of the largest are left out."""
+LAST = 1e-8
+"""A step up to this length is the last one: where convergence is quadratic, the next would be
+rounding."""
+NOTHING = 1e-15
+"""A step up to this length is rounding: it is not taken."""
+LARGE = 60
+"""Equations from which on normal equations are solved in place of singular value decompositions,
+where both will do."""
+WORK = 2e8
+"""Products of numbers between two looks at the clock, about 0.1 s."""
+WELL = 1e7
+"""Size of a solution of normal equations with a right-hand side of size 1 below which they are far
+from singular."""
+
+Equations = Callable[[Array], tuple[Array, Array]]
+"""What is missing (m,) at x, and its derivative (m, n) by small changes of x."""
+
+
+class GaussNewtonEnd(NamedTuple):
+    """End of a Gauss-Newton iteration: the point, the residual there, and its derivative."""
+
+    x: Array
+    r: Array
+    J: Array
+
+    @property
+    def size(self) -> float:
+        """Largest entry of the residual; NaN where an entry is NaN."""
+        return float(np.abs(self.r).max(initial=0.0))
+
+
+def least_squares(A: Array, b: Array, cut: float = CUT) -> Array:
+    """The shortest y (n,) that minimises |A y - b|; singular values below `cut` of the largest
+    count as zero.
+    """
+    return (
+        least_squares_of_many(A[None], b[None], cut)[0] if len(b) > LARGE else _by_values(A, b, cut)
+    )
+
+
+def _by_values(A: Array, b: Array, cut: float) -> Array:
+    return np.asarray(np.linalg.lstsq(A, b, rcond=cut)[0], dtype=float)
+
+
+def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
+    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far
+    from singular.
+
+    Of the first kind, or of the second where there are fewer equations than unknowns. A second
+    right-hand side, in no special direction, tells how near to singular they are. Of large ones a
+    few are solved at a time.
+    """
+    k, m, n = A.shape
+    most = max(1, int(WORK / max(1, m * n * min(m, n))))
+    if k > most:
+        return np.concatenate(
+            [
+                least_squares_of_many(A[i : i + most], b[i : i + most], cut)
+                for i in range(0, k, most)
+            ]
+        )
+    if m > LARGE:
+        look()
+    At = np.swapaxes(A, -1, -2)
+    wide = A.shape[-2] < A.shape[-1]
+    G = A @ At if wide else At @ A
+    n = G.shape[-1]
+    right = np.empty((len(A), n, 2))
+    right[..., 0] = b if wide else np.einsum("kmn,km->kn", A, b)
+    right[..., 1] = np.cos(np.arange(n, dtype=float))
+    scale = np.einsum("kii->k", G)
+    bad = np.ones(len(A), dtype=bool)
+    y = np.zeros((len(A), A.shape[-1]))
+    with contextlib.suppress(np.linalg.LinAlgError):
+        found = np.linalg.solve(G, right)
+        bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
+        y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
+    for k in np.flatnonzero(bad):
+        look()
+        y[k] = _by_values(A[k], b[k], cut)
+    return y
+
+
+def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
+    """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
+    U, s, Vt = svd(A, full_matrices=False)
+    return Vt.T @ (s / (s * s + damping) * (U.T @ b))
+
+
+def gauss_newton(
+    equations: Equations,
+    x: Array,
+    tries: int,
+    *,
+    step: Callable[[Array, Array, Array], Array] | None = None,
+    cut: float = CUT,
+    met: float = 0.0,
+    last: float = LAST,
+    longest: float = math.inf,
+    halving: bool = False,
+    move: Callable[[Array, Array], Array] = np.add,
+) -> GaussNewtonEnd:
+    """The point, residual and Jacobian to which at most `tries` Gauss-Newton steps from `x` lead.
+
+    It ends where the residual is at most `met`, after a step up to `last`, before one that is zero
+    or not finite, and with `halving` before one longer than half the one before. Steps are
+    shortened to `longest`. `step` gives another step (n,) at (x, r, J) than `least_squares`, `move`
+    the point to which one leads.
+    """
+    before = math.inf
+    k = 0
+    while True:
+        if len(x) > LARGE:
+            look()
+        r, J = equations(x)
+        if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
+            break
+        y = least_squares(J, -r, cut) if step is None else step(x, r, J)
+        size = math.hypot(*y.tolist())  # no overflow on the way
+        if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
+            break
+        x = move(x, y * (longest / size) if size > longest else y)
+        before = size
+        k = k + 1
+    return GaussNewtonEnd(x, r, J)
+
+
+def gauss_newton_of_many(
+    equations: Callable[[Array, np.ndarray], tuple[Array, Array]],
+    x: Array,
+    tries: int,
+    *,
+    step: Callable[[Array, Array], Array] | None = None,
+    cut: float = CUT,
+    met: float = 0.0,
+    last: float = LAST,
+    longest: float = math.inf,
+    move: Callable[[Array, Array], Array] = np.add,
+) -> Array:
+    """Points (k, n) to which at most `tries` Gauss-Newton steps lead from many starts (k, n), each
+    on its own.
+
+    `equations` gives residuals (j, m) and Jacobians (j, m, n) at points (j, n), those of the starts
+    of indices (j,). `step` gives other steps (j, n), from these, than `least_squares_of_many`.
+    Options are those of `gauss_newton`, but the size of a step is its largest entry. A point
+    becomes NaN where its residual is not finite.
+    """
+    x, left = np.array(x), np.arange(len(x))
+    for _ in range(tries):
+        look()
+        r, J = equations(x[left], left)
+        size = np.abs(r).max(axis=1, initial=0.0)
+        x[left[~np.isfinite(size)]] = np.nan
+        go_on = size > met
+        go_on &= np.isfinite(size)
+        left, r, J = (left, r, J) if go_on.all() else (left[go_on], r[go_on], J[go_on])
+        if not len(left):
+            break
+        y = least_squares_of_many(J, -r, cut) if step is None else step(r, J)
+        size = np.abs(y).max(axis=1, initial=0.0)
+        x[left] = move(
+            x[left], y * (longest / np.maximum(size, longest))[:, None] if longest < math.inf else y
+        )
+        left = left[size > last]
+    return x

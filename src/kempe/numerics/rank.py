@@ -1,0 +1,109 @@
+"""The null space and the column space of a matrix, for callers that say what counts as zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+SPARSE = 100
+"""Columns from which on a matrix of loop equations is decomposed as a sparse one: few entries of a
+row are not zero."""
+SURE = 1e2
+"""How far above what counts as zero the estimate of the smallest singular value must be for sparse
+factors to do."""
+ESTIMATES = 8
+"""Inverse iterations that estimate the smallest singular value."""
+
+
+def null_space(A: Array, least: float) -> Array:
+    """Orthonormal basis (n, k) of what A (m, n) maps to zero; singular values to `least` of the
+    largest count as 0.
+    """
+    _, s, Vt = svd(A)
+    return Vt[int(np.sum(s > least * max(float(s.max(initial=0.0)), 1e-300))) :].T
+
+
+def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | None:
+    """As `null_space` of A (m, n), from the entries of a vector in these `columns`, which determine
+    the others.
+
+    None where the other columns are not as many as the rows, or are not clearly independent: where
+    their smallest singular value, estimated by inverse iteration with sparse factors, is not `SURE`
+    times above `least` of a bound of the largest one, the root of the largest sum of a row times
+    that of a column.
+    """
+    m, n = A.shape
+    others = np.setdiff1d(np.arange(n), np.array(columns, dtype=np.int64))
+    if len(others) != m or len(columns) != n - m:
+        return None
+    import scipy.sparse  # only here: they take long
+    import scipy.sparse.linalg
+
+    library: Any = scipy.sparse
+    row: np.ndarray
+    column: np.ndarray
+    row, column = np.nonzero(A)
+    number = np.full(n, -1)
+    number[others] = np.arange(m)
+    entries = A[row, column]
+    place = number[column]
+    inner = place >= 0
+    try:
+        factors = library.linalg.splu(
+            library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m))
+        )
+    except RuntimeError:  # it is singular
+        return None
+    x: Any = np.random.default_rng(0).normal(size=m)
+    inverse = 0.0
+    for _ in range(ESTIMATES):
+        x = factors.solve(factors.solve(x / np.linalg.norm(x)), "T")
+        inverse = float(np.sqrt(np.linalg.norm(x)))
+    size = np.sqrt(
+        np.bincount(row, np.abs(entries)).max() * np.bincount(column, np.abs(entries)).max()
+    )
+    if not SURE * least * inverse * float(size) < 1.0:
+        return None
+    basis = np.zeros((n, len(columns)))
+    basis[list(columns), np.arange(len(columns))] = 1.0
+    basis[others] = -factors.solve(np.ascontiguousarray(A[:, list(columns)]))
+    return np.linalg.qr(basis)[0]
+
+
+def column_space(A: Array, least: float, size: float) -> Array:
+    """Orthonormal basis (m, r) of what the columns of A (m, n) span.
+
+    Singular values to `least` of the largest one count as 0, or of `size`, if that is more.
+    """
+    U, s, _ = svd(A, full_matrices=False)
+    return U[:, s > least * max(float(s.max(initial=0.0)), size)]
+
+
+# ---- freedoms
+
+# Freedoms that tasks leave: how many to first order, and how many of them are motions over a
+# distance.
+#
+# Counted are the freedoms of the joints that move a frame of the tasks, directly or through loops:
+# fingers and other arms are no redundancy of an arm.
+#
+# Where the equations are independent the two are the same, by the implicit function theorem. Where
+# the Jacobian loses rank, steps along its null space are led back to the solutions, at two lengths:
+# what stays away from where it began, in proportion to the step, is a motion.
+
+
+RANK_TOLERANCE = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+
+
+def null(J: Array) -> Array:
+    """Orthonormal basis (n, k) of the null space of J (m, n)."""
+    if not J.size:
+        return np.eye(J.shape[1])
+    _, s, Vt = svd(J, full_matrices=True)
+    return Vt[int((s > RANK_TOLERANCE * max(1.0, s.max(initial=0.0))).sum()) :].T

@@ -1,1 +1,0 @@
-"""Which configurations do what is required: the inverse model."""

@@ -1,1 +1,0 @@
-"""What is recognised in a chain, in words."""

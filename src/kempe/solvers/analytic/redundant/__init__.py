@@ -1,1 +1,0 @@
-"""Solutions of redundant chains as functions of a parameter."""

@@ -1,1 +1,0 @@
-"""Assembly: configurations that close all loops, within one tolerance."""

@@ -1,1 +1,0 @@
-"""What all solvers share: questions, answers, targets, proofs, the clock, and the tracer of curves."""

@@ -1,1 +1,0 @@
-"""Planar mechanisms made of dyads, in closed form."""

@@ -1,1 +1,0 @@
-"""All assembly modes."""

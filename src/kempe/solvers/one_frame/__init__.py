@@ -1,1 +1,0 @@
-"""The numerical inverse model of one frame of a tree."""

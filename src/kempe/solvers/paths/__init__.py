@@ -1,1 +1,0 @@
-"""Paths of configurations that follow targets, and self-motions."""

@@ -1,1 +1,0 @@
-"""The inverse model of several tasks, on any frames of any system."""

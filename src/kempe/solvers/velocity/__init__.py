@@ -1,1 +1,0 @@
-"""One step of the differential inverse model."""

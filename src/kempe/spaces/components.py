@@ -1,0 +1,539 @@
+"""Connected components of the configuration space: by theorem, by proven sweeps, or by tracing what
+is found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import (
+    DRAWN,
+    brief,
+    explained,
+    explained_methods,
+    interruptible,
+    start_count,
+    until_interrupt,
+)
+from kempe.assemble.assemble import assemble
+from kempe.assemble.dyads import closed_form
+from kempe.assemble.modes import assembly_modes
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.equations.closure_rows import RANK_TOLERANCE
+from kempe.equations.one_sided import one_sided_rows
+from kempe.mobility.idle_spins import moved_by_spins
+from kempe.mobility.mobility import mobility
+from kempe.model.configurations import has_loops, mid, random, winding_angles
+from kempe.motion.path import Event, Path
+from kempe.motion.trace import trace
+from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
+from kempe.report import Report
+from kempe.singular_values import svd
+from kempe.spaces.branch_sweep import CurveSweep, sweep_of
+from kempe.spaces.manifold import Manifold
+from kempe.spaces.polygons import polygon_of
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import InWords, counted
+
+if TYPE_CHECKING:
+    from kempe.mobility.answer import Mobility
+    from kempe.model.model import Model as System
+
+STARTS = 256
+VALUES = 24
+"""Random assemblies from which curves are traced, and values of each coordinate at which assembly
+modes are."""
+NEAR = 0.3
+SAME = 1e-5
+"""Distance from a node of a curve from which it is looked closer at, and that below which a point
+is on it."""
+NONE_INSIDE = "no configuration within limits and one-sided constraints was found"
+NOTHING = 1e-9
+"""Part of a period that is rounding."""
+USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
+
+
+@dataclass(frozen=True, eq=False)
+class Component(InWords):
+    """A component with one freedom (idle spins left out): the curves that it consists of, joined at
+    bifurcations.
+
+    One without a freedom is a path of one configuration.
+    """
+
+    paths: tuple[Path, ...]
+    still: np.ndarray = field(repr=False)
+    """Velocity coordinates (nv,) that idle spins change: they do not count."""
+
+    @property
+    def length(self) -> float:
+        """Length of all its curves, in radians and characteristic lengths."""
+        return float(sum(p.length for p in self.paths))
+
+    @property
+    def alone(self) -> bool:
+        """Whether it was traced wholly, as one curve without singular points: so nothing else is
+        joined to it.
+        """
+        first = self.paths[0]
+        smooth = not any("not smooth" in end for end in first.ends)
+        return first.success and len(self.paths) == 1 and smooth and not first.singular_points
+
+    @property
+    def dimension(self) -> int:
+        """Its dimension, idle spins left out: 1, or 0 of a configuration that cannot move."""
+        return int(self.length > 0.0)
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """The least and largest value of each coordinate on it."""
+        q = np.concatenate([p.track.q for p in self.paths])
+        return dict(
+            zip(
+                self.paths[0].system.coordinate_names,
+                zip(q.min(0).tolist(), q.max(0).tolist(), strict=True),
+                strict=True,
+            )
+        )
+
+    @property
+    def singular_points(self) -> tuple[Event, ...]:
+        """Where curves meet, or the rank drops otherwise, each once."""
+        system = self.paths[0].system
+        events = [e for p in self.paths for e in p.singular_points]
+        return tuple(
+            events[k]
+            for k in _first(system, np.array([e.q for e in events]).reshape(-1, system.nq))
+        )
+
+    def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
+        """For configurations (k, nq) the curve (k,) that is nearest, the arc length (k,) there, and
+        the distance (k,).
+
+        The distance is infinite where no curve is near.
+        """
+        which = np.zeros(len(q), dtype=int)
+        s = np.zeros(len(q))
+        far = np.full(len(q), np.inf)
+        for i, path in enumerate(self.paths):
+            at, off = _nearest(path, q, ~self.still)
+            better = off < far
+            which[better] = i
+            s[better] = at[better]
+            far[better] = off[better]
+        return which, s, far
+
+    def contains(self, q: Array) -> np.ndarray:
+        """Whether (k,) configurations (k, nq) are on it."""
+        return self.place(q)[2] < SAME
+
+    def __str__(self) -> str:
+        first = self.paths[0]
+        if not self.dimension:
+            return "a configuration that cannot move"
+        kind = "closed curve" if first.closed else "curve"
+        if first.closed and _wound(first):
+            kind = "endless curve that repeats with a period"
+        turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
+        text = (
+            f"{kind} of length {first.length:.6g}"
+            if len(self.paths) == 1
+            else f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"
+        )
+        text += f", {', '.join(turns)}" if turns and len(self.paths) == 1 else ""
+        points = len(self.singular_points)
+        return text + (f", {counted(points, 'singular point')}" if points else "")
+
+
+def _wound(path: Path) -> dict[int, int]:
+    """How many whole turns a curve goes on by until it repeats, by the place in q of angles of
+    which turns count.
+    """
+    layout = path.system.structure.layout
+    names = path.system.structure.velocity_names
+    place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
+    return {
+        place[int(v)]: path.turns[names[v]]
+        for v in np.flatnonzero(winding_angles(path.system))
+        if path.turns.get(names[v])
+    }
+
+
+def _at_first(path: Path, q: Array) -> Array:
+    """Configurations (k, nq), led by the periods of a curve that repeats to where it was traced."""
+    wound = _wound(path)
+    if not wound:
+        return q
+    at = list(wound)
+    turns = 2.0 * np.pi * np.array(list(wound.values()))
+    out = q.copy()
+    periods = np.floor((q[:, at[0]] - path.track.q[0, at[0]]) / turns[0] + NOTHING)
+    out[:, at] -= periods[:, None] * turns
+    return out
+
+
+def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
+    """Arc lengths (k,) of the points of a path nearest to configurations (k, nq), and their
+    distances (k,).
+    """
+    manifold = Manifold(path.system, 1)
+    track = path.track
+    q = _at_first(path, q)
+    nodes = track.q
+    t = np.where(useful, track.t, 0.0)
+    best = np.zeros(len(q), dtype=int)
+    far = np.full(len(q), np.inf)
+    for k, node in enumerate(nodes):
+        off = np.linalg.norm(manifold.between(np.broadcast_to(node, q.shape), q)[:, useful], axis=1)
+        best = np.where(off < far, k, best)
+        far = np.minimum(off, far)
+    s = track.s[best]
+    near = np.flatnonzero(far < NEAR)
+    for _ in range(12) if len(near) and len(nodes) > 1 else ():
+        way = np.where(useful, manifold.between(path.at(s[near]), q[near]), 0.0)
+        far[near] = np.linalg.norm(way, axis=1)
+        k = np.clip(
+            np.searchsorted(track.s, np.mod(s[near], path.length or 1.0), side="right") - 1,
+            0,
+            len(nodes) - 2,
+        )
+        u = ((np.mod(s[near], path.length) - track.s[k]) / (track.s[k + 1] - track.s[k]))[:, None]
+        along = (1.0 - u) * t[k] + u * t[k + 1]
+        size = np.maximum(np.sum(along**2, axis=1), 1e-12)
+        s[near] = np.clip(
+            s[near] + np.sum(along * way, axis=1) / size,
+            *((-np.inf, np.inf) if path.closed else (0.0, path.length)),
+        )
+    return np.mod(s, path.length) if path.closed and path.length else s, np.where(
+        far < NEAR, far, np.inf
+    )
+
+
+def _first(system: System, q: Array) -> list[int]:
+    """Which of configurations (k, nq) are not the same as one before."""
+    metric = Manifold(system, 1).metric
+    out = list[int]()
+    for k, x in enumerate(q):
+        if not any(metric.distances(x[None], q[j][None])[0] < SAME for j in out):
+            out.append(k)
+    return out
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Components(Report):
+    """The connected components of a configuration space.
+
+    `count` is their number, a lower bound unless `complete`, and `reason` says why it is the one or
+    the other. `parts` are those with one freedom, as curves; `singular` (k, nq) are the singular
+    points that are known. `dimension` is the number of freedoms, of which `idle` spins do not
+    count.
+    """
+
+    __repr__ = brief
+
+    system: System = field(repr=False)
+    count: int
+    complete: bool
+    reason: str
+    dimension: int | None
+    idle: int = 0
+    parts: tuple[Component, ...] = ()
+    singular: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    late: bool = False
+    interrupted: bool = False
+
+    @cached_property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `PARTLY` where the count is a lower bound, `NONE_EXISTS` where it is proven
+        to be 0.
+        """
+        if self.complete:
+            return Status.SOLVED if self.count else Status.NONE_EXISTS
+        if self.interrupted:
+            return Status.INTERRUPTED
+        return (
+            Status.OUT_OF_TIME if self.late else Status.PARTLY if self.count else Status.NOT_FOUND
+        )
+
+    @property
+    def status(self) -> str:
+        """How many there are, and why these are all or are not."""
+        few = "" if self.complete or not self.count else "at least "
+        proven = "proven" if self.complete else "a lower bound"
+        idle = f", {counted(self.idle, 'idle spin')} left out" if self.idle else ""
+        said = f"{few}{counted(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
+        return said + partial(self.interrupted, self.late)
+
+    def _notes(self) -> list[str]:
+        lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]
+        return lines + (
+            [f"{counted(len(self.singular), 'singular point')} of the space"]
+            if len(self.singular)
+            else []
+        )
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
+        names = self.system.coordinate_names
+        parts = [
+            {
+                "dimension": p.dimension,
+                "length": p.length,
+                "curves": len(p.paths),
+                "closed": all(x.closed for x in p.paths),
+                "ranges": p.ranges,
+            }
+            for p in self.parts
+        ]
+        singular = [dict(zip(names, q.tolist(), strict=True)) for q in self.singular]
+        own = {
+            n: getattr(self, n)
+            for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")
+        }
+        return {"system": self.system.name} | own | {"parts": parts, "singular": singular}
+
+
+@explained
+@interruptible
+@time_limited(USUAL)
+def components(system: System, *, budget: Budget | None = None) -> Components:
+    """The connected components of the configuration space, with the proof, or as a lower bound with
+    the reason.
+
+    A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars
+    says. Systems with one freedom, idle spins and joints outside loops left out, are swept over one
+    coordinate with proven bounds where their equations can be solved one after another: planar
+    dyads, and spatial loops of four joints (see `curves`), within limits, too. Their curves are
+    traced from there; other systems with one freedom from random assemblies and, where these have a
+    closed form, from the assembly modes at 24 values of each coordinate. Curves that meet at
+    bifurcations are one component, and limits cut curves. Without a proof a curve may be missed, or
+    a place where two meet: then curves without singular points count, and all others as one.
+    Systems with several freedoms have at least one. Of the `budget` are read: starts (256), rng
+    (0), time_limit (120 s).
+    """
+    spend = USUAL.of(budget)
+    time = time_of(USUAL, budget)
+    try:
+        return _counted(system, spend, time)
+    except TimeUp as error:
+        return Components(
+            system, 0, False, f"none is known: {time.reason(error)} came first", None, late=True
+        )
+
+
+def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
+    """The components, as `components` counts them."""
+    if not has_loops(system):
+        divided = bool(one_sided_rows(system).declared)
+        why = (
+            "one-sided constraints may divide it"
+            if divided
+            else "a product of circles, intervals and rotations"
+        )
+        if divided and not _inside(system, mid(system), spend):
+            return Components(system, 0, False, NONE_INSIDE, None)
+        return Components(system, 1, not divided, why, system.nv)
+    known, sweep, late = _proven(system, time)
+    if known and not known[0]:
+        return Components(system, 0, True, known[1], None)
+    freedoms = mobility(system)
+    if not freedoms.closed or freedoms.dof is None:
+        return Components(system, 0, False, freedoms.sentence, None, late=late)
+    if freedoms.dof == 0 and known is None:
+        modes = assembly_modes(system)
+        return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
+    polygon = polygon_of(system)
+    singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
+    if freedoms.useful != 1:
+        why = (
+            f"no theorem is known here for {counted(freedoms.dof or 0, 'freedom')}; one "
+            "configuration is known"
+        )
+        least = sweep.count if sweep else 1
+        if known is None and sweep is None and not _inside(system, freedoms.q, spend):
+            return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle, late=late)
+        count, why = known or (least, sweep.reason if sweep and least > 1 else why)
+        return Components(
+            system, count, known is not None, why, freedoms.dof, freedoms.idle, (), singular, late
+        )
+    found = _traced(system, freedoms, sweep, spend, time, known[0] if known else None)
+    points = [e.q for part in found.parts for e in part.singular_points] + [
+        *(sweep.crossings if sweep else ())
+    ]
+    singular = np.array(points).reshape(-1, system.nq)
+    singular = singular[_first(system, singular)]
+    count, why = (
+        _lower_bound(system, found, sweep)
+        if known is None
+        else (known[0], known[1] + found.said(known[0]))
+    )
+    return Components(
+        system,
+        count,
+        known is not None,
+        why,
+        freedoms.dof,
+        freedoms.idle,
+        found.parts,
+        singular,
+        late or found.late,
+        found.interrupted,
+    )
+
+
+def _inside(system: System, home: Array, spend: Budget) -> bool:
+    """Whether a configuration within limits and one-sided constraints is known: `home`, or one that
+    starts lead to.
+    """
+    manifold = Manifold(system, 1)
+    if manifold.inside(home[None]).any():
+        return True
+    found = assemble(
+        system,
+        None,
+        random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)),
+    )
+    ok = np.asarray(found.success, dtype=bool)
+    return bool(ok.any() and manifold.inside(found.q[ok]).any())
+
+
+def _proven(
+    system: System, time: TimeLimit
+) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:
+    """The number and its proof, if there is one; the sweep over a coordinate; and whether the time
+    was up.
+    """
+    polygon = polygon_of(system)
+    known = None if isinstance(polygon, str) else (polygon.count, polygon.reason)
+    try:
+        sweep = sweep_of(system, time)
+    except TimeUp:
+        if known is None:
+            raise
+        return known, None, True
+    if isinstance(sweep, str):
+        return known, None, False
+    return known or ((sweep.count, sweep.reason) if sweep.complete else None), sweep, False
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Curves that were traced, `several` freedoms found at starts, and whether the time limit or
+    Ctrl-C ended it.
+    """
+
+    parts: tuple[Component, ...]
+    several: frozenset[int]
+    late: bool
+    interrupted: bool = False
+
+    def said(self, known: int | None) -> str:
+        """What is to be said of them beside a number."""
+        text = (
+            ""
+            if known in (None, len(self.parts))
+            else f"; {counted(len(self.parts), 'curve')} traced"
+        )
+        dims = " or ".join(map(str, sorted(self.several)))
+        return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
+
+
+def _lower_bound(system: System, found: Traced, sweep: CurveSweep | None) -> tuple[int, str]:
+    """The least number of components, and why."""
+    apart = sum(part.alone for part in found.parts)
+    count = apart + (len(found.parts) > apart)
+    if sweep and sweep.count >= count:
+        return sweep.count, sweep.reason + found.said(None)
+    limited = "limits cut its curves, and " if one_sided_rows(system).names else ""
+    why = f"{limited}a curve that no start led to may be missed"
+    met = len(found.parts) - apart
+    if met > 1:
+        why += f"; {met} curves with singular points, where they may meet, count as one"
+    return count, why + found.said(None)
+
+
+def _traced(
+    system: System,
+    freedoms: Mobility,
+    sweep: CurveSweep | None,
+    spend: Budget,
+    time: TimeLimit,
+    enough: int | None,
+) -> Traced:
+    """All components to which starts lead: those of the sweep first, then random ones unless that
+    was complete.
+    """
+    if time.spent:  # the number is proven, and no curves are looked for
+        return Traced((), frozenset(), True)
+    home = freedoms.q
+    still = moved_by_spins(system, home)
+    own = (
+        np.empty((0, system.nq))
+        if sweep is None
+        else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
+    )
+    whole = sweep is not None and sweep.complete and len(own) == sweep.count
+    q = own if whole else np.concatenate([home[None], own, _starts(system, home, spend)])
+    q, several = _of_one_freedom(system, q, freedoms.dof or 1)
+    parts = list[Component]()
+    late = False
+    while len(q) and len(parts) != enough:
+        left = time.left
+        if left is not None and left <= 0.0:
+            return Traced(tuple(parts), several, True)
+        path = until_interrupt(
+            trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left)
+        )
+        late |= path.late
+        part = Component((path, *path.others), still)
+        if part.dimension or (path.success and not mobility(system, q[0]).dof):
+            parts.append(part)
+        if path.interrupted:
+            return Traced(tuple(parts), several, late, True)
+        q = q[1:]
+        q = q[~part.contains(q)] if len(q) else q
+    return Traced(tuple(parts), several, late)
+
+
+def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
+    """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as
+    anywhere, and the true numbers of others.
+    """
+    s = svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
+    left = system.nv - (s > RANK_TOLERANCE * s.max(axis=1, initial=1.0, keepdims=True)).sum(axis=1)
+    most = max(dof, int(left.min(initial=system.nv)))
+    others = {mobility(system, q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
+    return q[left <= most], frozenset(others - {0, 1})
+
+
+def _starts(system: System, home: Array, spend: Budget) -> Array:
+    """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes
+    of a closed form.
+    """
+    rng = np.random.default_rng(spend.rng)
+    manifold = Manifold(system, 1)
+    found = [home[None]]
+    q = manifold.drawn(rng, start_count(spend.starts, DRAWN))
+    found.append(q)
+    for name in system.coordinate_names if system.dim == 2 else ():
+        k = system.coordinate_names.index(name)
+        if closed_form(system, [name]):
+            low = q[:, k].min(initial=0.0)
+            high = q[:, k].max(initial=0.0)
+            low, high = (
+                (-np.pi, np.pi)
+                if manifold.circle[list(system.structure.layout.vector_q).index(k)]
+                else (low, high)
+            )
+            for x in low + (np.arange(VALUES) + rng.random()) / VALUES * (high - low):
+                found.append(assembly_modes(system, {name: x}).q)
+    q = manifold.metric.representatives(np.concatenate(found), None)
+    return q[manifold.inside(q)]

@@ -1,0 +1,492 @@
+"""Continuous motions between two configurations: straight ways, traced curves, random trees on the
+manifold.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.answer import Configurations
+from kempe.arguments import brief, explained, explained_methods, generator, interruptible
+from kempe.arrays import is_real
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.equations.judge import judge
+from kempe.errors import InputError
+from kempe.forward.limits import with_limits
+from kempe.mobility.idle_spins import moved_by_spins
+from kempe.mobility.mobility import mobility
+from kempe.model.configurations import has_loops, one_finite, random
+from kempe.motion.trace import trace
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
+from kempe.spaces.branch_sweep import sweep_of
+from kempe.spaces.components import SAME, Component
+from kempe.spaces.manifold import CLOSED, Manifold
+from kempe.spaces.polygons import polygon_of
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- random trees
+
+# Two random trees that grow towards one another on the closed configurations, and the way where
+# they meet.
+#
+# Sources: Kuffner, LaValle, "RRT-Connect", ICRA 2000; Berenson, Srinivasa, Ferguson, Kuffner,
+# "Manipulation planning on constraint manifolds", ICRA 2009: each step towards a sample is led back
+# onto the manifold.
+
+
+FEWEST = 0.1
+"""Part of a step that must be left of the distance to the aim, and of the step itself, to go on."""
+ROUNDS = 4
+SHORTCUTS = 30
+"""Rounds of shortcuts, and how many are tried in each, at most."""
+MET = 1e-9
+"""Length up to which an aim counts as reached."""
+DEEPEST = 12
+"""How often the way between two points is halved."""
+BENT = 1.5
+"""How much longer the two halves of a step may be than the step: else it is a jump."""
+
+
+class Tree:
+    """Configurations `q` (n, nq), each reached from that of its `parent`."""
+
+    def __init__(self, manifold: Manifold, root: Array):
+        self.manifold = manifold
+        self.q = root[None]
+        self.parent = [-1]
+
+    def nearest(self, q: Array) -> int:
+        """The number of the configuration nearest to q (nq,)."""
+        return int(np.argmin(self.manifold.apart(self.q, np.broadcast_to(q, self.q.shape))))
+
+    def grow(self, aim: Array, step: float, time: TimeLimit) -> int:
+        """The number of the configuration from which no step leads nearer to the aim (nq,), added
+        step by step.
+        """
+        at = self.nearest(aim)
+        for q in stepped(self.manifold, self.q[at][None], aim[None], step, time)[0]:
+            self.q, at = np.concatenate([self.q, q[None]]), self._add(at)
+        return at
+
+    def _add(self, parent: int) -> int:
+        self.parent.append(parent)
+        return len(self.parent) - 1
+
+    def way(self, at: int) -> list[Array]:
+        """Configurations from the root to one of its own."""
+        out: list[Array] = []
+        while at >= 0:
+            out.append(self.q[at])
+            at = self.parent[at]
+        return out[::-1]
+
+
+def stepped(
+    manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Any = np.inf
+) -> list[list[Array]]:
+    """Configurations on the manifold, within limits, by which one comes from each q (k, nq) towards
+    its aim (k, nq).
+
+    It ends where more than `most` steps would be needed, even straight.
+    """
+    out: list[list[Array]] = [[] for _ in q]
+    at = np.array(q)
+    left = manifold.apart(q, aims)
+    most = np.broadcast_to(most, len(q)) + 1e-9
+    on = np.flatnonzero((left > MET) & (left / step <= most))
+    while len(on):
+        time.check()
+        before = at[on]
+        aim = aims[on]
+        far = left[on] > step
+        way = manifold.between(before, aim)
+        if manifold.dim < manifold.system.nv and far.any():
+            T = manifold.frames(before[far]).tangent
+            way[far] = np.einsum("kip,kp->ki", T, np.einsum("kip,ki->kp", T, way[far]))
+        size = np.linalg.norm(way, axis=1)
+        x, ok = manifold.closed(
+            manifold.move(before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None])
+        )
+        gone = manifold.apart(before, x)
+        rest = manifold.apart(x, aim)
+        ok &= (
+            manifold.inside(x)
+            & (gone <= BENT * step)
+            & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
+        )
+        ok &= ~far | (size >= FEWEST * step)
+        on = on[ok]
+        x = x[ok]
+        rest = rest[ok]
+        for k, i in enumerate(map(int, on)):
+            out[i].append(x[k])
+        at[on] = x
+        left[on] = rest
+        taken = np.array([len(out[i]) for i in map(int, on)], dtype=int)
+        on = on[(rest > MET) & (taken + rest / step <= most[on])]
+    return out
+
+
+def joined(
+    manifold: Manifold,
+    a: Array,
+    b: Array,
+    step: float,
+    rng: np.random.Generator,
+    most: int,
+    time: TimeLimit,
+) -> tuple[Array | None, int]:
+    """A way (n, nq) from a to b on the manifold, or None, and how many configurations the trees
+    have.
+    """
+    coarse = 2.0 * step
+    trees = [Tree(manifold, a), Tree(manifold, b)]
+    for k in range(most):
+        time.check()
+        one = trees[k % 2]
+        other = trees[1 - k % 2]
+        aim = other.q[0] if k < 2 else random(manifold.system, rng)
+        here = one.grow(aim, coarse, time)
+        there = other.grow(one.q[here], coarse, time)
+        if manifold.apart(one.q[here][None], other.q[there][None])[0] < MET:
+            ways = one.way(here), other.way(there)
+            first, second = ways if k % 2 == 0 else ways[::-1]
+            rough = [*first, *second[::-1][1:]]
+            fine = _refined(manifold, _shortened(manifold, rough, coarse, rng, time), step, time)
+            if fine is None:
+                fine = _refined(manifold, rough, step, time)
+            if fine is not None:
+                return fine, len(one.q) + len(other.q)
+            trees = [Tree(manifold, a), Tree(manifold, b)]
+    return None, sum(len(t.q) for t in trees)
+
+
+def _shortened(
+    manifold: Manifold, way: list[Array], step: float, rng: np.random.Generator, time: TimeLimit
+) -> list[Array]:
+    """The way with shortcuts between points of it: in each round those that save most, and do not
+    overlap.
+    """
+    for _ in range(ROUNDS):
+        if len(way) < 3:
+            break
+        ends = np.unique(np.sort(rng.integers(len(way), size=(SHORTCUTS, 2)), axis=1), axis=0)
+        ends = ends[ends[:, 1] - ends[:, 0] > 1]
+        points = np.array(way)
+        i = ends[:, 0]
+        j = ends[:, 1]
+        cuts = stepped(manifold, points[i], points[j], step, time, j - i - 1)
+        pairs: list[tuple[int, int]] = ends.tolist()
+        better = [
+            (len(cut) - (b - a), a, b, cut)
+            for (a, b), cut in zip(pairs, cuts, strict=True)
+            if cut and manifold.apart(cut[-1][None], way[b][None])[0] < MET
+        ]
+        kept: list[tuple[int, int, list[Array]]] = []
+        for _, a, b, cut in sorted(better, key=lambda found: found[:3]):
+            if all(b <= c or a >= d for c, d, _ in kept):
+                kept.append((a, b, cut))
+        if not kept:
+            break
+        for a, b, cut in sorted(kept, key=lambda found: found[0], reverse=True):
+            way = [*way[: a + 1], *cut, *way[b + 1 :]]
+    return way
+
+
+def _refined(manifold: Manifold, way: list[Array], step: float, time: TimeLimit) -> Array | None:
+    """The way with no step longer than `step`, each once more halved without a jump; None where
+    there is one.
+    """
+    q = np.array(way)
+    for _ in range(DEEPEST):
+        time.check()
+        far = manifold.apart(q[:-1], q[1:])
+        half, ok = manifold.closed(manifold.move(q[:-1], 0.5 * manifold.between(q[:-1], q[1:])))
+        parts = manifold.apart(q[:-1], half) + manifold.apart(half, q[1:])
+        if not (ok & manifold.inside(half) & (parts <= BENT * far + 1e-12)).all():
+            return None
+        long = far > step
+        if not long.any():
+            return q
+        q = np.insert(q, np.flatnonzero(long) + 1, half[long], axis=0)
+    return None
+
+
+STEP = 0.1
+"""Longest step of the motion unless the caller says otherwise, in radians and characteristic
+lengths."""
+USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Connection(Configurations):
+    """A continuous motion `q` (n, nq) between two configurations, in steps up to `step`; empty
+    where none is found.
+
+    The sentence says how it was found, or why not: `code` is `NONE_EXISTS` where it is proven that
+    the two are on different components, `OUTSIDE_LIMITS` where one of them is outside. `length` is
+    that of the motion, in radians and characteristic lengths. Angles without limits end up to whole
+    turns at the goal.
+    """
+
+    is_motion = True
+    __repr__ = brief
+
+    also = ("length", "step", "interrupted", "late")
+
+    q: Array
+    outcome: Status
+    reason: str
+    step: float
+    system: System = field(repr=False)
+    interrupted: bool = False
+    late: bool = False
+
+    @property
+    def success(self) -> bool:
+        """Whether a motion was found."""
+        return self.outcome is Status.SOLVED
+
+    @property
+    def code(self) -> Status:
+        """The outcome, a `Status`."""
+        return self.outcome
+
+    @property
+    def length(self) -> float:
+        """Length of the motion."""
+        manifold = Manifold(self.system, 1)
+        return float(manifold.apart(self.q[:-1], self.q[1:]).sum()) if len(self.q) > 1 else 0.0
+
+
+@explained
+@interruptible
+@time_limited(USUAL)
+def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
+    """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is
+    none.
+
+    Where only limits bound the coordinates it is a straight line in them. With one freedom it
+    follows the traced curve through q0, across bifurcations if need be. Otherwise two random trees
+    grow on the closed configurations until they meet (Berenson, Srinivasa, Ferguson, Kuffner,
+    2009), and the path is shortened and refined: the midpoint of any two neighbouring points was
+    projected to a closed configuration, too, which lay between them. Of the `budget` are read: step
+    (0.1 of arc length between two points, at most), rng (0), iterations (4000 branches), time_limit
+    (120 s). Errors: `InputError` where q0 or q1 is no single configuration, or is not closed.
+    """
+    spend = USUAL.of(budget)
+    if not is_real(spend.step) or not 1e-4 <= spend.step <= 1.0:
+        raise InputError(
+            f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic "
+            "lengths"
+        )
+    time = time_of(USUAL, budget)
+    step = float(spend.step)
+    rng = generator(spend.rng)
+    try:
+        a = _end(system, q0, "q0")
+        b = _end(system, q1, "q1")
+        manifold = Manifold(system, system.nv)
+        for name, q in (("the start q0", a), ("the goal q1", b)):
+            if not manifold.inside(q[None])[0]:
+                rows = manifold.one_sided
+                which = ", ".join(repr(rows.names[k]) for k in np.flatnonzero(rows.beyond(q) > 0.0))
+                why = f"{name} is outside the limits of {which}"
+                return Connection(_no_way(system), Status.OUTSIDE_LIMITS, why, step, system)
+        if has_loops(system):
+            return _closed(system, a, b, step, rng, spend, time)
+        found = _straight(manifold, a, b, step)
+        if manifold.inside(found).all():
+            return Connection(found, Status.SOLVED, "the straight way", step, system)
+        return _by_trees(manifold, a, b, step, rng, spend, time)
+    except BROKEN_OFF as error:
+        code = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
+        return Connection(
+            _no_way(system),
+            code,
+            f"not found: {time.reason(error)} came",
+            step,
+            system,
+            isinstance(error, KeyboardInterrupt),
+            isinstance(error, TimeUp),
+        )
+
+
+def _end(system: System, q: Any, name: str) -> Array:
+    q = one_finite(system, q, name)
+    judged = judge(system, q)
+    if not judged:
+        raise InputError(f"{name} is not closed, {judged}; assemble closes it")
+    return q
+
+
+def _no_way(system: System) -> Array:
+    return np.empty((0, system.nq))
+
+
+def _straight(manifold: Manifold, a: Array, b: Array, step: float) -> Array:
+    way = manifold.between(a[None], b[None])[0]
+    n = max(1, int(np.ceil(np.linalg.norm(way) / step)))
+    return manifold.move(
+        np.repeat(a[None], n + 1, axis=0), np.linspace(0.0, 1.0, n + 1)[:, None] * way
+    )
+
+
+def _closed(
+    system: System,
+    a: Array,
+    b: Array,
+    step: float,
+    rng: np.random.Generator,
+    spend: Budget,
+    time: TimeLimit,
+) -> Connection:
+    polygon = polygon_of(
+        with_limits(system, dict.fromkeys(system.coordinate_names)) if system.dim == 2 else system
+    )
+    if not isinstance(polygon, str):
+        sides = polygon.side(np.stack([a, b]))
+        if sides[0] != sides[1]:
+            why = f"they are on different components, proven: {polygon.reason}"
+            return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
+    sweep = sweep_of(system, time)
+    if (
+        not isinstance(sweep, str)
+        and (labels := sweep.labels(np.stack([a, b])))[0] != labels[1]
+        and labels.min() >= 0
+    ):
+        why = f"they are on different components, proven: {sweep.reason}"
+        return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
+    freedoms = mobility(system, a)
+    exact, _ = Manifold(system, 1).closed(np.stack([a, b]))
+    if freedoms.useful == 1:
+        part = _curve(system, exact[0], spend)
+        if (why := _elsewhere(part, exact)) is not None:
+            return Connection(
+                _no_way(system), why[0], why[1], step, system, False, part.paths[0].late
+            )
+        if not freedoms.idle:
+            return _along_curves(part, exact, step)
+    unsure = freedoms.dof is None or freedoms.singular
+    dim = freedoms.generic_rank_dof if unsure else freedoms.dof
+    return _by_trees(Manifold(system, dim or 1), exact[0], exact[1], step, rng, spend, time)
+
+
+# ---- along curves
+
+
+def _curve(system: System, a: Array, spend: Budget) -> Component:
+    """The component of a, as far as it can be traced."""
+    first = trace(system, start=a, ways="branches", budget=Budget(time_limit=spend.time_limit))
+    return Component((first, *first.others), moved_by_spins(system, a))
+
+
+def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
+    """The outcome and why, where the curve through the first of two configurations does not pass
+    the other.
+    """
+    far = part.place(ends)[2]
+    first = part.paths[0]
+    if far[1] < SAME:
+        return None
+    whole = "was traced wholly" if first.success else f"was traced in part ({first.status})"
+    return (
+        Status.NOT_FOUND,
+        f"the curve through q0 {whole} and does not pass q1, which is no proof that there is no "
+        "way",
+    )
+
+
+def _along_curves(part: Component, ends: Array, step: float) -> Connection:
+    """The way along the traced curves through both ends (2, nq)."""
+    (a, b) = ends
+    (which, s, _) = part.place(ends)
+    system = part.paths[0].system
+    legs = _route(part, (int(which[0]), float(s[0])), (int(which[1]), float(s[1])))
+    pieces = [
+        part.paths[k].at(np.linspace(x, y, max(2, int(np.ceil(abs(y - x) / step)) + 1)))
+        for k, x, y in legs
+    ]
+    over = sum(k != j for (k, *_), (j, *_) in zip(legs, legs[1:], strict=False))
+    q = np.concatenate([a[None], *pieces, b[None]])
+    manifold = Manifold(system, 1)
+    keep = np.append(True, manifold.apart(q[:-1], q[1:]) > CLOSED)
+    q = q[keep] if keep.sum() > 1 else q[[0, -1]]
+    how = "along the traced curve" + (
+        f", over {over} bifurcation{'s' * (over > 1)}" if over else ""
+    )
+    return Connection(q, Status.SOLVED, how, step, system)
+
+
+def _route(
+    part: Component, begin: tuple[int, float], end: tuple[int, float]
+) -> list[tuple[int, float, float]]:
+    """Legs (curve, from, to) of the shortest way between two places on curves that meet at singular
+    points (Dijkstra, 1959); a `to` beyond the length of a closed curve goes on around.
+    """
+    metric = Manifold(part.paths[0].system, 1).metric
+    stops = [(*begin, None), (*end, None)]
+    stops += [(k, e.s, e.q) for k, path in enumerate(part.paths) for e in path.singular_points]
+    cost = {0: 0.0}
+    queue = [(0.0, 0)]
+    way: dict[int, tuple[int, tuple[int, float, float] | None]] = {}
+    while queue:
+        so_far, i = heapq.heappop(queue)
+        if i == 1:
+            break
+        k, s, q = stops[i]
+        for j, (to, at, point) in enumerate(stops):
+            legs = []
+            if to == k:
+                legs = [at - s]
+                if part.paths[k].closed:
+                    legs.append(legs[0] - np.copysign(part.paths[k].length, legs[0]))
+            elif (
+                q is not None
+                and point is not None
+                and metric.distances(q[None], point[None])[0] < SAME
+            ):
+                legs = [0.0]
+            for leg in legs:
+                if so_far + abs(leg) < cost.get(j, np.inf):
+                    cost[j] = so_far + abs(leg)
+                    way[j] = (i, (k, s, s + leg) if to == k else None)
+                    heapq.heappush(queue, (cost[j], j))
+    out: list[tuple[int, float, float]] = []
+    at = 1
+    while at != 0:
+        at, leg = way[at]
+        out += [] if leg is None else [leg]
+    return out[::-1]
+
+
+# ---- by random trees
+
+
+def _by_trees(
+    manifold: Manifold,
+    a: Array,
+    b: Array,
+    step: float,
+    rng: np.random.Generator,
+    spend: Budget,
+    time: TimeLimit,
+) -> Connection:
+    found, grown = joined(manifold, a, b, step, rng, int(spend.iterations or 1), time)
+    if found is None:
+        why = (
+            f"two random trees of {grown} configurations did not meet, which is no proof that "
+            "there is no way"
+        )
+        return Connection(_no_way(manifold.system), Status.NOT_FOUND, why, step, manifold.system)
+    how = f"found by two random trees of {grown} configurations together"
+    return Connection(found, Status.SOLVED, how, step, manifold.system)

@@ -1,0 +1,171 @@
+"""Closed configurations as a manifold in the space of all coordinates: tangents, normals, and the
+way back onto it.
+
+Lengths count in characteristic lengths, angles in radians: the coordinates of all joints with this
+measure are the space around, and volumes on the manifold are those that it induces there (of
+rotations: Haar's measure).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.assemble.same_configuration import metric_of
+from kempe.equations import closure_rows
+from kempe.equations.one_sided import one_sided_rows
+from kempe.model.configurations import by_short_turns, circles, random
+from kempe.numerics.newton import gauss_newton_of_many, least_squares_of_many
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+CLOSED = 1e-9
+"""Norm of the closure equations, in radians and characteristic lengths, up to which a configuration
+is closed."""
+REGULAR = 1e-6
+"""Singular value, as a part of the largest, below which a constraint counts as dependent on
+others."""
+TRIES = 30
+STEEP = 0.5
+"""Steps of a search for the manifold, and the longest: that of starts many lengths away is not
+bounded."""
+NEWTON = 8
+EXACT = 1e-11
+LONGEST = 10.0
+NEARER = 0.7
+"""Steps of Newton's method, the norm of the equations at which it ends, that from which it does not
+begin, and the part of it that is left after a step, at most."""
+
+
+class Frames(NamedTuple):
+    """Orthonormal bases of tangents (k, nv, p) and normals (k, nv, nv - p), and whether (k,) the
+    point is regular.
+    """
+
+    tangent: Array
+    normal: Array
+    regular: np.ndarray
+
+
+class Manifold:
+    """The closed configurations of a system where they have dimension `dim`, within its limits."""
+
+    def __init__(self, system: System, dim: int):
+        self.system = system
+        self.dim = dim
+        self.scale = closure_rows.scales(system)
+        self.layout = system.structure.layout
+        self.circle = circles(system)
+        self.one_sided = one_sided_rows(system)
+        self.metric = metric_of(system)
+
+    def equations(self, q: Array) -> tuple[Array, Array]:
+        """What is missing (k, m) in the equations at q (k, nq), and the derivatives (k, m, nv)."""
+        return closure_rows.evaluate(self.system, q, True, True)
+
+    def move(self, q: Array, y: Array) -> Array:
+        """Configurations (k, nq) reached from q (k, nq) by y (k, nv)."""
+        return self.layout.integrate(q, y * self.scale)
+
+    def between(self, q: Array, to: Array) -> Array:
+        """The shortest way (k, nv) from q (k, nq) to other configurations; what is not limited
+        turns the short way.
+        """
+        return by_short_turns(self.layout.difference(q, to), self.circle) / self.scale
+
+    def apart(self, q: Array, to: Array) -> Array:
+        """Lengths (k,) of the ways `between`."""
+        return np.linalg.norm(self.between(q, to), axis=-1)
+
+    def inside(self, q: Array) -> np.ndarray:
+        """Whether (k,) limits and one-sided constraints hold at q (k, nq)."""
+        return np.asarray((self.one_sided.beyond(q) <= 0.0).all(axis=-1))
+
+    def closed(self, q: Array, longest: float = STEEP) -> tuple[Array, np.ndarray]:
+        """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,)
+        they are closed.
+        """
+        out = gauss_newton_of_many(
+            lambda x, _: self.equations(x), q, TRIES, longest=longest, move=self.move
+        )
+        return out, self._met(out)
+
+    def drawn(self, rng: np.random.Generator, count: int) -> Array:
+        """Closed configurations (k, nq), those to which so many random ones lead; limits are not
+        looked at.
+        """
+        starts = random(self.system, rng, count)
+        q, ok = self.closed(starts)
+        if not ok.any():
+            q, ok = self.closed(starts, np.inf)
+        return q[ok]
+
+    def frames(self, q: Array) -> Frames:
+        """Tangents and normals at closed q (k, nq)."""
+        J = self.equations(q)[1]
+        rank = self.system.nv - self.dim
+        if not rank:
+            eye = np.broadcast_to(np.eye(self.system.nv), (len(q), self.system.nv, self.system.nv))
+            return Frames(eye, eye[..., :0], np.ones(len(q), dtype=bool))
+        if J.shape[1] == rank:
+            Q, R = np.linalg.qr(np.swapaxes(J, -1, -2), mode="complete")
+            size = np.abs(np.einsum("kii->ki", R[:, :rank]))
+            return Frames(
+                Q[..., rank:],
+                Q[..., :rank],
+                size.min(axis=1) > REGULAR * np.maximum(size.max(axis=1), 1e-300),
+            )
+        _, s, Vt = svd(J, full_matrices=True)
+        least = REGULAR * np.maximum(s[:, 0], 1e-300)
+        regular = s[:, rank - 1] > least
+        if s.shape[1] > rank:
+            regular &= s[:, rank] < least
+        V = np.swapaxes(Vt, -1, -2)
+        return Frames(V[..., rank:], V[..., :rank], regular)
+
+    def lifted(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
+        """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals;
+        whether (k,).
+
+        By Newton's method from no normals at all, which is given up where it does not come much
+        nearer at each step.
+        """
+        step = np.array(y)
+        found = np.zeros(len(q), dtype=bool)
+        left = np.arange(len(q))
+        before = np.full(len(q), np.inf)
+        for k in range(NEWTON):
+            r, J = self.equations(self.move(q[left], step[left]))
+            size = np.linalg.norm(r, axis=1)
+            met = size < EXACT
+            found[left[met]] = True
+            go_on = ~met & (size < NEARER * before if k else size < LONGEST)
+            if not go_on.any():
+                break
+            left = left[go_on]
+            before = size[go_on]
+            N = normal[left]
+            a = solved(J[go_on] @ N, -r[go_on])
+            step[left] += np.einsum("kij,kj->ki", N, a)
+        return step, found
+
+    def _met(self, q: Array) -> np.ndarray:
+        out = np.asarray(np.isfinite(q).all(axis=-1))
+        size = np.linalg.norm(
+            closure_rows.evaluate(self.system, np.where(out[:, None], q, 0.0), False, True)[0],
+            axis=-1,
+        )
+        return out & (size < CLOSED)
+
+
+def solved(A: Array, b: Array) -> Array:
+    """The y (k, n) that solve A y = b, for A (k, m, n) of rank n and b (k, m), or come nearest."""
+    if A.shape[1] == A.shape[2]:
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=float)
+    return least_squares_of_many(A, b)

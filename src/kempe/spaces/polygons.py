@@ -1,0 +1,208 @@
+"""Planar loops of bars, whose components are known by theorem.
+
+The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
+only if there are three long bars, any two of which are longer together than half of all; then there
+are two components, mirror images of one another, and two long bars are never parallel: the side to
+which the second turns from the first tells them apart. Source: Kapovich, Millson, "On the moduli
+space of polygons in the Euclidean plane", J. Differential Geom. 42 (1995), theorem 1. With four
+bars it is Grashof's rule (1883).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.forward.fk import fk
+from kempe.joints import Primitive, R
+from kempe.model.model import kept
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.description.parts import Joint
+    from kempe.model.model import Model as System
+
+# ---- loops
+
+# The only loop of a system: its bodies and joints in their order.
+
+
+@kept
+def loop_of(system: System) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
+    """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
+    such loop.
+    """
+    s = system.structure
+    if len(s.closures) != 1:
+        return "it has more than one loop" if s.closures else "it has no loop"
+    if s.relations or s.couplings or system.mechanism.constraints:
+        return "coordinates are tied by more than its loop"
+    joints = s.joints
+    parent = dict(zip(system.body_names[1:], system.parent, strict=True))
+    up = dict(zip(system.body_names[1:], s.parent_joints, strict=True))
+
+    def root(body: str) -> list[str]:
+        out = [body]
+        while out[-1] in parent:
+            out.append(system.body_names[parent[out[-1]]])
+        return out
+
+    last = joints[s.closures[0]]
+    a = root(last.parent)
+    b = root(last.child)
+    top = next(body for body in a if body in b)
+    left = a[: a.index(top)]
+    right = b[: b.index(top)]
+    bodies = [top, *reversed(left), *right]
+    names = [*(up[x] for x in reversed(left)), last.name, *(up[x] for x in right)]
+    return tuple(bodies), tuple(names)
+
+
+def primitives_of(system: System, joint: Joint) -> list[Primitive]:
+    """The turns and slides of a joint."""
+    return list(joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1])
+
+
+def pin(system: System, joint: Joint, body: str) -> tuple[Array, Array]:
+    """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
+    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system.mechanism.parameters)
+    return X[:3, 3], X
+
+
+EQUAL = 1e-12
+"""Part of the sum of all lengths up to which sums of lengths are equal."""
+MOST_BARS = 14
+"""Bars up to which aligned polygons are listed: there are 2^(n - 1) of them to try."""
+
+
+@dataclass(frozen=True, eq=False)
+class Polygon:
+    """A planar loop of bars: `bodies` (n) in their order, `joints` (n), each with the next bar,
+    lengths (n,) [m].
+    """
+
+    system: System
+    bodies: tuple[str, ...]
+    joints: tuple[str, ...]
+    vectors: Array
+    """From the pin before to the pin after, (n, 2), in axes of the bodies."""
+
+    @property
+    def lengths(self) -> Array:
+        """Distances (n,) of the two pins of each bar."""
+        return np.linalg.norm(self.vectors, axis=1)
+
+    @property
+    def count(self) -> int:
+        """Number of components, by the theorem: 0 where the loop cannot be closed, 1, or 2."""
+        x = np.sort(self.lengths)[::-1]
+        total = float(self.lengths.sum())
+        if x[0] > total - x[0] + EQUAL * total:
+            return 0
+        return 2 if x[1] + x[2] > 0.5 * total * (1.0 + 2.0 * EQUAL) else 1
+
+    @property
+    def reason(self) -> str:
+        """The theorem, with the lengths that decide."""
+        order: list[int] = np.argsort(-self.lengths, kind="stable").tolist()
+        total = float(self.lengths.sum())
+        longest = self.lengths[order]
+        if self.count == 0:
+            return (
+                f"{self.bodies[order[0]]!r}, {longest[0]:.6g} m, is longer than all others together"
+            )
+        names = ", ".join(repr(self.bodies[k]) for k in order[:3])
+        said = "three long bars" if self.count == 2 else "no three long bars"
+        sign = ">" if self.count == 2 else "<="
+        sums = f"{longest[1]:.6g} + {longest[2]:.6g} {sign} {0.5 * total:.6g} m"
+        more = max(longest[1] + longest[2], longest[0]) - 0.5 * total
+        taken = self.count == 1 and more > 8.0 * np.finfo(float).eps * total
+        equal = f"; sums that differ by {more:.1g} m are taken to be equal" if taken else ""
+        return (
+            f"{said} (the longest are {names}; {sums}, half of all: Kapovich and Millson, "
+            f"1995{equal})"
+        )
+
+    def side(self, q: Array) -> np.ndarray:
+        """Which of two components (k,) configurations (k, nq) are on: 1 or -1; 0 where there is
+        only one.
+        """
+        if self.count < 2:
+            return np.zeros(len(q), dtype=int)
+        i, j = map(int, np.sort(np.argsort(-self.lengths, kind="stable")[:2]))
+        a, b = (
+            np.einsum("kij,j->ki", fk(self.system, q, self.bodies[k])[:, :2, :2], self.vectors[k])
+            for k in (i, j)
+        )
+        return np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).astype(int)
+
+    def aligned(self) -> Array:
+        """Configurations (k, nq) with all bars on one line: the singular points of the
+        configuration space.
+        """
+        n = len(self.bodies)
+        lengths = self.lengths
+        if n > MOST_BARS:
+            return np.empty((0, self.system.nq))
+        signs = np.array([s for s in product((1.0, -1.0), repeat=n) if s[0] > 0.0])
+        signs = signs[np.abs(signs @ lengths) <= EQUAL * lengths.sum()]
+        return np.array([self._at(np.where(s > 0.0, 0.0, np.pi)) for s in signs]).reshape(
+            -1, self.system.nq
+        )
+
+    def _at(self, directions: Array) -> Array:
+        """The configuration (nq,) with bars in these directions (n,) from that of the one at rest."""
+        m = self.system.mechanism
+        q = self.system.neutral.copy()
+        turn = directions - np.arctan2(self.vectors[:, 1], self.vectors[:, 0])
+        turn = dict(zip(self.bodies, turn - turn[0], strict=True))
+        for name in self.joints:
+            joint = m.joints[name]
+            F = joint.X_PF.evaluate(m.parameters)
+            M = joint.X_CM.evaluate(m.parameters)
+            angle = turn[joint.child] - turn[joint.parent] + _angle(M) - _angle(F)
+            q[self.system.coordinate_names.index(name)] = np.arctan2(np.sin(angle), np.cos(angle))
+        return q
+
+
+def _angle(X: Array) -> float:
+    return float(np.arctan2(X[1, 0], X[0, 0]))
+
+
+@kept
+def polygon_of(system: System) -> Polygon | str:
+    """The planar polygon of bars that a system is, besides what hangs on it; or why it is none."""
+    if system.dim != 2:
+        return "it is not planar"
+    found = loop_of(system)
+    if isinstance(found, str):
+        return found
+    bodies, names = found
+    joints = [system.structure.joints[n] for n in names]
+    if not all(_turns(system, j) for j in joints):
+        return "its loop has a joint that is not a revolute one without limits"
+    if len(bodies) < 3:
+        return "its loop has two bars only"
+    pins = [pin(system, joints[k - 1], b)[0] for k, b in enumerate(bodies)]
+    after = [pin(system, joints[k], b)[0] for k, b in enumerate(bodies)]
+    vectors = (np.array(after) - np.array(pins))[:, :2]
+    lengths = np.linalg.norm(vectors, axis=1)
+    if lengths.min() <= 1e-9 * lengths.sum():
+        return f"the bar {bodies[int(np.argmin(lengths))]!r} has no length"
+    return Polygon(system, bodies, names, vectors)
+
+
+def _turns(system: System, joint: Joint) -> bool:
+    """Whether it is one turn without limits."""
+    primitives = primitives_of(system, joint)
+    if (
+        len(primitives) != 1
+        or primitives[0].kind != R
+        or joint.name not in system.structure.velocity_names
+    ):
+        return False
+    i = system.structure.velocity_names.index(joint.name)
+    return not (np.isfinite(system.lower[i]) or np.isfinite(system.upper[i]))

@@ -1,0 +1,436 @@
+"""Which matrices lose rank at the singular configurations of a frame, of inputs and of loops.
+
+Of a chain it is the Jacobian of the frame. Of closed loops C(q) = 0 with inputs a: the frame loses
+directions where [dC; J] does (type 1), the inputs no longer hold the mechanism where [dC; da] does
+(type 2), and it has more first-order freedoms than elsewhere where dC alone does (constraint
+singularity). Sources: Gosselin, Angeles, "Singularity analysis of closed-loop kinematic chains",
+IEEE Trans. Robotics and Automation 6 (1990); Zlatanov, Bonev, Gosselin, "Constraint singularities
+of parallel mechanisms", ICRA 2002.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.targets import twist_rows
+from kempe.arguments import brief, explained_methods
+from kempe.assemble.assemble import assemble
+from kempe.constraints.flat_tasks import DIRECTION, PLANES
+from kempe.equations import closure_rows
+from kempe.equations.closure import Closure, close
+from kempe.equations.one_sided import one_sided_rows
+from kempe.errors import InputError
+from kempe.forward.fk import fk, jacobian
+from kempe.model.configurations import random
+from kempe.numerics.rank import null_space
+from kempe.report import Report
+from kempe.singular_values import svd
+from kempe.spaces.rank_loss import ZERO, Matrices, RankLoss, generic_rank
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import InWords, counted, joined
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- singular sets
+
+# What is said of singular configurations: sets that are singular in the same way, and the nearest
+# of them.
+
+
+SAME = 1e-5
+"""Difference of coordinates, in radians and metres, up to which they are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class SingularSet(InWords):
+    """Configurations that are singular in the same way.
+
+    `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and
+    "constraint". `name` is "shoulder", "elbow" or "wrist" where the arm has such, else "".
+    `coordinates` are those that decide whether a configuration is in the set, and `values` (k, n)
+    theirs, where they are isolated; elsewhere it has no rows. `dimension` is that of the set; `q`
+    (m, nq) are the configurations that were found.
+    """
+
+    __repr__ = brief
+
+    kinds: tuple[str, ...]
+    name: str
+    coordinates: tuple[str, ...]
+    values: Array
+    dimension: int
+    q: Array
+    local: tuple[LostAndGained, ...] = field(repr=False)
+    """What is lost and gained at each of `q`."""
+    places: tuple[int, ...] = field(default=(), repr=False)
+    """Where the `coordinates` are in q."""
+
+    @property
+    def lost(self) -> tuple[Array, ...]:
+        """Twists (k, 6), [linear; angular] at the frame along the axes of the ground, that the
+        frame has lost.
+        """
+        return tuple(x.lost for x in self.local)
+
+    @property
+    def gained(self) -> tuple[Array, ...]:
+        """Twists (k, 6) that the frame has while all inputs are held."""
+        return tuple(x.gained for x in self.local)
+
+    @property
+    def self_motion(self) -> tuple[Array, ...]:
+        """Velocities (k, nv) that leave the frame where it is."""
+        return tuple(x.self_motion for x in self.local)
+
+    def __str__(self) -> str:
+        head = self.name or " and ".join(self.kinds)
+        if not len(self.values):
+            single = f": {counted(len(self.q), 'configuration')}" if self.dimension == 0 else ""
+            return f"{head} ({joined(self.coordinates)})" if self.coordinates else head + single
+        if len(self.coordinates) == 1:
+            return (
+                f"{head} ({self.coordinates[0]} = "
+                f"{' or '.join(f'{x:.4g}' for x in self.values[:, 0])})"
+            )
+        points = [f"({', '.join(f'{x:.4g}' for x in row)})" for row in self.values[:4]]
+        more = f" and {len(self.values) - 4} more" if len(self.values) > 4 else ""
+        return f"{head} ({', '.join(self.coordinates)} = {' or '.join(points)}{more})"
+
+    def data(self) -> dict[str, Any]:
+        """Its numbers and names."""
+        names = (
+            "kinds",
+            "name",
+            "coordinates",
+            "values",
+            "dimension",
+            "q",
+            "lost",
+            "gained",
+            "self_motion",
+        )
+        values: dict[str, Any] = {n: getattr(self, n) for n in names}
+        several = [n for n in names[-3:] if isinstance(values[n], tuple)]
+        return values | {n: [np.asarray(x) for x in values[n]] for n in several}
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class NearestSingular(Report):
+    """The singular configuration `q` (nq,) that is nearest to one, of those found, at a `distance`.
+
+    Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost
+    and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.
+    """
+
+    __repr__ = brief
+
+    q: Array
+    distance: float
+    kinds: tuple[str, ...]
+    name: str
+    lost: Array
+    gained: Array
+    self_motion: Array
+    distances: dict[str, float]
+    code: Any = Status.SOLVED
+
+    @property
+    def status(self) -> str:
+        """Which is the nearest, and how far it is."""
+        if self.code is not Status.SOLVED:
+            return "no singular configuration was found"
+        what = self.name or " and ".join(self.kinds)
+        if self.distance < SAME:
+            return f"singular ({what}): {changes(self.lost, self.gained)}"
+        return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
+
+    def _lines(self) -> list[str]:
+        return [
+            f"{name}: {x:.4g} away"
+            for name, x in sorted(self.distances.items(), key=lambda row: row[1])
+        ]
+
+    def _data(self) -> dict[str, Any]:
+        names = ("q", "distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
+        return {n: getattr(self, n) for n in names}
+
+
+def changes(lost: Array, gained: Array) -> str:
+    """How many directions are lost and gained, in words."""
+    said = [f"{counted(len(lost), 'direction')} lost"] if len(lost) else []
+    said += [f"{counted(len(gained), 'direction')} gained"] if len(gained) else []
+    return " and ".join(said) or "no direction of a frame lost or gained"
+
+
+def inside_limits(system: System, q: Array) -> np.ndarray:
+    """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
+    return np.asarray((one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
+
+
+OF_FRAMES = ("pose", "position", "orientation", *PLANES, DIRECTION)
+"""Tasks of frames: "xy" is the position along x and y, "direction" that of the frame's z axis."""
+RANKED = 1000
+"""Starts of which generic ranks are read, and between which sets are looked for, at most."""
+GENERIC = 256
+"""Random configurations of which some have the rank of almost all."""
+PARTS = 8
+HALVED = 8
+NEARLY = 24
+"""Steps of a way between two starts, how often one is halved, and places on all ways from which
+sets are looked for."""
+SERIAL = "serial"
+TYPE_1 = "type 1"
+TYPE_2 = "type 2"
+CONSTRAINT = "constraint"
+
+
+@dataclass(frozen=True, eq=False)
+class LostAndGained:
+    """What is lost and gained at one configuration, in a basis of twists [linear; angular], metres
+    and radians.
+
+    `kinds` are those of which it is singular; empty where it is regular.
+    """
+
+    kinds: tuple[str, ...]
+    rank: int
+    lost: Array
+    gained: Array
+    self_motion: Array
+
+
+class RankQuestions:
+    """The questions about one frame of a system (None: only about its inputs), posed at
+    configurations (k, nq).
+    """
+
+    def __init__(
+        self,
+        system: System,
+        frame: str | None,
+        task: str,
+        inputs: list[int] | None,
+        rng: np.random.Generator,
+        starts: int,
+        limits: bool = False,
+    ):
+        self.system = system
+        self.frame = frame
+        self.inputs = inputs
+        self.length = float(closure_rows.characteristic_length(system))
+        equations = Closure(system)
+        self.unit = equations.unit
+        self.loops = bool(len(equations.weight))
+        self.starts = random(system, rng, starts)
+        if self.loops:
+            found = [close(equations, q) for q in self.starts]
+            self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
+            if limits:
+                self.starts = _led_inside(system, self.starts)
+        if not len(self.starts):
+            raise InputError(
+                f"{system.name}: no configuration with closed loops was found in "
+                f"{counted(starts, 'start')}"
+            )
+        self.of_axis = task == DIRECTION
+        words = "orientation" if self.of_axis else "position" if task in PLANES else task
+        kept = PLANES[task][:2] if task in PLANES else range(6)
+        self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
+        self.twists = np.eye(len(self.rows))
+        few = self.starts[:RANKED]
+        moving = np.zeros(system.nv, dtype=bool)
+        if frame is not None:
+            seen = self.task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
+            _, s, Vt = svd(seen, full_matrices=False)
+            self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
+            if not self.twists.size:
+                raise InputError(
+                    f"frame {frame!r} of {system.name} does not move: nothing of it can be lost"
+                )
+            moving = np.abs(self.task_jacobians(few)).max(axis=(0, 1)) > 0.0
+        self.frame_rank = (
+            0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
+        )
+        self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
+
+    def nearly(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
+        """Of each question closed configurations (k, nq) inside the limits, nearly singular,
+        between the starts.
+
+        On ways from each start to the next determinants change their sign, which halving steps
+        locates; of matrices that have none, as they are not square, the least singular values are
+        taken. Sets that are met from afar seldom, where limits are narrow, are so from there.
+        """
+        own = self.starts[inside_limits(self.system, self.starts)][:RANKED]
+        t = np.arange(PARTS + 1) / PARTS
+        if not len(own):
+            return dict.fromkeys(problems, own)
+        q, ok = self._between(
+            np.repeat(own, len(t), axis=0),
+            np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
+            np.tile(t, len(own)),
+        )
+        out = dict[str, Array]()
+        for kind, problem in problems.items():
+            if problem.square:
+                sign = np.where(ok, problem.sign(q), 0.0).reshape(len(own), -1)
+                k = np.flatnonzero(np.pad(sign[:, 1:] * sign[:, :-1] < 0.0, ((0, 0), (0, 1))))
+                out[kind] = self._located(problem, q[k], q[k + 1])[:NEARLY]
+            else:
+                out[kind] = q[ok][np.argsort(problem.least(q[ok]))[:NEARLY]]
+        return out
+
+    def _between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
+        """Closed configurations (k, nq) near those at parts t (k,) of straight ways, and which (k,)
+        there are.
+        """
+        layout = self.system.structure.layout
+        found = assemble(
+            self.system, None, layout.integrate(a, t[:, None] * layout.difference(a, b))
+        )
+        ok = np.asarray(found.success, dtype=bool)
+        q = np.where(ok[:, None], found.q, self.system.neutral)
+        return q, ok & inside_limits(self.system, q)
+
+    def _located(self, problem: RankLoss, a: Array, b: Array) -> Array:
+        """Configurations (k, nq) beside those between a and b (k, nq) at which the determinant
+        changes its sign.
+        """
+        for _ in range(HALVED if len(a) else 0):
+            middle, ok = self._between(a, b, np.full(len(a), 0.5))
+            a = a[ok]
+            b = b[ok]
+            middle = middle[ok]
+            first = (problem.sign(a) * problem.sign(middle) < 0.0)[:, None]
+            a = np.where(first, a, middle)
+            b = np.where(first, middle, b)
+        return a
+
+    def task_jacobians(self, q: Array) -> Array:
+        """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it
+        can ever do.
+        """
+        assert self.frame is not None
+        J = jacobian(self.system, q, self.frame)[:, self.rows] * self.unit
+        if self.of_axis:  # a turn about the axis does not count
+            z = self._axes(q)
+            J = J - z[..., :, None] * (z[..., None, :] @ J)
+        J[:, [i for i, r in enumerate(self.rows) if r < 3]] /= self.length
+        return self.twists.T @ J
+
+    def _axes(self, q: Array) -> Array:
+        """The z axis (..., 3) of the frame at q (..., nq)."""
+        assert self.frame is not None
+        return fk(self.system, q, self.frame)[..., :3, 2]
+
+    def _rank_of_frame(self, q: Array) -> int:
+        """How many independent twists the frame has at a closed configuration (nq,)."""
+        J = self.task_jacobians(q[None])[0]
+        N = null_space(self.closures(q[None])[0], ZERO) if self.loops else np.eye(self.system.nv)
+        return _rank(J @ N, J)
+
+    def closures(self, q: Array) -> Array:
+        """Derivatives (k, c, nv) of the loops, without unit."""
+        return closure_rows.evaluate(self.system, q, True, scaled=True)[1]
+
+    def _of_chain(self, q: Array) -> Array:
+        return self.task_jacobians(q)[:, :, self.columns]
+
+    def _with_loops(self, q: Array) -> Array:
+        return np.concatenate([self.closures(q), self.task_jacobians(q)], axis=1)
+
+    def _with_inputs(self, q: Array) -> Array:
+        held = np.eye(self.system.nv)[self.inputs]
+        return np.concatenate(
+            [self.closures(q), np.broadcast_to(held, (len(q), *held.shape))], axis=1
+        )
+
+    def problems(self) -> dict[str, RankLoss]:
+        """The questions by their kinds."""
+        found: dict[str, Matrices] = {}
+        if not self.loops:
+            found[SERIAL] = self._of_chain
+        else:
+            if self.frame is not None:
+                found[TYPE_1] = self._with_loops
+            if self.inputs is not None:
+                found[TYPE_2] = self._with_inputs
+            found[CONSTRAINT] = self.closures
+        return {
+            kind: RankLoss(
+                self.system, f, generic_rank(f(self.starts[:RANKED])), self.columns, self.unit
+            )
+            for kind, f in found.items()
+        }
+
+    def in_si(self, twists: Array) -> Array:
+        """Twists (k, 6) in metres and radians of columns (m, k) without unit: turn 1, or slide 1
+        without a turn.
+        """
+        full = np.zeros((twists.shape[1], 6))
+        full[:, self.rows] = (self.twists @ twists).T
+        full[:, :3] *= self.length
+        turn: Array
+        slide: Array
+        turn = np.linalg.norm(full[:, 3:], axis=1)
+        slide = np.linalg.norm(full[:, :3], axis=1)
+        size = np.where(turn > ZERO, turn, np.maximum(slide, 1e-300))
+        return full / size[:, None] + 0.0
+
+    def local(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
+        """What is lost and gained at a closed configuration (nq,)."""
+        kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
+        N = np.eye(self.system.nv)
+        if self.loops:
+            N = null_space(self.closures(q[None])[0], ZERO)
+        none = np.zeros((0, 6))
+        lost = none
+        gained = none
+        still = np.zeros((0, self.system.nv))
+        rank = N.shape[1]
+        J = N[:0]
+        if self.frame is not None:
+            J = self.task_jacobians(q[None])[0]
+            B = (
+                null_space((self.twists.T @ self._axes(q))[None], ZERO)
+                if self.of_axis
+                else np.eye(len(J))
+            )
+            U, _, Vt = svd(B.T @ J @ N)
+            rank = _rank(J @ N, J)
+            lost = self.in_si(B @ U[:, rank:]) if rank < self.frame_rank else none
+            still = (N @ Vt[rank:].T).T * self.unit
+            still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
+        if self.loops and self.inputs is not None:
+            free = null_space(self._with_inputs(q[None])[0], ZERO)
+            if self.frame is not None:
+                W, s, _ = svd(J @ free, full_matrices=False)
+                gained = self.in_si(W[:, s > ZERO])
+        if CONSTRAINT in kinds:
+            kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
+        return LostAndGained(tuple(kinds), rank, lost, gained, still)
+
+
+def _led_inside(system: System, q: Array) -> Array:
+    """Closed configurations (k, nq), those outside the limits as ones inside them, where `assemble`
+    finds some.
+
+    From far outside Newton's method rarely comes to the part of a singular set that is inside.
+    """
+    q, out = q.copy(), np.flatnonzero(~inside_limits(system, q))[:RANKED]
+    if len(out):
+        found = assemble(system, None, q[out])
+        ok = np.asarray(found.success, dtype=bool)
+        q[out[ok]] = found.q[ok]
+    return q
+
+
+def _rank(A: Array, whole: Array) -> int:
+    """The rank of what is left of a `whole` matrix."""
+    return int(np.sum(svd(A, compute_uv=False) > ZERO * max(np.linalg.norm(whole, 2), 1e-300)))

@@ -1,0 +1,287 @@
+"""The task space: what of the configuration space is seen in a task, by counts, ranks and bounds of
+its image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import DRAWN, brief, explained, explained_methods, generator, start_count
+from kempe.budget import Budget, TimeUp, Usual, look
+from kempe.constraints import KINDS
+from kempe.constraints.base import Constraint
+from kempe.equations import closure_rows
+from kempe.equations.packed_tasks import count, jacobian, units
+from kempe.errors import InputError, shown
+from kempe.forward.fk import fk
+from kempe.mobility.independent import tangent_space
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import has_loops, mid, one_finite, random
+from kempe.numerics.clock import SHORT, time_limited, time_of
+from kempe.report import Cells, Report
+from kempe.singular_values import svd
+from kempe.spaces.manifold import Manifold
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted, verb
+
+if TYPE_CHECKING:
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- image rank
+
+# The rank of what a system moves: of rates of tasks or frames over the velocities that loops
+# leave.
+
+
+FULL = 1e-7
+"""Singular value, as a part of the largest, up to which a direction counts as lost."""
+ROUNDED = 1e-13
+CLOSED = 1e-9
+"""Rate, of rows in radians or characteristic lengths, up to which it is rounding: of trees, and
+where loops are closed within a tolerance. Rounding of places grows with their distance from the
+origin."""
+
+
+def image_ranks(
+    system: System, q: Array, rates: Array, metres: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Ranks (k,) of rates (k, m, nv) over the velocities that loops leave at q (k, nq), and the
+    least freedoms.
+
+    `metres` (m,) says which rows are lengths: these are measured in characteristic lengths, so that
+    ranks do not depend on the unit of length. A singular value counts where it is above `FULL`
+    times the largest, and above rounding.
+    """
+    out = list[int]()
+    n = system.nv
+    loops = has_loops(system)
+    N = np.eye(system.nv)
+    scale = closure_rows.scales(system)
+    length = characteristic_length(system)
+    row_unit = np.where(metres, length, 1.0)[:, None]
+    far = np.abs(fk(system, q)[..., :3, 3]).max(axis=(-2, -1), initial=0.0) / length
+    for x, J, away in zip(q, rates, far.tolist(), strict=True):
+        N = tangent_space(system, x)[0] if loops else N
+        n = min(n, N.shape[1])
+        s = svd(J @ (scale[:, None] * N) / row_unit, compute_uv=False)
+        rounding = (CLOSED if loops else ROUNDED) * (1.0 + away)
+        out.append(int((s > max(FULL * float(s.max(initial=0.0)), rounding)).sum()))
+    return np.array(out, dtype=int), n
+
+
+SEEN = 10_000
+"""Further configurations of a tree, which cost next to nothing, that bound the image."""
+OF_FRAMES = ("pose", "position")
+"""Kinds of constraints that a frame alone stands for."""
+USUAL = Usual("task_space", starts=64, rng=0, time_limit=SHORT)
+SOME = 8
+"""Configurations whose ranks are found between two looks at the clock."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class TaskSpace(Report):
+    """What of a configuration space of dimension `n` is seen in a task of `m` constraints.
+
+    `rank` is the number of directions in which the task can be moved at `q` (nq,), `generic_rank`
+    the largest that was found at random configurations: the dimension of the image, of which the
+    rank can only be a lower bound. The system is redundant for the task by `redundancy` freedoms.
+    `image` has, for a frame, the least and largest coordinates [m] of its origin at the random
+    configurations, by axis: what is reached is at least as wide.
+    """
+
+    __repr__ = brief
+
+    system: System = field(repr=False)
+    task: str
+    m: int
+    n: int
+    rank: int
+    generic_rank: int
+    q: Array
+    image: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    samples: int = 0
+    late: bool = False
+    """Whether the time limit ended the work: ranks are those of the samples that were looked at."""
+
+    @property
+    def redundancy(self) -> int:
+        """Freedoms that are left where the task holds, at generic configurations."""
+        return self.n - self.generic_rank
+
+    @property
+    def dependent(self) -> int:
+        """Constraints of the task that cannot be set independently, at generic configurations."""
+        return self.m - self.generic_rank
+
+    @property
+    def singular(self) -> bool:
+        """Whether the task loses directions at `q` that it has elsewhere."""
+        return self.rank < self.generic_rank
+
+    @property
+    def status(self) -> str:
+        """How m, n and the rank compare, and what follows for solutions."""
+        k = self.generic_rank
+        m = self.m
+        n = self.n
+        counts = f"m = n = {n}" if m == n else f"m = {m} {'<' if m < n else '>'} n = {n}"
+        if m > n:
+            lucky = f"unless the {counted(m, 'constraint')} {verb(m, 'is', 'are')} dependent"
+            said = f"no solution {lucky}: what can be reached has dimension {k}"
+        elif k < m:
+            said = f"{counted(m - k, 'constraint')} of the task cannot be set independently"
+        elif n > k:
+            said = (
+                f"redundant by {counted(n - k, 'freedom')}: infinitely many configurations reach "
+                "what is reached"
+            )
+        else:
+            said = "isolated configurations reach what is reached, but for singular ones"
+        here = (
+            f"; at this q the rank is {self.rank}, a singular configuration"
+            if self.singular
+            else ""
+        )
+        seen = counted(self.samples, "random configuration")
+        late = f"; the time limit ended the work after {seen}" if self.late else ""
+        return f"{self.task}: {counts}, rank {k}; {said}{here}{late}"
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: whether all that was asked for was looked at."""
+        return Status.OUT_OF_TIME if self.late else Status.SOLVED
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"
+
+    def _cells(self) -> Cells:
+        return (), [
+            (f"{axis} [m]", f"from {a:.6g} to {b:.6g}, at least")
+            for axis, (a, b) in self.image.items()
+        ]
+
+    def _data(self) -> dict[str, Any]:
+        names = (
+            "task",
+            "m",
+            "n",
+            "rank",
+            "generic_rank",
+            "redundancy",
+            "dependent",
+            "singular",
+            "image",
+            "samples",
+        )
+        at = dict(zip(self.system.coordinate_names, self.q.tolist(), strict=True))
+        return (
+            {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"q": at}
+        )
+
+
+@explained
+@time_limited(USUAL)
+def task_space(
+    system: System,
+    tasks: Any,
+    q: Any = None,
+    *,
+    task: str | None = None,
+    budget: Budget | None = None,
+) -> TaskSpace:
+    """What of the configuration space is seen in tasks: m, n and ranks, and bounds of the image.
+
+    `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of
+    `kempe.tasks` or a list of them. Ranks are those of the task's rates by the velocities that
+    loops leave, at `q` (nq,) (by default a configuration that was drawn) and, for the generic rank,
+    at random configurations; the image is that of those within limits and one-sided constraints, of
+    a tree of 10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0),
+    time_limit (30 s): where it ends the work, `late` is true, and what is said rests on the
+    `samples` that were looked at. Errors: `InputError`, `UnknownNameError`, `TimeLimitError` before
+    the first of them.
+
+    >>> from kempe import load
+    >>> print(task_space(load("two_link"), "e", task="position").status)
+    position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
+    """
+    spend = USUAL.of(budget)
+    wanted, name, frame = _wanted(system, tasks, task)
+    rng = generator(spend.rng)
+    drawn = _drawn(system, start_count(spend.starts, DRAWN), rng)
+    at = drawn[0] if q is None else one_finite(system, q)
+    every = np.concatenate([at[None], drawn])
+    m = sum(count(system, t) for t in wanted)
+    metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
+    time = time_of(USUAL)
+    ranks = list[int]()
+    n = system.nv
+    time.put_in_order()
+    try:
+        for k in range(0, len(every), SOME):
+            look()
+            some = every[k : k + SOME]
+            rates = np.concatenate([jacobian(system, t, some) for t in wanted], axis=-2)
+            found, freedoms = image_ranks(system, some, rates, metres)
+            ranks += found.tolist()
+            n = min(n, freedoms)
+    except TimeUp:
+        if not ranks or not time.spent:
+            raise
+        drawn = drawn[: len(ranks) - 1]
+    rank = int(ranks[0])
+    generic = int(max(ranks))
+    image = dict[str, tuple[float, float]]()
+    p = np.empty((0, 3))
+    if frame is not None:
+        seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
+        seen = seen[Manifold(system, 1).inside(seen)]
+        p = fk(system, seen, frame, form="position")
+    if frame is not None and len(p):
+        image = {
+            axis: (float(p[:, i].min()), float(p[:, i].max()))
+            for i, axis in enumerate("xyz"[: system.dim])
+        }
+    return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn), time.spent)
+
+
+def _wanted(
+    system: System, tasks: Any, task: str | None
+) -> tuple[list[Constraint], str, FrameLike | None]:
+    """The tasks, what they are called, and the frame if it is one of a frame."""
+    name: Any = tasks
+    if isinstance(tasks, Constraint) or (isinstance(tasks, (list, tuple)) and tasks):
+        if task is not None:
+            raise InputError(
+                "task says what counts of a frame; with tasks of kempe.tasks leave it out"
+            )
+        given: list[Any] = [tasks] if isinstance(tasks, Constraint) else list(name)
+        wrong = [t for t in given if not isinstance(t, Constraint)]
+        if wrong:
+            raise InputError(f"{shown(wrong[0])} is no task; see kempe.tasks")
+        return given, ", ".join(t.label for t in given), None
+    frame = system.structure.frame_name(name)
+    kind = "pose" if task is None else task
+    if kind not in OF_FRAMES:
+        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, OF_FRAMES))}")
+    X = fk(system, mid(system), frame)
+    made: Any = KINDS[kind]
+    return [made(frame, X if kind == "pose" else X[:3, 3])], f"{kind} of {frame!r}", frame
+
+
+def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
+    """Random configurations (k, nq), closed where there are loops."""
+    if not has_loops(system):
+        return random(system, rng, count)
+    q = Manifold(system, 1).drawn(rng, count)
+    if not len(q):
+        raise InputError(
+            f"{system.name} was not closed from {count} random starts: it has no configuration to "
+            "look at"
+        )
+    return q

@@ -1,0 +1,765 @@
+"""Systems with two freedoms over two of their coordinates: all configurations there, and all that
+reach a place.
+
+Of an open chain there is one configuration over each pair of values; of a planar mechanism made of
+dyads there are its assembly modes, in closed form. Of others configurations are found from node to
+node of a lattice (`lattices`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.assemble.dyads import Incomplete, Plan, closed_form
+from kempe.budget import TimeUp
+from kempe.constraints.flat_tasks import FlatTask
+from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.packed_tasks import Packed
+from kempe.errors import InputError, UnsupportedError
+from kempe.first_order.control import driven
+from kempe.forward.fk import fk
+from kempe.inverse.ik_all import ik_all
+from kempe.mobility.idle_spins import not_spun, spin_rates
+from kempe.mobility.independent import tangent_space
+from kempe.mobility.mobility import mobility
+from kempe.model.configurations import by_short_turns, circles, has_loops, sampling_box
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit
+from kempe.numerics.newton import gauss_newton_of_many
+from kempe.singular_values import svd
+from kempe.spaces.manifold import CLOSED, Manifold
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- lattices
+
+# Closed configurations at which two functions have the values of a lattice, found from node to
+# node.
+#
+# Each configuration that is found at a node leads by Newton's method to those of its neighbours, from
+# many random ones on. What is found is closed and has the values of its node; that nothing else
+# exists is evidence, not proof.
+
+
+MOST = 64
+"""Configurations of one node, at most."""
+SAME = 1e-4
+"""Difference, in radians and characteristic lengths, up to which configurations of one node are
+one."""
+NEAR = 3.0
+"""How far configurations of neighbours may be apart, in parts of a turn along the lattice, to be of
+one sheet."""
+DAMPING = 1e-13
+"""What is added to normal equations, as a part of their trace."""
+TRIES = 10
+FIRST = 40
+LONGEST = 0.4
+"""Steps of Newton's method, those from where nothing is known yet, and the longest."""
+FOLLOWED = 0.5
+"""How far apart neighbours on a line are at most, in radians and characteristic lengths."""
+AT_ONCE = 1 << 14
+"""Configurations that are solved for at once."""
+
+Missing = Callable[[Array, np.ndarray], tuple[Array, Array]]
+"""What two functions miss (k, m) at configurations (k, nq), at nodes of numbers (k,), and
+derivatives (k, m, nv)."""
+
+
+class Lattice(NamedTuple):
+    """Configurations `q` (n, k, nq) of the nodes, which there are (`mask` (n, k)), and what broke
+    the search off.
+    """
+
+    q: Array
+    mask: np.ndarray
+    broken: Status | None = None
+
+
+class NodeSolver:
+    """Closed configurations at which two functions have given values, which are isolated but for
+    idle spins.
+
+    What spins idly is left as it is, and configurations that differ by that only are one.
+    """
+
+    def __init__(self, manifold: Manifold):
+        self.manifold = manifold
+        self.counts = not_spun(manifold.system)
+        self.spins = not self.counts.all()
+
+    def solved(
+        self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES
+    ) -> tuple[Array, np.ndarray]:
+        """Where Newton's method leads from q (k, nq), and whether (k,) nothing is `missing` there
+        at the node (k,).
+        """
+        M = self.manifold
+
+        def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
+            (F, J) = M.equations(x)
+            (f, j) = missing(x, node[at])
+            still = spin_rates(M.system, x) if self.spins else J[:, :0]
+            zero = np.zeros(still.shape[:2])
+            return np.concatenate([F, f, zero], axis=1), np.concatenate(
+                [J, j, still * M.scale], axis=1
+            )
+
+        x = gauss_newton_of_many(
+            equations, q, tries, step=_step, met=1e-3 * CLOSED, longest=LONGEST, move=M.move
+        )
+        sound = np.isfinite(x).all(axis=1)
+        x[~sound] = q[~sound]
+        size = np.abs(equations(x, np.arange(len(x)))[0]).max(axis=1, initial=0.0)
+        return x, sound & (size < CLOSED)
+
+    def apart(self, q: Array, to: Array) -> Array:
+        """How far (...) configurations (..., nq) are from others."""
+        return self.manifold.metric.distances(q, to, self.counts)
+
+    def same(self, q: Array, to: Array) -> np.ndarray:
+        """Whether (...) configurations (..., nq) are the same as others."""
+        return self.apart(q, to) < SAME
+
+    def different(self, q: Array) -> Array:
+        """Those of configurations (k, nq) that are no repetition of one before."""
+        keep: list[Array] = []
+        for x in q:
+            if not keep or not self.same(x[None], np.array(keep)).any():
+                keep.append(x)
+        return np.array(keep).reshape(-1, q.shape[1])
+
+
+def _step(r: Array, J: Array) -> Array:
+    """Gauss-Newton steps (k, n), damped so little that only those of singular equations are other
+    ones.
+    """
+    Jt = np.swapaxes(J, -1, -2)
+    G = Jt @ J
+    n = G.shape[-1]
+    G[:, np.arange(n), np.arange(n)] += (DAMPING * np.einsum("kii->k", G) + 1e-300)[:, None]
+    return np.asarray(-np.linalg.solve(G, Jt @ r[..., None])[..., 0], dtype=float)
+
+
+def flooded(
+    solver: NodeSolver,
+    missing: Missing,
+    shape: tuple[int, int],
+    q: Array,
+    node: np.ndarray,
+    clock: TimeLimit,
+    progress: Callable[[int, int], Any] | None = None,
+) -> Lattice:
+    """The configurations of a lattice of `shape` that are found from q (k, nq) near the nodes of
+    numbers (k,).
+
+    `progress` is called with the number of nodes that have some, and that of all.
+    """
+    found = np.full((shape[0] * shape[1], 4, q.shape[1]), np.nan)
+    count = np.zeros(shape[0] * shape[1], dtype=int)
+    broken = None
+    tries = FIRST
+    swept = False
+    near = NEAR * 2.0 * np.pi / max(shape)
+    try:
+        while len(q):
+            new = list[tuple[np.ndarray, np.ndarray]]()
+            for i in range(0, len(q), AT_ONCE):
+                clock.check()
+                x, ok = solver.solved(missing, q[i : i + AT_ONCE], node[i : i + AT_ONCE], tries)
+                found = _added(solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new)
+            at, slot = (
+                np.concatenate([x[k] for x in new]).astype(int) if new else np.zeros(0, dtype=int)
+                for k in (0, 1)
+            )
+            if progress is not None:
+                progress(int((count > 0).sum()), len(count))
+            tries = TRIES
+            swept = swept and not len(at)
+            q, node = _to_neighbours(solver, shape, found, count, at, slot, near)
+            if not len(q) and not swept:  # all that have more than a neighbour, once more
+                at, slot = np.nonzero(np.arange(found.shape[1]) < count[:, None])
+                q, node = _to_neighbours(solver, shape, found, count, at, slot, 0.0)
+                swept = True
+    except BROKEN_OFF as error:
+        broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
+    most = max(int(count.max(initial=0)), 1)
+    return Lattice(found[:, :most], np.arange(most) < count[:, None], broken)
+
+
+def _added(
+    solver: NodeSolver,
+    found: Array,
+    count: np.ndarray,
+    q: Array,
+    node: np.ndarray,
+    new: list[tuple[np.ndarray, np.ndarray]],
+) -> Array:
+    """Put those of configurations (k, nq) that their nodes (k,) lack into `found`; which these are
+    goes to `new`.
+    """
+    order = np.argsort(node, kind="stable")
+    q = q[order]
+    node = node[order]
+    first = np.searchsorted(node, node)
+    rank = np.arange(len(node)) - first  # the several candidates of a node come one after another
+    for k in range(int(rank.max(initial=-1)) + 1):
+        x = q[rank == k]
+        at = node[rank == k]
+        known = np.zeros(len(at), dtype=bool)
+        for slot in range(int(count[at].max(initial=0))):
+            there = slot < count[at]
+            known[there] |= solver.same(x[there], found[at[there], slot])
+        x = x[~known & (count[at] < MOST)]
+        at = at[~known & (count[at] < MOST)]
+        if count[at].max(initial=0) >= found.shape[1]:
+            found = np.concatenate([found, np.full_like(found, np.nan)], axis=1)
+        found[at, count[at]] = x
+        new.append((at, count[at].copy()))
+        count[at] += 1
+    return found
+
+
+def _to_neighbours(
+    solver: NodeSolver,
+    shape: tuple[int, int],
+    found: Array,
+    count: np.ndarray,
+    node: np.ndarray,
+    slot: np.ndarray,
+    near: float,
+) -> tuple[Array, np.ndarray]:
+    """Configurations, each as a start for those neighbours of its node that have fewer, or none so
+    `near` to it.
+    """
+    i, j = np.divmod(node, shape[1])
+    starts = [found[:0, 0]]
+    nodes = [node[:0]]
+    for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        ok = (0 <= i + di) & (i + di < shape[0]) & (0 <= j + dj) & (j + dj < shape[1])
+        q = found[node[ok], slot[ok]]
+        to = (i[ok] + di) * shape[1] + j[ok] + dj
+        fewer = count[node[ok]]
+        lacks = count[to] < fewer
+        if near:
+            lacks |= ~np.any(
+                [
+                    (k < count[to]) & (solver.apart(q, found[to, k]) < near)
+                    for k in range(int(count[to].max(initial=1)))
+                ],
+                axis=0,
+            )
+        starts.append(q[lacks])
+        nodes.append(to[lacks])
+    return np.concatenate(starts), np.concatenate(nodes)
+
+
+def in_order(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Configurations (n, k, nq) along a line, and which (n, k) there are, so ordered that each
+    follows its like.
+    """
+    q = q.copy()
+    mask = mask.copy()
+    like: Array = q[0].copy()
+    for i in range(len(q)):
+        far = solver.apart(like[:, None], q[i][None])
+        far = np.where(mask[i] & np.isfinite(far), far, np.pi)
+        order = _matched(far)
+        q[i] = q[i, order]
+        mask[i] = mask[i, order]
+        # what is too far to follow begins a line of its own
+        mask[i] &= (far[np.arange(len(order)), order] < FOLLOWED) | (i == 0) | ~mask[i - 1]
+        like = np.where((mask[i] | ~np.isfinite(like).all(axis=1))[:, None], q[i], like)
+    return q, mask
+
+
+def _matched(far: Array) -> np.ndarray:
+    """For each of k rows of distances (k, k) a column of its own, the nearest pairs first."""
+    out = np.full(len(far), -1)
+    used = set[int]()
+    for at in np.argsort(far, axis=None).tolist():
+        row, column = divmod(at, len(far))
+        if out[row] < 0 and column not in used:
+            out[row] = column
+            used.add(column)
+    return out
+
+
+def nodes_around(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Numbers (k, 4) of the corners of the cells of a lattice x (m,), y (n,) in which places p (k,
+    2) are.
+    """
+    i, j = (
+        np.clip(((p[:, k] - side[0]) // (side[1] - side[0])).astype(int), 0, len(side) - 2)
+        for k, side in enumerate((x, y))
+    )
+    return np.stack([(i + a) * len(y) + j + b for a in (0, 1) for b in (0, 1)], axis=1)
+
+
+def nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Numbers (k,) of the nodes of a lattice x (m,), y (n,) that are nearest to places p (k, 2)."""
+    i, j = (
+        np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
+        for k, side in enumerate((x, y))
+    )
+    return i * len(y) + j
+
+
+MOST_SIGNS = 6
+"""Branch signs of a closed form, at most: 64 configurations at each place."""
+INSIDE = 1e-9
+"""How far, in radians and metres, a configuration may be beyond a limit to be inside."""
+STARTS = 1024
+LOOKED = 64
+"""Random configurations from which others are found, and those at which pairs of coordinates are
+looked at."""
+SEEDS = 4000
+"""Configurations, at most, from which those that reach a place are found."""
+BLOCK = 4096
+"""Places of which those reached in several ways are counted at once."""
+SETS = 0.2
+FLAT = 1e-6
+"""Area that rates of two coordinates span at half of all configurations, as a part of the largest,
+for these to be taken, and that of two that do not place the others."""
+NEEDED = "both spaces are drawn of systems with two freedoms"
+
+
+class TwoFreedoms:
+    """A system with two freedoms over two coordinates, and the frame of which a task is seen.
+
+    `names` are the two coordinates, `columns` theirs in q, `low`, `high` and `turns` (2,) their
+    ranges and which of them are full turns. What is found is found from node to node of lattices;
+    `broken` says what ended that early. Errors: `UnsupportedError`, `InputError`.
+    """
+
+    modes = True
+    """Whether several configurations can lie over the same values."""
+    complete = False
+    """Whether those over given values are all, by a closed form."""
+
+    progress: Callable[[int, int], Any] | None = None
+    """Called with how many nodes of a lattice have configurations, and how many it has."""
+
+    def __init__(
+        self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit
+    ):
+        self.system = system
+        self.frame = frame
+        self.task = task
+        self.names = names
+        self.clock = clock
+        velocity = system.structure.velocity_names
+        self.at = [velocity.index(n) for n in names]
+        self.columns = [system.coordinate_names.index(n) for n in names]
+        self.turns = circles(system)[self.at]
+        for i, name in zip(self.at, names, strict=True):
+            if not circles(system)[i] and not np.isfinite([system.lower[i], system.upper[i]]).all():
+                raise InputError(
+                    f"{name!r} has no limits on both sides, and a picture has an end: "
+                    f"with_limits({{{name!r}: (low, high)}}) gives it one"
+                )
+        self.low, self.high = (x[self.at] for x in sampling_box(system))
+        self.manifold = Manifold(system, 2)
+        self.rows = one_sided_rows(system)
+        self.solver = NodeSolver(self.manifold)
+        self.broken: Status | None = None
+        self._over: tuple[int, Array, np.ndarray] | None = None
+        self._reaching: tuple[Array, Array, Array, np.ndarray] | None = None
+
+    def grid(self, n: int) -> Array:
+        """Values (n, n, 2) over the ranges."""
+        sides = [np.linspace(float(self.low[i]), float(self.high[i]), n) for i in range(2)]
+        return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
+
+    # ---- over values of the coordinates
+
+    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Configurations (n, n, k, nq) at the values of `grid`, and which (n, n, k) there are."""
+        values = self.grid(n)
+        q = self.manifold.drawn(np.random.default_rng(0), STARTS)
+        found = flooded(
+            self.solver,
+            self._off_values(values.reshape(-1, 2)),
+            (n, n),
+            q,
+            self._node(q[:, self.columns], n),
+            self.clock,
+            self.progress,
+        )
+        self.broken = self.broken or found.broken
+        self._over = n, found.q, found.mask
+        q, mask = self._inside(found.q, found.mask)
+        return q.reshape(n, n, -1, self.system.nq), mask.reshape(n, n, -1)
+
+    def over(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (..., k, nq) at values (..., 2) of the coordinates, and which (..., k)
+        there are.
+        """
+        assert self._over is not None
+        n, q, mask = self._over
+        flat = values.reshape(-1, 2)
+        node = self._node(flat, n)
+        x, ok = self._again(self._off_values(flat), q[node], mask[node])
+        return x.reshape(*values.shape[:-1], -1, self.system.nq), ok.reshape(*values.shape[:-1], -1)
+
+    def along(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, mode
+        by mode.
+        """
+        return in_order(self.solver, *self.over(values))
+
+    def _node(self, values: Array, n: int) -> np.ndarray:
+        """Numbers (k,) of the nodes nearest to values (k, 2)."""
+        off = values - self.low
+        off = np.where(self.turns, np.mod(off, 2.0 * np.pi), off)
+        i, j = np.clip(np.rint(off / (self.high - self.low) * (n - 1)), 0, n - 1).astype(int).T
+        return i * n + j
+
+    def _off_values(self, values: Array) -> Missing:
+        """What coordinates miss of values (k, 2)."""
+        scale = self.manifold.scale[self.at]
+        turning = self.system.structure.coordinates.turning[self.at]
+        rates = np.eye(self.system.nv)[self.at]
+
+        def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
+            off = by_short_turns(q[:, self.columns] - values[node], turning)
+            return off / scale, np.broadcast_to(rates, (len(q), *rates.shape))
+
+        return missing
+
+    def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """How many configurations (n, n) there are of q (n, n, k, nq): the assembly modes at the
+        values of `grid`.
+        """
+        return np.asarray(mask.sum(axis=-1))
+
+    # ---- that reach a place
+
+    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
+        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+        seeds = self._seeds()
+        p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        node = nearest_node(x, y, self.task.of(fk(self.system, seeds, self.frame)))
+        found = flooded(
+            self.solver,
+            self._off_places(p),
+            (len(x), len(y)),
+            seeds,
+            node,
+            self.clock,
+            self.progress,
+        )
+        self.broken = self.broken or found.broken
+        q, mask = self._inside(found.q, found.mask)
+        self._reaching = x, y, q, mask
+        return mask.sum(axis=1).reshape(len(x), len(y))
+
+    def ways(self, q: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to where it is at configurations q (...,
+        nq) inside the limits.
+
+        Where the nodes around have different numbers, those of them that lead to the place are
+        counted, with q.
+        """
+        assert self._reaching is not None
+        x, y, found, mask = self._reaching
+        flat = q.reshape(-1, q.shape[-1])
+        p = self.task.of(fk(self.system, flat, self.frame))
+        count = mask.sum(axis=1)
+        around = nodes_around(x, y, p)
+        out = count[around[:, 0]]
+        mixed = np.flatnonzero((count[around] != out[:, None]).any(axis=1))
+        for at in np.array_split(mixed, 1 + len(mixed) // BLOCK):
+            near = around[at]
+            k = len(at)
+            starts = np.concatenate(
+                [flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1
+            )
+            there = np.insert(mask[near].reshape(k, -1), 0, True, axis=1)
+            out[at] = self._again(self._off_places(p[at]), starts, there)[1].sum(axis=1)
+        return out.reshape(q.shape[:-1])
+
+    def solutions(self, p: Array) -> Array:
+        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+        assert self._reaching is not None
+        x, y, q, mask = self._reaching
+        i, j = np.divmod(nearest_node(x, y, p[None])[0], len(y))
+        rows, columns = (
+            range(max(int(k) - 1, 0), min(int(k) + 2, len(side))) for k, side in ((i, x), (j, y))
+        )
+        near = np.array([r * len(y) + c for r in rows for c in columns])
+        found, ok = self._again(
+            self._off_places(p[None]), q[near].reshape(1, -1, q.shape[2]), mask[near].reshape(1, -1)
+        )
+        return found[ok]
+
+    def _seeds(self) -> Array:
+        """Configurations (k, nq) from which those that reach places are found: of all that lie over
+        a grid.
+        """
+        assert self._over is not None
+        _, q, mask = self._over
+        q = q[mask]
+        return q[:: max(len(q) // SEEDS, 1)]
+
+    def _off_places(self, p: Array) -> Missing:
+        """What the frame misses of places (k, 2)."""
+        packed = Packed(self.system, [self.task.at(self.frame, p)])
+        pins = packed.pins([packed.tasks[0].goals(self.system)], (len(p),))
+
+        def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
+            return packed.evaluate(q, np.ascontiguousarray(pins[node]))
+
+        return missing
+
+    # ---- both
+
+    def _again(self, missing: Missing, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Configurations (n, k, nq) of n problems from those of others, and which (n, k) there are,
+        each once.
+        """
+        n, k = mask.shape
+        x = q.reshape(n * k, -1).copy()
+        ok = mask.ravel().copy()
+        at = np.flatnonzero(ok)
+        x[at], ok[at] = self.solver.solved(missing, x[at], at // k)
+        x = x.reshape(n, k, -1)
+        ok = ok.reshape(n, k)
+        for j in range(1, k):
+            for i in range(j):
+                ok[:, j] &= ~(ok[:, i] & self.solver.same(x[:, j], x[:, i]))
+        return self._inside(x, ok)
+
+    def _inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Configurations (..., nq), angles inside limits where they can be, and which (...) are
+        there and inside.
+        """
+        flat = np.array(q.reshape(-1, self.system.nq))
+        ok = np.array(mask.ravel())
+        flat[ok] = self.manifold.metric.representatives(flat[ok], None)
+        ok[ok] = (self.rows.beyond(flat[ok]) <= INSIDE).all(axis=-1)
+        return flat.reshape(q.shape), ok.reshape(mask.shape)
+
+    def places(self, q: Array, mask: np.ndarray) -> Array:
+        """What is seen of the frame (..., k, 2) at configurations, NaN where there are none."""
+        X = fk(self.system, np.where(mask[..., None], q, self.system.neutral), self.frame)
+        return np.where(mask[..., None], self.task.of(X), np.nan)
+
+
+class OpenChain(TwoFreedoms):
+    """An open system with two coordinates."""
+
+    modes = False
+    complete = True
+
+    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Configurations (n, n, 1, nq) at the values of `grid`, which are all there."""
+        self._over = n, self.grid(n).reshape(-1, 1, 2), np.ones((n * n, 1), dtype=bool)
+        return self.over(self.grid(n))
+
+    def over(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (..., 1, nq) at values (..., 2) of the coordinates."""
+        return self._inside(values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool))
+
+    def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """How many configurations (n, n) bring the frame to the same place as each of q (n, n, 1,
+        nq).
+        """
+        out = np.zeros(mask.shape[:-1], dtype=int)
+        out[mask[..., 0]] = self.ways(q[mask])
+        return out
+
+
+class FlatChain(OpenChain):
+    """An open planar system with two coordinates, whose configurations at a place are found by
+    `ik_all`.
+    """
+
+    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
+        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+        return self.number(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+
+    def ways(self, q: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to where it is at configurations q (...,
+        nq).
+        """
+        return np.maximum(self.number(self.task.of(fk(self.system, q, self.frame))), 1)
+
+    def number(self, p: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to places p (..., 2)."""
+        found = ik_all(self.system, p.reshape(-1, 2), self.frame, task="position", limits=True)
+        return np.asarray(found.mask).sum(axis=1).reshape(p.shape[:-1])  # type: ignore[union-attr]
+
+    def solutions(self, p: Array) -> Array:
+        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+        return ik_all(self.system, p, self.frame, task="position", limits=True).q
+
+
+class Dyads(TwoFreedoms):
+    """A planar mechanism with two freedoms that is made of dyads, with all closed configurations in
+    closed form.
+
+    `placed` is the closed form with the place of the frame known, None where there is none.
+    """
+
+    complete = True
+
+    def __init__(self, system: System, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
+        super().__init__(system, frame, task, plan.known, clock)
+        self.plan = plan
+        self.placed = _placed(system, frame)
+
+    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Configurations (n, n, k, nq) on all branches, and which (n, n, k) close inside the
+        limits.
+        """
+        q, mask = self.over(self.grid(n))
+        self._over = n, q.reshape(n * n, -1, self.system.nq), mask.reshape(n * n, -1)
+        return q, mask
+
+    def over(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (..., k, nq) on all branches, and which (..., k) close inside the limits."""
+        return self._inside(*self.plan.all(values))
+
+    def along(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are,
+        branch by branch.
+        """
+        return self.over(values)
+
+    def reaching(self, p: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (..., k, nq) that bring the frame to places p (..., 2), and which (..., k)
+        there are.
+        """
+        assert self.placed is not None
+        q, mask = self.placed.all(p)
+        at = [self.placed.system.coordinate_names.index(n) for n in self.system.coordinate_names]
+        return self._inside(q[..., at], mask)
+
+    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
+        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+        if self.placed is None:
+            return super().reach_grid(x, y)
+        return self.reaching(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))[1].sum(axis=-1)
+
+    def solutions(self, p: Array) -> Array:
+        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+        if self.placed is None:
+            return super().solutions(p)
+        q, mask = self.reaching(p)
+        return self.solver.different(q[mask])
+
+
+def two_freedoms(
+    system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None
+) -> TwoFreedoms:
+    """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see
+    `TwoFreedoms`.
+    """
+    loops = has_loops(system)
+    clock = clock or TimeLimit(None)
+    found = mobility(system, local=False) if loops else None
+    freedoms = system.nv if found is None else found.rank_dof
+    if freedoms is None:
+        raise UnsupportedError(
+            f"{NEEDED}; of {system.name} they are not known: {found and found.sentence}"
+        )
+    idle = found.idle if found else 0
+    if freedoms - idle != 2 or (not loops and len(system.structure.layout.vector_q) != 2):
+        what = counted(freedoms - idle, "freedom" if loops else "coordinate")
+        left_out = f", {counted(idle, 'idle spin')} left out" if idle else ""
+        raise UnsupportedError(
+            f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}{left_out}"
+        )
+    if not loops:
+        kind = FlatChain if system.dim == 2 else OpenChain
+        return kind(system, frame, task, tuple(system.coordinate_names), clock)
+    plan = _plan(system) if system.dim == 2 else None
+    if plan is not None:
+        return Dyads(system, frame, task, plan, clock)
+    return TwoFreedoms(system, frame, task, _pair(system), clock)
+
+
+def _pairs(system: System) -> Iterator[tuple[str, ...]]:
+    """The actuated coordinates, if these are two, then all pairs."""
+    names = system.structure.velocity_names
+    inputs = tuple(names[i] for i in driven(system, None) or ())
+    if len(inputs) == 2 and set(inputs) <= set(system.coordinate_names):
+        yield inputs
+    yield from combinations([n for n in names if n in system.coordinate_names], 2)
+
+
+def _plan(system: System) -> Plan | None:
+    """The closed form from the actuated coordinates, else from the first that have one."""
+    for pair in _pairs(system):
+        found = closed_form(system, pair)
+        if not isinstance(found, Incomplete) and found.signs <= MOST_SIGNS and _moves(found):
+            return found
+    return None
+
+
+def _moves(plan: Plan) -> bool:
+    """Whether there are configurations over an area of the known coordinates."""
+    at = [plan.system.structure.velocity_names.index(n) for n in plan.known]
+    low, high = (x[at] for x in sampling_box(plan.system))
+    return bool(plan.all(np.random.default_rng(0).uniform(low, high, (512, 2)))[1].any())
+
+
+def _pair(system: System) -> tuple[str, ...]:
+    """The actuated coordinates where they place the others, else the first with ends that do.
+    Errors: `UnsupportedError`.
+    """
+    q = Manifold(system, 2).drawn(np.random.default_rng(0), LOOKED)
+    if not len(q):
+        raise UnsupportedError(
+            f"{system.name}: no closed configuration was found: there is nothing to draw"
+        )
+    N = [tangent_space(system, x)[0] for x in q]
+    names = system.structure.velocity_names
+    pairs = list(_pairs(system))
+    at = [[names.index(n) for n in pair] for pair in pairs]
+    # the area that rates of two coordinates span: what spins idly adds nothing
+    areas = [float(np.median([np.prod(svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
+    ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
+    driving = set(pairs[0]) == {names[i] for i in driven(system, None) or ()}
+    good = [
+        k
+        for k, x in enumerate(areas)
+        if x > (FLAT if driving and k == 0 else max(SETS * max(areas), FLAT))
+    ]
+    good.sort(key=lambda k: (not (driving and k == 0), not ended[at[k]].all()))
+    if not good:
+        raise UnsupportedError(
+            f"{NEEDED}, over two coordinates that place the others; of {system.name} no two do"
+        )
+    return pairs[good[0]]
+
+
+def _placed(system: System, frame: str) -> Plan | None:
+    """The closed form with the place of a frame known: that of the mechanism with slides in x and y
+    pinned to it.
+    """
+    m = system.mechanism.copy()
+    free = "place"
+    while any(
+        name.startswith(free)
+        for name in (*m.bodies, *m.joints, *m.frames, *m.couplings, *m.constraints)
+    ):
+        free += "'"
+    m.prismatic(f"{free} x", m.ground, m.body(f"{free} 1"), axis=(1, 0))
+    m.prismatic(f"{free} y", f"{free} 1", m.body(f"{free} 2"), axis=(0, 1))
+    on = m.frames.get(frame)
+    m.revolute(
+        f"{free} pin",
+        f"{free} 2",
+        frame if on is None else on.body,
+        child_at=(0, 0) if on is None else frame,
+    )
+    found = closed_form(type(system)(m), (f"{free} x", f"{free} y"))
+    return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found

@@ -1,0 +1,822 @@
+"""`System`: what is computed with, and the map of the library: its methods call the functions of
+later layers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, quiet, with_options
+from kempe.budget import Budget
+from kempe.description.parts import Frame
+from kempe.errors import InputError, UnknownNameError
+from kempe.model.model import FrameLike, Model, SystemType
+from kempe.spatial import Array
+from kempe.views.plot_options import PlotOptions
+
+if TYPE_CHECKING:
+    from pathlib import Path as FilePath
+
+    from matplotlib.axes import Axes
+
+    from kempe.assemble.answer import Assembly
+    from kempe.assemble.modes import Modes
+    from kempe.assemble.nearest_exact import Idealised
+    from kempe.description.mechanism import Mechanism
+    from kempe.forward.fk import Query
+    from kempe.forward.parameter_batches import Designs
+    from kempe.inverse.all_answer import Solutions
+    from kempe.inverse.answer import Solution
+    from kempe.inverse.path import IkPath
+    from kempe.inverse.servo import IkStep
+    from kempe.mobility.answer import Mobility
+    from kempe.mobility.classify import Classification
+    from kempe.mobility.independent import Chart
+    from kempe.motion.drive import Drive
+    from kempe.motion.manoeuvre import Manoeuvre
+    from kempe.motion.path import Path as Motion
+    from kempe.motion.simulate import Simulation
+    from kempe.namespaces import Inverse, Loops, ReachStudies, Symbolic
+    from kempe.spaces.configuration_space import ConfigurationSpace
+    from kempe.spaces.singularities import Singularities
+    from kempe.spaces.task_space import TaskSpace
+    from kempe.views.viewer.live import Viewer
+    from kempe.workspace.answer import Workspace
+
+__all__ = ["FrameLike", "System"]
+
+
+# ---- opened
+
+# Systems with joints taken out.
+
+
+@explained
+def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
+    """The system without these joints, by default without those that its tree leaves out: a loop
+    becomes a tree.
+
+    Where a joint was, each moving body keeps a frame, called "C on rocker" for joint C and the body
+    rocker. What postures and locks say of the coordinates of the joints goes with them. Errors:
+    `UnknownNameError`; `InputError` where there is no joint to take out; `DescriptionError` where a
+    body would hang on nothing, or where a coupling or a constraint needs a coordinate that is gone.
+    """
+    given = [joints] if isinstance(joints, str) else joints
+    names = system.structure.closures if given is None else tuple(map(str, given))
+    if not names:
+        raise InputError(f"{system.name} has no loop to open: it is a {system.kind}")
+    mechanism = system.mechanism
+    for name in names:
+        if name not in mechanism.joints:
+            raise UnknownNameError("joint", name, tuple(mechanism.joints), system.name)
+        _keep_ends(mechanism, name)
+        gone = set(system.structure.coordinates_of_joint(name))
+        del mechanism.joints[name]
+        mechanism.postures = {
+            k: {c: x for c, x in p.items() if c not in gone} for k, p in mechanism.postures.items()
+        }
+        mechanism.locks = {c: x for c, x in mechanism.locks.items() if c not in gone}
+    return type(system)(mechanism)
+
+
+def _keep_ends(mechanism: Mechanism, name: str) -> None:
+    """Give the moving bodies of a joint frames where it holds them, before those that are there."""
+    joint = mechanism.joints[name]
+    frames = dict[str, Frame]()
+    for body, X in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
+        label = f"{name} on {body}"
+        taken = label in mechanism.frames or label in mechanism.bodies
+        if (
+            body != mechanism.ground.name
+            and not taken
+            and not (mechanism.bodies[body].particle and X.steps)
+        ):
+            frames[label] = Frame(label, body, X)
+    mechanism.frames = {**frames, **mechanism.frames}
+
+
+# ---- pictured
+
+# Methods of `System` by which it is looked at: pictures, motions, pages.
+
+
+class Pictured:
+    """What a system looks like. Base of `System`."""
+
+    @explained
+    @with_options(PlotOptions)
+    def plot(self: Any, q: Any = None, *, path: Any = None, **options: Any) -> Any:
+        """Matplotlib axes with a drawing of the system at one or several configurations, or along a
+        motion.
+
+        See `kempe.views.plots.plot` for what is drawn, `kempe.views.plot_options.PlotOptions` for
+        the options.
+        """
+        from kempe.views.plots import plot
+
+        return plot(self, q, path=path, **options)
+
+    @explained
+    def animate(
+        self: Any,
+        path: Any,
+        file: str | FilePath,
+        *,
+        frames: Any = (),
+        labels: Any = False,
+        seconds: float = 4.0,
+        fps: float = 15.0,
+    ) -> FilePath:
+        """Write a motion as a moving picture (.gif, .mp4, .html); see `kempe.views.films.animate`."""
+        from kempe.views.films import animate
+
+        return animate(self, path, file, frames=frames, labels=labels, seconds=seconds, fps=fps)
+
+    @explained
+    def show(
+        self: Any,
+        q: Any = None,
+        *,
+        frame: FrameLike | None = None,
+        path: Any = None,
+        share: bool = False,
+        port: int | None = None,
+        browser: bool = True,
+        deg: bool = False,
+    ) -> Viewer:
+        """A page on this machine in which the system can be moved; see
+        `kempe.views.viewer.live.show`.
+        """
+        from kempe.views.viewer.live import show
+
+        return show(
+            self, q, frame=frame, path=path, share=share, port=port, browser=browser, deg=deg
+        )
+
+    @explained
+    def save_html(
+        self: Any, file: str | FilePath, q: Any = None, *, path: Any = None, seconds: float = 6.0
+    ) -> None:
+        """Write a page that needs no server, with the system in space, moving; see
+        `kempe.views.viewer.pages`.
+        """
+        from kempe.views.viewer.pages import save_html
+
+        return save_html(self, file, q, path=path, seconds=seconds)
+
+    @explained
+    def plot_tree(self: Any, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the tree of bodies and joints; see
+        `kempe.views.overviews.plot_tree`.
+        """
+        from kempe.views.overviews import plot_tree
+
+        return plot_tree(self, ax)
+
+    @quiet
+    def _repr_html_(self: Any) -> str:
+        """The system in a notebook: a picture, its freedoms, its tree."""
+        from kempe.views.overviews import notebook_page
+
+        return notebook_page(self)
+
+    @explained
+    def plot_spaces(
+        self: Any,
+        frame: FrameLike,
+        *,
+        points: ArrayLike = (),
+        task: str | None = None,
+        grid: bool = False,
+        ax: Any = None,
+        resolution: int = 240,
+        budget: Budget | None = None,
+    ) -> tuple[Axes, Axes]:
+        """Pictures of configuration space and task space beside one another; see
+        `kempe.views.space_pictures`.
+        """
+        from kempe.views.space_pictures import plot_spaces
+
+        return plot_spaces(
+            self,
+            frame,
+            points=points,
+            task=task,
+            grid=grid,
+            ax=ax,
+            resolution=resolution,
+            budget=budget,
+        )
+
+
+ARRAY = np.ndarray
+"""Looked up once: bound calls take four microseconds."""
+
+
+class System(Model, Pictured):
+    """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates,
+    primitive table.
+
+    Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an
+    array (..., nq) in the order of `coordinate_names`, in radians and metres; a dict by coordinate
+    name is accepted in its place, of a system with loops as what `assemble` closes. Poses are
+    relative to body 0, the ground. What the methods take is explained at the functions that they
+    name.
+
+    What is needed daily has a name here. Families have one name together: `structure` (what it is
+    made of), `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description
+    says, and writes, is the `mechanism`.
+    """
+
+    # ---- configurations
+
+    @property
+    def mid(self) -> Array:
+        """A configuration (nq,) inside the limits: the middle of both limits, or the allowed value
+        nearest to neutral.
+
+        It is read-only: `mid.copy()` is one to change.
+        """
+        from kempe.model.configurations import mid
+
+        return mid(self)
+
+    def random(
+        self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
+    ) -> Array:
+        """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free
+        lengths in (-1, 1).
+        """
+        from kempe.model.configurations import random
+
+        return random(self, rng, shape)
+
+    def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
+        """Configuration (..., nq) from values by coordinate name, or of a named posture.
+
+        Coordinates that are not named are neutral, or as in `base` (..., nq). Numbers are only
+        written down: no loop is closed (`assemble` closes them).
+        """
+        from kempe.model.configurations import q_from_dict
+
+        return q_from_dict(self, coordinates, base)
+
+    def q_dict(self, q: ArrayLike) -> dict[str, float]:
+        """Values by coordinate name of one configuration (nq,)."""
+        from kempe.model.configurations import q_dict
+
+        return q_dict(self, q)
+
+    # ---- the space of configurations
+
+    @cached_property
+    def configuration_space(self) -> ConfigurationSpace:
+        """The configuration space: its dimension and its shape, such as T^2 x R, within the space
+        of all `q`.
+        """
+        from kempe.spaces.configuration_space import configuration_space
+
+        return configuration_space(self)
+
+    @explained
+    def task_space(
+        self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
+    ) -> TaskSpace:
+        """The task space of a frame or tasks: which freedoms of `q` move it; see
+        `analysis.spaces.configuration`.
+        """
+        from kempe.spaces.task_space import task_space
+
+        return task_space(self, tasks, q, task=task, budget=budget)
+
+    @explained
+    def workspace(
+        self,
+        frame: FrameLike,
+        *,
+        kind: str | None = None,
+        orientation: Any = None,
+        at: ArrayLike | None = None,
+        n: float | None = None,
+        cells: Any = None,
+        box: Any = None,
+        client: Any = None,
+        path: str | FilePath | None = None,
+        budget: Budget | None = None,
+    ) -> Workspace:
+        """The workspace of a frame, of whatever `kind`, as a sampled map.
+
+        See `kempe.workspace.workspace`.
+        """
+        from kempe.workspace.workspace import workspace
+
+        return workspace(
+            self,
+            frame,
+            kind=kind,
+            orientation=orientation,
+            at=at,
+            n=n,
+            cells=cells,
+            box=box,
+            client=client,
+            path=path,
+            budget=budget,
+        )
+
+    # ---- where everything is
+
+    def fk(
+        self,
+        q: Any,
+        frame: FrameLike | list[Any] | tuple[Any, ...] | None = None,
+        out: Array | None = None,
+        threads: int | None = None,
+        form: str | None = None,
+        dtype: Any = None,
+        relative_to: FrameLike | None = None,
+    ) -> Array:
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all
+        bodies (None).
+
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another
+        frame in place of the ground; see `kempe.forward.fk.fk`.
+        """
+        query = (
+            self._queries.get(frame)
+            if frame.__class__ is str and form is dtype is relative_to is None
+            else None
+        )
+        if (
+            query is not None and q.__class__ is np.ndarray
+        ):  # the import below alone would double the time
+            return query(None, q, out, threads)
+        from kempe.forward.fk import fk
+
+        return fk(self, q, frame, out, threads, form, dtype, relative_to)
+
+    def jacobian(
+        self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
+    ) -> Array:
+        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see
+        `kempe.forward.fk.jacobian`.
+        """
+        query = self._queries.get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is np.ndarray:
+            return query.jacobian(q, in_frame, None, threads)
+        from kempe.forward.fk import jacobian
+
+        return jacobian(self, q, frame, in_frame, threads)
+
+    def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
+        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and
+        ``f.jacobian(q)``.
+
+        In a `form` and type of numbers as of `fk`.
+        """
+        from kempe.forward.fk import query
+
+        return query(self, frame, form, dtype)
+
+    @cached_property
+    def symbolic(self) -> Symbolic:
+        """Models of the system as formulas: `symbolic.fk(frame)`."""
+        from kempe.namespaces import Symbolic
+
+        return Symbolic(self)
+
+    @partial(explained, fast=True)
+    def ik(
+        self,
+        target: Any,
+        frame: FrameLike | None = None,
+        start: Any = None,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
+        prefer: Any = None,
+        method: str | None = None,
+        tolerance: float | tuple[float, float] | None = None,
+        budget: Budget | None = None,
+        history: bool = False,
+    ) -> Solution:
+        """A configuration that reaches a target or holds tasks; see
+        `kempe.inverse.ik.ik`.
+        """
+        if (
+            frame.__class__ is str
+            and prefer is method is tolerance is budget
+            and target.__class__ is ARRAY
+            and not history
+        ):
+            bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
+            if (
+                bound is not None
+                and budget is None
+                and (answer := bound(target, start)) is not None
+            ):
+                return answer
+        from kempe.inverse.ik import ik
+
+        return ik(
+            self,
+            target,
+            frame,
+            start,
+            task=task,
+            prefer=prefer,
+            method=method,
+            tolerance=tolerance,
+            budget=budget,
+            history=history,
+        )
+
+    @partial(explained, fast=True)
+    def ik_all(
+        self,
+        target: Any,
+        frame: FrameLike,
+        start: Any = None,
+        *,
+        task: str | tuple[str, ArrayLike] | None = None,
+        fixed: Mapping[str, Any] | None = None,
+        limits: bool | str = False,
+        tolerance: float | None = None,
+        budget: Budget | None = None,
+    ) -> Solutions | Modes:
+        """Every configuration in which the frame reaches the target; see
+        `kempe.inverse.ik_all.ik_all`.
+        """
+        plain = (
+            frame.__class__ is str
+            and start is task is fixed is tolerance is budget is None
+            and not limits
+        )
+        if plain and target.__class__ is np.ndarray and target.shape == (4, 4):
+            bound = self._queries.get((frame,))
+            if bound is not None and (answer := bound(target)) is not None:
+                return answer
+        from kempe.inverse.ik_all import ik_all
+
+        return ik_all(
+            self,
+            target,
+            frame,
+            start,
+            task=task,
+            fixed=fixed,
+            limits=limits,
+            tolerance=tolerance,
+            budget=budget,
+        )
+
+    @explained
+    def ik_path(
+        self,
+        targets: Any,
+        frame: FrameLike | None = None,
+        start: Any = None,
+        *,
+        max_step: float = 0.5,
+        restart: bool = False,
+        branches: bool = False,
+        tolerance: float | tuple[float, float] | None = None,
+        budget: Budget | None = None,
+    ) -> IkPath:
+        """Configurations that follow a sequence of targets without a jump; see
+        `inverse.path.ik_path`.
+        """
+        from kempe.inverse.path import ik_path
+
+        return ik_path(
+            self,
+            targets,
+            frame,
+            start,
+            max_step=max_step,
+            restart=restart,
+            branches=branches,
+            tolerance=tolerance,
+            budget=budget,
+        )
+
+    @explained
+    def ik_step(
+        self,
+        q: Any,
+        wanted: Any,
+        frame: FrameLike | None = None,
+        dt: float = 0.0,
+        *,
+        velocity_limits: Any = None,
+        damping: float = 0.05,
+        keep_direction: bool = False,
+        weights: Any = None,
+    ) -> IkStep:
+        """Velocities for a frame's twist or for tasks, within all limits; see
+        `inverse.servo.ik_step`.
+        """
+        from kempe.inverse.servo import ik_step
+
+        return ik_step(
+            self,
+            q,
+            wanted,
+            frame,
+            dt,
+            velocity_limits=velocity_limits,
+            damping=damping,
+            keep_direction=keep_direction,
+            weights=weights,
+        )
+
+    @cached_property
+    def inverse(self) -> Inverse:
+        """Methods about the inverse kinematics of a frame: `plan`, `sweep`, `arm_angle`,
+        `self_motion`.
+        """
+        from kempe.namespaces import Inverse
+
+        return Inverse(self)
+
+    @explained
+    def singularities(
+        self,
+        frame: FrameLike | None = None,
+        task: str | None = None,
+        *,
+        inputs: Iterable[str] | None = None,
+        limits: bool = True,
+        budget: Budget | None = None,
+    ) -> Singularities:
+        """Singular configurations of a frame or of closed loops: their kinds, and how far away the
+        nearest is.
+
+        See `kempe.spaces.singularities`.
+        """
+        from kempe.spaces.singularities import singularities
+
+        return singularities(self, frame, task, inputs=inputs, limits=limits, budget=budget)
+
+    @cached_property
+    def reach(self) -> ReachStudies:
+        """Methods about the reach of a frame: `poses`, `place`, `capability`, and `planar`, exact
+        in the plane.
+        """
+        from kempe.namespaces import ReachStudies
+
+        return ReachStudies(self)
+
+    # ---- closed loops
+
+    @explained
+    def assemble(
+        self,
+        known: Mapping[str, Any] | None = None,
+        start: Any = None,
+        *,
+        branch: str | None = None,
+        prefer: str | None = None,
+        limits: bool = True,
+        also: Any = (),
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Assembly:
+        """A configuration that closes all loops, with the `known` given; see
+        `assemble.assemble.assemble`.
+        """
+        from kempe.assemble.assemble import assemble
+
+        return assemble(
+            self,
+            known,
+            start,
+            branch=branch,
+            prefer=prefer,
+            limits=limits,
+            also=also,
+            tolerance=tolerance,
+            budget=budget,
+        )
+
+    def idealised(
+        self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
+    ) -> Idealised | None:
+        """The nearest system that closes exactly and moves, with what differs; see
+        `kempe.assemble.nearest_exact`.
+        """
+        from kempe.assemble.nearest_exact import idealised
+
+        return idealised(self, tolerance, budget=budget)
+
+    @explained
+    def assembly_modes(
+        self,
+        known: Mapping[str, Any] | None = None,
+        start: Any = None,
+        *,
+        limits: bool = True,
+        frame: FrameLike | None = None,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Modes:
+        """All configurations found that close the loops with the `known` given; see
+        `kempe.assemble.modes`.
+        """
+        from kempe.assemble.modes import assembly_modes
+
+        return assembly_modes(
+            self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget
+        )
+
+    @explained
+    def independent(
+        self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
+    ) -> Chart:
+        """Independent coordinates at a closed q, which determine all others; see
+        `kempe.mobility.independent`.
+        """
+        from kempe.mobility.independent import independent
+
+        return independent(self, q, prefer, tolerance=tolerance)
+
+    @cached_property
+    def loops(self) -> Loops:
+        """Methods about closed loops: `constraints`, `closure_error`, `assembler`, `jacobian`, ..."""
+        from kempe.namespaces import Loops
+
+        return Loops(self)
+
+    # ---- degrees of freedom and motion
+
+    @explained
+    def mobility(
+        self,
+        q: Any = None,
+        actuated: Iterable[str] | None = None,
+        *,
+        local: bool = True,
+        rng: np.random.Generator | int = 0,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Mobility:
+        """Degrees of freedom by the Gruebler count, by rank, and locally exact, with the reasoning.
+
+        See `kempe.mobility.mobility`.
+        """
+        from kempe.mobility.mobility import mobility
+
+        return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance, budget=budget)
+
+    def classify(
+        self,
+        q: Any = None,
+        *,
+        t: float = 0.0,
+        project: bool = False,
+        rng: np.random.Generator | int = 0,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Classification:
+        """Kind of each constraint (holonomic or not, redundant), and the freedoms of configuration
+        and velocity.
+
+        See `kempe.mobility.classify`.
+        """
+        from kempe.mobility.classify import classify
+
+        return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance, budget=budget)
+
+    @explained
+    def trace(
+        self,
+        driver: str | None = None,
+        start: Any = None,
+        *,
+        hold: Mapping[str, float] | None = None,
+        toward: Mapping[str, float] | None = None,
+        ways: str = "both",
+        limits: bool = True,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Motion:
+        """The whole branch of a mechanism with one freedom, as a `Path`; see
+        `kempe.motion.trace.trace`.
+        """
+        from kempe.motion.trace import trace
+
+        return trace(
+            self,
+            driver,
+            start,
+            hold=hold,
+            toward=toward,
+            ways=ways,
+            limits=limits,
+            tolerance=tolerance,
+            budget=budget,
+        )
+
+    @explained
+    def drive(
+        self,
+        inputs: Mapping[str, Any],
+        times: Any = None,
+        start: Any = None,
+        *,
+        hold: Mapping[str, float] | None = None,
+        toward: Mapping[str, float] | None = None,
+        limits: bool = True,
+        tolerance: float | str | None = None,
+        budget: Budget | None = None,
+    ) -> Drive:
+        """The continuous motion that follows prescribed inputs; see
+        `kempe.motion.drive.drive`.
+        """
+        from kempe.motion.drive import drive
+
+        return drive(
+            self,
+            inputs,
+            times,
+            start,
+            hold=hold,
+            toward=toward,
+            limits=limits,
+            tolerance=tolerance,
+            budget=budget,
+        )
+
+    @explained
+    def manoeuvre(
+        self,
+        start: Any,
+        goal: Any,
+        *,
+        radius: float | None = None,
+        free: Iterable[str] = (),
+        budget: Budget | None = None,
+    ) -> Manoeuvre:
+        """A motion of a rolling system between configurations, without slip; see
+        `motion.manoeuvre`.
+        """
+        from kempe.motion.manoeuvre import manoeuvre
+
+        return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
+
+    @explained
+    def simulate(
+        self,
+        duration: float,
+        start: Any = None,
+        *,
+        inputs: Mapping[str, Any] | None = None,
+        velocity: Any = None,
+        acceleration: Any = None,
+        restitution: float = 1.0,
+        tolerance: float | None = None,
+        budget: Budget | None = None,
+    ) -> Simulation:
+        """The motion under given velocities, or of a ball that falls and bounces; see
+        `kempe.analysis.simulation`.
+        """
+        from kempe.motion.simulate import simulate
+
+        return simulate(
+            self,
+            duration,
+            start,
+            inputs=inputs,
+            velocity=velocity,
+            acceleration=acceleration,
+            restitution=restitution,
+            tolerance=tolerance,
+            budget=budget,
+        )
+
+    # ---- other systems from this one
+
+    def with_parameters(self, **numbers: Any) -> System | Designs[System]:
+        """The same system with other parameter values; arrays of values give a batch of designs."""
+        from kempe.forward.parameter_batches import with_parameters
+
+        return with_parameters(self, numbers)
+
+    def opened(self, joints: str | Iterable[str] | None = None) -> System:
+        """The system without these joints: the open chain or tree that a loop is made of; see
+        `kempe.system`.
+        """
+
+        return opened(self, joints)
+
+    def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
+        """A copy of the system with other limits, by coordinate name; see
+        `kempe.forward.limits.with_limits`.
+        """
+        from kempe.forward.limits import with_limits
+
+        return with_limits(self, limits, velocity)

@@ -1,0 +1,183 @@
+"""What one picture is of: configurations with their names, a motion, curves, frames, and the
+options.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.spatial import Array
+from kempe.values import Expression
+from kempe.views.drawing import style
+from kempe.views.drawing.scene import Scene, SeenJoint
+from kempe.views.plot_options import PlotOptions
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+IN_PLACE = 4
+SHORT = (2, 12)
+"""Configurations whose names stand beside them, and letters of these in space and in the plane;
+others have a key."""
+NOTHING = 1e-12
+"""Values up to this are rounding [m, rad]."""
+ACROSS = 3
+"""Names and values of a joint that are written in one line."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """All that there is to draw of a system: the scene in full, others over it, earlier positions,
+    curves, frames.
+    """
+
+    system: System
+    scene: Scene
+    options: PlotOptions
+    others: tuple[Scene, ...] = ()
+    """Further configurations, drawn over the first."""
+    titles: tuple[str, ...] = ()
+    """Names of all configurations, or none."""
+    ghosts: tuple[Scene, ...] = ()
+    way: Array | None = None
+    """Configurations (n, nq) of a motion."""
+    curves: dict[str, Array] = field(default_factory=dict[str, Array])
+    """Curves (n, 3) of frames over the motion."""
+    here: dict[str, Array] = field(default_factory=dict[str, Array])
+    """Poses (4, 4) of the frames that are marked: by a dot on their curve, else by their axes."""
+    axes: dict[str, Array] = field(default_factory=dict[str, Array])
+    """Poses (4, 4) of the frames whose axes are drawn with their names."""
+    workspace: Any = None
+    radius: float | None = None
+    """Radius [m] of a pin, the same in all frames of a motion; None: as suits the scene."""
+    missed: Array | None = None
+    """A place that was wanted and is not reached, after the place nearest to it (2, 3)."""
+    units: dict[str, str] = field(default_factory=dict[str, str])
+    """The unit of each coordinate."""
+
+    @property
+    def marks(self) -> dict[str, Array]:
+        """Poses (4, 4) of the frames whose axes are drawn."""
+        return {**({} if self.curves else self.here), **self.axes}
+
+    @property
+    def keyed(self) -> bool:
+        """Whether several configurations have numbers, and their names stand in a key beside the
+        picture.
+        """
+        longest = max(map(len, self.titles), default=0)
+        many = len(self.titles) > IN_PLACE and longest > SHORT[0]
+        return bool(self.others) and (many or longest > SHORT[self.system.dim == 2])
+
+    @property
+    def missed_text(self) -> str:
+        """How far the place that is missed is away."""
+        from kempe.views.drawing.page import length_text
+
+        gap = 0.0 if self.missed is None else float(np.linalg.norm(self.missed[1] - self.missed[0]))
+        return length_text(float(f"{gap:.3g}"))
+
+    def names_at(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
+        """Name or number of each configuration, where its points (n, d) are furthest from the
+        others, and its look.
+        """
+        if not self.others or not any(self.titles):
+            return []
+        out: list[tuple[Array, str, dict[str, Any]]] = []
+        for k, (title, own) in enumerate(zip(self.titles, points, strict=False)):
+            rest = np.concatenate([p for i, p in enumerate(points) if i != k])
+            gap = np.linalg.norm(own[:, None] - rest, axis=-1).min(axis=1)
+            look = {
+                "gid": f"label:configuration{k}",
+                "color": style.over_colour(k),
+                "weight": "bold",
+            }
+            out.append((own[int(np.argmax(gap))], str(k + 1) if self.keyed else title, look))
+        return out
+
+    def coordinates(self, joint: SeenJoint) -> list[str]:
+        """Names of the coordinates of a joint."""
+        return self.system.structure.coordinates_of_joint(joint.name)
+
+    def joint_text(self, joint: SeenJoint) -> str:
+        """What is written beside a joint: its name, or its coordinates with their values."""
+        words = self.options.words
+        names = self.coordinates(joint)
+        with_values = [coordinate_text(self, n) for n in names] if "coordinates" in words else []
+        angles = bool(self.options.angles) and names == [joint.name]
+        if "joints" not in words or angles or (with_values and names == [joint.name]):
+            return ", ".join(with_values if not angles else [])
+        parts = [joint.name, *with_values]
+        return ",\n".join(", ".join(parts[k : k + ACROSS]) for k in range(0, len(parts), ACROSS))
+
+    def measured_text(self, name: str) -> str:
+        """What is written beside the arc or the length of a coordinate: its name, with its value if
+        that is wanted.
+        """
+        return coordinate_text(self, name) if "coordinates" in self.options.words else name
+
+    def body_text(self, link: Any) -> str:
+        """Names of the bodies of a link, with their numbers where the names do not say them."""
+        number = {name: k for k, name in enumerate(self.system.body_names)}
+        names = [
+            b if b.endswith(str(number[b])) or number[b] == 0 else f"{number[b]} {b}"
+            for b in link.bodies
+        ]
+        return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+
+    def parameter_text(self) -> str:
+        """The parameters with their numbers, in lines of four; '' where they are not wanted."""
+        parts = [f"{k} = {v:.4g}" for k, v in self.system.structure.parameters.items()]
+        if "parameters" not in self.options.words:
+            return ""
+        return "\n".join("   ".join(parts[k : k + 4]) for k in range(0, len(parts), 4))
+
+
+def coordinate_text(subject: Subject, name: str) -> str:
+    """A coordinate with its value and unit."""
+    from kempe.equations.judge import coordinate_value
+    from kempe.views.drawing.page import length_text
+
+    value = float(coordinate_value(subject.system, subject.scene.q, name))
+    value = value if abs(value) > NOTHING else 0.0
+    unit = subject.units.get(name, "")
+    said = (
+        length_text(round(value, 4))
+        if unit == "m" and abs(value) >= 1e-4
+        else f"{value:.3g} {unit}".rstrip()
+    )
+    return f"{name} = {said}"
+
+
+def subscript(system: System, frame: str) -> str:
+    """What an axis of a frame is called after x and y: the number of a body, a short name of a
+    frame.
+    """
+    if frame in system.body_names:
+        return f"_{{{system.body_names.index(frame)}}}"
+    return f"_{{{frame}}}" if len(frame) <= 3 and frame.isalnum() else ""
+
+
+def lengths_by_name(system: System, bodies: Any) -> list[tuple[str, float]]:
+    """Expressions in parameters by which frames of joints and others are placed on some bodies,
+    with their values.
+    """
+    m = system.mechanism
+    placed = [j.X_PF for j in m.joints.values() if j.parent in bodies]
+    placed += [j.X_CM for j in m.joints.values() if j.child in bodies]
+    placed += [f.X_BF for f in m.frames.values() if f.body in bodies]
+    values = [
+        x for p in placed for _, numbers in p.steps for x in numbers if isinstance(x, Expression)
+    ]
+    return [(x.text.lstrip("-"), abs(float(x.evaluate(m.parameters)))) for x in values]
+
+
+def length_name(known: list[tuple[str, float]], length: float) -> str:
+    """The shortest expression that has this length, or the length itself."""
+    from kempe.views.drawing.page import length_text
+
+    same = [text for text, value in known if abs(value - length) < 1e-9 * max(length, 1e-9)]
+    return min(same, key=len) if same else length_text(float(f"{length:.3g}"))

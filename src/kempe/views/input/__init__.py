@@ -1,1 +1,0 @@
-"""Values that people type, and files of them."""

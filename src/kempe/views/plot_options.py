@@ -1,0 +1,74 @@
+"""What a picture of a system shows: the options of `System.plot`, declared once, with the values
+that are allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from kempe.arguments import flag, listed
+from kempe.arrays import is_whole
+from kempe.errors import InputError, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.model import FrameLike
+
+LABELS = ("joints", "frames", "bodies", "coordinates", "parameters")
+"""What can be written beside what is drawn; the first two are, unless `labels` says otherwise."""
+
+
+@dataclass(frozen=True)
+class PlotOptions:
+    """What a picture shows. Errors: `InputError` for values that are not allowed.
+
+    `labels`: True for the names of joints and frames, False for none, or words of `LABELS` ("all"
+    for all): names of "bodies" in their colour, values of "coordinates", "parameters" with their
+    numbers. `axes`: names of bodies and frames whose axes are drawn and named (x_0, y_0, ...),
+    "all" for all that there are. `frames`: those whose axes are drawn without that; over a path
+    their curves are drawn instead; None for all. `angles`: arcs and lengths of the coordinates,
+    from where they are measured; with the name of a frame of a planar chain, the angles alpha and
+    beta of the line to it, too. `dimensions`: lengths of the links, by their parameters. `motion`:
+    arrows for the freedoms of each joint, and neighbouring positions. `workspace`: frame of a
+    planar chain whose workspace is shaded. `ghosts`: so many earlier positions of a path.
+    `side_by_side`: several configurations in axes of their own, in place of one over the other.
+    `titles`: their names, in place of those that the answer gives them. `ax`: axes to draw on.
+    """
+
+    frames: Iterable[Any] | FrameLike | None = ()
+    labels: bool | str | Iterable[str] = True
+    axes: str | Iterable[Any] = ()
+    angles: bool | FrameLike = False
+    dimensions: bool = False
+    motion: bool = False
+    workspace: FrameLike | None = None
+    ghosts: int = 0
+    side_by_side: bool = False
+    titles: Iterable[str] = ()
+    ax: Axes | Any = None
+
+    def __post_init__(self) -> None:
+        for name in ("dimensions", "motion", "side_by_side"):
+            flag(getattr(self, name), name)
+        if not is_whole(self.ghosts) or self.ghosts < 0:
+            raise InputError(
+                f"ghosts is {shown(self.ghosts)}; it must be a whole number, not negative"
+            )
+        unknown = [word for word in self.words if word not in LABELS]
+        if unknown:
+            allowed = ", ".join(map(repr, LABELS))
+            raise InputError(
+                f"labels has {unknown[0]!r}; allowed are {allowed}, 'all', True and False"
+            )
+        listed(self.titles, "titles")
+
+    @property
+    def words(self) -> frozenset[str]:
+        """What is written, as words of `LABELS`."""
+        if isinstance(self.labels, bool):
+            return frozenset(LABELS[:2]) if self.labels else frozenset()
+        every = isinstance(self.labels, str) and self.labels == "all"
+        return frozenset(LABELS if every else listed(self.labels, "labels"))

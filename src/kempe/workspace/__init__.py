@@ -1,0 +1,1 @@
+"""What a frame reaches: maps, exact regions, reach studies, files."""

@@ -1,0 +1,697 @@
+"""What a frame reaches: a map of counts by random configurations, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.arguments import explained, explained_methods
+from kempe.arrays import reals
+from kempe.description.source import expanded
+from kempe.errors import InputError, MissingExtraError, UnsupportedError
+from kempe.forward.fk import jacobian
+from kempe.late import call_late, late
+from kempe.report import Cells, Report
+from kempe.spaces.task_space import image_ranks
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted, plural
+from kempe.workspace.cell_map import CellMap, Grid
+from kempe.workspace.kinds import (
+    DEXTEROUS,
+    ORIENTATION,
+    REACHABLE,
+    WorkspaceKind,
+    coordinates_of,
+    read_rotations,
+)
+from kempe.workspace.map_files import Stored, read_map, write_map
+from kempe.workspace.place_bounds import place_bounds
+from kempe.workspace.planar.planar_workspace import PlanarWorkspace, planar_answer
+from kempe.workspace.planar.plane_curves import PlaneCurve
+from kempe.workspace.planar.swept_solids import SweptSolid, Turned, swept_solid
+from kempe.workspace.sampling_job import closed_configurations
+from kempe.workspace.store import description_of, refuse_other
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- map measures
+
+# What a map and the inverse model say together: the measure of what is reached, single points, the
+# boundary.
+
+
+POINTS = {"inner": 500, "near": 2000, "far": 500}
+"""Random points of each kind of cells whose places the inverse model is to reach, for the
+measure."""
+SIGMAS = 2.0
+"""Standard errors that the error of a measure is."""
+UNDECIDED, REACHED, UNREACHED = range(3)
+"""What is known of a cell without samples."""
+FIRST = 4
+AT_ONCE = 256
+"""Empty cells of which the nearest that is not reached is looked for first; points that are looked
+at together."""
+
+
+def measured(
+    system: System,
+    frame: str,
+    cells: CellMap,
+    seed: int,
+    question: WorkspaceKind,
+    possible: np.ndarray,
+) -> tuple[float, float]:
+    """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
+
+    Random points in three layers of the map are decided by the inverse model; the layers make the
+    error small, they prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after
+    Agresti and Coull 1998). Cells that are not `possible` are proven not to be reached, and left
+    out.
+    """
+    rng = np.random.default_rng([seed, 1])
+    cell = math.prod(cells.cell)
+    value = 0.0
+    variance = 0.0
+    for name, mask in cells.layers.items():
+        chosen = np.flatnonzero(mask & possible)
+        if len(chosen):
+            points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
+            hits = int(question.reached(system, frame, points, seed).sum())
+            n = POINTS[name]
+            whole = len(chosen) * cell
+            part = (hits + 2.0) / (n + 4.0)
+            value += whole * hits / n
+            variance += whole**2 * part * (1.0 - part) / (n + 4.0)
+    return value, SIGMAS * math.sqrt(variance)
+
+
+def counted_measure(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
+    """The same of places of which so many were tried, as many in each cell, and so many reached.
+
+    Cells of which each has its share make the error smaller than this one, which is that of places
+    anywhere.
+    """
+    whole = math.prod(cells.cell) * cells.counts.size
+    part = (hits + 2.0) / (samples + 4.0)
+    error = SIGMAS * math.sqrt(part * (1.0 - part) / (samples + 4.0))
+    return whole * hits / max(samples, 1), whole * error
+
+
+def together(found: list[tuple[float, float]]) -> tuple[float, float]:
+    """One value and its error of several that do not depend on each other, weighed by their errors."""
+    proven = [x for x in found if x[1] == 0.0]
+    if proven:
+        return proven[0]
+    values = np.array([v for v, _ in found])
+    weights = np.array([e**-2.0 for _, e in found])
+    return float(values @ weights / weights.sum()), float(weights.sum() ** -0.5)
+
+
+def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Array:
+    """Random points (n, 3), one in each of the cells."""
+    grid = cells.grid
+    at = np.stack(np.unravel_index(numbers, grid.shape), axis=-1)
+    return grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
+
+
+def decided(
+    system: System, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
+) -> np.ndarray:
+    """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse
+    model.
+    """
+    grid = cells.grid
+    at, inside = grid.places(points[:, grid.kept])
+    off = [k for k in range(3) if k not in grid.kept]
+    middle = 0.5 * (np.array(grid.low) + grid.high)
+    inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(
+        axis=1
+    )
+    out = inside & cells.layers["inner"][tuple(at.T)]
+    out[~out] = question.reached(system, frame, points[~out], seed)
+    return out
+
+
+def to_boundary(
+    system: System,
+    frame: str,
+    cells: CellMap,
+    points: Array,
+    inside: np.ndarray,
+    seed: int,
+    question: WorkspaceKind,
+) -> Array:
+    """Distance [m] of points (n, 3) from the boundary, negative where they are not `inside`; of NaN
+    it is NaN.
+
+    Outside it is that from the nearest cell with samples. Inside it is that from the nearest cell
+    whose middle is not reached: a cell may be empty for lack of samples only, so the inverse model
+    decides.
+    """
+    at = points[:, cells.grid.kept]
+    finite = np.isfinite(at).all(axis=1)
+    out = np.where(np.isnan(at).any(axis=1), np.nan, -np.inf)
+    edge = cast(Any, cells.edge)
+    far = finite & ~inside
+    out[far] = -edge.query(at[far])[0]
+    near = np.flatnonzero(finite & inside)
+    if question.tried:  # a place of each cell was decided
+        out[near] = edge.query(at[near])[0]
+        return out
+    known = np.where(cells.empty[1], UNREACHED, UNDECIDED)
+    for k in range(0, len(near), AT_ONCE):
+        which = near[k : k + AT_ONCE]
+        out[which] = _to_unreached(
+            cells,
+            at[which],
+            known,
+            lambda p: question.reached(system, frame, cells.grid.whole(p), seed),
+        )
+    return out
+
+
+def _to_unreached(
+    cells: CellMap, points: Array, known: np.ndarray, reached: Callable[[Array], np.ndarray]
+) -> Array:
+    """Distance (n,) of points (n, d) from the nearest empty cell that is not reached, less half its
+    diagonal.
+
+    `known` says of each empty cell what is known of it, and is filled in. That of the nearest
+    middle is at most a diagonal too large, where the boundary is flat, and never too small.
+    """
+    tree = cast(Any, cells.empty[0])
+    half = 0.5 * math.hypot(*cells.cell)
+    out = np.zeros(len(points))
+    left = np.arange(len(points))
+    many = FIRST
+    while len(left):
+        far, cell = (
+            x.reshape(len(left), -1) for x in tree.query(points[left], k=min(many, tree.n))
+        )
+        before = np.cumsum(known[cell] == UNREACHED, axis=1) == 0
+        open_cells = np.unique(cell[before & (known[cell] == UNDECIDED)])
+        known[open_cells] = np.where(reached(tree.data[open_cells]), REACHED, UNREACHED)
+        gone = known[cell] == UNREACHED
+        done = gone.any(axis=1)
+        out[left[done]] = far[done, gone[done].argmax(axis=1)]
+        left = left[~done]
+        many = many * FIRST
+    return np.maximum(out - half, 0.0)
+
+
+def boundary_of(cells: CellMap) -> Any:
+    """The boundary between cells with and without samples, through the middles between them; see
+    `Workspace.boundary`.
+
+    Errors: `MissingExtraError` without scikit-image.
+    """
+    grid = cells.grid
+    filled = np.pad(cells.occupied, 1).astype(float)
+    origin = np.array(grid.low)[grid.kept] - 0.5 * grid.size
+    if filled.ndim == 1:
+        ends = np.flatnonzero(np.diff(filled))
+        return (origin + (ends[:, None] + 0.5) * grid.size).ravel()
+    try:
+        from skimage import measure
+    except ImportError:
+        raise MissingExtraError("scikit-image", "scale") from None
+    if filled.ndim == 2:
+        return [origin + line * grid.size for line in cast(Any, measure).find_contours(filled, 0.5)]
+    if not cells.occupied.any():
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    corners, triangles, _, _ = cast(Any, measure).marching_cubes(filled, 0.5)
+    return origin + corners * grid.size, triangles
+
+
+# ---- outer bounds
+
+# What bounds of places leave of the cells of a box.
+
+
+FINE = 2**18
+"""Cells into which a box is cut at least, as far as halving brings them there."""
+
+
+def outer_measure(system: System, frame: str, grid: Grid) -> float:
+    """Measure of the cells of a box, made finer, of which no bound proves that the frame's origin
+    is never there.
+    """
+    finer = max(1, int((FINE / grid.count) ** (1.0 / len(grid.axes))))
+    left = np.count_nonzero(possible_cells(system, frame, grid, finer))
+    return float(left) * float(np.prod(grid.size)) / finer ** len(grid.axes)
+
+
+def possible_cells(system: System, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
+    """Cells of a box, made finer along each axis, of which no bound proves that the frame's origin
+    is never there.
+    """
+    near: list[tuple[Array, Array]] = []
+    for k, (low, high, cells) in enumerate(zip(grid.low, grid.high, grid.cells, strict=True)):
+        ends = (
+            np.linspace(low, high, cells * finer + 1)
+            if k in grid.kept
+            else np.full(2, 0.5 * (low + high))
+        )
+        near.append((ends[:-1], ends[1:]))
+    left = np.ones([len(a) for a, _ in near], dtype=bool)
+    for box, shells, slack in place_bounds(system, frame):
+        x, y, z = (
+            (b >= box[0, k] - slack) & (a <= box[1, k] + slack) for k, (a, b) in enumerate(near)
+        )
+        left &= x[:, None, None] & y[:, None] & z
+        for shell in shells:
+            least, most = (_squares(near, shell.centre, far) for far in (False, True))
+            left &= (least <= (shell.largest + slack) ** 2) & (
+                most >= max(shell.smallest - slack, 0.0) ** 2
+            )
+    return left.reshape([n * finer for n in grid.shape])
+
+
+def _squares(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array:
+    """Squares (nx, ny, nz) of the distances of a point from the nearest, or the farthest, points of
+    cells.
+    """
+    parts: list[Array] = []
+    for (a, b), x in zip(near, centre, strict=True):
+        ends = np.maximum(np.abs(a - x), np.abs(b - x))
+        parts.append((ends if far else np.maximum(np.maximum(a - x, x - b), 0.0)) ** 2)
+    return parts[0][:, None, None] + parts[1][:, None] + parts[2]
+
+
+MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
+"""What is measured in one, two and three dimensions, and its unit."""
+MOST_LIMITED = 4
+LARGE = 1.0
+"""Edge [m] of a cell from which on it is written in metres, below in millimetres."""
+THIN = {0: "stays at points", 1: "moves on a curve", 2: "moves on a surface"}
+LOOKED = 64
+"""Configurations at which the dimension is found."""
+ROUNDING = 1e-9
+"""Error of an exact area or volume, in powers of the size of its chain."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Workspace(Report):
+    """The places that a frame reaches, as counts of random samples in the cells of a box.
+
+    A cell with a count above zero holds a point that is reached: no more is proven by the `map`,
+    which so is a lower bound. An empty cell may hold points that are reached, too. `samples` were
+    drawn, of the `requested` ones; `outside` of them fell outside the box, `left_out` could not be
+    closed or violated a constraint, or were places that are not reached. Where the work was
+    `interrupted`, or the time limit came (`late`), the map holds what was done. Of the kind
+    "orientation" points are orientations, and what is measured is their angle, in space the volume
+    of rotations, of which there are 8 pi^2.
+    """
+
+    _pictured = True
+
+    system: System
+    frame: str
+    map: CellMap
+    samples: int
+    requested: int
+    outside: int
+    left_out: int
+    said: dict[str, Any] = field(repr=False)
+    interrupted: bool = False
+    late: bool = False
+    redone: int = 0
+    """Damaged parts that were found on disk, and whose samples were drawn again."""
+
+    @property
+    def seed(self) -> int:
+        """What the samples were drawn from."""
+        return int(self.said["seed"])
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `INTERRUPTED` and `OUT_OF_TIME` where fewer samples were drawn than were
+        requested.
+        """
+        return (
+            Status.INTERRUPTED
+            if self.interrupted
+            else Status.OUT_OF_TIME
+            if self.late
+            else Status.SOLVED
+        )
+
+    # ---- how much
+
+    @cached_property
+    def question(self) -> WorkspaceKind:
+        """What counts as reached."""
+        return WorkspaceKind.said(self.said)
+
+    @property
+    def kind(self) -> str:
+        """ "reachable", "constant-orientation", "dexterous" or "orientation"."""
+        return self.question.kind
+
+    @cached_property
+    def exact(self) -> PlanarWorkspace | SweptSolid | None:
+        """The exact workspace, None where that is not known: of a planar system as
+        `System.reach.planar` has it.
+
+        In space it is known of chains that move the frame in a plane, which a slide moves across
+        itself or a first joint turns. It is not looked for where more than four joints of a chain
+        have limits, which takes long, nor used where it is not inside the box.
+        """
+        found = self._exact_anywhere()
+        grid = self.map.grid
+        dim = self.system.dim
+        if found is None or found.limited > MOST_LIMITED or len(grid.axes) != dim:
+            return None
+        low, high = found.extent
+        return found if (low >= grid.low[:dim]).all() and (high <= grid.high[:dim]).all() else None
+
+    @property
+    def outline(self) -> tuple[PlaneCurve, ...]:
+        """Pieces of curves that bound it, where it is planar and known exactly; else none."""
+        return self.exact.boundary if isinstance(self.exact, PlanarWorkspace) else ()
+
+    def _exact_anywhere(self) -> PlanarWorkspace | SweptSolid | None:
+        if self.system.dim == 3:
+            return swept_solid(self.system, self.frame) if self.kind == REACHABLE else None
+        try:
+            return planar_answer(self.system, self.frame, self.question)
+        except (UnsupportedError, InputError):
+            return None
+
+    @cached_property
+    def dimension(self) -> int:
+        """The dimension of what is reached: 1 of a curve, 2 of a surface, else that of the box.
+
+        It is the rank of the frame's velocities at up to `LOOKED` random configurations; where none
+        was closed, and where not all places count that are reached in any way, it is that of the
+        box.
+        """
+        most = len(self.map.grid.axes)
+        q, good = closed_configurations(self.system, self.seed, 0, LOOKED)
+        if self.kind != REACHABLE or not good.any():
+            return most
+        rates = jacobian(self.system, q[good], self.frame)[..., :3, :]
+        return min(
+            most, int(image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max())
+        )
+
+    @property
+    def thin(self) -> bool:
+        """Whether it is a curve or a surface in a box of more dimensions, so that its measure there
+        is 0.
+        """
+        return self.dimension < len(self.map.grid.axes)
+
+    @cached_property
+    def measure(self) -> tuple[float, float]:
+        """Length, area or volume of what is reached in the box, as it has dimensions, and the
+        error.
+
+        It is the `estimate`, or where the workspace is known exactly its area or volume, and an
+        error that is rounding.
+        """
+        if self.exact is None:
+            return self.estimate
+        return self.exact.measure, ROUNDING * self.exact.size**self.system.dim
+
+    @cached_property
+    def estimate(self) -> tuple[float, float]:
+        """The measure by samples, and two standard errors of it.
+
+        The inverse model decides random points, more of them where the map changes. What it does
+        not find counts as not reached, so that but for chance the value is too small rather than
+        too large. Cells that lengths and limits prove not to be reached are left out; where these
+        are all, the error is 0, and so it is of what is `thin`.
+        """
+        if self.thin:
+            return 0.0, 0.0
+        wanted = self.question
+        found: list[tuple[float, float]] = []
+        if wanted.tried:
+            found.append(counted_measure(self.map, self.samples, int(self.map.counts.sum())))
+        if wanted.kind != DEXTEROUS:  # there one point costs as much as hundreds of others
+            possible = np.ones(self.map.counts.shape, dtype=bool)
+            if wanted.kind != ORIENTATION:
+                possible = possible_cells(self.system, self.frame, self.map.grid)
+            found.append(measured(self.system, self.frame, self.map, self.seed, wanted, possible))
+        value, error = together(found)
+        return min(value, self._outer), error
+
+    @cached_property
+    def _outer(self) -> float:
+        """An upper bound of the measure in the box, by lengths and limits."""
+        if self.kind == ORIENTATION:
+            return math.prod(self.map.cell) * self.map.counts.size
+        return outer_measure(self.system, self.frame, self.map.grid)
+
+    @cached_property
+    def bounds(self) -> tuple[float, float]:
+        """A lower and an upper bound of the measure in the box.
+
+        The lower one is the value less its error: each point that it counts is reached, so that
+        only chance, which points were drawn, makes it too large (in one of 40 cases). The upper one
+        is proven, by lengths and limits, or rounding away from an exact measure.
+        """
+        value, error = self.measure
+        if self.exact is not None or self.thin:
+            return value - error, value + error
+        return max(value - error, 0.0), self._outer
+
+    def _measured(self, dimension: int) -> tuple[float, float]:
+        axes = self.map.grid.axes
+        if len(axes) != dimension:
+            has = MEASURES[len(axes)][0]
+            what = "turns by" if self.kind == ORIENTATION else "moves along"
+            raise InputError(f"{self.frame!r} {what} {', '.join(axes)}: the measure is its {has}")
+        return self.measure
+
+    @property
+    def volume(self) -> tuple[float, float]:
+        """Volume of what is reached in the box, and its error [m^3]; see `estimate`."""
+        return self._measured(3)
+
+    @property
+    def area(self) -> tuple[float, float]:
+        """Area of what is reached in the box, and its error [m^2]; see `estimate`."""
+        return self._measured(2)
+
+    @property
+    def length(self) -> tuple[float, float]:
+        """Length of what is reached of a line, and its error [m]; see `estimate`."""
+        return self._measured(1)
+
+    # ---- single points
+
+    def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
+        """Whether points (..., d) in the ground frame [m] are reached (...); d is 2 or 3, as of the
+        system.
+
+        The `exact` workspace decides where there is one, unless `check` is True. Else the map does
+        in a cell that has samples, as all cells around it have: that is no proof for each point of
+        it. All others, and with `check` all, are decided by the inverse model, which finds a
+        configuration or not. Of the kind "orientation" points are rotations (..., 3, 3), in the
+        plane also angles (...).
+        """
+        flat, lead = self._points(points)
+        if self.exact is not None and not check:
+            found = self.exact.contains(flat)
+        elif check:
+            found = self.question.reached(self.system, self.frame, flat, self.seed)
+        else:
+            found = decided(self.system, self.frame, self.map, flat, self.seed, self.question)
+        return found.reshape(lead)
+
+    def distance(self, points: ArrayLike) -> Array:
+        """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact`
+        one, or of the map.
+
+        It is of the map, too, where a first joint in space has limits.
+
+        Which points are inside says `contains`. Of the map the distance is that of the nearest cell
+        that is not reached, outside of the nearest that is, so it may be off by half the diagonal
+        of a cell (`resolution`), and outside by what the samples missed; inside, the inverse model
+        decides cells without samples. Errors: `UnsupportedError` for orientations.
+        """
+        if self.kind == ORIENTATION:
+            raise UnsupportedError("distances are those of places, not of orientations")
+        flat, lead = self._points(points)
+        if self.exact is not None and not isinstance(self.exact, Turned):
+            return (
+                self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)
+            ).reshape(lead)
+        question = self.question
+        inside = np.asarray(self.contains(points)).reshape(-1)
+        far = to_boundary(self.system, self.frame, self.map, flat, inside, self.seed, question)
+        return far.reshape(lead)
+
+    @property
+    def resolution(self) -> float:
+        """Half the diagonal of a cell [m]."""
+        return 0.5 * math.sqrt(sum(x * x for x in self.map.cell))
+
+    def _points(self, points: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        if self.kind == ORIENTATION:
+            R = read_rotations(points, self.system.dim, "points")
+            return coordinates_of(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
+        x = reals(points, "points")
+        dim = self.system.dim
+        if x.ndim == 0 or x.shape[-1] != dim:
+            raise InputError(f"points have shape {x.shape}; they must be (..., {dim})")
+        flat = np.zeros((math.prod(x.shape[:-1]), 3))
+        flat[:, :dim] = x.reshape(-1, dim)
+        return flat, x.shape[:-1]
+
+    @cached_property
+    def boundary(self) -> Any:
+        """The boundary of the cells with samples, in metres.
+
+        In the plane a list of closed lines (k, 2), in space a surface as corners (k, 3) and
+        triangles (m, 3) by number (marching cubes), on a line the ends. Errors: `MissingExtraError`
+        without the extra [scale].
+        """
+        return boundary_of(self.map)
+
+    # ---- files and pictures
+
+    def save(self, path: str | Path) -> Path:
+        """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
+        path = expanded(path)
+        toml = description_of(self.system)
+        write_map(
+            path, Stored(self.map, self.samples, self.outside, self.left_out, self.said, toml)
+        )
+        return path
+
+    def plot(self, at: Any = None, ax: Any = None) -> Any:
+        """Matplotlib axes with the map; see `kempe.views.workspace_plot.plot_workspace`."""
+        return late("plots of workspaces").plot_workspace(self, at, ax)
+
+    # ---- in words
+
+    @property
+    def status(self) -> str:
+        """How much was drawn, and how many cells it fell into."""
+        found = int(self.map.occupied.sum())
+        of = self.map.counts.size
+        wanted = self.question
+        left = f" ({self.requested:.6g} were requested)" if self.samples < self.requested else ""
+        part, unit = (1.0, "m") if max(self.map.cell) >= LARGE else (1e3, "mm")
+        edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
+        size = "" if self.kind == ORIENTATION else f" of {edges} {unit}"
+        cells = (
+            f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
+        )
+        if not wanted.tried:
+            return (
+                f"{self.samples:.6g} {plural(self.samples, 'sample')}{left} of frame "
+                f"{self.frame!r} fell into {cells}"
+            )
+        many = f" in all {len(wanted.turns)} orientations" if len(wanted.turns) > 1 else ""
+        hits = int(self.map.counts.sum())
+        return (
+            f"{self.kind}: {hits} of {counted(self.samples, wanted.noun)}{left} that were tried "
+            f"are reached by frame {self.frame!r}{many}, in {cells}"
+        )
+
+    def _cells(self) -> Cells:
+        grid = self.map.grid
+        (name, unit) = MEASURES[len(grid.axes)]
+        (value, error) = self.measure
+        (low, high) = self.bounds
+        unit = unit.replace("m", self.map.unit)
+        box = ", ".join(
+            f"{a} {grid.low[k]:.6g} to "
+            f"{grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
+            for a, k in zip(grid.axes, grid.kept, strict=True)
+        )
+        if self.exact is not None:
+            said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
+        elif self.thin:
+            said = [(name, f"0 {unit}: the frame {THIN[self.dimension]}, as its velocities say")]
+        elif not high:
+            said = [(name, f"0 {unit}, proven by lengths and limits")]
+        else:
+            least = f"at least {low:.6g} {unit} but for chance"
+            most = f"at most {high:.6g} {unit} by lengths and limits"
+            said = [
+                (name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),
+                ("bounds", f"{least}, {most}"),
+            ]
+        rows = [("box", box), *said]
+        rows += [("outside the box", counted(self.outside, "sample"))] * bool(self.outside)
+        rows += [
+            (
+                "left out",
+                f"{counted(self.left_out, 'sample')} that could not be closed within all limits "
+                "and constraints",
+            )
+        ] * bool(self.left_out and not self.question.tried)
+        rows += [("redone", f"{counted(self.redone, 'part')} that was damaged on disk")] * bool(
+            self.redone
+        )
+        return (), rows
+
+    def _data(self) -> dict[str, Any]:
+        grid = self.map.grid
+        (name, _) = MEASURES[len(self.map.grid.axes)]
+        value, error = self.measure
+        box = {a: [grid.low[k], grid.high[k]] for a, k in zip(grid.axes, grid.kept, strict=True)}
+        numbers = {
+            k: getattr(self, k)
+            for k in ("samples", "requested", "outside", "left_out", "seed", "redone")
+        }
+        return {
+            "system": self.system.name,
+            "frame": self.frame,
+            "kind": self.kind,
+            "box": box,
+            "cells": list(grid.shape),
+            "occupied": int(self.map.occupied.sum()),
+            "exact": self.exact is not None,
+            name: value,
+            f"{name}_error": error,
+            f"{name}_bounds": list(self.bounds),
+            **numbers,
+            "kernels": self.said["variant"],
+            "version": self.said["version"],
+        }
+
+
+@explained
+def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
+    """The `Workspace` that was written to a path.
+
+    The system is read from the map itself, or given. Errors: `InputError` where there is no map,
+    where it is of another system, or where it has none in it and none is given; `DamagedError`
+    where the file is not what was written.
+    """
+    stored = read_map(expanded(path))
+    if system is None:
+        if stored.toml is None:
+            raise InputError(
+                f"{path} does not hold its system, which no file can describe: give it, too"
+            )
+        from kempe.description.source import collecting_later
+        from kempe.description.toml_reader import read_toml
+
+        with collecting_later():
+            own: System = call_late("System", read_toml(stored.toml))
+            system = own
+    refuse_other(stored.said, {"system": system.structure.content_hash}, str(path))
+    return of_stored(system, stored, stored.samples)
+
+
+def of_stored(system: System, stored: Stored, requested: int, **ended: Any) -> Workspace:
+    """The answer that a stored map is."""
+    numbers = stored.samples, requested, stored.outside, stored.left_out
+    return Workspace(system, stored.said["frame"], stored.map, *numbers, stored.said, **ended)

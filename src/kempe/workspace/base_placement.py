@@ -1,0 +1,224 @@
+"""Where to put the base, so that a frame reaches all poses of a list."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.arguments import brief, explained, explained_methods, interruptible, known, numbers
+from kempe.arrays import is_mapping, is_whole
+from kempe.budget import Budget, Usual
+from kempe.errors import InputError
+from kempe.late import late
+from kempe.numerics.clock import LONG, partial
+from kempe.report import Report
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+from kempe.workspace.reach import checked_poses, reached, sliced
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time_limit=LONG)
+AXES = ("x", "y", "z", "yaw")
+MOST = 10_000_000
+"""Poses that one map may try."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class BasePlacement(Report):
+    """Places of the base, as a map over `axes` (name to values), and how well a list of poses is
+    reached from each.
+
+    Over the axes, in their order: `fraction` of the poses that are reached; `margin` and
+    `manipulability`, the least over the poses (NaN where one is not reached). `fixed` are the
+    coordinates of the base that are the same everywhere. Where the map was `broken` off, by the
+    time limit or an interrupt, all three are NaN at the places left.
+    """
+
+    _pictured = True
+
+    __repr__ = brief
+
+    system: System
+    frame: str
+    poses: int
+    axes: dict[str, Array]
+    fixed: dict[str, float]
+    fraction: Array
+    margin: Array
+    manipulability: Array
+    broken: Status | None = None
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """`SOLVED` where all poses are reached from some place, `PARTLY` where some are, or what
+        broke the map off.
+        """
+        most = float(np.nan_to_num(self.fraction).max())
+        if self.broken is not None and most < 1.0:
+            return self.broken
+        return Status.SOLVED if most == 1.0 else Status.PARTLY if most > 0.0 else Status.NOT_FOUND
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """Places in the flat map, the best first: more poses, then the larger margin, then
+        manipulability.
+        """
+        rest = [
+            np.nan_to_num(x.ravel(), nan=-1.0, posinf=1e9)
+            for x in (self.manipulability, self.margin)
+        ]
+        return np.lexsort((*rest, np.nan_to_num(self.fraction.ravel(), nan=-1.0)))[::-1]
+
+    def place(self, rank: int = 0) -> dict[str, float]:
+        """Coordinates x, y, z [m] and yaw [rad] of the base at the best place (0), the next one,
+        ...
+
+        Errors: `InputError`.
+        """
+        if not 0 <= rank < self.fraction.size:
+            raise InputError(
+                f"rank is {rank}; there are {counted(self.fraction.size, 'place')}, from 0"
+            )
+        index = np.unravel_index(int(self.order[rank]), self.fraction.shape)
+        here = {n: float(v[i]) for (n, v), i in zip(self.axes.items(), index, strict=True)}
+        return {n: here.get(n, self.fixed.get(n, 0.0)) for n in AXES}
+
+    @property
+    def best(self) -> Array:
+        """Pose (4, 4) of the ground frame of the system at the best place."""
+        return base_pose(np.array([list(self.place().values())]))[0]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the fraction over the first two axes, the others where they are at
+        the best place.
+
+        Over a single axis it is a curve.
+        """
+        return late("plots of workspaces").plot_placement(self, ax)
+
+    @property
+    def status(self) -> str:
+        """How many poses are reached from the best place, and where that is."""
+        of = f"{self.system.name}, {self.frame}"
+        n = round(float(np.nan_to_num(self.fraction).max()) * self.poses)
+        where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
+        full = int((self.fraction == 1.0).sum())
+        tried = counted(int(np.isfinite(self.fraction).sum()), "place")
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        if not n:
+            return f"{of}: none of {counted(self.poses, 'pose')} reached from any of {tried}{tail}"
+        return (
+            f"{of}: {n} of {counted(self.poses, 'pose')} reached from the best place ({where}); "
+            f"all from {full} of {tried}{tail}"
+        )
+
+    def _data(self) -> dict[str, Any]:
+        own = {
+            n: getattr(self, n)
+            for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")
+        }
+        return {"system": self.system.name, "frame": self.frame} | own | {"best": self.place()}
+
+
+def base_pose(places: Array) -> Array:
+    """Poses (k, 4, 4) of places (k, 4): x, y, z in metres and yaw in radians."""
+    full = np.zeros((len(places), 6))
+    full[:, [0, 1, 2, 5]] = places
+    return spatial.pose_from_xyz_rpy(full)
+
+
+@explained
+@interruptible
+def place_base(
+    system: System,
+    targets: ArrayLike,
+    frame: FrameLike,
+    box: Mapping[str, Any],
+    cells: int | Mapping[str, int] = 11,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    budget: Budget | None = None,
+) -> BasePlacement:
+    """Where to put the base so that a frame reaches all `targets` (n, 4, 4), which stay where they
+    are.
+
+    The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a
+    pair (low, high) that is tried at so many `cells` values (one number, or a dict by name), or
+    with one number; those not named are 0. Of the `budget` are read: starts (64), rng (0), threads,
+    time_limit (600 s), and progress(poses tried, all). After the time limit the map has what was
+    done, after Ctrl-C the `answer` of the
+    `Interrupted`. Errors: `InputError`, `UnknownNameError`.
+    """
+    spend = USUAL.of(budget)
+    name = system.structure.frame_name(frame)
+    X = numbers(targets, "targets")
+    if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X):
+        raise InputError(
+            f"targets have shape {X.shape}; they must be poses (n, 4, 4), at least one"
+        )
+    X = checked_poses(X)
+    axes, fixed = _axes(system, box, cells)
+    shape = tuple(len(v) for v in axes.values())
+    total = int(np.prod(shape)) * len(X)
+    if total > MOST:
+        raise InputError(f"{total} poses would be tried; {MOST} at most: take fewer cells")
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    places = np.zeros((int(np.prod(shape)), 4))
+    for i, n in enumerate(AXES):
+        places[:, i] = grid[list(axes).index(n)].ravel() if n in axes else fixed.get(n, 0.0)
+
+    def work(first: int, last: int, each: Budget) -> list[Array]:
+        wanted = (spatial.inverse(base_pose(places[first:last]))[:, None] @ X).reshape(-1, 4, 4)
+        found = reached(system, wanted, name, task, each)
+        own = (
+            x.reshape(last - first, len(X))
+            for x in (found.reached, found.margin, found.manipulability)
+        )
+        hit, far, w = own
+        return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
+
+    found, broken = sliced(system, work, [(), (), ()], len(places), len(X), spend)
+    fraction, far, w = (x.reshape(shape) for x in found)
+    return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w, broken)
+
+
+def _axes(
+    system: System, box: Mapping[str, Any], cells: Any
+) -> tuple[dict[str, Array], dict[str, float]]:
+    """Values of the base's coordinates that vary, and those that do not. Errors: `InputError`."""
+    allowed = AXES if system.dim == 3 else tuple(n for n in AXES if n != "z")
+    axes: dict[str, Array] = {}
+    fixed: dict[str, float] = {}
+    for name, value in box.items():
+        known("coordinate of the base", name, allowed, system.name)
+        v = numbers(value, f"box: {name}")
+        if not np.isfinite(v).all() or v.shape not in ((), (2,)) or (v.shape and not v[0] < v[1]):
+            raise InputError(
+                f"box has {name} = {value!r}; it must be a number, or a pair (low, high) of finite "
+                "numbers"
+            )
+        if v.shape == ():
+            fixed[name] = float(v)
+            continue
+        n: Any = cells.get(name, 11) if is_mapping(cells) else cells
+        if not is_whole(n) or not 1 <= int(n) <= MOST:
+            raise InputError(
+                f"cells has {name} = {n!r}; it must be a whole number, from 1 to {MOST}"
+            )
+        axes[name] = np.linspace(v[0], v[1], int(n)) if n > 1 else v.mean(keepdims=True)
+    if not axes:
+        raise InputError("box names no range to try, such as {'x': (-1, 1), 'y': (-1, 1)}")
+    return {n: axes[n] for n in AXES if n in axes}, fixed

@@ -1,0 +1,276 @@
+"""Capability maps: of each cell of a box, in how many directions a frame can reach it, and how
+well.
+
+Source: Zacharias, Borst, Hirzinger, "Capturing robot workspace structure: representing robot
+capabilities", IROS 2007.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.arguments import brief, explained, explained_methods, interruptible, numbers
+from kempe.arrays import is_sequence, is_whole
+from kempe.budget import Budget, Usual
+from kempe.constraints.kinds import of_target
+from kempe.errors import InputError, TimeLimitError
+from kempe.late import late
+from kempe.numerics.clock import LONG, partial
+from kempe.report import Report
+from kempe.spaces.task_space import task_space
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+from kempe.workspace.base_placement import MOST
+from kempe.workspace.reach import UNKNOWN, reached, sliced
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=LONG)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class CapabilityMap(Report):
+    """What a frame can do in the cells of a box, found backward: by the inverse model at the
+    centres of the cells.
+
+    `axes` are the coordinates of the centres in metres, along each axis. Over the cells: `fraction`
+    of the poses that are reached; `solutions`, the mean number of solutions inside the limits of
+    all its poses (NaN where it is infinite or not certain); `manipulability` and `margin`, the best
+    found (NaN where nothing is reached). `directions` (d, 3) are those of the tool's z axis (in the
+    plane of its x axis), `rolls` the angles about it at which each is tried (none: the angle is
+    free). `reached` (cells, d, rolls) says which poses are. Where the map was `broken` off, by the
+    time limit or an interrupt, the cells left are NaN.
+    """
+
+    _pictured = True
+
+    __repr__ = brief
+
+    system: System
+    frame: str
+    axes: tuple[Array, ...]
+    directions: Array
+    rolls: Array | None
+    reached: np.ndarray
+    fraction: Array
+    solutions: Array
+    manipulability: Array
+    margin: Array
+    broken: Status | None = None
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """`NOT_FOUND` where no cell is reached, or what broke the map off."""
+        return self.broken or (Status.SOLVED if self.fraction.any() else Status.NOT_FOUND)
+
+    @property
+    def status(self) -> str:
+        """How many cells are reached at all, and in all directions."""
+        some = int((self.fraction > 0.0).sum())
+        whole = int((self.fraction == 1.0).sum())
+        cells = counted(int(np.isfinite(self.fraction).sum()), "cell")
+        directions = counted(len(self.directions), "direction")
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        said = (
+            f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all "
+            f"{directions}{tail}"
+        )
+        return said if some or not self._too_few else f"{said}; {self._too_few}"
+
+    @cached_property
+    def _too_few(self) -> str:
+        """Why directions that are drawn are not reached anywhere, where the frame has too few
+        freedoms for them.
+        """
+        system = self.system
+        name = self.frame
+        free = self.rolls is None and self.system.dim == 3
+        task = "position_axis" if free else "pose"
+        try:
+            found = task_space(system, of_target(name, task, Z_AXIS, np.eye(4)))
+        except TimeLimitError:
+            return ""
+        if found.generic_rank >= found.m:
+            return ""
+        what = "a position and a direction have" if free else "a pose has"
+        return (
+            f"{what} {found.m} equations, and this frame moves in "
+            f"{counted(found.generic_rank, 'freedom')} only: give the directions that it can have"
+        )
+
+    def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
+        """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height
+        (the middle).
+        """
+        return late("plots of workspaces").plot_capability(self, ax, height)
+
+    def _data(self) -> dict[str, Any]:
+        names = ("axes", "directions", "rolls", "fraction", "solutions", "manipulability", "margin")
+        return {"system": self.system.name, "frame": self.frame} | {
+            n: getattr(self, n) for n in names
+        }
+
+
+def spread_directions(n: int) -> Array:
+    """Unit vectors (n, 3), spread evenly over the sphere: a Fibonacci lattice.
+
+    Source: Gonzalez, Mathematical Geosciences 42 (2010).
+    """
+    i = np.arange(n) + 0.5
+    z = 1.0 - 2.0 * i / n
+    turn = np.pi * (1.0 + 5.0**0.5) * i
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+@explained
+@interruptible
+def capability_map(
+    system: System,
+    frame: FrameLike,
+    box: ArrayLike,
+    cells: int | tuple[int, ...] = 10,
+    directions: int | ArrayLike = 32,
+    rolls: int | None = None,
+    *,
+    budget: Budget | None = None,
+) -> CapabilityMap:
+    """In how many directions a frame reaches each cell of a box, and how well, as a
+    `CapabilityMap`.
+
+    `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many
+    `cells` along each axis. `directions` are that many, spread evenly, or vectors (d, 3), in the
+    plane (d, 2). With `rolls` each is tried at that many angles about it, as a pose, and solutions
+    are counted where the chain has finitely many. Of the `budget` are read: starts (32), rng (0),
+    threads, progress, time_limit (600 s); after that the map has what was done, after Ctrl-C the
+    `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
+    """
+    spend = USUAL.of(budget)
+    name = system.structure.frame_name(frame)
+    dim = system.dim
+    axes = _cells(box, cells, dim)
+    d = _directions(directions, dim)
+    if rolls is not None and (dim == 2 or not is_whole(rolls) or not 1 <= int(rolls) <= 360):
+        raise InputError(
+            f"rolls is {rolls!r}; it must be a whole number from 1 to 360, in space, or None"
+        )
+    shape = tuple(len(a) for a in axes)
+    angles = None if rolls is None else 2.0 * np.pi * np.arange(int(rolls)) / int(rolls)
+    R = _rotations(d, angles, dim)
+    total = int(np.prod(shape)) * len(R)
+    if total > MOST:
+        raise InputError(
+            f"{total} poses would be tried; {MOST} at most: take fewer cells or directions"
+        )
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+    task = None if dim == 2 or rolls is not None else "position_axis"
+
+    def work(first: int, last: int, each: Budget) -> list[Array]:
+        p = centres[first:last]
+        X = np.zeros((len(p), len(R), 4, 4))
+        X[..., :3, :3] = R
+        X[..., :dim, 3] = p[:, None]
+        X[..., 3, 3] = 1.0
+        found = reached(system, X.reshape(-1, 4, 4), name, task, each)
+        own = (found.reached, found.solutions, found.manipulability, found.margin)
+        return [x.reshape(len(p), len(R)) for x in own]
+
+    (share, solutions, w, far), broken = sliced(
+        system, work, [(len(R),)] * 4, len(centres), len(R), spend
+    )
+    hit = share == 1.0
+    mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))
+    best = [
+        np.where(hit.any(axis=1), np.max(np.where(hit, x, -np.inf), axis=1), np.nan)
+        for x in (w, far)
+    ]
+    return CapabilityMap(
+        system,
+        name,
+        axes,
+        d,
+        angles,
+        hit.reshape(*shape, len(d), -1),
+        share.mean(axis=1).reshape(shape),
+        mean.reshape(shape),
+        best[0].reshape(shape),
+        best[1].reshape(shape),
+        broken,
+    )
+
+
+def _cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
+    """Centres of the cells along each axis. Errors: `InputError`."""
+    corners = numbers(box, "box")
+    if (
+        corners.shape != (2, dim)
+        or not np.isfinite(corners).all()
+        or not (corners[0] < corners[1]).all()
+    ):
+        raise InputError(
+            f"box has shape {corners.shape}; it must be two corners (2, {dim}), the lower one first"
+        )
+    counts: tuple[Any, ...] = tuple(cells) if is_sequence(cells) else (cells,) * dim
+    if len(counts) != dim or not all(is_whole(n) and 1 <= int(n) <= MOST for n in counts):
+        raise InputError(f"cells is {cells!r}; it must be a whole number from 1, or {dim} of them")
+    return tuple(
+        low + (np.arange(int(n)) + 0.5) * (high - low) / int(n)
+        for low, high, n in zip(*corners, counts, strict=True)
+    )
+
+
+def _directions(directions: Any, dim: int) -> Array:
+    """Unit vectors (d, 3). Errors: `InputError`."""
+    if is_whole(directions):
+        if not 1 <= int(directions) <= MOST:
+            raise InputError(f"directions is {directions}; it must be at least 1")
+        if dim == 3:
+            return spread_directions(int(directions))
+        turn = 2.0 * np.pi * np.arange(int(directions)) / int(directions)
+        return np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])
+    d = numbers(directions, "directions")
+    if d.ndim != 2 or d.shape[1] != dim or not len(d):
+        raise InputError(f"directions has shape {d.shape}; it must be (d, {dim}), or their number")
+    size = np.linalg.norm(d, axis=1, keepdims=True)
+    if not (np.isfinite(d).all() and (size > 0.0).all()):
+        raise InputError("directions must be finite, and not zero")
+    out = np.zeros((len(d), 3))
+    out[:, :dim] = d / size
+    return out
+
+
+def _rotations(d: Array, angles: Array | None, dim: int) -> Array:
+    """Rotations (k, 3, 3) of the tool, those of all angles about one direction after each other."""
+    if dim == 2:
+        zero = np.zeros(len(d))
+        one = np.ones(len(d))
+        return np.stack(
+            [d, np.column_stack([-d[:, 1], d[:, 0], zero]), np.column_stack([zero, zero, one])],
+            axis=-1,
+        )
+    R = frame_of(d)
+    if angles is None:
+        return R
+    c = np.cos(angles)
+    s = np.sin(angles)
+    about = np.zeros((len(angles), 3, 3))
+    about[:, 0, 0], about[:, 0, 1], about[:, 1, 0], about[:, 1, 1], about[:, 2, 2] = (
+        c,
+        -s,
+        s,
+        c,
+        1.0,
+    )
+    return (R[:, None] @ about).reshape(-1, 3, 3)

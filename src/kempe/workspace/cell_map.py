@@ -1,0 +1,237 @@
+"""Boxes cut into cells, and counts of what fell into them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from kempe.arrays import is_whole, reals
+from kempe.errors import InputError, shown
+from kempe.spatial import Array
+
+AXES = ("x", "y", "z")
+_images: Any = ndimage
+MOST_CELLS = 2**31 - 8
+"""Cells of a map: their numbers, and those after the last, must fit into what a count's place is
+written in."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A box of the ground's axes, cut into equal cells: `low` and `high` [m] and the number of
+    `cells` of x, y, z.
+
+    An axis along which nothing moves has one cell, and is left out of `axes` and of the measure. Of
+    orientations the `names` of the three are others.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    cells: tuple[int, ...]
+    axes: tuple[str, ...]
+    names: tuple[str, ...] = AXES
+
+    @cached_property
+    def kept(self) -> list[int]:
+        """The numbers of the axes that are measured."""
+        return [self.names.index(a) for a in self.axes]
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return math.prod(self.cells)
+
+    @cached_property
+    def size(self) -> Array:
+        """Edges (d,) of a cell [m]."""
+        return ((np.array(self.high) - self.low) / self.cells)[self.kept]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Cells along each of the `axes`."""
+        return tuple(self.cells[k] for k in self.kept)
+
+    @cached_property
+    def packed(self) -> Array:
+        """Lower end, cells a metre and number of cells (3, 3), as the kernel takes them."""
+        low, high, cells = (np.array(x, dtype=float) for x in (self.low, self.high, self.cells))
+        return np.ascontiguousarray(np.stack([low, cells / (high - low), cells], axis=1))
+
+    def centres(self, axis: str) -> Array:
+        """Middles of the cells along an axis [m]."""
+        k = self.names.index(axis)
+        return (
+            self.low[k]
+            + (np.arange(self.cells[k]) + 0.5) * (self.high[k] - self.low[k]) / self.cells[k]
+        )
+
+    def places(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
+        """The cells (..., d) in which points (..., d) are, brought into the box, and which (...)
+        are in the box.
+        """
+        at = np.floor((points - np.array(self.low)[self.kept]) / self.size)
+        inside = np.asarray(((at >= 0) & (at < self.shape)).all(axis=-1))
+        return np.clip(np.nan_to_num(at), 0, np.array(self.shape) - 1).astype(np.int64), inside
+
+    def flat(self, points: Array) -> np.ndarray:
+        """Numbers (n,) of the cells of points (n, 3), the last axis fastest; `count` for those
+        outside.
+        """
+        low, by, cells = self.packed.T
+        at = np.floor((points - low) * by)
+        inside = ((at >= 0) & (at < cells)).all(axis=1)
+        at = np.where(inside[:, None], at, 0).astype(np.int64)
+        return np.where(
+            inside, (at[:, 0] * self.cells[1] + at[:, 1]) * self.cells[2] + at[:, 2], self.count
+        )
+
+    def whole(self, points: Array) -> Array:
+        """Points (n, 3) of points (n, d) on the `axes`: the others are where everything stays."""
+        out = np.tile(0.5 * (np.array(self.low) + self.high), (len(points), 1))
+        out[:, self.kept] = points
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class CellMap:
+    """Counts of samples by cells: `counts` (nx, ny, nz) over the `axes`, each with the middles of
+    its cells, in metres.
+
+    An axis along which nothing moves is left out.
+    """
+
+    grid: Grid
+    counts: np.ndarray
+
+    @property
+    def unit(self) -> str:
+        """The unit of the axes: metres, or of orientations radians."""
+        return "m" if self.grid.names == AXES else "rad"
+
+    @property
+    def axes(self) -> dict[str, Array]:
+        """The middles of the cells [m] along each axis, by name."""
+        return {a: self.grid.centres(a) for a in self.grid.axes}
+
+    @cached_property
+    def occupied(self) -> np.ndarray:
+        """Which cells a sample fell into."""
+        return self.counts > 0
+
+    @cached_property
+    def layers(self) -> dict[str, np.ndarray]:
+        """Cells by what the map says: `inner` and all around have samples, around `far` none has;
+        `near` are others.
+        """
+        around = np.ones((3,) * self.counts.ndim, dtype=bool)
+        inner = np.asarray(_images.binary_erosion(self.occupied, around), dtype=bool)
+        far = ~np.asarray(_images.binary_dilation(self.occupied, around), dtype=bool)
+        return {"inner": inner, "near": ~(inner | far), "far": far}
+
+    @cached_property
+    def edge(self) -> KDTree:
+        """The middles of cells with samples that have a neighbour without."""
+        within = _images.binary_erosion(
+            self.occupied, _images.generate_binary_structure(self.counts.ndim, 1)
+        )
+        at = np.argwhere(self.occupied & ~np.asarray(within, dtype=bool))
+        return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size)
+
+    @cached_property
+    def empty(self) -> tuple[KDTree, np.ndarray]:
+        """The middles (k, d) of cells without samples and of the cells around the box, and which
+        (k,) are these.
+        """
+        occupied = np.pad(self.occupied, 1)
+        at = np.argwhere(~occupied) - 1
+        around = np.asarray(((at < 0) | (at >= self.grid.shape)).any(axis=1))
+        return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size), around
+
+    @property
+    def cell(self) -> tuple[float, ...]:
+        """Edges of a cell [m], by the axes."""
+        return tuple(self.grid.size.tolist())
+
+    @property
+    def points(self) -> Array:
+        """Middles (k, d) [m] of the cells that samples fell into: a cloud of points for a viewer."""
+        at = np.argwhere(self.occupied)
+        return np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size
+
+
+USUAL_CELLS = {1: 1024, 2: 256, 3: 64}
+FEW_CELLS = {1: 512, 2: 64, 3: 20}
+"""Cells along the longest edge: of samples that cost nothing, and of places that the inverse model
+decides."""
+
+
+def grid_of(
+    extent: Array, cells: Any, box: Any, length: float, dim: int, usual: dict[int, int]
+) -> Grid:
+    """The grid for positions that were seen in `extent` (2, 3), of a system of this characteristic
+    length.
+
+    `cells` are how many along the longest edge of the box, or for each axis, as is `usual` by the
+    number of axes; `box` (d, 2) replaces the extent, which else is made wider by a twentieth on
+    each side. Errors: `InputError`.
+    """
+    names = AXES[:dim]
+    moves = [k for k in range(dim) if extent[1, k] - extent[0, k] > 1e-9 * length]
+    # where nothing moves: one cell about it
+    low = extent[0] - 0.5 * length
+    high = extent[1] + 0.5 * length
+    margin = 0.05 * (extent[1] - extent[0])
+    for k in moves:
+        low[k] = extent[0, k] - margin[k]
+        high[k] = extent[1, k] + margin[k]
+    if box is not None:
+        ends = reals(box, "box", "pairs (lower, upper) of metres, one an axis")
+        if ends.shape != (dim, 2):
+            raise InputError(
+                f"box is {shown(box)}; it must be {dim} pairs (lower, upper) of metres, of {names}"
+            )
+        for name, (a, b) in zip(AXES, ends.tolist(), strict=False):
+            if not -np.inf < a < b < np.inf:
+                raise InputError(
+                    f"box: {name} is from {a:g} to {b:g}; the first must be less, both in metres"
+                )
+        for k, (a, b) in enumerate(ends.tolist()):
+            if k in moves or not a <= extent[0, k] <= b:  # else the one cell stays about the place
+                low[k] = a
+                high[k] = b
+    axes = tuple(AXES[k] for k in moves)
+    numbers = [1, 1, 1]
+    for k, count in zip(moves, cell_counts(cells, (high - low)[moves], axes, usual), strict=True):
+        numbers[k] = count
+    if math.prod(numbers) > MOST_CELLS:
+        raise InputError(
+            f"cells are {shown(cells)}: {math.prod(numbers):.3g} cells; at most {MOST_CELLS:.3g} "
+            "are held"
+        )
+    return Grid(tuple(low.tolist()), tuple(high.tolist()), tuple(numbers), axes)
+
+
+def cell_counts(
+    cells: Any, edges: Array, axes: tuple[str, ...], usual: dict[int, int]
+) -> list[int]:
+    """How many cells each axis has: of one number as many along the longest edge, so that they are
+    nearly cubes.
+    """
+    if cells is None:
+        cells = usual[len(axes)]
+    if is_whole(cells) and 1 <= cells <= MOST_CELLS:
+        return [max(1, int(np.ceil(cells * e / edges.max() - 1e-9))) for e in edges]
+    several: Any = cells
+    listed = isinstance(cells, (Sequence, np.ndarray)) and not isinstance(cells, str)
+    given: list[Any] = list(several) if listed else []
+    if len(given) == len(axes) and all(is_whole(c) and 1 <= c <= MOST_CELLS for c in given):
+        return [int(c) for c in given]
+    needed = f"a whole number, at least 1, or {len(axes)} of them, for {', '.join(axes)}"
+    raise InputError(f"cells is {shown(several)}; it must be {needed}")

@@ -1,0 +1,195 @@
+"""What lengths and limits leave of space: places outside of it are proven not to be reached.
+
+A chain cannot be longer than its links and slides together, nor fold back further than its longest
+link leaves; and an interval is led through its joints, each anywhere within its limits. Loops and
+constraints only take away. Source of the intervals: Moore, Kearfott, Cloud, *Introduction to
+Interval Analysis*, 2009.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.kernels.forward.table_layout import (
+    COS_OFFSET,
+    KIND,
+    MULTIPLIER,
+    SIN_OFFSET,
+    SLIDE,
+    TURN,
+    V_INDEX,
+    numbers_of,
+    placements_of,
+    rows_of,
+)
+from kempe.model.model import kept
+from kempe.model.primitive_table import local_chain
+from kempe.numerics.length_bounds import ReachBound, reach_bounds
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
+    from kempe.model.model import Model as System
+
+# ---- legs
+
+# The legs of a parallel mechanism: chains from the ground to a frame that share only the bodies at
+# their ends.
+#
+# Where the frame's pose is given, the legs do not know of each other: it is reached if and only if
+# each leg reaches it.
+
+
+@kept
+def legs_of(system: System, frame: str) -> tuple[System, ...]:
+    """The legs to a frame, each a system with that frame; none where the mechanism is not made of
+    two legs or more.
+
+    Bodies that hang on others only are left out. Constraints and couplings may tie legs: with these
+    there are none.
+    """
+    m = system.mechanism
+    ground = system.body_names[0]
+    body = m.frames[frame].body if frame in m.frames else frame
+    if m.constraints or m.couplings or system.structure.relations or body == ground:
+        return ()
+    out: list[System] = []
+    for names in _between(m, ground, body):
+        part = m.copy()
+        part.joints = {n: m.joints[n] for n in names}
+        part.postures = {}
+        leg = type(system)(part.subchain(ground, frame))
+        if leg.structure.closures or len(leg.joint_names) != len(names):
+            return ()
+        out.append(leg)
+    return tuple(out) if len(out) > 1 else ()
+
+
+def _between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
+    """Names of the joints of each part that lies between two bodies, without what hangs on it."""
+    ends = {ground, body}
+    free = dict(m.joints)
+    parts: list[list[str]] = []
+    while free:
+        first = next(iter(free.values()))
+        inside = {first.parent, first.child} - ends
+        names = [first.name]
+        del free[first.name]
+        while more := [j for j in free.values() if {j.parent, j.child} & inside]:
+            for j in more:
+                inside |= {j.parent, j.child} - ends
+                names.append(j.name)
+                del free[j.name]
+        parts.append(_trimmed(m, names, ends))
+    return [
+        names
+        for names in parts
+        if ends <= {b for n in names for b in (m.joints[n].parent, m.joints[n].child)}
+    ]
+
+
+def _trimmed(m: Mechanism, names: list[str], ends: set[str]) -> list[str]:
+    """The joints without those that lead to a body on which no other joint is."""
+    while True:
+        bodies = [b for n in names for b in (m.joints[n].parent, m.joints[n].child)]
+        loose = {b for b in bodies if bodies.count(b) == 1} - ends
+        if not loose:
+            return names
+        names = [n for n in names if not {m.joints[n].parent, m.joints[n].child} & loose]
+
+
+ROUNDING = 1e-9
+MISSED = 1e-6
+"""Slack for rounding, as a part of the box; and by how much [m] the inverse model may miss a place
+that it reaches."""
+
+
+class PlaceBounds(NamedTuple):
+    """A box (2, 3), perhaps infinite, and shells in which a frame's origin is, each wider by a
+    `slack` for rounding.
+    """
+
+    box: Array
+    shells: tuple[ReachBound, ...]
+    slack: float
+
+
+@kept
+def place_bounds(system: System, frame: str) -> tuple[PlaceBounds, ...]:
+    """What bounds the places of a frame: of each leg to it, or of its chain."""
+    return tuple(_bounds(part, frame) for part in legs_of(system, frame) or (system,))
+
+
+def possible_places(system: System, frame: str, points: Array) -> np.ndarray:
+    """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of
+    NaN none.
+    """
+    out = np.asarray(np.isfinite(points).all(axis=1))
+    for (low, high), shells, slack in place_bounds(system, frame):
+        slack += MISSED
+        out &= ((points >= low - slack) & (points <= high + slack)).all(axis=1)
+        for shell in shells:
+            far = np.linalg.norm(points - shell.centre, axis=1)
+            out &= (far <= shell.largest + slack) & (far >= shell.smallest - slack)
+    return out
+
+
+def _bounds(system: System, frame: str) -> PlaceBounds:
+    table, _, v_index = local_chain(system.structure.table, frame)
+    ints, floats = table.pack([frame])
+    limits = system.structure.limits[v_index].T
+    shells = tuple(b for b in reach_bounds(ints, floats, limits) if not b.point.any())
+    rows = rows_of(ints)
+    numbers = numbers_of(ints, floats)
+    placements = placements_of(ints, floats)
+    box = np.tile(placements[-1][:, 3], (2, 1))
+    for row, own, X in zip(rows[::-1], numbers[::-1], placements[-2::-1], strict=True):
+        if row[KIND] == TURN:
+            ends = np.sort(own[MULTIPLIER] * limits[:, row[V_INDEX]])
+            box = _turned(box, *(ends + math.atan2(own[SIN_OFFSET], own[COS_OFFSET])))
+        elif row[KIND] == SLIDE:
+            box[:, 2] += np.sort(own[MULTIPLIER] * limits[:, row[V_INDEX]])
+        else:
+            far = float(np.linalg.norm(np.abs(box).max(axis=0)))
+            box = np.array([[-far] * 3, [far] * 3])
+        box = _placed(box, X)
+    return PlaceBounds(
+        box, shells, ROUNDING * (1.0 + float(np.abs(box[np.isfinite(box)]).max(initial=0.0)))
+    )
+
+
+def _placed(box: Array, X: Array) -> Array:
+    """The smallest box that holds a placed one."""
+    with np.errstate(invalid="ignore"):
+        ends = np.where(X[:, :3] == 0.0, 0.0, X[:, :3] * box[:, None, :])
+    return X[:, 3] + np.stack([ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)])
+
+
+def _turned(box: Array, low: float, high: float) -> Array:
+    """The smallest box that holds one turned about z by the angles from `low` to `high`."""
+    out = box.copy()
+    if not np.isfinite(box[:, :2]).all():
+        out[:, :2] = [[-np.inf], [np.inf]]
+        return out
+    x = np.repeat(box[:, 0], 2)
+    y = np.tile(box[:, 1], 2)
+    r = np.hypot(x, y)
+    angle = np.arctan2(y, x)
+    if not high - low < 2.0 * math.pi:
+        low = 0.0
+        high = 2.0 * math.pi
+    for axis, quarter in (
+        (0, 0.0),
+        (1, 0.5 * math.pi),
+    ):  # the largest value is at `quarter`, the least opposite
+        at = np.stack([r * np.cos(angle + low - quarter), r * np.cos(angle + high - quarter)])
+        for k, side in ((1, 0.0), (0, math.pi)):
+            passes = np.floor((angle + high - quarter - side) / (2.0 * math.pi)) >= np.ceil(
+                (angle + low - quarter - side) / (2.0 * math.pi)
+            )
+            ends = np.where(passes, r if k else -r, at.max(axis=0) if k else at.min(axis=0))
+            out[k, axis] = ends.max() if k else ends.min()
+    return out

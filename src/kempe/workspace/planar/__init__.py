@@ -1,0 +1,1 @@
+"""Exact workspaces in the plane."""

@@ -1,0 +1,351 @@
+"""Which of a list of poses a frame reaches, how well, and what blocks the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.answers.targets import axis_for, task_and_axis, task_of, twist_rows
+from kempe.arguments import brief, explained, explained_methods, interruptible, numbers
+from kempe.arrays import within_range
+from kempe.budget import Budget, TimeUp, Usual
+from kempe.errors import InputError
+from kempe.forward.fk import jacobian
+from kempe.inverse.ik import ik
+from kempe.inverse.ik_all import ik_all
+from kempe.inverse.refine import plan_of
+from kempe.late import late
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import has_loops
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
+from kempe.numerics.clock import LONG as CLOCK_LONG
+from kempe.poses import refuse_no_poses, sound
+from kempe.report import Report
+from kempe.spatial import Array
+from kempe.status import Status, named
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.model import FrameLike
+    from kempe.model.model import Model as System
+
+# ---- map slices
+
+# Maps made slice by slice, which say how far they are, and keep what was done where they are
+# broken off.
+
+
+SLICE = 2048
+LOOP_SLICE = 128
+"""Poses that are tried at once, of a system with closed loops, where each takes longer: less than a
+second's work."""
+LONG = 16
+"""Velocity coordinates, twice which make these poses fewer, for the work grows with their
+square."""
+
+
+def sliced(
+    system: System,
+    work: Callable[[int, int, Budget], list[Array]],
+    shapes: Sequence[tuple[int, ...]],
+    count: int,
+    poses: int,
+    spend: Budget,
+) -> tuple[list[Array], Status | None]:
+    """What `work` finds of the places 0 to `count`, each of so many `poses`, and what broke it off
+    (None: nothing).
+
+    `work` gets the first place, the one after the last and what it may spend, and gives arrays with
+    a row, of one of the `shapes`, for each place. Rows that were not done before the time limit or
+    an interrupt are NaN.
+    """
+    clock = TimeLimit(spend.time_limit)
+    each = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
+    share = max(1, system.nv // LONG) ** 2
+    broken = None
+    at_once = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // (poses * share))
+    rows: list[list[Array]] = []
+    try:
+        with clock:
+            for first in range(0, max(count, 1), at_once):
+                clock.check()
+                last = min(first + at_once, count)
+                rows.append(work(first, last, each))
+                if spend.progress is not None:
+                    spend.progress(last * poses, count * poses)
+    except BROKEN_OFF as error:
+        broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
+    rows.append([np.zeros((0, *shape)) for shape in shapes])
+    out = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
+    return [
+        np.concatenate([x, np.full((count - len(x), *x.shape[1:]), np.nan)]) for x in out
+    ], broken
+
+
+USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=CLOCK_LONG, progress=None)
+UNKNOWN = -1
+"""In place of a number of solutions, where it is not known, or infinite."""
+SHOWN = 6
+"""Poses that the text lists."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReachedPoses:
+    """Of poses (n,): whether they are `reached`, by how many `solutions`, and the best of these.
+
+    `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known.
+    `manipulability` and `margin` are the largest of those found, each by itself; `q` (n, nq) has
+    the largest margin.
+    """
+
+    reached: np.ndarray
+    solutions: np.ndarray
+    manipulability: Array
+    margin: Array
+    q: Array
+    code: np.ndarray
+
+
+def checked_poses(X: Array) -> Array:
+    """Targets (n, ...), of which poses (n, 4, 4) that are off by rounding are the nearest ones.
+
+    Errors: `InputError` that says which one has entries that are not finite, or is no pose.
+    """
+    if X.ndim == 3 and X.shape[1:] == (4, 4):
+        return refuse_no_poses(sound(X, "targets"), "targets")
+    return within_range(X, "targets")
+
+
+def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
+    """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in
+    characteristic lengths.
+
+    Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J.
+    Robotics Res. 4 (1985).
+    """
+    axes = twist_rows(task, system.dim)
+    J = jacobian(system, q, frame, "body")[..., axes, :]
+    J[..., np.asarray(axes) < 3, :] /= float(characteristic_length(system))
+    J = J[..., np.abs(J).reshape(-1, J.shape[-1]).max(axis=0, initial=0.0) > 0.0]
+    wide = J.shape[-1] >= J.shape[-2]
+    G = J @ np.swapaxes(J, -1, -2) if wide else np.swapaxes(J, -1, -2) @ J
+    return np.sqrt(np.maximum(np.linalg.det(G), 0.0))
+
+
+def margin(system: System, q: Array) -> Array:
+    """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the
+    middle; inf without.
+    """
+    at_q = system.structure.layout.vector_q
+    at_v = system.structure.layout.vector_v
+    low = system.lower[at_v]
+    high = system.upper[at_v]
+    limited = np.isfinite(low) & np.isfinite(high) & (high > low)
+    if not limited.any():
+        return np.full(q.shape[:-1], np.inf)
+    x = q[..., at_q[limited]]
+    low = low[limited]
+    high = high[limited]
+    return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
+
+
+def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
+    """What is reached of `targets` (n, ...), as `System.ik` takes them."""
+    single = ik(system, targets, frame, task=task, budget=budget)
+    said, axis = task_and_axis(task)
+    particle = bool(system.structure.table.at[frame][2])
+    name = task_of(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
+    q = single.q[:, None]
+    mask = np.array(single.success)[:, None]
+    solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
+    if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
+        every: Any = ik_all(system, targets, frame, task=task, limits=True)
+        solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
+        q = np.concatenate([q, every.q], axis=1)
+        mask = np.concatenate([mask, every.mask], axis=1)
+    w = np.full(mask.shape, np.nan)
+    far = np.full(mask.shape, np.nan)
+    if mask.any():
+        w[mask], far[mask] = manipulability(system, frame, q[mask], name), margin(system, q[mask])
+    any_ = np.asarray(mask.any(axis=1))
+    best = np.argmax(np.where(mask, far, -np.inf), axis=1)
+    at = np.arange(len(q))
+    return ReachedPoses(
+        any_,
+        np.where(any_ & (solutions == 0), UNKNOWN, solutions),
+        np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan),
+        far[at, best],
+        q[at, best],
+        np.where(any_, int(Status.SOLVED), single.code),
+    )
+
+
+PROVEN = [int(s) for s in Status if s.proof]
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class ReachStudy(Report):
+    """Which of a list of poses a frame reaches, how well, and what blocks the others.
+
+    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
+    the limits (-1 where it is infinite or not certain); `manipulability` and `margin`, the best of
+    those that were found (NaN where there is none): the margin is how far, of half its range, a
+    joint is from its nearest limit; `q` (n, nq) the configuration with the largest margin, or the
+    nearest to the pose; `codes` the outcomes, as numbers of `Status`. Where the study was `broken`
+    off, by the time limit or an interrupt, that is the outcome of the poses left.
+    """
+
+    __repr__ = brief
+
+    system: System
+    frame: str
+    reached: np.ndarray
+    solutions: np.ndarray
+    manipulability: Array
+    margin: Array
+    q: Array
+    codes: np.ndarray
+    targets: Array = field(repr=False)
+    task: Any = field(repr=False)
+    budget: Budget = field(repr=False)
+    broken: Status | None = None
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """`SOLVED` where all are reached, `PARTLY` where some are, or what broke the study off."""
+        if self.broken is not None:
+            return self.broken
+        if self.reached.all():
+            return Status.SOLVED
+        return Status.PARTLY if self.reached.any() else Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
+        """How many are reached."""
+        n = int(self.reached.sum())
+        of = f"{self.system.name}, {self.frame}"
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        tried = int(self.tried.sum())
+        return f"{of}: {n} of {counted(tried, 'pose')} reached{tail}"
+
+    @property
+    def tried(self) -> np.ndarray:
+        """Which poses (n,) were tried before the study was broken off: all of them, mostly."""
+        return self.codes != (-1 if self.broken is None else int(self.broken))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the system at the reached pose with the largest margin, and where
+        all poses are.
+
+        Reached ones are dots, others crosses, those that were not tried rings.
+        """
+        return late("plots of workspaces").plot_reach(self, ax)
+
+    def reason(self, index: int) -> str:
+        """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors:
+        `InputError`.
+        """
+        if not 0 <= index < len(self.reached):
+            raise InputError(
+                f"index is {index}; there are {counted(len(self.reached), 'pose')}, from 0"
+            )
+        return str(
+            ik(
+                self.system, self.targets[index], self.frame, task=self.task, budget=self.budget
+            ).status
+        )
+
+    @property
+    def reasons(self) -> dict[int, str]:
+        """What blocks the poses that are not reached, by their numbers from 0."""
+        return {i: self.reason(i) for i in np.flatnonzero(self.tried & ~self.reached).tolist()}
+
+    def _lines(self) -> list[str]:
+        if not self.reached.any():
+            lines = []
+        else:
+            worst = int(np.nanargmin(self.margin))
+            lines = [f"least margin to limits: {self.margin[worst]:.3g} (pose {worst})"] * bool(
+                np.isfinite(self.margin[worst])
+            )
+            least = int(np.nanargmin(self.manipulability))
+            lines.append(f"least manipulability: {self.manipulability[least]:.3g} (pose {least})")
+        blocked = np.flatnonzero(self.tried & ~self.reached).tolist()
+        lines += [f"pose {i}: {self.reason(i)}" for i in blocked[:SHOWN]]
+        return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
+
+    def _data(self) -> dict[str, Any]:
+        names = ("reached", "solutions", "manipulability", "margin", "q")
+        own = {n: getattr(self, n) for n in names} | {"codes": named(self.codes)}
+        return (
+            {"system": self.system.name, "frame": self.frame}
+            | own
+            | {"reasons": {str(i): text for i, text in self.reasons.items()}}
+        )
+
+
+@explained
+@interruptible
+def reach_poses(
+    system: System,
+    targets: ArrayLike,
+    frame: FrameLike,
+    *,
+    task: str | tuple[str, ArrayLike] | None = None,
+    budget: Budget | None = None,
+) -> ReachStudy:
+    """Which of a list of poses a frame reaches, how well, and what blocks the others, as a
+    `ReachStudy`.
+
+    `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as
+    `System.ik` takes them. A pose counts as reached where `ik` or, of chains with finitely many
+    solutions, `ik_all` finds one inside the limits. Of the `budget` are read: starts (1000), rng
+    (0), threads, time_limit (600 s), and progress(poses tried, all). After the time limit the study
+    has what was done, after Ctrl-C the
+    `answer` of the `Interrupted`.
+    Errors: `InputError`, `UnknownNameError`.
+    """
+    spend = USUAL.of(budget)
+    name = system.structure.frame_name(frame)
+    X = numbers(targets, "targets")
+    if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
+        X = X[None]
+    if X.ndim > 3 or (X.ndim == 3 and X.shape[1:] not in ((4, 4), (3, 3))):
+        raise InputError(
+            f"targets have shape {X.shape}; they must be a list: poses (n, 4, 4), rotations (n, 3, "
+            f"3) or places (n, {system.dim})"
+        )
+    X = checked_poses(X)
+
+    def work(first: int, last: int, each: Budget) -> list[Array]:
+        return list(vars(reached(system, X[first:last], name, task, each)).values())
+
+    (hit, solutions, w, far, q, codes), broken = sliced(
+        system, work, [(), (), (), (), (system.nq,), ()], len(X), 1, spend
+    )
+    left = np.isnan(codes)
+    each = replace(spend, time_limit=None, progress=None)
+    if broken is not None:
+        codes[left] = int(broken)
+        solutions[left] = UNKNOWN
+    return ReachStudy(
+        system,
+        name,
+        hit == 1.0,
+        solutions.astype(np.int64),
+        w,
+        far,
+        q,
+        codes.astype(np.int64),
+        X,
+        task,
+        each,
+        broken,
+    )

@@ -1,0 +1,309 @@
+"""Rows of numbers in files of any size: Parquet, Zarr, .npy and .csv, read block by block."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kempe.answers.tables import header_of, rows_of_text
+from kempe.arguments import known
+from kempe.arrays import KINDS
+from kempe.description.source import expanded
+from kempe.errors import UNREADABLE, DamagedError, InputError, KempeError, MissingExtraError
+from kempe.spatial import Array
+from kempe.words import counted, joined, verb
+from kempe.workspace.store import zarr_library
+
+BLOCK_ROWS = 2**16
+"""Rows of a block where the file itself has none, or smaller ones."""
+BLOCK_BYTES = 2**30
+"""The largest block that is read: a row group of a Parquet file, a chunk of Zarr."""
+
+
+class RowSource:
+    """The rows of a file: `edges` of its blocks, what the k-th `block` holds, and what a row is.
+
+    A row has a shape `tail`; where that is one axis its columns may have `names`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        edges: Any,
+        tail: tuple[int, ...],
+        names: tuple[str, ...] | None,
+        block: Callable[[int], Any],
+    ):
+        self.path = path
+        self.edges = np.asarray(edges)
+        self.tail = tail
+        self.names = names
+        self._block = block
+        self.n = int(self.edges[-1])
+        self._held: tuple[int, Any] = -1, None
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row of float64."""
+        return 8 * int(np.prod(self.tail))
+
+    def identity(self) -> dict[str, Any]:
+        """Name, size [bytes] and time of the last change [ns] of the file, or of all files of a
+        folder.
+        """
+        files = (
+            [p for p in self.path.rglob("*") if p.is_file()] if self.path.is_dir() else [self.path]
+        )
+        stats = [os.stat(p) for p in files]
+        return {
+            "file": self.path.name,
+            "size": sum(s.st_size for s in stats),
+            "changed": max((s.st_mtime_ns for s in stats), default=0),
+        }
+
+    def read(self, first: int, last: int) -> Array:
+        """The rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text that
+        is no number.
+        """
+        out = np.empty((last - first, *self.tail))
+        at = first
+        while at < last:
+            k = int(np.searchsorted(self.edges, at, side="right")) - 1
+            low = int(self.edges[k])
+            stop = min(last, int(self.edges[k + 1]))
+            try:
+                if self._held[0] != k:
+                    self._held = k, self._block(k)
+                out[at - first : stop - first] = self._held[1][at - low : stop - low]
+            except KempeError:
+                raise
+            except UNREADABLE as error:
+                where = f"rows {low} to {int(self.edges[k + 1])}"
+                raise DamagedError(f"{self.path}: {where} cannot be read: {error}") from error
+            at = stop
+        return out
+
+
+def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSource:
+    """The rows of a file, of which only these `columns` count, or whose columns, where they have no
+    names, these are.
+
+    Errors: `InputError` for what is no such file, `UnknownNameError` for columns,
+    `MissingExtraError`.
+    """
+    path = expanded(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file")
+    reader = READERS.get(path.suffix.lower(), _of_folder(path) if path.is_dir() else None)
+    if reader is None:
+        raise InputError(f"{path}: rows are read from Zarr, and from {joined(list(READERS))} files")
+    try:
+        source = reader(path, columns)
+    except KempeError:
+        raise
+    except UNREADABLE as error:
+        kind = "Zarr" if reader is _zarr else path.suffix or "a folder of .parquet files"
+        raise InputError(f"{path}: this cannot be read as {kind}: {error}") from error
+    if columns is not None and source.names is None:
+        if source.tail != (len(columns),):
+            named = f"{counted(len(columns), 'column')} {verb(len(columns), 'is', 'are')} named"
+            raise InputError(f"{path}: a row is of shape {source.tail}, and {named}")
+        source.names = tuple(columns)
+    return source
+
+
+def _of_folder(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
+    """Who reads a folder: it is Zarr, or else it holds .parquet files. Errors: `InputError`."""
+    if any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray", ".zmetadata")):
+        return _zarr
+    if any(path.rglob("*.parquet")):
+        return _parquet
+    raise InputError(f"{path}: this folder cannot be read as Zarr, and holds no .parquet files")
+
+
+def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tuple[str, ...]:
+    """The columns that count, of those that a file has. Errors: `InputError`, `UnknownNameError`."""
+    names = tuple(has if columns is None else columns)
+    given = Counter(has)
+    wanted = Counter(names)
+    for name in names:
+        if name not in given:
+            known("column", name, has, str(path))
+        if wanted[name] > 1 or given[name] > 1:
+            raise InputError(f"{path}: a column {name!r} appears twice")
+    return names
+
+
+def _numeric(path: Path, dtype: np.dtype, what: str) -> None:
+    if dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: {what} holds {KINDS.get(dtype.kind, str(dtype))}; it must hold real numbers"
+        )
+
+
+def _steps(n: int, step: int) -> list[int]:
+    """Edges of blocks of `step` rows."""
+    return [*range(0, n, step), n]
+
+
+# ---- the formats
+
+
+def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
+    """Arrays of numpy, of which only what is read comes into memory."""
+    try:
+        array: Any = np.load(path, mmap_mode="r", allow_pickle=False)
+    except ValueError as error:
+        if "Python objects" in str(error):
+            raise InputError(
+                f"{path}: it holds Python objects; it must hold an array of real numbers"
+            ) from None
+        if "pickle" in str(error):  # of which numpy says how to run code that may be in the file
+            raise ValueError("it does not begin as such a file does") from None
+        raise
+    if not hasattr(array, "shape"):
+        raise InputError(
+            f"{path}: this is a .npz archive of arrays, whatever its name says; save one array as "
+            ".npy"
+        )
+    return _of_array(path, array, [0, len(array)] if array.ndim else [0])
+
+
+def _of_array(path: Path, array: Any, edges: list[int]) -> RowSource:
+    """The rows of an array (n,), (n, k) or (n, j, k)."""
+    if array.ndim not in (1, 2, 3):
+        raise InputError(
+            f"{path}: it holds an array of shape {array.shape}; needed is a row for each question"
+        )
+    _numeric(path, array.dtype, "it")
+    tail = array.shape[1:] or (1,)
+    return RowSource(
+        path, edges, tail, None, lambda k: array[edges[k] : edges[k + 1]].reshape(-1, *tail)
+    )
+
+
+def _zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
+    """An array of Zarr, or a group whose arrays of one axis are the columns."""
+    zarr = zarr_library()
+    node = zarr.open(str(path), mode="r")
+    if isinstance(node, zarr.Array):
+        return _of_array(path, node, _zarr_edges(path, node, node.shape[1:]))
+    arrays = {name: array for name, array in node.arrays() if columns is None or name in columns}
+    if columns is None and (
+        len({a.shape for a in arrays.values()}) != 1 or next(iter(arrays.values())).ndim != 1
+    ):
+        held = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "no arrays"
+        such = max(arrays, key=lambda name: arrays[name].ndim, default="q")
+        raise InputError(
+            f"{path}: it holds {held}; name columns of one length, or give the path of an array, "
+            f"such as {path / such}"
+        )
+    names = _chosen(path, list(arrays), columns)
+    shapes = {arrays[name].shape for name in names}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        raise InputError(
+            f"{path}: the columns have the shapes {sorted(shapes)}; they must have one, (n,)"
+        )
+    for name in names:
+        _numeric(path, arrays[name].dtype, f"column {name!r}")
+    edges = _zarr_edges(path, arrays[names[0]], (len(names),))
+
+    def block(k: int) -> Array:
+        return np.column_stack([arrays[name][edges[k] : edges[k + 1]] for name in names])
+
+    return RowSource(path, edges, (len(names),), names, block)
+
+
+def _zarr_edges(path: Path, array: Any, tail: tuple[int, ...]) -> list[int]:
+    """Edges of whole chunks, several where they are small."""
+    if not array.ndim:
+        return [0]
+    rows = (getattr(array, "shards", None) or array.chunks)[0]
+    _not_too_large(path, rows, tail, "chunk")
+    return _steps(array.shape[0], -(-BLOCK_ROWS // rows) * rows)
+
+
+def _not_too_large(path: Path, rows: int, tail: tuple[int, ...], what: str) -> None:
+    size = 8 * rows * int(np.prod(tail))
+    if size > BLOCK_BYTES:
+        raise InputError(
+            f"{path}: a {what} of it has {rows} rows, {size / 1e9:.3g} GB; at most "
+            f"{BLOCK_BYTES / 1e9:.3g} GB are read at once: write it in smaller ones"
+        )
+
+
+def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
+    """A Parquet file, or a folder of such files in the order of their names."""
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "scale") from None
+    arrow: Any = parquet
+    paths = sorted(p for p in path.rglob("*.parquet") if p.is_file()) if path.is_dir() else [path]
+    files: list[Any] = [arrow.ParquetFile(p) for p in paths]
+    if not files:
+        raise InputError(f"{path}: this folder holds no .parquet files")
+    names = _chosen(path, files[0].schema_arrow.names, columns)
+    for p, file in zip(paths, files, strict=True):
+        schema = file.schema_arrow
+        for name in names:
+            dtype = schema.field(known("column", name, schema.names, str(p))).type.to_pandas_dtype()
+            _numeric(p, np.dtype(dtype), f"column {name!r}")
+    groups = [(file, k) for file in files for k in range(file.num_row_groups)]
+    rows = [int(file.metadata.row_group(k).num_rows) for file, k in groups]
+    _not_too_large(path, max(rows, default=0), (len(names),), "row group")
+
+    def block(k: int) -> Array:
+        file, group = groups[k]
+        table = file.read_row_group(group, columns=list(names))
+        return np.column_stack([np.asarray(table.column(name), dtype=float) for name in names])
+
+    return RowSource(path, [0, *itertools.accumulate(rows)], (len(names),), names, block)
+
+
+def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
+    """Text, which is gone through once to find where its blocks begin."""
+    places: list[
+        tuple[int, int]
+    ] = []  # of each block its place in the file, and the number of its first line
+    names = None
+    width = 0
+    n = 0
+    at = 0
+    with open(path, "rb") as stream:
+        for number, line in enumerate(stream, start=1):
+            row = bool(line.strip())
+            if row and not width:
+                first = line.decode("utf-8-sig").strip()
+                names = header_of(first)
+                width = first.count(",") + 1
+                row = names is None
+            if row:
+                places += [(at, number)] * (n % BLOCK_ROWS == 0)
+                n += 1
+            at += len(line)
+    chosen = None if names is None else _chosen(path, names, columns)
+    places.append((at, 0))
+    at_name = {name: i for i, name in enumerate(names or ())}
+    pick: Any = slice(None) if chosen is None else [at_name[name] for name in chosen]
+
+    def block(k: int) -> Array:
+        with open(path, "rb") as stream:
+            stream.seek(places[k][0])
+            text = stream.read(places[k + 1][0] - places[k][0]).decode("utf-8-sig")
+        lines = [(i, line) for i, line in enumerate(text.split("\n"), places[k][1]) if line.strip()]
+        return rows_of_text(path, lines, width)[:, pick]
+
+    return RowSource(
+        path, _steps(n, BLOCK_ROWS), (width if chosen is None else len(chosen),), chosen, block
+    )
+
+
+READERS = {".parquet": _parquet, ".npy": _npy, ".csv": _csv}
+"""Who reads a file, by its ending; folders without one are read by what they hold."""

@@ -1,0 +1,615 @@
+"""What a map is made of, and the counts of any range of its samples: pure, and the same wherever it
+is done.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from threading import Condition
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.assemble.assemble import assemble
+from kempe.equations.one_sided import one_sided_rows
+from kempe.errors import UNREADABLE, DiskError, InputError
+from kempe.forward.fk import chain_table, fk
+from kempe.kernels.compiled import VARIANT, lane_positions
+from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
+from kempe.model.characteristic_length import characteristic_length
+from kempe.model.configurations import circles, has_loops, mid, random, sampling_box
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit
+from kempe.numerics.pool import RETRIES, ThreadWorkers, finished, thread_count
+from kempe.spatial import Array
+from kempe.version import __version__
+from kempe.words import joined
+from kempe.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
+from kempe.workspace.cluster import ClusterWorkers, refuse_kernels
+from kempe.workspace.kinds import ORIENTATION, RANGES, TURNED, WorkspaceKind
+from kempe.workspace.store import DonePart, PartLog, write_whole
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model as System
+
+# ---- sample parts
+
+# Counts of ranges of samples on disk while a map is made: a file for each part.
+
+
+BLOCK = 2**18
+"""Counts that are converted at once."""
+MANY = 24
+"""Parts from which on those that follow each other are put into one file."""
+
+
+def checksum_of(counts: np.ndarray) -> str:
+    """A checksum of counts, by their values."""
+    digest = hashlib.sha256()
+    flat = counts.reshape(-1)
+    for k in range(0, flat.size, BLOCK):
+        digest.update(flat[k : k + BLOCK].astype("<u8").data)
+    return digest.hexdigest()
+
+
+class SampleParts(PartLog):
+    """The counts of ranges of samples, beside the path of a map."""
+
+    def __init__(self, path: Path, said: dict[str, Any], entries: int):
+        super().__init__(path, said, 3 * 8 * entries)
+        self.entries = entries
+
+    def file(self, part: DonePart) -> Path:
+        """Where the counts of a part are."""
+        return self.folder / f"{part.first}-{part.last}.npy"
+
+    def sound(self, part: DonePart) -> bool:
+        """Whether the counts are there, and those that were written."""
+        return self.read(part) is not None
+
+    def read(self, part: DonePart) -> np.ndarray | None:
+        """The counts of a part; None where they are not what was written."""
+        try:
+            counts = np.load(self.file(part), allow_pickle=False)
+        except UNREADABLE:
+            return None
+        return (
+            counts
+            if counts.shape == (self.entries,) and checksum_of(counts) == part.checksum
+            else None
+        )
+
+    def add_counts(self, first: int, last: int, counts: np.ndarray) -> None:
+        """Write one more part. Errors: `DiskError`."""
+        self.add(self._written(first, last, counts))
+        if len(self.done) > MANY:
+            self._merge()
+
+    def _written(self, first: int, last: int, counts: np.ndarray) -> DonePart:
+        part = DonePart(first, last, checksum_of(counts))
+        write_whole(self.file(part), lambda stream: np.save(stream, counts))
+        return part
+
+    def _merge(self) -> None:
+        """Put parts that follow each other into one file; the former ones go when the list no
+        longer names them.
+        """
+        former = self.done
+        runs: list[list[DonePart]] = []
+        for part in sorted(former):
+            if runs and runs[-1][-1].last == part.first:
+                runs[-1].append(part)
+            else:
+                runs.append([part])
+        self.done = [
+            run[0] if len(run) == 1 else self._written(run[0].first, run[-1].last, self.total(run))
+            for run in runs
+        ]
+        self.write_list()
+        for part in set(former) - set(self.done):
+            self.file(part).unlink(missing_ok=True)
+
+    def total(self, parts: list[DonePart] | None = None) -> np.ndarray:
+        """The sum (entries,) of parts, by default of all, of uint64. Errors: `DiskError`."""
+        out = np.zeros(self.entries, dtype=np.uint64)
+        for part in self.done if parts is None else parts:
+            counts = self.read(part)
+            if counts is None:
+                raise DiskError(
+                    f"{self.file(part)} was damaged meanwhile: the same call draws it again"
+                )
+            out += counts
+        return out
+
+
+PIECE = 2**20
+SLOW_PIECE = 1024
+TRIED_PIECE = 64
+"""Samples that one thread counts before it looks up: by the kernel, with what closes loops or obeys
+constraints, and of places that the inverse model decides."""
+PART = 10**8
+SLOW_PART = 10**5
+TRIED_PART = 10**4
+"""Samples of a task, a few seconds; of systems with loops or constraints; and of places."""
+GOLDEN = 0.6180339887498949
+PILOT = 2**17
+SLOW_PILOT = 2**11
+"""Samples whose positions say where the box is."""
+NARROW_PILOT = (2**18, 2**14)
+ENOUGH = 64
+"""Samples at most, of trees and with loops, that are drawn for that until there are enough within
+constraints."""
+FEW_SAMPLES = 10**5, 10**7
+"""Samples where none are requested: with loops or constraints, and without."""
+AFTER = 2
+"""Counts after those of the cells: of samples outside the box, and of those left out."""
+FAR = 1e7
+"""Coordinates from which on a limit is none: sines lose their digits there."""
+PLAIN = WorkspaceKind()
+_one_at_a_time = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A system, a frame, a seed, a grid, a question: all that the counts of samples number `first`
+    to `last` depend on.
+
+    `variant` are the kernels that make them: others round otherwise, and are refused.
+    """
+
+    system: System
+    frame: str
+    seed: int
+    grid: Grid
+    variant: str = VARIANT
+    version: str = __version__
+    question: WorkspaceKind = PLAIN
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Recipe, (
+            self.system,
+            self.frame,
+            self.seed,
+            self.grid,
+            self.variant,
+            self.version,
+            self.question,
+        )
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether samples are independent coordinates: no loop moves the frame, no constraint is
+        declared.
+        """
+        return is_plain_chain(self.system) and not self.question.tried
+
+    @property
+    def piece(self) -> int:
+        """Samples that one thread counts at once."""
+        return PIECE if self.plain else TRIED_PIECE if self.question.tried else SLOW_PIECE
+
+    @property
+    def part(self) -> int:
+        """Samples that one task of a cluster counts, and after which what is done is written down."""
+        return PART if self.plain else TRIED_PART if self.question.tried else SLOW_PART
+
+    @property
+    def usual(self) -> int:
+        """How many samples are drawn where none are requested; of places one in each cell."""
+        return self.grid.count if self.question.tried else FEW_SAMPLES[self.plain]
+
+    @property
+    def entries(self) -> int:
+        """Length of the counts of 32 bits: cells, what is outside, what was left out, filled up to
+        an even number.
+        """
+        return (self.grid.count + AFTER + 1) // 2 * 2
+
+    def said(self) -> dict[str, Any]:
+        """What is written beside a map, and must be the same for counts to be added."""
+        grid = {k: list(x) for k, x in asdict(self.grid).items()}
+        grid |= json.loads(json.dumps(asdict(self.question)))  # as it is read again
+        return {
+            "system": self.system.structure.content_hash,
+            "frame": self.frame,
+            "seed": self.seed,
+            **grid,
+            "variant": self.variant,
+            "version": self.version,
+        }
+
+    @property
+    def digest(self) -> str:
+        """A short name for all that the counts depend on."""
+        return hashlib.sha256(json.dumps(self.said(), sort_keys=True).encode()).hexdigest()[:16]
+
+    def check(self) -> None:
+        """Refuse to count with kernels that would round otherwise. Errors: `KernelsError`."""
+        refuse_kernels(self.variant, self.version)
+
+    def count(self, first: int, last: int, counts: np.ndarray) -> None:
+        """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may
+        share.
+        """
+        if self.plain:
+            keys, bounds = self._drawn
+            table = chain_table(self.system, self.frame)
+            lane_positions.count_cells(
+                *table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64)
+            )
+            return
+        size = self.piece
+        for piece in range(first // size, -(-last // size)):
+            points = (
+                self._tried(piece)
+                if self.question.tried
+                else slow_positions(self.system, self.frame, self.seed, piece)
+            )
+            points = points[max(0, first - piece * size) : last - piece * size]
+            kept = points[~np.isnan(points[:, 0])]
+            with _one_at_a_time:
+                np.add.at(counts, self.grid.flat(kept), np.uint32(1))
+                counts[self.grid.count + 1] += np.uint32(len(points) - len(kept))
+
+    def _tried(self, piece: int) -> Array:
+        """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they
+        are not reached.
+        """
+        grid = self.grid
+        rng = np.random.Generator(np.random.Philox(key=[self.seed, piece]))
+        number = (
+            np.arange(piece * TRIED_PIECE, (piece + 1) * TRIED_PIECE) * self._stride
+        ) % grid.count
+        at = np.stack(np.unravel_index(number, grid.shape), axis=-1)
+        points = grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
+        points[~self.question.reached(self.system, self.frame, points, self.seed)] = np.nan
+        return points
+
+    @cached_property
+    def _stride(self) -> int:
+        """A step from cell to cell that comes to each of them once, in the order of a golden ratio."""
+        stride = max(1, int(GOLDEN * self.grid.count))
+        while math.gcd(stride, self.grid.count) > 1:
+            stride += 1
+        return stride
+
+    @cached_property
+    def _drawn(self) -> tuple[np.ndarray, Array]:
+        return keys_of(self.seed, self.system.nq), bounds_of(self.system)
+
+
+def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
+    """The counts (entries,) of the samples `first` to `last`, in one thread. Errors:
+    `KernelsError`.
+    """
+    recipe.check()
+    counts = np.zeros(recipe.entries, dtype=np.uint32)
+    for start in range(first, last, recipe.piece):
+        recipe.count(start, min(start + recipe.piece, last), counts)
+    return counts
+
+
+# ---- what is drawn
+
+
+def is_plain_chain(system: System) -> bool:
+    """Whether every configuration within the limits is one of the system."""
+    return not has_loops(system) and not system._mechanism.constraints
+
+
+def keys_of(seed: int, count: int) -> np.ndarray:
+    """Keys (count,) of the random sequences of the coordinates, from a seed: SplitMix64 twice."""
+    return np.array([_mix(_mix(seed, 0), k) for k in range(count)], dtype=np.uint64).view(np.int64)
+
+
+def _mix(state: int, counter: int) -> int:
+    """Number `counter` of SplitMix64 from `state` (Steele, Lea and Flood 2014)."""
+    mask = 2**64 - 1
+    z = (state + 0x9E3779B97F4A7C15 * (counter + 1)) & mask
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
+    return z ^ (z >> 31)
+
+
+def bounds_of(system: System) -> Array:
+    """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
+    low, high = sampling_box(system)
+    layout = system.structure.layout
+    out = np.zeros((system.nq, 2))
+    out[layout.vector_q, 0] = low[layout.vector_v]
+    out[layout.vector_q, 1] = (high - low)[layout.vector_v]
+    return out
+
+
+def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
+    """Positions (SLOW_PIECE, 3) of one piece of samples of a system with loops or constraints.
+
+    NaN where a configuration is not closed, or violates a constraint.
+    """
+    q, good = closed_configurations(system, seed, piece)
+    points = np.full((len(q), 3), np.nan)
+    points[good] = fk(system, q[good], frame, form="position")
+    return points
+
+
+def closed_configurations(
+    system: System, seed: int, piece: int, count: int = SLOW_PIECE
+) -> tuple[Array, np.ndarray]:
+    """Random configurations (count, nq), brought to where loops are closed, and where (count,) all
+    constraints hold.
+    """
+    q = random(system, np.random.Generator(np.random.Philox(key=[seed, piece])), count)
+    good = np.ones(len(q), dtype=bool)
+    if has_loops(system):
+        answer = assemble(system, None, q)
+        q = answer.q
+        good = np.asarray(answer.success, dtype=bool)
+    rows = one_sided_rows(system)
+    good &= (rows.beyond(np.where(good[:, None], q, mid(system))) == 0.0).all(axis=1)
+    return q, good
+
+
+def recipe_of(
+    system: System, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
+) -> Recipe:
+    """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides,
+    wrong boxes.
+    """
+    if question.kind == ORIENTATION:
+        return Recipe(
+            system, frame, seed, _of_orientations(cells, box, system.dim), question=question
+        )
+    if (names := unlimited(system, frame)) and box is None:
+        turns = {
+            n
+            for n, t in zip(
+                system.structure.velocity_names, system.structure.coordinates.turning, strict=True
+            )
+            if t
+        }
+        so = f"so the frame {frame!r} no end of places"
+        if turns.issuperset(names):
+            so = f"a constraint tells {'its' if len(names) == 1 else 'their'} whole turns apart"
+        raise InputError(
+            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, "
+            f"and {so}: give a box, or limits, such as system.with_limits({{{names[0]!r}: (-1.0, "
+            "1.0)})"
+        )
+    question = replace(question, tried=True) if names else question
+    points = pilot_positions(system, frame, seed)
+    if not np.isfinite(points).all():
+        raise InputError(f"positions of {frame!r} are not finite: a limit is too large")
+    extent = np.stack([points.min(axis=0), points.max(axis=0)])
+    length = characteristic_length(system) or 1.0
+    if not (extent[1] - extent[0] > 1e-9 * length).any():
+        where = ", ".join(f"{x:.6g}" for x in extent[0][: system.dim])
+        raise InputError(f"frame {frame!r} does not move: it is always at ({where})")
+    usual = FEW_CELLS if question.tried else USUAL_CELLS
+    grid = grid_of(extent, cells, box, length, system.dim, usual)
+    return Recipe(system, frame, seed, grid, question=question)
+
+
+def pilot_positions(system: System, frame: str, seed: int) -> Array:
+    """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration
+    could be closed.
+    """
+    if is_plain_chain(system):
+        points = np.empty((PILOT, 3))
+        table = chain_table(system, frame)
+        lane_positions.random_positions(
+            *table, keys_of(seed, system.nq), bounds_of(system), 0, points
+        )
+        return points
+    found = list[Array]()
+    most = NARROW_PILOT[has_loops(system)]
+    for k in range(most // SLOW_PIECE):
+        if k >= SLOW_PILOT // SLOW_PIECE and sum(map(len, found)) >= ENOUGH:
+            break
+        points = slow_positions(system, frame, seed, k)
+        found.append(points[~np.isnan(points[:, 0])])
+    points = np.concatenate(found)
+    if not len(points):
+        raise InputError(
+            f"of {most} random configurations of {system.name!r} none could be closed within the "
+            "limits and constraints, and a map counts random ones: narrower limits make more of "
+            "them hold"
+        )
+    return points
+
+
+def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
+    """The grid of all orientations. Errors: `InputError`."""
+    if box is not None:
+        raise InputError("box is for places: of orientations all are tried")
+    names = TURNED[dim]
+    ranges = RANGES[dim]
+    low, high = (tuple(x) for x in zip(*ranges, strict=True))
+    counts = cell_counts(cells, np.array(high) - low, names, FEW_CELLS)
+    rest = 3 - len(names)
+    return Grid(
+        low + (-0.5,) * rest,
+        high + (0.5,) * rest,
+        (*counts, *(1,) * rest),
+        names,
+        names + ("",) * rest,
+    )
+
+
+def unlimited(system: System, frame: str) -> list[str]:
+    """Names of coordinates that move a frame without end."""
+    layout = system.structure.layout
+    circle = circles(system)
+    if not has_loops(system):
+        used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
+    else:  # what is not driven may be held by loops
+        driven = {
+            c
+            for j in system.structure.joints.values()
+            if j.actuated
+            for c in system.structure.coordinates_of_joint(j.name)
+        }
+        used = {k for k, name in enumerate(system.coordinate_names) if name in driven}
+    return [
+        system.structure.velocity_names[int(v)]
+        for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True)
+        if at in used
+        and not circle[v]
+        and not all(abs(x[v]) < FAR for x in (system.lower, system.upper))
+    ]
+
+
+# ---- counting runs
+
+# Ranges of samples counted in threads, and stopped without loss.
+
+
+SHARED_BYTES = 256 * 2**20
+"""Memory for the counts of all threads together; where each cannot have its own, they share."""
+
+
+class Threads:
+    """Threads that count ranges of samples of a recipe, each range in pieces that are begun in
+    order.
+
+    An interrupt may come between any two steps of the thread that hands out the work, even where a
+    piece is handed out and its thread is not yet known. So which pieces are begun is decided by the
+    threads that count them.
+    """
+
+    def __init__(self, recipe: Recipe, threads: int | None):
+        self.recipe = recipe
+        self.n = thread_count(threads)
+        own = max(1, min(self.n, SHARED_BYTES // (4 * recipe.entries)))
+        self.counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(own)]
+        self.changed = Condition()
+        self.free: list[int] = []
+        self.begun = self.last = 0
+
+    def count(
+        self, first: int, last: int, clock: TimeLimit, said: Callable[[int], None]
+    ) -> tuple[np.ndarray, int, Any]:
+        """Counts (entries,) of the samples `first` to `stop`, that stop, and what broke the work
+        off (None: nothing).
+
+        `stop` is `last`, or the end of a piece where the time was up or an interrupt came: all
+        pieces before are done.
+        """
+        for counts in self.counts:
+            counts[:] = 0
+        piece = self.recipe.piece
+        done = first
+        broken = None
+        self.begun = first
+        self.last = last
+        self.free = list(range(self.n))
+        with ThreadWorkers(self.n) as workers:
+
+            def begin(_: int, attempt: int) -> Any:
+                return workers.submit(self._piece)
+
+            try:
+                for _ in finished(workers, range(first, last, piece), begin, clock.check):
+                    done = min(done + piece, last)
+                    said(done)
+            except BROKEN_OFF as error:
+                broken = error
+        with self.changed:
+            self.last = self.begun
+            self.changed.wait_for(lambda: len(self.free) == self.n)
+        total = self.counts[0]
+        for counts in self.counts[1:]:
+            total += counts
+        return total, self.begun, broken
+
+    def _piece(self) -> None:
+        """Count the next piece of the range, if there is one."""
+        with self.changed:
+            start = self.begun
+            if start == self.last:
+                return
+            self.begun = min(start + self.recipe.piece, self.last)
+            slot = self.free.pop()
+            stop = self.begun
+        try:
+            self.recipe.count(start, stop, self.counts[slot % len(self.counts)])
+        finally:
+            with self.changed:
+                self.free.append(slot)
+                self.changed.notify()
+
+
+# ---- on cluster
+
+# Ranges of samples counted by the workers of a Dask cluster, and added up there in a tree.
+#
+# Each task is a pure function of the recipe and its range: it can be done twice, or anywhere, and a
+# worker that is lost costs its tasks only. Nothing is added into storage; counts come here once a
+# part.
+
+
+FAN = 8
+"""Counts that one task adds up."""
+
+
+def added(many: bool, *counts: np.ndarray) -> np.ndarray:
+    """The sum of counts, of 64 bits where there are `many` samples."""
+    total = counts[0].astype(np.uint64 if many else np.uint32)
+    for other in counts[1:]:
+        total += other.astype(total.dtype, copy=False)
+    return total
+
+
+def parts_of(
+    client: Any, recipe: Recipe, ranges: list[tuple[int, int]], each: int, check: Callable[[], None]
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """The counts of each range, as they come: (first, last, counts). Tasks have `each` samples.
+
+    `check` is called now and then, and raises what ends the work early; tasks that are left are
+    then given up. Errors: those of the tasks, after `RETRIES`.
+    """
+
+    workers = ClusterWorkers(client, len(ranges))
+    shared: dict[int, Any] = {}
+
+    def begin(part: tuple[int, int], attempt: int) -> Any:
+        digest = f"{recipe.digest}-{attempt}"
+        if attempt not in shared:
+            shared[attempt] = workers.share(recipe, f"kempe-{digest}-recipe")
+        return _tree(client, shared[attempt], digest, *part, each)
+
+    for (first, last), counts in finished(workers, ranges, begin, check):
+        yield first, last, counts
+
+
+def _tree(client: Any, recipe: Any, digest: str, first: int, last: int, each: int) -> Any:
+    """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so
+    on.
+
+    `recipe` is the future of the recipe, and `digest` its name: another attempt has other keys,
+    since under those of before the scheduler knows tasks as failed.
+    """
+    many = last - first >= 2**32
+    starts = range(first, last, each)
+    ends = [min(at + each, last) for at in starts]
+    keys = [f"kempe-{digest}-{at}-{end}" for at, end in zip(starts, ends, strict=True)]
+    level = client.map(counted, [recipe] * len(keys), list(starts), ends, key=keys, retries=RETRIES)
+    height = 0
+    while len(level) > 1:
+        height += 1
+        level = [
+            client.submit(
+                added,
+                many,
+                *level[k : k + FAN],
+                key=f"kempe-{digest}-{first}-{last}-sum-{height}-{k}",
+                retries=RETRIES,
+            )
+            for k in range(0, len(level), FAN)
+        ]
+    return level[0]
