@@ -48,10 +48,15 @@ RECORD = ROOT / "docs" / "mutants.json"
 AREAS = {
     "joints": ["joints.py"],
     "constraints": ["constraints/*"],
-    "closures": ["model/closures/*", "kinematics/closure_*", "solvers/assembly/assembl*"],
+    "closures": [
+        "model/constraint_program.py",
+        "model/packed_loops.py",
+        "equations/closure*",
+        "assemble/bound.py",
+    ],
     "lowering": ["model/*"],
-    "analytic": ["solvers/analytic/*"],
-    "mobility": ["analysis/first_order/*", "analysis/local/*", "analysis/mobility/*"],
+    "analytic": ["inverse/closed_forms/*", "inverse/ik_all.py", "inverse/solve_all.py"],
+    "mobility": ["first_order/*", "mobility/*"],
 }
 """Modules of each area, by patterns; the first area that has a module takes it."""
 TEXTS = [

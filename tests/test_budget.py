@@ -24,10 +24,9 @@ from rounded import exact, rounded
 
 import kempe
 from kempe import Budget, arguments
-from kempe.answers import targets
 from kempe.budget import TimeUp, Usual, checks, look
 from kempe.errors import CallError, InputError, NoSolutionError
-from kempe.inverse import ik, multi_start
+from kempe.inverse import multi_start, numeric
 from kempe.inverse.closed_forms import question
 from kempe.inverse.tasks import search
 from kempe.numerics import clock
@@ -382,9 +381,9 @@ def test_time_limits_hold_while_the_work_is_prepared(verb, monkeypatch):
     system = chain(100) if verb.startswith("chain") else ladder(40)
     calls = collections.Counter[str]()
     counted = types.SimpleNamespace(monotonic=lambda: float(calls["call"]))
-    for module in (targets, clock, multi_start, question, search):
+    for module in (arguments, clock, multi_start, question, search):
         monkeypatch.setattr(module, "time", counted)
-    for module in (clock, ik):
+    for module in (clock, numeric):
         monkeypatch.setattr(module, "deadline", arguments.deadline)
     sys.setprofile(lambda frame, event, argument: calls.update((event,)))
     try:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from kempe.inverse.self_motion import SelfMotion
     from kempe.inverse.sweep import Sweep
     from kempe.mobility.relative_motion import RelativeMotion
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.motion.transmission import LoopJacobian
     from kempe.workspace.base_placement import BasePlacement
     from kempe.workspace.capability import CapabilityMap
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 class Namespace:
     """Base of groups of methods of one `system`."""
 
-    system: System
+    system: Model
 
     def __repr__(self) -> str:
         names = ", ".join(name for name in dir(self) if name[0] != "_" and name != "system")

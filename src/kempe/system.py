@@ -288,7 +288,7 @@ class System(Model, Pictured):
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
     ) -> TaskSpace:
         """The task space of a frame or tasks: which freedoms of `q` move it; see
-        `analysis.spaces.configuration`.
+        `kempe.spaces.configuration_space`.
         """
         from kempe.spaces.task_space import task_space
 
@@ -782,7 +782,7 @@ class System(Model, Pictured):
         budget: Budget | None = None,
     ) -> Simulation:
         """The motion under given velocities, or of a ball that falls and bounces; see
-        `kempe.analysis.simulation`.
+        `kempe.motion.simulate`.
         """
         from kempe.motion.simulate import simulate
 

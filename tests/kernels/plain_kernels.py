@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import builtins
 import importlib
+import sys
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -94,6 +95,7 @@ STAND_INS: dict[str, Any] = {
         where=lambda c, a, b: a if c else b,
         with_sign_of=lambda a, b: np.copysign(a, b),
     ),
+    "goals": StandIns(),
 }
 """What stands for modules that need the compiler, by name."""
 _made: dict[str, Any] = {}
@@ -108,6 +110,7 @@ def plain(name: str) -> Any:
         module = ModuleType(f"plain_{name}")
         module.__dict__["__builtins__"] = {**vars(builtins), "__import__": _imported}
         _made[name] = module
+        sys.modules[module.__name__] = module  # where dataclasses look for their module
         SourceFileLoader(module.__name__, str(path)).exec_module(module)
     return _made[name]
 

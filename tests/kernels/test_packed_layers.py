@@ -243,7 +243,7 @@ def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
     bounds.
     """
     rng = np.random.default_rng(seed)
-    kernel = plain("active_set")
+    kernel = plain("task_search")
     p = packed(random_plan(rng, ties, nv), nv, rng)
     m = len(p.J)
     q = rng.normal(size=nv)

@@ -734,13 +734,13 @@ def test_held_balls_keep_their_known_quaternions():
 def searched(monkeypatch):
     """How many rows each call of the kernel that searches has, of all calls so far."""
     rows: list[int] = []
-    kernel = assembler_module.kernel
+    kernel = assembler_module.loop_closing
 
     def assemble(*args):
         rows.append(len(args[4]))
         return kernel.assemble(*args)
 
-    monkeypatch.setattr(assembler_module, "kernel", SimpleNamespace(assemble=assemble))
+    monkeypatch.setattr(assembler_module, "loop_closing", SimpleNamespace(assemble=assemble))
     return rows
 
 

@@ -15,13 +15,12 @@ from robots import urdf_files
 from test_tasks import inside, two_arms
 
 import kempe
-from kempe import Mechanism, spatial, tasks
-from kempe.answers import targets as arguments
+from kempe import Mechanism, arguments, spatial, tasks
 from kempe.budget import watched_by
 from kempe.errors import InputError, NoSolutionError
-from kempe.inverse import explain_tasks, ik_all, multi_start, solve_all
+from kempe.inverse import explain_tasks, multi_start, solve_all
 from kempe.inverse.chain import problem
-from kempe.inverse.closed_forms import question, start_search
+from kempe.inverse.closed_forms import held, question, start_search
 from kempe.inverse.tasks import search as effort
 from kempe.inverse.tasks import search as ik_tasks
 from kempe.kernels.compiled import fallback
@@ -376,7 +375,7 @@ def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
     X = s.fk(s.random(3, 200), "tool")
     whole = s.ik_all(X, "tool")
     assert not whole.late.any() and whole.late.shape == (200,)
-    monkeypatch.setattr(ik_all, "ELIMINATED", 64)
+    monkeypatch.setattr(held, "ELIMINATED", 64)
     count_looks(monkeypatch, 2)
     part = s.ik_all(X, "tool", budget=kempe.Budget(time_limit=100.0))
     assert part.plan.method == "elimination"

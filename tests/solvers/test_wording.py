@@ -14,7 +14,7 @@ import kempe
 from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
 
-SOLVERS = Path(kempe.__file__).parent / "solvers"
+SOURCE = Path(kempe.__file__).parent
 ARM = kempe.load("puma560")
 KINDS = {**wording.PROOFS, **wording.FOUND_OUT}
 
@@ -23,7 +23,7 @@ def kinds_made() -> set[str]:
     """Kinds of all evidence that is made in solvers, read from their syntax trees."""
     calls = [
         node
-        for path in SOLVERS.rglob("*.py")
+        for path in SOURCE.rglob("*.py")
         for node in sources.nodes(path)
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)

@@ -13,7 +13,7 @@ from kempe.spatial import Array
 from kempe.words import InWords
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def evidence(kind: str, **figures: Any) -> Evidence:
 
 
 def lengths(
-    system: System,
+    system: Model,
     place: float = 0.0,
     turned: float = 0.0,
     plane: float = 0.0,
@@ -97,7 +97,7 @@ def lengths(
     )
 
 
-def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
+def outside_limits(system: Model, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
     """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else
     as they are.
     """

@@ -13,7 +13,7 @@ from kempe.budget import Budget
 from kempe.errors import UnsupportedError
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 Found = TypeVar("Found")
 TaskOf = tuple[str, tuple[float, float, float]]
@@ -33,7 +33,7 @@ class Problem(NamedTuple):
     `start`. `options` are what only this verb reads, by the names of its arguments.
     """
 
-    system: System
+    system: Model
     requested: str
     known: Mapping[str, Any] = NOTHING
     start: Any = None

@@ -25,7 +25,7 @@ from kempe.poses import (
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 Z_AXIS = (0.0, 0.0, 1.0)
 
@@ -58,7 +58,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
     return task
 
 
-def given_target(system: System, target: Any) -> Any:
+def given_target(system: Model, target: Any) -> Any:
     """What is given as a target as an array; the name of a frame on the ground stands for its pose.
 
     Errors: those of `kempe.poses.arrays`; `UnknownNameError`, `InputError` for frames that move.
@@ -113,7 +113,7 @@ def frame_of(z: Array) -> Array:
 
 
 def targets_of(
-    system: System, target: Any, task: str | None, axis: tuple[float, float, float]
+    system: Model, target: Any, task: str | None, axis: tuple[float, float, float]
 ) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors:
     `InputError`.
@@ -215,7 +215,7 @@ def numbers_of(target: Any) -> Array:
 
 
 def parse_targets(
-    system: System, target: Any, positions: bool = False
+    system: Model, target: Any, positions: bool = False
 ) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with
     `positions`.
@@ -316,7 +316,7 @@ def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str,
     }
 
 
-def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
+def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
     """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
     through.
 

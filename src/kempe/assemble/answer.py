@@ -14,7 +14,7 @@ from kempe.arguments import brief, explained_methods
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.status import Status
 
 
@@ -78,7 +78,7 @@ class Assembly(Answer):
         return out
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system of the problem."""
         return self.assembler.system
 

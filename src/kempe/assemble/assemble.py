@@ -27,12 +27,12 @@ from kempe.numerics.clock import LEAST, TimeLimit
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 @explained
 def assemble(
-    system: System,
+    system: Model,
     known: Mapping[str, Any] | None = None,
     start: Any = None,
     *,
@@ -156,7 +156,7 @@ def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
     )
 
 
-def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
+def allowing(system: Model, tolerance: float | str) -> tuple[Model, float]:
     """The system to assemble within a tolerance, and the largest residual that counts as success.
 
     A near mechanism that closes exactly takes the place of the given one; without one, the
@@ -174,13 +174,13 @@ def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
 
 
 @explained
-def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
+def assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
     return bound(system, listed(known, "known"))
 
 
 @kept
-def bound(system: System, known: tuple[str, ...]) -> Assembler:
+def bound(system: Model, known: tuple[str, ...]) -> Assembler:
     """The assembler for the mechanism that replaces this one in computations, such as with exact
     dimensions.
     """
@@ -262,6 +262,6 @@ SOLVERS = (
 
 
 @kept
-def chosen(system: System, known: tuple[str, ...], signs: bool) -> tuple[Solver, Choice]:
+def chosen(system: Model, known: tuple[str, ...], signs: bool) -> tuple[Solver, Choice]:
     """Who answers with these names known, a branch named by signs or not."""
     return choose(SOLVERS, bound(system, known), signs)

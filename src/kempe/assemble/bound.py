@@ -23,9 +23,7 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
-from kempe.kernels.compiled import closure_batch
-from kempe.kernels.compiled import loop_closing as kernel_compiled
-from kempe.kernels.compiled import task_search as kernel
+from kempe.kernels.compiled import closure_batch, loop_closing, task_search
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.model.configurations import as_start, circles, home_of, refuse_far
@@ -40,7 +38,7 @@ from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- assembly bounded
 
@@ -64,7 +62,7 @@ class OneSidedAssembly:
     start, tolerance.
     """
 
-    system: System
+    system: Model
     loops: PackedLoops
     weights: Array
     steps: int
@@ -182,7 +180,7 @@ class OneSidedAssembly:
         )  # each start is short, else
 
         def work(i: int, j: int) -> int:
-            left = kernel.solve(
+            left = task_search.solve(
                 loops.ints,
                 loops.floats,
                 loops.plan,
@@ -293,7 +291,7 @@ class Assembler:
     `one_sided` the inequalities among the declared constraints do not count.
     """
 
-    def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
+    def __init__(self, system: Model, known: Iterable[str] = (), one_sided: bool = True):
         self.system = system
         self.known = tuple(known)
         self.tree = own_tree(system)
@@ -434,7 +432,7 @@ class Assembler:
             loops = self.loops
             few = self.quick and n <= CHUNK and not (follow or nearest)
         weights = loops.weights if limits else limitless(self.system, loops)
-        if few and not kernel_compiled.assemble(
+        if few and not loop_closing.assemble(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -464,7 +462,7 @@ class Assembler:
 
         def work(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
             before = info[i:j, 1].copy() if first else 0
-            left = kernel_compiled.assemble(
+            left = loop_closing.assemble(
                 loops.ints,
                 loops.floats,
                 loops.plan,
@@ -852,7 +850,7 @@ class Assembler:
         q = np.empty((1, self.shape[0]))
         residual = np.empty(1)
         info = np.empty((1, 3), np.int64)
-        if kernel_compiled.assemble(
+        if loop_closing.assemble(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -996,7 +994,7 @@ class LocalStarts:
     2003).
     """
 
-    def __init__(self, system: System, loops: PackedLoops, weights: Array, tolerance: float):
+    def __init__(self, system: Model, loops: PackedLoops, weights: Array, tolerance: float):
         self.system = system
         self.loops = loops
         self.weights = weights
@@ -1103,7 +1101,7 @@ class LocalStarts:
         q = np.empty((1, self.system.nq))
         residual = np.empty(1)
         info = np.empty((1, 3), dtype=np.int64)
-        kernel_compiled.assemble(
+        loop_closing.assemble(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -1129,14 +1127,14 @@ class LocalStarts:
         return q[0], float(residual[0]), info[0]
 
 
-def limitless(system: System, loops: PackedLoops) -> Array:
+def limitless(system: Model, loops: PackedLoops) -> Array:
     """The weights of loops without limits."""
     weights = loops.weights.copy()
     velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
     return weights
 
 
-def bare(system: System, known: Iterable[str] = ()) -> Assembler:
+def bare(system: Model, known: Iterable[str] = ()) -> Assembler:
     """The assembler for the mechanism exactly as it is given, without any tolerance of its
     dimensions.
     """
@@ -1144,11 +1142,11 @@ def bare(system: System, known: Iterable[str] = ()) -> Assembler:
 
 
 @kept
-def _assembler(system: System, known: tuple[str, ...], one_sided: bool) -> Assembler:
+def _assembler(system: Model, known: tuple[str, ...], one_sided: bool) -> Assembler:
     return Assembler(system, listed(known, "known"), one_sided=one_sided)
 
 
-def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
+def of_equations(system: Model, known: Iterable[str] = ()) -> Assembler:
     """As `assembler`, but one-sided constraints do not count: what they leave out is looked at
     elsewhere.
     """

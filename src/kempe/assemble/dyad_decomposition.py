@@ -27,7 +27,7 @@ from kempe.words import InWords
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
     from kempe.model.coordinates import Relation
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- decompose
 
@@ -196,7 +196,7 @@ def alone(joint: Joint) -> Primitive | None:
     return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
 
 
-def parts_of(system: System) -> Parts:
+def parts_of(system: Model) -> Parts:
     """The parts, links and hinges of a system."""
     mechanism = system.mechanism
     if system.dim != 2:
@@ -226,7 +226,7 @@ def parts_of(system: System) -> Parts:
     return _assemble(system, held, moving)
 
 
-def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]) -> Parts:
+def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]) -> Parts:
     order = [system.body_names[0], *sorted(system.body_names[1:], key=natural)]
     at, groups, misfit = _merge(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
@@ -268,7 +268,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     return Parts(tuple(tuple(g) for g in groups), reps, tuple(links), hinges, size, misfit)
 
 
-def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
+def _tie(system: Model, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
     """The two links of a constraint, on a part of its own."""
     constraint = system._mechanism.constraints[name]
     parameters = system.structure.parameters
@@ -448,7 +448,7 @@ GROUND = 0
 class Decomposition:
     """Clusters that grow while dyads close; `code` is the program so far, `dyads` what it closes."""
 
-    def __init__(self, system: System, parts: Parts, known: list[int]):
+    def __init__(self, system: Model, parts: Parts, known: list[int]):
         self.parts = parts
         self.system = system
         n = len(parts.names)

@@ -49,7 +49,7 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- dyad formulas
 
@@ -527,7 +527,7 @@ class DyadAnswer(Answer):
     """The plan, and the values (n, known) that it was to close."""
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system of the problem."""
         return self.closing[0].system
 
@@ -580,7 +580,7 @@ class Plan(Report):
     configurations.
     """
 
-    system: System
+    system: Model
     known: tuple[str, ...]
     dyads: tuple[Dyad, ...]
     tolerance: float
@@ -828,7 +828,7 @@ def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
 
 
 @explained
-def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete:
+def closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
     """The closed form of a planar system for these known coordinates, or `Incomplete`, which says
     what is left over.
 
@@ -839,7 +839,7 @@ def closed_form(system: System, known: Sequence[str] | str) -> Plan | Incomplete
     return _closed_form(system, listed(known, "known"))
 
 
-def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
+def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Any]:
     """Known values by coordinates of q: a coordinate that follows another is led back to that.
 
     Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move
@@ -867,7 +867,7 @@ def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def on_branch(
-    system: System,
+    system: Model,
     known: Mapping[str, Any],
     branch: Any,
     near: Any = None,
@@ -889,7 +889,7 @@ def on_branch(
 
 
 @kept
-def _closed_form(system: System, names: tuple[str, ...]) -> Plan | Incomplete:
+def _closed_form(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     for name in names:
         if name in slots:
@@ -957,13 +957,13 @@ class HeldCoordinate(NamedTuple):
     turns: bool
     value: Any
 
-    def measure(self, system: System, q: Array, goals: Any, at: Any) -> tuple[Array, Array]:
+    def measure(self, system: Model, q: Array, goals: Any, at: Any) -> tuple[Array, Array]:
         """How far (...) configurations q (..., nq) miss it, in metres and in radians."""
         off = np.abs(q[..., self.place] - self.value)
         return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))
 
 
-def held_at(system: System, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
+def held_at(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
     """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
     names of frames.
     """

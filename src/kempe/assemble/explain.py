@@ -24,7 +24,7 @@ from kempe.spatial import Array
 from kempe.status import Status
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 MOST = 1000
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
@@ -115,7 +115,7 @@ def _left(bound: Assembler, q: Array) -> str:
     )
 
 
-def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
+def _coinciding(system: Model, q: Array) -> list[tuple[str, str]]:
     """Pairs of joints at one place that no body holds there: neither both of them nor others at the
     same place.
     """

@@ -29,7 +29,7 @@ from kempe.spatial import Array
 from kempe.values import Expression, Value
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- relations
 
@@ -169,7 +169,7 @@ class _Read(dict[Place, Array]):
         return super().__getitem__(place)
 
 
-def snapped(system: System, most: float) -> System | None:
+def snapped(system: Model, most: float) -> Model | None:
     """The system with angles that are within `most` of simple fractions of pi made these; None
     where there is none.
     """
@@ -346,7 +346,7 @@ class Dimensions:
     `unit` (size,) are metres or radians of one unit.
     """
 
-    def __init__(self, system: System):
+    def __init__(self, system: Model):
         self.system = own_tree(system)
         m = self.mechanism = self.system.mechanism
         self.length = characteristic_length(self.system)
@@ -361,7 +361,7 @@ class Dimensions:
         self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
         self.size = len(self.unit)
         each = 3 * (m.dim - 1)
-        self._last: tuple[Array, System] | None = None
+        self._last: tuple[Array, Model] | None = None
         self.part = {place: slice(each * k, each * (k + 1)) for k, place in enumerate(self.places)}
 
     def body(self, table: str, name: str, side: str) -> str:
@@ -388,7 +388,7 @@ class Dimensions:
             (motion, (x,)) for motion, x in zip(self.places[place], changes, strict=True) if x
         )
 
-    def changed(self, p: Array, system: System | None = None) -> System:
+    def changed(self, p: Array, system: Model | None = None) -> Model:
         """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is
         kept.
         """
@@ -408,7 +408,7 @@ class Dimensions:
         return found
 
     @cached_property
-    def _freed(self) -> tuple[PackedLoops, System, np.ndarray, np.ndarray, np.ndarray]:
+    def _freed(self) -> tuple[PackedLoops, Model, np.ndarray, np.ndarray, np.ndarray]:
         """The packed loops of the mechanism with a joint at each place, whose coordinates are the
         changes, and it.
 
@@ -508,7 +508,7 @@ class Valley:
     `equations` are those of other dimensions, by default of the system's.
     """
 
-    def __init__(self, system: System, rank: int, equations: Equations | None = None):
+    def __init__(self, system: Model, rank: int, equations: Equations | None = None):
         tree = self.system = own_tree(system)
         self.rank = rank
         self.scale = scales(tree)

@@ -29,7 +29,7 @@ from kempe.poses import Placement, place, refuse_no_poses
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 READ = 1e-6
 """Metres and radians by which poses may violate a joint and still be read."""
@@ -49,7 +49,7 @@ FULL_TURN = 2.0 * math.pi
 
 @explained
 def from_maximal(
-    system: System, poses: ArrayLike, start: Any = None, tolerance: float | None = None
+    system: Model, poses: ArrayLike, start: Any = None, tolerance: float | None = None
 ) -> Array:
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its
     joint's bodies are.
@@ -95,7 +95,7 @@ def from_maximal(
 
 
 def read_joints(
-    system: System, poses: Array, near: Array, tolerance: float = TOLERANCE
+    system: Model, poses: Array, near: Array, tolerance: float = TOLERANCE
 ) -> dict[str, tuple[Array, Array, Array]]:
     """For each joint its coordinates (..., n) at the poses, near to those of a configuration, and
     how far these miss.
@@ -140,7 +140,7 @@ def read_joints(
     return {name: out[name] for name in m.joints}
 
 
-def coordinates_at(system: System, poses: Array, near: Array) -> Array:
+def coordinates_at(system: Model, poses: Array, near: Array) -> Array:
     """Configurations (..., nq) near others (..., nq), with the joints as the poses say; these may
     violate them.
     """
@@ -153,7 +153,7 @@ def coordinates_at(system: System, poses: Array, near: Array) -> Array:
     return out
 
 
-def _by_name(system: System, joint: str, own: Array) -> dict[str, Array]:
+def _by_name(system: Model, joint: str, own: Array) -> dict[str, Array]:
     return {n: own[..., i] for i, n in enumerate(system.structure.coordinates_of_joint(joint))}
 
 
@@ -252,7 +252,7 @@ class LinearRow(NamedTuple):
     periods: tuple[tuple[str, float], ...]
 
 
-def _relations(system: System) -> list[LinearRow]:
+def _relations(system: Model) -> list[LinearRow]:
     """What couplings, locks and relations say, but for quaternions that are held."""
     followers = system.structure.couplings
     turning: set[str] = set()
@@ -341,7 +341,7 @@ def _within(off: Array, turns: bool) -> Array:
 # ---- what is refused
 
 
-def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
+def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:
     R = poses[..., :3, :3]
     p = poses[..., :3, 3]
     tilt = np.hypot(R[..., 2, 0], R[..., 2, 1]) + (R[..., 2, 2] < 0.0)
@@ -357,7 +357,7 @@ def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
             raise InputError(f"{subject} leaves the plane")
 
 
-def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float) -> None:
+def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float) -> None:
     """Refuse poses, with the configurations read off them, that violate a declared constraint."""
     if not system.mechanism.constraints:
         return
@@ -374,7 +374,7 @@ def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float
         _refuse_far(f"constraint {name!r} ({made.kind})", sizes, tolerance)
 
 
-def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> None:
+def _refuse_held(system: Model, values: dict[str, Array], tolerance: float) -> None:
     """Refuse rotations that are not those of quaternions that are held."""
     for joint in system.mechanism.joints.values():
         names = [

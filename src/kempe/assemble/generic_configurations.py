@@ -26,7 +26,7 @@ from kempe.model.configurations import mid, q_from_dict, refuse_far
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 EXACT = 1e-13
 """Residual, in radians and characteristic lengths, up to which a configuration is closed as it
@@ -58,7 +58,7 @@ class NearestClosed:
     why: str = ""
 
 
-def close(system: System, q: Array) -> NearestClosed:
+def close(system: Model, q: Array) -> NearestClosed:
     """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
     given = _residual(system, refuse_far(system, q, "q"))
     if not np.isfinite(given):
@@ -77,7 +77,7 @@ def close(system: System, q: Array) -> NearestClosed:
     return NearestClosed(answer.q, False, given, float(answer.residual), str(answer.status))
 
 
-def find_closed(system: System) -> NearestClosed:
+def find_closed(system: Model) -> NearestClosed:
     """A closed configuration: the posture 'closed', the middle of the limits, or else one that is
     searched.
     """
@@ -99,13 +99,13 @@ def find_closed(system: System) -> NearestClosed:
     return NearestClosed(answer.q, False, at.given, float(answer.residual), str(answer.status))
 
 
-def _residual(system: System, q: Array) -> float:
+def _residual(system: Model, q: Array) -> float:
     values = evaluate(system, q, False, True)[0]
     return float(np.linalg.norm(values))
 
 
 @quiet
-def idle_at(system: System, q: Array) -> tuple[IdleFreedom, ...]:
+def idle_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
     """Idle freedoms at the closed configuration nearest to q (nq,); none where the loops cannot be
     closed.
 
@@ -124,7 +124,7 @@ def idle_at(system: System, q: Array) -> tuple[IdleFreedom, ...]:
 
 
 def around(
-    system: System, rank: Rank, motors: Iterable[int] | None, rng: np.random.Generator
+    system: Model, rank: Rank, motors: Iterable[int] | None, rng: np.random.Generator
 ) -> list[Rank]:
     """Ranks `nearby`, where these may tell more than that at one configuration; `motors` are driven
     velocities.
@@ -136,7 +136,7 @@ def around(
     )
 
 
-def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
+def nearby(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
     """Ranks at closed configurations some way along the null space, drawn at random; none if it
     always snaps back.
     """
@@ -150,7 +150,7 @@ def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
     return found
 
 
-def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
+def _walk(system: Model, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
     from kempe.assemble.bound import of_equations
 
     z = rng.normal(size=(count, rank.nullity)) @ rank.null_space.T

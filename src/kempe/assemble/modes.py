@@ -71,8 +71,7 @@ from kempe.status import Status
 from kempe.words import counted, verb
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- mirror images
 
@@ -90,7 +89,7 @@ FLAT = 1e-6
 it."""
 
 
-def mirrored(system: System, q: Array) -> Array:
+def mirrored(system: Model, q: Array) -> Array:
     """Configurations (n, nq) near the mirror images of others in the plane of the ground's points;
     none if these points lie in no plane.
     """
@@ -108,7 +107,7 @@ def mirrored(system: System, q: Array) -> Array:
     return found[np.isfinite(found).all(axis=1)]
 
 
-def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
+def mixed(system: Model, q: Array, n: int, rng: np.random.Generator) -> Array:
     """Configurations (n, nq) whose joints stand as in one or another of some configurations (k,
     nq).
     """
@@ -119,7 +118,7 @@ def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
 
 
 @kept
-def _points(system: System) -> list[Array]:
+def _points(system: Model) -> list[Array]:
     """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and
     slides a second one on their axis, which a mirror image must keep as well.
     """
@@ -150,7 +149,7 @@ def _points(system: System) -> list[Array]:
 
 
 @kept
-def _plane(system: System) -> tuple[Array, Array] | None:
+def _plane(system: Model) -> tuple[Array, Array] | None:
     """A point and the normal of the plane, in a planar system of the line, that the ground's points
     lie in.
     """
@@ -165,7 +164,7 @@ def _plane(system: System) -> tuple[Array, Array] | None:
     return center, np.append(V[-1], np.zeros(3 - dim))
 
 
-def _fitted(system: System, body: int, points: Array, image: Array, poses: Array) -> Array:
+def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array) -> Array:
     """Poses (n, 4, 4) that bring points (k, 3) of a body as near to their images (n, k, 3) as may
     be (Kabsch, 1976).
     """
@@ -242,7 +241,7 @@ class ModesSearch:
     be even, and is not, `broken` what ended the search early.
     """
 
-    system: System
+    system: Model
     known: dict[str, Any]
     near: Array | None
     rng: np.random.Generator
@@ -385,7 +384,7 @@ class ModesSearch:
 
 
 def search(
-    system: System,
+    system: Model,
     known: dict[str, Any],
     near: Array | None,
     frame: str | None,
@@ -450,7 +449,7 @@ def _one_round(s: ModesSearch, starts: int) -> bool:
     return bool(s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS)
 
 
-def _places(system: System, frame: str | None) -> tuple[str, ...]:
+def _places(system: Model, frame: str | None) -> tuple[str, ...]:
     """The frames whose poses tell modes apart; none where coordinates do.
 
     Angles in a relation of several wind up: after full turns of some of them all bodies are where
@@ -503,7 +502,7 @@ def random_starts(s: ModesSearch, n: int) -> Array:
 
 
 def freedoms(
-    system: System, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array
+    system: Model, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array
 ) -> np.ndarray:
     """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along
     one can be closed.
@@ -552,7 +551,7 @@ def freedoms(
 
 
 def _moving(
-    system: System, clusters: Clusters, q: Array, free: list[int], null_space: Array
+    system: Model, clusters: Clusters, q: Array, free: list[int], null_space: Array
 ) -> tuple[Array, Array]:
     """Directions (k, n) in a null space (rows) that move what counts, and how far they move it."""
     if not clusters.frames:
@@ -613,7 +612,7 @@ def _rigid(s: ModesSearch, spin: Any) -> bool:
     return not spin.links and not (names & {*s.system.structure.velocity_names}) - s.bound.held
 
 
-def _round(system: System, i: int) -> bool:
+def _round(system: Model, i: int) -> bool:
     """Whether a velocity is one of a quaternion, which runs around a sphere."""
     return bool(
         np.any(
@@ -623,12 +622,12 @@ def _round(system: System, i: int) -> bool:
     )
 
 
-def _equations(system: System) -> list[Declared]:
+def _equations(system: Model) -> list[Declared]:
     """The declared constraints that are equations."""
     return [c for c in system.mechanism.constraints.values() if c.equations(system.dim)]
 
 
-def _tied(system: System, i: int) -> bool:
+def _tied(system: Model, i: int) -> bool:
     """Whether a velocity is one of a particle's place, and distances are the only constraints: as
     some solution is regular, these tie it to what stays near.
     """
@@ -743,7 +742,7 @@ class Modes(Configurations):
     freedoms: np.ndarray
     inside: np.ndarray
     outside: int
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     known: dict[str, Any] = field(repr=False)
     coverage: float | None = None
     expected: float | None = None
@@ -798,7 +797,7 @@ class Modes(Configurations):
 
 def _not_begun(
     time: TimeLimit,
-    system: System,
+    system: Model,
     known: Mapping[str, Any] | None = None,
     start: Any = None,
     *,
@@ -819,7 +818,7 @@ def _not_begun(
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def assembly_modes(
-    system: System,
+    system: Model,
     known: Mapping[str, Any] | None = None,
     start: Any = None,
     *,
@@ -874,7 +873,7 @@ def assembly_modes(
 
 
 @kept
-def chosen(system: System, known: tuple[str, ...]) -> tuple[Solver, Choice]:
+def chosen(system: Model, known: tuple[str, ...]) -> tuple[Solver, Choice]:
     """Who answers with these names known."""
     return choose(SOLVERS, system, known)
 
@@ -882,7 +881,7 @@ def chosen(system: System, known: tuple[str, ...]) -> tuple[Solver, Choice]:
 # ---- by structure
 
 
-def no_dyads(system: System, known: tuple[str, ...]) -> str | None:
+def no_dyads(system: Model, known: tuple[str, ...]) -> str | None:
     """Why there is no closed form with these names known; None where there is one."""
     if system.dim != 2:
         return "it is for planar mechanisms"
@@ -1118,7 +1117,7 @@ def _up(percent: float) -> str:
 # ---- what both need
 
 
-def _inside(system: System, q: Array) -> np.ndarray:
+def _inside(system: Model, q: Array) -> np.ndarray:
     """Which configurations (n, nq) are inside the limits (n,)."""
     v = q[:, system.structure.layout.vector_q]
     low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))

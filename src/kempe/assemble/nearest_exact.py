@@ -52,7 +52,7 @@ from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
 from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -132,8 +132,8 @@ class Idealised(Report):
     constraint.
     """
 
-    given: System = field(repr=False)
-    system: System = field(repr=False)
+    given: Model = field(repr=False)
+    system: Model = field(repr=False)
     requested: float
     tolerance: float
     residual: float
@@ -217,7 +217,7 @@ def one_number(tolerance: Any) -> Any:
     return min(given) if pair else given
 
 
-def tolerance_of(system: System, tolerance: Any) -> float:
+def tolerance_of(system: Model, tolerance: Any) -> float:
     """The tolerance that was requested, in metres and radians. Errors: `InputError` with both
     bounds.
     """
@@ -237,7 +237,7 @@ def tolerance_of(system: System, tolerance: Any) -> float:
     return float(tolerance)
 
 
-def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> Idealised | None:
+def within(system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS) -> Idealised | None:
     """The nearest mechanism within a tolerance; None where the given one closes as it is, or where
     there is none.
 
@@ -266,7 +266,7 @@ def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> 
         raise
 
 
-def decided_within(usual: Usual, time: TimeLimit, system: System) -> None:
+def decided_within(usual: Usual, time: TimeLimit, system: Model) -> None:
     """Decide within the time of a verb which mechanism answers for the system. Errors:
     `TimeLimitError`.
     """
@@ -275,18 +275,18 @@ def decided_within(usual: Usual, time: TimeLimit, system: System) -> None:
             within(system)
 
 
-def _closes(system: System) -> bool:
+def _closes(system: Model) -> bool:
     """Whether there is anything that has to close."""
     return bool(system.structure.closures or system._mechanism.constraints)
 
 
-def is_known(system: System, tolerance: Any = None) -> bool:
+def is_known(system: Model, tolerance: Any = None) -> bool:
     """Whether `within` need not search."""
     answers, key, _ = _kept(system, tolerance)
     return key in answers
 
 
-def _kept(system: System, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
+def _kept(system: Model, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
     """What `within` has found, the key of a tolerance in it, and the tolerance itself."""
     tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
     key = tolerance if tolerance.__class__ in (float, int, str) else repr(tolerance)
@@ -299,7 +299,7 @@ USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 @explained
 @time_limited(USUAL)
 def idealised(
-    system: System, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
+    system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
 ) -> Idealised | None:
     """The nearest system that closes exactly and moves, as a proposal: what differs, and by how
     much.
@@ -312,17 +312,17 @@ def idealised(
     return within(system, tolerance)
 
 
-def nearly(system: System) -> Idealised | None:
+def nearly(system: Model) -> Idealised | None:
     """As `within` what is measured, but found in a short time or not at all: for a hint."""
     return system._kept.get(within, {}).get(MEASURED) or _soon(system)
 
 
 @kept
-def _soon(system: System) -> Idealised | None:
+def _soon(system: Model) -> Idealised | None:
     return _searched(system, tolerance_of(system, MEASURED), False)
 
 
-def ideal_of(system: System, tolerance: Any = None) -> System:
+def ideal_of(system: Model, tolerance: Any = None) -> Model:
     """The system that answers for this one: the nearest within its tolerance, or itself."""
     found = within(system, tolerance)
     return system if found is None else found.system
@@ -334,7 +334,7 @@ def said(found: Nearest | None) -> str:
 
 
 def _searched(
-    system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS
+    system: Model, most: float, thorough: bool = True, time: TimeLimit = ENDLESS
 ) -> Idealised | None:
     if system._ideal is not None or not _closes(system):
         return None
@@ -355,7 +355,7 @@ class _Found(NamedTuple):
     of its motion, its freedoms, and the names of the coordinates.
     """
 
-    ideal: System
+    ideal: Model
     places: tuple[Place, ...]
     q: Array
     freedoms: int
@@ -364,7 +364,7 @@ class _Found(NamedTuple):
 # ---- parts that move without one another
 
 
-def _parts(system: System) -> list[tuple[System, np.ndarray]]:
+def _parts(system: Model) -> list[tuple[Model, np.ndarray]]:
     """The parts whose loops share no joint, as systems, and the places (nq,) of their coordinates
     in q of the whole.
 
@@ -398,7 +398,7 @@ def _parts(system: System) -> list[tuple[System, np.ndarray]]:
     ]
 
 
-def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
+def _part(system: Model, edges: Sequence[tuple[str, str]]) -> Model:
     """The system of these joints and constraints alone, one of its bodies held where the ground is
     not among them.
     """
@@ -466,7 +466,7 @@ def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
 
 
 def _of_part(
-    system: System, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
+    system: Model, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
     """What a part becomes; None where it closes as it is, or nothing near does."""
     equations = full(system, True)
@@ -488,7 +488,7 @@ def _of_part(
 
 
 def _first(
-    system: System,
+    system: Model,
     starts: Sequence[tuple[int, Array]],
     most: float,
     scaled: float,
@@ -506,7 +506,7 @@ def _first(
     return None
 
 
-def _moves_within_more(system: System, home: Array, most: float, time: TimeLimit) -> bool:
+def _moves_within_more(system: Model, home: Array, most: float, time: TimeLimit) -> bool:
     """Whether larger changes than those allowed, up to the largest tolerance, make a part close and
     move.
 
@@ -522,7 +522,7 @@ def _moves_within_more(system: System, home: Array, most: float, time: TimeLimit
     return _first(system, moving, widest, scaled, False, time) is not None
 
 
-def _closes_anyway(system: System, most: float) -> bool:
+def _closes_anyway(system: Model, most: float) -> bool:
     """Whether no change of dimensions gives the part more freedoms than it has: one loop in the
     plane, of hinges.
 
@@ -545,7 +545,7 @@ def _closes_anyway(system: System, most: float) -> bool:
     return min(lengths) > OPEN * most and system.nv == len(joints)
 
 
-def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
+def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]]:
     """Ranks that the equations may have, the lowest first, and where to look for a motion: first
     about home.
     """
@@ -627,7 +627,7 @@ def _beside(
 
 
 def _apart(
-    system: System, starts: Sequence[tuple[int, Array]], scale: Array
+    system: Model, starts: Sequence[tuple[int, Array]], scale: Array
 ) -> list[tuple[int, Array]]:
     """The ranks and places without those that are close to one before them."""
     out: list[tuple[int, Array]] = []
@@ -670,7 +670,7 @@ def _ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
 
 
 def _with_rank(
-    system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
+    system: Model, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
     """The nearest mechanism whose equations have this rank along its motion near q; None if there
     is none.
@@ -719,7 +719,7 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
     return nicer if nicer.closed else found
 
 
-def _changes(system: System, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
+def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
     """What was found, with what differs."""
     m = system.mechanism
     new = system.mechanism
@@ -804,7 +804,7 @@ def tolerant(*closed: str) -> Callable[[Function], Function]:
 
     def of(function: Function) -> Function:
         @functools.wraps(function)
-        def call(system: System, *args: Any, **options: Any) -> Any:
+        def call(system: Model, *args: Any, **options: Any) -> Any:
             found = within(system, options.pop("tolerance", None))
             if found is None:
                 return function(system, *args, **options)

@@ -19,7 +19,7 @@ from kempe.model.model import kept
 from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 HELD = 1e-6
 """By how much more of the equations may be missing after whole turns, in radians and characteristic
@@ -43,7 +43,7 @@ class Metric:
     which every body is where it was, 0 for coordinates that have none; limits do not matter.
     """
 
-    def __init__(self, system: System):
+    def __init__(self, system: Model):
         self.system = system
         self.length = characteristic_length(system)
         self.scale = np.where(system.structure.coordinates.turning, 1.0, self.length)
@@ -126,12 +126,12 @@ class Metric:
 
 
 @kept
-def metric_of(system: System) -> Metric:
+def metric_of(system: Model) -> Metric:
     """The metric of a system."""
     return Metric(system)
 
 
-def _periods(system: System) -> Array:
+def _periods(system: Model) -> Array:
     """For each velocity coordinate (nv,) the turn after which everything is as before; 0 where
     there is none.
 
@@ -165,7 +165,7 @@ class Clusters:
     put these frames at the same poses are one.
     """
 
-    def __init__(self, system: System, frames: tuple[str, ...] = ()):
+    def __init__(self, system: Model, frames: tuple[str, ...] = ()):
         self.system = system
         self.frames = frames
         self.metric = metric_of(system)

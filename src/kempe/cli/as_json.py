@@ -19,7 +19,7 @@ from kempe.words import jsonable
 
 if TYPE_CHECKING:
     from kempe.answers.answer import Answer
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.motion.path import Path
 
 DEGREE = math.pi / 180.0
@@ -38,7 +38,7 @@ def in_degrees(
     return np.asarray(values, dtype=float) * factors
 
 
-def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
+def system_facts(system: Model, degrees: bool = False) -> dict[str, Any]:
     """All that `kempe info` says of a system, by topic; limits of angles in radians, or in degrees."""
     # Here, as only one command needs it.
     from kempe.spaces.configuration_space import configuration_space
@@ -77,7 +77,7 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
     }
 
 
-def _dof_of_tree(system: System) -> int:
+def _dof_of_tree(system: Model) -> int:
     """Degrees of freedom of the tree: those of all joints without those of the joints that it left
     out.
     """
@@ -93,7 +93,7 @@ def _dof_of_tree(system: System) -> int:
     return system.nv - sum(name in known for name in names)
 
 
-def _bodies(system: System) -> list[dict[str, Any]]:
+def _bodies(system: Model) -> list[dict[str, Any]]:
     names = system.body_names
     records = system.mechanism.bodies
     out: list[dict[str, Any]] = [
@@ -114,7 +114,7 @@ def _bodies(system: System) -> list[dict[str, Any]]:
     return out
 
 
-def _joint(system: System, joint: Joint, in_tree: bool) -> dict[str, Any]:
+def _joint(system: Model, joint: Joint, in_tree: bool) -> dict[str, Any]:
     return {
         "name": joint.name,
         "type": joint.type.type_name,
@@ -127,7 +127,7 @@ def _joint(system: System, joint: Joint, in_tree: bool) -> dict[str, Any]:
     }
 
 
-def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
+def coordinates(system: Model, degrees: bool = False) -> list[dict[str, Any]]:
     """Each entry of q: its index, name, unit and limits (None where there is none)."""
     unit = units(system)
     limits = in_degrees(system.structure.limits.T, system.structure.velocity_names, unit, degrees)
@@ -157,7 +157,7 @@ def _coupling(of: str, follower: Follower) -> dict[str, Any]:
     }
 
 
-def _constraint(system: System, c: Declared) -> dict[str, Any]:
+def _constraint(system: Model, c: Declared) -> dict[str, Any]:
     """A declared constraint with the freedoms of position that it takes away, and its number of
     one-sided rows.
     """
@@ -174,7 +174,7 @@ def _constraint(system: System, c: Declared) -> dict[str, Any]:
     } | ({"of": list(reads)} if (reads := c.of.reads) else {})
 
 
-def largest_gap(system: System, q: Any) -> str:
+def largest_gap(system: Model, q: Any) -> str:
     """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is
     closed.
     """
@@ -219,7 +219,7 @@ def pose_facts(X: spatial.Array, frame: str, degrees: bool = False) -> dict[str,
 
 
 def poses_facts(
-    system: System, frame: str | None, X: spatial.Array, degrees: bool = False
+    system: Model, frame: str | None, X: spatial.Array, degrees: bool = False
 ) -> dict[str, Any]:
     """Poses as `System.fk` gives them: of a frame, or of all bodies where `frame` is None; one or
     many q.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from kempe.inverse.all_answer import Solutions
     from kempe.inverse.describe import Recognised
     from kempe.inverse.path import IkPath
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 NARROW = 7
 """Coordinates up to which solutions are lines of a table; of more of them, each solution is a
@@ -192,7 +192,7 @@ def _style(good: bool, complete: bool) -> str:
     return "bold red" if not good else "bold green" if complete else "bold yellow"
 
 
-def _in_units(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
+def _in_units(system: Model, q: spatial.Array, degrees: bool) -> spatial.Array:
     return as_json.in_degrees(q, system.coordinate_names, units(system), degrees)
 
 
@@ -258,7 +258,7 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
     }
 
 
-def _family(system: System, family: Any, degrees: bool) -> dict[str, Any]:
+def _family(system: Model, family: Any, degrees: bool) -> dict[str, Any]:
     return {
         "dimension": family.dimension,
         "joints": list(family.joints),

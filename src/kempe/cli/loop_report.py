@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kempe.assemble.modes import Modes
     from kempe.mobility.answer import Mobility
     from kempe.mobility.classify import Classification
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.motion.path import Event, Path
 
 EVENT_LIMIT = 24
@@ -67,7 +67,7 @@ def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) ->
 
 
 def report_facts(
-    system: System, answer: Mobility | Classification, degrees: bool = False
+    system: Model, answer: Mobility | Classification, degrees: bool = False
 ) -> dict[str, Any]:
     """Degrees of freedom, or what constraints are, as plain data."""
     data = answer.data()
@@ -286,7 +286,7 @@ def _motion(answer: Path, degrees: bool) -> dict[str, Any]:
     }
 
 
-def _event_facts(system: System, event: Event, degrees: bool) -> dict[str, Any]:
+def _event_facts(system: Model, event: Event, degrees: bool) -> dict[str, Any]:
     out: dict[str, Any] = {"s": event.s, "kind": event.kind}
     if event.coordinate:
         value, unit = _in_unit(event, units(system), degrees)
@@ -324,7 +324,7 @@ def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bo
 # ---- what all need
 
 
-def by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
+def by_name(system: Model, q: spatial.Array, degrees: bool) -> Any:
     """Values by coordinate name of a configuration (nq,); a list of these of many (n, nq)."""
     values = jsonable(_shown(system, q, degrees))
     several = values if np.ndim(q) > 1 else [values]
@@ -332,11 +332,11 @@ def by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
     return named if np.ndim(q) > 1 else named[0]
 
 
-def _shown(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
+def _shown(system: Model, q: spatial.Array, degrees: bool) -> spatial.Array:
     return as_json.in_degrees(q, system.coordinate_names, units(system), degrees)
 
 
-def _heads(system: System, degrees: bool) -> list[str]:
+def _heads(system: Model, degrees: bool) -> list[str]:
     """Heads of columns of numbers: each coordinate with its unit."""
     return [
         f">{c['name']} [{c['unit']}]" if c["unit"] else f">{c['name']}"

@@ -24,7 +24,7 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.answers.answer import Answer
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.motion.path import Path
 
 WIDE = 100_000
@@ -191,7 +191,7 @@ def number(x: float, digits: int = 6) -> str:
 # ---- info
 
 
-def info(system: System, degrees: bool = False) -> RenderableType:
+def info(system: Model, degrees: bool = False) -> RenderableType:
     """A system: sizes, connectivity vector, freedoms, configuration space, bodies, joints, limits,
     ...
     """
@@ -209,7 +209,7 @@ def info(system: System, degrees: bool = False) -> RenderableType:
     return Group(*blocks)
 
 
-def tree(system: System) -> RenderableType:
+def tree(system: Model) -> RenderableType:
     """The tree of bodies and joints in box characters, what closes loops, and the connectivity
     vector.
     """
@@ -423,7 +423,7 @@ def error(problem: BaseException | str) -> RenderableType:
 
 
 def poses(
-    system: System, frame: str | None, X: spatial.Array, degrees: bool = False
+    system: Model, frame: str | None, X: spatial.Array, degrees: bool = False
 ) -> RenderableType:
     """Where a frame is, or all bodies are (`frame` None); of many configurations a line for each.
 
@@ -459,7 +459,7 @@ def matrix(X: spatial.Array) -> str:
     return "\n".join("  ".join(f"{number(x):>10}" for x in row) for row in np.asarray(X).tolist())
 
 
-def solution(system: System, answer: Answer, degrees: bool = False) -> RenderableType:
+def solution(system: Model, answer: Answer, degrees: bool = False) -> RenderableType:
     """An answer of `ik`: its sentence, and the configuration by name; of many targets a line for
     each.
     """

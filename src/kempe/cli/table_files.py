@@ -24,7 +24,7 @@ from kempe.errors import UNREADABLE, InputError, UnknownNameError
 from kempe.model.configurations import as_q, closed_from, from_home, mid, q_from_dict, units
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 POSE_COLUMNS = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -40,7 +40,7 @@ def numbers(text: str, what: str) -> list[float]:
 
 
 def configuration(
-    system: System,
+    system: Model,
     text: str | None,
     posture: str | None = None,
     degrees: bool = False,
@@ -68,7 +68,7 @@ def configuration(
     return _radians(system, as_q(system, numbers(text, "q")), degrees)
 
 
-def _posture(system: System, name: str | None) -> spatial.Array:
+def _posture(system: Model, name: str | None) -> spatial.Array:
     special = {"neutral": system.neutral.copy(), "mid": mid(system).copy()}
     if name is None:
         return system.neutral.copy()
@@ -81,7 +81,7 @@ def _posture(system: System, name: str | None) -> spatial.Array:
     return q_from_dict(system, name)
 
 
-def _named(system: System, text: str, degrees: bool) -> dict[str, float]:
+def _named(system: Model, text: str, degrees: bool) -> dict[str, float]:
     unit = units(system)
     out: dict[str, float] = {}
     for part in text.split(","):
@@ -99,12 +99,12 @@ def _named(system: System, text: str, degrees: bool) -> dict[str, float]:
     return out
 
 
-def _radians(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
+def _radians(system: Model, q: spatial.Array, degrees: bool) -> spatial.Array:
     """q with its angles, given in degrees where `degrees` says so, in radians."""
     return q / in_degrees(np.ones(system.nq), system.coordinate_names, units(system), degrees)
 
 
-def _configurations(system: System, path: Path, degrees: bool, start: bool) -> spatial.Array:
+def _configurations(system: Model, path: Path, degrees: bool, start: bool) -> spatial.Array:
     """Configurations (n, nq) of a file; a .csv may name its columns, the missing ones are as where
     values are named.
     """
@@ -121,7 +121,7 @@ def _configurations(system: System, path: Path, degrees: bool, start: bool) -> s
     return (from_home if start else closed_from)(system, coordinates)
 
 
-def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
+def target(system: Model, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
     """Target poses (..., 4, 4) from the command line, and whether only their position counts.
 
     'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF), 'x,y,z,qw,qx,qy,qz' or 'x,y,z'; of planar
@@ -220,7 +220,7 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
 
 
 def write_configurations(
-    path: Path, system: System, q: spatial.Array, degrees: bool = False
+    path: Path, system: Model, q: spatial.Array, degrees: bool = False
 ) -> None:
     """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them
     back.

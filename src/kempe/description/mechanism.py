@@ -47,7 +47,7 @@ from kempe.values import Expression, Value, evaluate, value
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- constrain
 
@@ -810,7 +810,7 @@ class Mechanism(ConstraintMethods):
 
     def attach(
         self,
-        other: Mechanism | System,
+        other: Mechanism | Model,
         to: BodyLike | Frame | None = None,
         prefix: str = "",
         **placement: Any,
@@ -848,7 +848,7 @@ class Mechanism(ConstraintMethods):
         out.postures = {k: dict(v) for k, v in self.postures.items()}
         return out
 
-    def build(self) -> System:
+    def build(self) -> Model:
         """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
         with collecting_later(len(self.bodies)):
             return late("System")(self)
@@ -959,7 +959,7 @@ def unused_name(m: Mechanism, name: str) -> str:
     return name
 
 
-def _mechanism_of(thing: Mechanism | System) -> Mechanism:
+def _mechanism_of(thing: Mechanism | Model) -> Mechanism:
     mechanism = thing if isinstance(thing, Mechanism) else getattr(thing, "mechanism", None)
     if not isinstance(mechanism, Mechanism):
         raise InputError(f"{thing!r} is no Mechanism or System; read a file with kempe.read first")

@@ -20,7 +20,7 @@ from kempe.numerics.newton import gauss_newton
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 LEAST = 0.1
 """What the largest singular value counts as at least: equations are scaled, and where all vanish it
@@ -62,7 +62,7 @@ class Closure(Curve):
 
     least = LEAST
 
-    def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
+    def __init__(self, system: Model, held: Sequence[int] = (), at: Array | None = None):
         self.system = system
         self.held = tuple(held)
         self.tree = own_tree(system)

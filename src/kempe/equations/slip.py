@@ -17,7 +17,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 RELATIVE = 1e-6
 ABSOLUTE = 1e-9
@@ -31,12 +31,12 @@ CONTRADICTION = 1e-9
 
 
 @kept
-def rolls(system: System) -> bool:
+def rolls(system: Model) -> bool:
     """Whether the system has velocity constraints."""
     return bool(row_names(system))
 
 
-def hard_rows(system: System, q: Array, scale: Array) -> tuple[Array, Array]:
+def hard_rows(system: Model, q: Array, scale: Array) -> tuple[Array, Array]:
     """Velocity rows (m, nv) of size 1 over scaled velocities, and what they must give (m,), at q
     (nq,) and time 0.
     """
@@ -86,7 +86,7 @@ class Slip:
         return f"slips by {abs(self.amount):.3g} {self.unit} across {self.name!r}"
 
 
-def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = None) -> Slip | None:
+def slip_of(system: Model, q: Array, times: Sequence[float] | Array | None = None) -> Slip | None:
     """Where configurations (n, nq), one after the other, slip first; None where they do not.
 
     The rows times the way between two samples, at its middle, are what they slip there, but for the
@@ -127,7 +127,7 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
     return Slip(k + first, name, float(slips[k, row]), float(span[k]), unit)
 
 
-def _around(system: System, bend: Array) -> Array:
+def _around(system: Model, bend: Array) -> Array:
     """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one
     unit: one passes 0.
     """
@@ -151,7 +151,7 @@ class _SlipVelocities(NamedTuple):
     time: Array
 
 
-def _ways(system: System, q: Array, clock: Array, step: int) -> _SlipVelocities:
+def _ways(system: Model, q: Array, clock: Array, step: int) -> _SlipVelocities:
     way = system.structure.layout.difference(q[:-step], q[step:])
     middle = q[1:-1] if step == 2 else system.structure.layout.integrate(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]

@@ -24,7 +24,7 @@ from kempe.model.model import kept
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- cycles
 
@@ -273,17 +273,17 @@ class ConstraintGraph:
 
 
 @kept
-def structure(system: System) -> ConstraintGraph:
+def structure(system: Model) -> ConstraintGraph:
     """Edges, loops and clusters of a system."""
     return _structure(system)
 
 
-def called(system: System) -> tuple[str, ...]:
+def called(system: Model) -> tuple[str, ...]:
     """Constraints that are Python functions without series."""
     return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
 
 
-def _structure(system: System) -> ConstraintGraph:
+def _structure(system: Model) -> ConstraintGraph:
     edges = _edges(system)
     loops = _loops(system, edges)
     laws = _laws(system)
@@ -307,7 +307,7 @@ def _structure(system: System) -> ConstraintGraph:
     )
 
 
-def _edges(system: System) -> list[Edge]:
+def _edges(system: Model) -> list[Edge]:
     m = system.mechanism
     dim = system.dim
     number = {b: i for i, b in enumerate(system.body_names)}
@@ -373,7 +373,7 @@ def _full(joint: str, coordinate: str) -> str:
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
-def _loops(system: System, edges: list[Edge]) -> list[Loop]:
+def _loops(system: Model, edges: list[Edge]) -> list[Loop]:
     index = {e.name: i for i, e in enumerate(edges)}
     up = [-1, *(index[n] for n in system.structure.parent_joints)]
     parent = (-1, *system.parent)
@@ -405,7 +405,7 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
     return out
 
 
-def _laws(system: System) -> tuple[Law, ...]:
+def _laws(system: Model) -> tuple[Law, ...]:
     """Couplings with several sources, and what constraints say by expressions and functions."""
     loops = full(system, True)
     first = 0
@@ -460,7 +460,7 @@ def rows_of(edge: Edge, dim: int) -> int:
 
 
 def _clusters(
-    system: System, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
+    system: Model, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
 ) -> tuple[Cluster, ...]:
     supports = [
         sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0})

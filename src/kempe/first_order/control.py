@@ -19,7 +19,7 @@ from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.first_order.idle_freedoms import IdleFreedom
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 SHOWN = 1e-6
 """Part of the largest velocity of a motion below which a coordinate is said to rest."""
@@ -74,7 +74,7 @@ class Control(InWords):
 
 
 def control(
-    system: System,
+    system: Model,
     rank: Rank,
     generic: Sequence[Rank],
     idle: Sequence[IdleFreedom],
@@ -110,7 +110,7 @@ def control(
     return Control(names, useful, controlled, len(indices) - max(controlled, most), fewer, patterns)
 
 
-def driven(system: System, actuated: Iterable[str] | None) -> list[int] | None:
+def driven(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
     """Indices of the velocity coordinates of joints or coordinates by name, or of joints marked as
     actuated.
 
@@ -173,7 +173,7 @@ def _sparse(X: Array) -> Array:
     return Y
 
 
-def _pattern(system: System, v: Array) -> dict[str, float]:
+def _pattern(system: Model, v: Array) -> dict[str, float]:
     largest = v[np.argmax(np.abs(v))]
     return {
         n: float(x / largest)

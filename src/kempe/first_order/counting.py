@@ -26,7 +26,7 @@ from kempe.words import InWords, counted, verb
 
 if TYPE_CHECKING:
     from kempe.first_order.screws import Screws
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 SAME = 1e-7
 """Singular values of unit screws below this are zero: they lie in a smaller group of motions."""
@@ -88,7 +88,7 @@ class Counting(InWords):
         return "\n".join(self.steps)
 
 
-def counting(system: System) -> Counting:
+def counting(system: Model) -> Counting:
     """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
     s = structure(system)
     m = system.mechanism
@@ -130,7 +130,7 @@ def _takes(edge: Edge, dim: int) -> tuple[int, str]:
     return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
 
 
-def _held(s: ConstraintGraph, system: System) -> list[tuple[int, str]]:
+def _held(s: ConstraintGraph, system: Model) -> list[tuple[int, str]]:
     """What couplings, locks and constraints that are expressions take away."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
     follow = sum(
@@ -174,7 +174,7 @@ def _taken_text(
 
 
 def _lecture_text(
-    system: System,
+    system: Model,
     s: ConstraintGraph,
     takes: Sequence[tuple[int, str, Edge]],
     held: Sequence[tuple[int, str]],
@@ -214,7 +214,7 @@ def _lecture_text(
 # ---- loops
 
 
-def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
+def loop_counts(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:
     """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of
     motions.
     """

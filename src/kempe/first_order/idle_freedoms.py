@@ -45,7 +45,7 @@ from kempe.spatial import Array
 from kempe.words import InWords
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- series joints
 
@@ -102,14 +102,14 @@ def _ends(edge: Edge, sign: float) -> tuple[int, int]:
 
 
 @kept
-def all_series(system: System, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
+def all_series(system: Model, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
     """All series of at least two edges in which something can turn; `driven` are velocities that a
     motor holds.
     """
     return _all_series(system, structure(system), driven)
 
 
-def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
+def _uses(system: Model, s: ConstraintGraph) -> np.ndarray:
     """For each velocity by how many columns and laws it is used."""
     uses = np.bincount(
         [c.index for e in s.edges for c in e.columns if c.index >= 0], minlength=system.nv
@@ -120,7 +120,7 @@ def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
 
 
 def _all_series(
-    system: System, s: ConstraintGraph, driven: frozenset[int]
+    system: Model, s: ConstraintGraph, driven: frozenset[int]
 ) -> tuple[SeriesLoop, ...]:
     part = parts(system)
     uses = _uses(system, s)
@@ -192,7 +192,7 @@ class Star:
     loose: tuple[int, ...]
 
 
-def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
+def stars(system: Model, driven: frozenset[int]) -> tuple[Star, ...]:
     """All stars in which every joint can turn, or hold a point; `driven` are velocities that a
     motor holds.
     """
@@ -218,7 +218,7 @@ def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
 
 
 def _star(
-    system: System,
+    system: Model,
     s: ConstraintGraph,
     inside: np.ndarray,
     edges: list[int],
@@ -255,7 +255,7 @@ def _star(
 
 
 def _outwards(
-    system: System,
+    system: Model,
     s: ConstraintGraph,
     inside: np.ndarray,
     i: int,
@@ -298,7 +298,7 @@ def rigid(edge: Edge) -> bool:
 
 
 @kept
-def parts(system: System) -> np.ndarray:
+def parts(system: Model) -> np.ndarray:
     """For each body the number of its part: bodies that joints without a velocity hold together are
     one part.
     """
@@ -310,7 +310,7 @@ def parts(system: System) -> np.ndarray:
 
 
 @kept
-def in_loop(system: System) -> np.ndarray:
+def in_loop(system: Model) -> np.ndarray:
     """For each edge whether it is part of a loop (mask)."""
     s = structure(system)
     found = np.zeros(len(s.edges), dtype=bool)
@@ -318,14 +318,14 @@ def in_loop(system: System) -> np.ndarray:
     return found
 
 
-def edges_at(system: System, bodies: frozenset[int]) -> set[int]:
+def edges_at(system: Model, bodies: frozenset[int]) -> set[int]:
     """Numbers of the edges that some of these bodies are connected by."""
     found = _edges_of_bodies(system)
     return {i for body in bodies for i in found[body]}
 
 
 @kept
-def _edges_of_bodies(system: System) -> list[list[int]]:
+def _edges_of_bodies(system: Model) -> list[list[int]]:
     found: list[list[int]] = [[] for _ in system.body_names]
     for i, edge in enumerate(structure(system).edges):
         found[edge.parent].append(i)
@@ -334,7 +334,7 @@ def _edges_of_bodies(system: System) -> list[list[int]]:
 
 
 @kept
-def between(system: System, i: int, k: int) -> frozenset[int]:
+def between(system: Model, i: int, k: int) -> frozenset[int]:
     """Numbers of the bodies that two joints in series part from the ground."""
     s = structure(system)
     links: dict[int, list[int]] = {}
@@ -406,7 +406,7 @@ class HeldStar(NamedTuple):
     holds: tuple[SignedEnd, ...]
 
 
-def pairs_of(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[Pair]:
+def pairs_of(system: Model, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[Pair]:
     """Pairs of ends between which something may spin, by what does not depend on the configuration.
 
     Where axes meet in a part that two joints share, they do so at every closed configuration, such
@@ -442,7 +442,7 @@ def _of_series(s: ConstraintGraph, at: Screws, series: SeriesLoop) -> Iterator[P
             yield pair
 
 
-def held(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[HeldStar]:
+def held(system: Model, s: ConstraintGraph, at: Screws, driven: frozenset[int]) -> list[HeldStar]:
     """Stars with their ends, which do not depend on the configuration either; nor does, without
     slides, their line.
     """
@@ -685,7 +685,7 @@ class _Group(NamedTuple):
 
 
 def idle_freedoms(
-    system: System, ranks: Sequence[Rank], driven: Iterable[int] | None = None
+    system: Model, ranks: Sequence[Rank], driven: Iterable[int] | None = None
 ) -> tuple[IdleFreedom, ...]:
     """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
 
@@ -723,7 +723,7 @@ def idle_freedoms(
     return tuple(out)
 
 
-def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) -> bool:
+def may_idle(system: Model, rank: Rank, driven: Iterable[int] | None = None) -> bool:
     """Whether anything looks like an idle freedom at one configuration."""
     return any(
         True for _ in _spins(system, structure(system), [rank.screws], frozenset(driven or ()))
@@ -734,7 +734,7 @@ def may_idle(system: System, rank: Rank, driven: Iterable[int] | None = None) ->
 
 
 def _spins(
-    system: System, s: ConstraintGraph, at: Sequence[Screws], driven: frozenset[int]
+    system: Model, s: ConstraintGraph, at: Sequence[Screws], driven: frozenset[int]
 ) -> Iterator[_SpinCandidate]:
     """Spins that exist at all configurations; the last to be looked at is whether anything else
     moves with them.
@@ -820,7 +820,7 @@ def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[
 # ---- whether it is idle
 
 
-def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool) -> _Group | None:
+def _group(system: Model, s: ConstraintGraph, spin: _SpinCandidate, known: bool) -> _Group | None:
     """What is between the ends of a pair; None where it is not idle."""
     assert isinstance(spin.of, Pair)
     series, left, right = spin.of
@@ -846,7 +846,7 @@ def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool
     return _Group(bodies, moving - bodies, (series.edges[p], series.edges[q]))
 
 
-def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate) -> _Group | None:
+def _of_star(system: Model, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate) -> _Group | None:
     """The bodies of a star, with links of balls that turn with them; None where they are not idle."""
     assert isinstance(spin.of, HeldStar)
     star = spin.of.star
@@ -882,7 +882,7 @@ def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidat
 
 
 def _moves_a_frame(
-    system: System, frames: Sequence[Frame], rank: Rank, spin: _SpinCandidate, group: _Group
+    system: Model, frames: Sequence[Frame], rank: Rank, spin: _SpinCandidate, group: _Group
 ) -> bool:
     """Whether a frame that somebody named does not stay where it is."""
     names = system.body_names
@@ -910,7 +910,7 @@ def _moves_a_frame(
 
 
 def _freedom(
-    system: System,
+    system: Model,
     s: ConstraintGraph,
     rank: Rank,
     spin: _SpinCandidate,

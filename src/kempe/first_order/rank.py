@@ -19,7 +19,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 NOTHING = 1e-6
 """Singular values below this part of the largest count as zero: a point found to 1e-14 of a
@@ -161,7 +161,7 @@ def decide(values: Array, size: float = 0.0) -> tuple[int, float]:
     return allowed[best], float(gaps[best])
 
 
-def rank_at(system: System, q: Array) -> Rank:
+def rank_at(system: Model, q: Array) -> Rank:
     """The rank of the loop equations at a closed configuration `q` (nq,)."""
     s = structure(system)
     at = screws(system, q)
@@ -171,7 +171,7 @@ def rank_at(system: System, q: Array) -> Rank:
 
 
 def _cluster(
-    system: System,
+    system: Model,
     s: ConstraintGraph,
     at: Screws,
     c: Cluster,
@@ -189,7 +189,7 @@ def _cluster(
 
 
 def _jacobian(
-    system: System,
+    system: Model,
     s: ConstraintGraph,
     at: Screws,
     c: Cluster,
@@ -225,7 +225,7 @@ def _jacobian(
 
 
 def _law(
-    system: System, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array
+    system: Model, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array
 ) -> Array:
     """The rows (rows, velocities of the cluster) of a law."""
     if isinstance(law.of, Declared):
@@ -237,7 +237,7 @@ def _law(
     return row[:, columns] / np.abs(row).max()
 
 
-def written_rows(system: System, q: Array) -> dict[str, Array]:
+def written_rows(system: Model, q: Array) -> dict[str, Array]:
     """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they
     are around q.
 
@@ -264,7 +264,7 @@ def written_rows(system: System, q: Array) -> dict[str, Array]:
 _PLANE = [0, 1, 5]
 
 
-def rows_of_loop(system: System, s: ConstraintGraph, at: Screws, loop: int) -> Array:
+def rows_of_loop(system: Model, s: ConstraintGraph, at: Screws, loop: int) -> Array:
     """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose
     gives wrenches.
 

@@ -30,7 +30,7 @@ from kempe.spatial import Array
 from kempe.words import InWords, counted, in_words
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 CARRIES = 1e-6
 """Part of a unit self-stress below which a joint direction carries nothing."""
@@ -143,7 +143,7 @@ class _JointReaction:
         return kind, natural(self.owner)
 
 
-def redundancy(system: System, rank: Rank) -> Redundancy:
+def redundancy(system: Model, rank: Rank) -> Redundancy:
     """The redundant constraints of a system at a closed configuration, whose `rank` is known."""
     stressed: dict[str, list[str]] = {}
     releases: list[Release] = []
@@ -163,7 +163,7 @@ def redundancy(system: System, rank: Rank) -> Redundancy:
 # ---- self-stress in each joint's axes
 
 
-def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
+def _rows(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
     """One record for each constraint direction of a cluster of loops, with the reaction of each
     self-stress in it.
 

@@ -28,7 +28,7 @@ from kempe.joints import P, Q
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Screws:
         return out
 
 
-def screws(system: System, q: Array) -> Screws:
+def screws(system: Model, q: Array) -> Screws:
     """The screws of all joints at a closed configuration `q` (nq,)."""
     s = structure(system)
     bodies = fk(system, q)

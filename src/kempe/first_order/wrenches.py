@@ -30,7 +30,7 @@ from kempe.words import InWords, cut, listed
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 BALANCED = 1e-8
 """Part of a load that may be left where reactions balance it."""
@@ -105,7 +105,7 @@ class Wrenches:
     moment] on the child (on what has frame B), in axes of the ground, at `point(name)`.
     """
 
-    system: System
+    system: Model
     q: Array
 
     def __repr__(self) -> str:
@@ -255,7 +255,7 @@ class Wrenches:
         return self.system.mechanism  # a copy
 
     @cached_property
-    def _maximal(self) -> tuple[System, Array]:
+    def _maximal(self) -> tuple[Model, Array]:
         return maximal(self.system), maximal_q(self.system, self.q)
 
     @cached_property

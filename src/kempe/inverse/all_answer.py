@@ -30,7 +30,7 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.inverse.closed_forms.plan import ChainPlan
     from kempe.inverse.closed_forms.question import Question
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- outcome
 
@@ -173,7 +173,7 @@ class SolutionsRow(Row):
 class Bound(Protocol):
     """The bound form of a plain call, which tells the problem that was solved for a pose (4, 4)."""
 
-    system: System
+    system: Model
 
     def question(self, target: Array) -> Question:
         """The problem that was solved."""
@@ -235,7 +235,7 @@ class Solutions(ConfigurationList, Answer):
         return self._question
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system of the problem."""
         return (
             self._question[0].system if isinstance(self._question, tuple) else self._question.system

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from kempe.inverse.chain.problem import FrameProblem
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 def _member(number: float) -> Status:
@@ -174,7 +174,7 @@ class Solution(Answer):
         return self._row.proofs(self, index)
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system that was solved for."""
         return self.task.system
 
@@ -319,7 +319,7 @@ class IkHistory(Report):
     where it began.
     """
 
-    system: System
+    system: Model
     q: Array
     position_error: Array
     orientation_error: Array

@@ -48,8 +48,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 SHOULDER = (0, 1, 2)
 ELBOW = 3
@@ -159,7 +158,7 @@ def _reference(lines: Lines, given: ArrayLike | None) -> Array:
     return z / size
 
 
-def find_arm(system: System, frame: str, reference: ArrayLike | None = None) -> Arm | str:
+def find_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm | str:
     """The arm that moves a frame, or why there is none. Errors: `InputError`."""
     if reference is not None:
         return arm_of(chain_lines(system, frame, Z_AXIS), reference)
@@ -167,11 +166,11 @@ def find_arm(system: System, frame: str, reference: ArrayLike | None = None) -> 
 
 
 @kept
-def _usual_arm(system: System, frame: str) -> Arm | str:
+def _usual_arm(system: Model, frame: str) -> Arm | str:
     return arm_of(chain_lines(system, frame, Z_AXIS))
 
 
-def required_arm(system: System, frame: str, reference: ArrayLike | None = None) -> Arm:
+def required_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm:
     """The arm that moves a frame. Errors: `UnsupportedError` for other chains, with the reason."""
     arm = find_arm(system, frame, reference)
     if isinstance(arm, str):
@@ -179,14 +178,14 @@ def required_arm(system: System, frame: str, reference: ArrayLike | None = None)
     return arm
 
 
-def no_arm(system: System, frame: str, why: str) -> str:
+def no_arm(system: Model, frame: str, why: str) -> str:
     """The sentence that a frame's chain has no arm angle."""
     names = ", ".join(chain_lines(system, frame, Z_AXIS).names)
     return f"the chain of {frame!r} has no arm angle: {why}; name one of its joints: {names}"
 
 
 @explained
-def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
+def arm_angle(system: Model, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
     """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module
     for what it is.
 

@@ -46,8 +46,7 @@ from kempe.words import by_topic, counted, in_words, joined
 
 if TYPE_CHECKING:
     from kempe.inverse.formulas import InverseFormulas
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- describe axes
 
@@ -564,7 +563,7 @@ class Recognised(Report):
     held: tuple[str, ...]
     note: str = ""
     """Why the task is not a pose, where none was given."""
-    of: System | None = field(default=None, repr=False, compare=False)
+    of: Model | None = field(default=None, repr=False, compare=False)
 
     @property
     def status(self) -> str:
@@ -613,7 +612,7 @@ class Recognised(Report):
 
 @explained
 def ik_plan(
-    system: System,
+    system: Model,
     frame: FrameLike,
     task: str | tuple[str, ArrayLike] | None = None,
     fixed: Iterable[str] = (),

@@ -36,8 +36,7 @@ from kempe.forward.symbolic_dh import JointLine, angle_about, joint_lines, tidy
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- plane arms
 
@@ -552,7 +551,7 @@ class InverseFormulas(Derivation):
 
 @explained
 def symbolic_ik(
-    system: System,
+    system: Model,
     frame: FrameLike,
     task: str | None = None,
     *,
@@ -627,7 +626,7 @@ def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
 
 
 def _of_plane(
-    system: System, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
+    system: Model, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
 ) -> InverseFormulas:
     """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their
     words.
@@ -651,7 +650,7 @@ def _of_plane(
     return _formulas(system, steps, inputs, [n.sign], joints)
 
 
-def _of_space(system: System, arm: ArmPlane, names: dict[str, Any]) -> InverseFormulas:
+def _of_space(system: Model, arm: ArmPlane, names: dict[str, Any]) -> InverseFormulas:
     """Formulas of an arm in space; `names` are the symbols by their words."""
     x, y, z, _, *place = (names[word] for word in OWN)
     inputs = [x, y, z]
@@ -679,7 +678,7 @@ def _of_space(system: System, arm: ArmPlane, names: dict[str, Any]) -> InverseFo
 
 
 def _formulas(
-    system: System,
+    system: Model,
     steps: list[FormulaStep],
     inputs: list[Any],
     signs: list[Any],

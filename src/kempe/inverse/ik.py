@@ -41,8 +41,7 @@ from kempe.spatial import Array
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- bound ik
 
@@ -192,7 +191,7 @@ class BoundIk:
 
 @explained
 def ik(
-    system: System,
+    system: Model,
     target: Any,
     frame: FrameLike | None = None,
     start: Any = None,
@@ -268,7 +267,7 @@ def ik(
 
 
 def _of_frame(
-    system: System,
+    system: Model,
     target: Any,
     frame: FrameLike,
     start: Any,
@@ -336,7 +335,7 @@ def _together(
 
 
 def _planned(
-    time: TimeLimit, system: System, frame: str, task: TaskOf, method: str, prefers: bool
+    time: TimeLimit, system: Model, frame: str, task: TaskOf, method: str, prefers: bool
 ) -> tuple[Solver, Choice, str]:
     """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
     time.put_in_order()  # a plan is made as a whole, or not at all
@@ -352,7 +351,7 @@ def _planned(
 
 
 def _checked(
-    system: System, frame: str, target: Any, task: str | None, axis: ArrayLike
+    system: Model, frame: str, target: Any, task: str | None, axis: ArrayLike
 ) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
     """(task, axis), targets (N, 4, 4) and their leading shape."""
     if system.dim == 2 and points_along(task):

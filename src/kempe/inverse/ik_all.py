@@ -31,15 +31,14 @@ from kempe.numerics.clock import TimeLimit, begun_within
 
 if TYPE_CHECKING:
     from kempe.assemble.modes import Modes
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 LIMITS = (False, True, "turns")
 
 
 @explained
 def ik_all(
-    system: System,
+    system: Model,
     target: ArrayLike,
     frame: FrameLike,
     start: Any = None,

@@ -32,7 +32,7 @@ from kempe.spatial import Array
 from kempe.status import Status
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 GLANCE = 16
 """Starts after which a batch goes on, where what is nearest to such targets can wait."""
@@ -346,9 +346,7 @@ def run(
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
-def seeds_of(
-    system: System, chain: Chain, start: Any, lead: tuple[int, ...]
-) -> tuple[Array, Array]:
+def seeds_of(system: Model, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq)
     for the kernel.
     """

@@ -36,7 +36,7 @@ from kempe.spatial import Array
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- ik analytic
 
@@ -171,7 +171,7 @@ BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, 
 
 
 def _no_closed_form(
-    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
 ) -> str | None:
     if frame is None or method == "numeric":
         return TASKS if frame is None else "method='analytic' or 'auto' asks for it"
@@ -188,7 +188,7 @@ def _no_closed_form(
 
 
 def _no_chain(
-    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
 ) -> str | None:
     if frame is None or method == "analytic":
         return TASKS if frame is None else CLOSED
@@ -202,7 +202,7 @@ def _no_chain(
 
 
 def _no_tasks(
-    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
 ) -> str | None:
     return CLOSED if method == "analytic" else None
 
@@ -281,7 +281,7 @@ SOLVERS = (
 
 @kept
 def chosen(
-    system: System, frame: str | None, task: TaskOf, method: str, prefers: bool
+    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
 ) -> tuple[Solver, Choice]:
     """Who answers for a frame and a task of it, or, without a frame, for tasks."""
     return choose(SOLVERS, system, frame, task, method, prefers)

@@ -42,8 +42,7 @@ from kempe.status import Status
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- path steps
 
@@ -537,7 +536,7 @@ class IkPath(Configurations):
 
     also = ("jumps", "interrupted", "late")
 
-    system: System
+    system: Model
     q: Array
     success: np.ndarray
     jumps: tuple[int, ...]
@@ -577,7 +576,7 @@ class IkPath(Configurations):
 @explained
 @interruptible
 def ik_path(
-    system: System,
+    system: Model,
     targets: Any,
     frame: FrameLike | None = None,
     start: Any = None,
@@ -691,7 +690,7 @@ def by_steps(problem: Problem) -> IkPath:
     return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
 
 
-def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
+def _held(system: Model, targets: Any, frame: FrameLike) -> Constraint:
     poses, lead, is_position = parse_targets(system, arrays(targets, "targets"))
     poses = sound(poses, "targets")
     refuse_no_poses(poses, "targets")
@@ -912,9 +911,7 @@ class _FollowedPath(PathSteps):
         return good
 
 
-def _sentence(
-    system: System, i: int, why: str, q: Array, others: list[Array], restart: bool
-) -> str:
+def _sentence(system: Model, i: int, why: str, q: Array, others: list[Array], restart: bool) -> str:
     where = (
         f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
     )

@@ -28,7 +28,7 @@ from kempe.kernels.forward.table_layout import tip_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 TRIES = 24
 """Starts that are sharpened."""
@@ -172,7 +172,7 @@ def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
 
 
 def plan_of(
-    system: System, frame: str, task: str, axis: tuple[float, float, float]
+    system: Model, frame: str, task: str, axis: tuple[float, float, float]
 ) -> ChainPlan | str:
     """The plan that answers a task of a frame, or why numbers have to."""
     try:

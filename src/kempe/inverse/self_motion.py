@@ -33,8 +33,7 @@ from kempe.words import counted, joined
 
 if TYPE_CHECKING:
     from kempe.inverse.tasks.demands import Demands
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 USUAL = Usual("self_motion", points=200, step=0.05, time_limit=TIME_LIMIT, progress=None)
 TOLERANCE = 1e-10
@@ -73,7 +72,7 @@ class SelfMotion(Configurations):
 
     also = ("freedoms", "start", "closed", "ends", "interrupted", "late")
 
-    system: System
+    system: Model
     q: Array
     freedoms: int
     start: int
@@ -113,7 +112,7 @@ class SelfMotion(Configurations):
 @explained
 @interruptible
 def self_motion(
-    system: System,
+    system: Model,
     q: Any,
     tasks: FrameLike | Constraint | Sequence[Constraint],
     *,
@@ -194,7 +193,7 @@ def by_tangents(problem: Problem) -> SelfMotion:
     )
 
 
-def _rolling(system: System, q: list[Array]) -> Array:
+def _rolling(system: Model, q: list[Array]) -> Array:
     """Configurations (n, nq), one after the other. Errors: `UnsupportedError` where they slip."""
     found = np.array(q)
     slip = slip_of(system, found)
@@ -206,7 +205,7 @@ def _rolling(system: System, q: list[Array]) -> Array:
     return found
 
 
-def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
+def _wanted(system: Model, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
     """The tasks; for a frame those that keep it."""
     wanted: Any = tasks
     if isinstance(tasks, (Constraint, list, tuple)):
@@ -222,7 +221,7 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
     return of_target(name, kind, axis_of(axis), fk(system, q, name))
 
 
-def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:
+def _begin(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
     """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where
     they do not hold.
     """
@@ -245,7 +244,7 @@ def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:
     return problem, problem.run(start)[0][0]
 
 
-def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Array:
+def _wish(system: Model, direction: Any, local: Local, problem: Demands) -> Array:
     """The scaled velocity (nv,) to follow."""
     if direction is None:
         if local.finite > 1:
@@ -435,7 +434,7 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     return "a point where it cannot be followed"
 
 
-def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
+def _at_limits(system: Model, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
     """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within
     `ahead` (nv,).
     """

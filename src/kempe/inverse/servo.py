@@ -51,8 +51,7 @@ from kempe.status import Status
 if TYPE_CHECKING:
     from kempe.equations.packed_tasks import Packed
     from kempe.inverse.tasks.demands import Demands
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- servo pose
 
@@ -494,7 +493,7 @@ class ConstrainedSteps:
     `closing` is the system whose loops stay closed: the ideal one of `system`, or itself.
     """
 
-    def __init__(self, system: System):
+    def __init__(self, system: Model):
         self.system = system
         layout = system.structure.layout
         self.closing = ideal_of(system)
@@ -1094,7 +1093,7 @@ def ends_of_rows(packed: Packed) -> tuple[Array, Array]:
     return low, high
 
 
-def posed(system: System, wanted: Any, q: Array) -> Demands:
+def posed(system: Model, wanted: Any, q: Array) -> Demands:
     """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals
     that are none.
     """
@@ -1152,7 +1151,7 @@ class IkStep(Answer):
     twist: Array
     fraction: float
     saturated: tuple[str, ...]
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     default_speed: tuple[str, ...] = ()
     blocked_by: tuple[str, ...] = ()
 
@@ -1206,7 +1205,7 @@ class Move(NamedTuple):
 class Servo:
     """All of a frame's steps that does not depend on the configuration, looked up once."""
 
-    def __init__(self, system: System, frame: str):
+    def __init__(self, system: Model, frame: str):
         self.system = system
         self.frame = frame
         self.query = query(system, frame)
@@ -1356,7 +1355,7 @@ class Servo:
 
 @explained
 def ik_step(
-    system: System,
+    system: Model,
     q: Any,
     wanted: Any,
     frame: FrameLike | None = None,
@@ -1474,7 +1473,7 @@ def ik_step(
 
 
 def _at_default(
-    system: System,
+    system: Model,
     saturated: tuple[str, ...],
     velocity: Array,
     speed: Array,
@@ -1517,12 +1516,12 @@ def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> 
 
 
 @kept
-def _servo(system: System, frame: str) -> Servo:
+def _servo(system: Model, frame: str) -> Servo:
     return Servo(system, frame)
 
 
 def _held_step(
-    system: System,
+    system: Model,
     q: Array,
     wanted: Any,
     frame: str | None,
@@ -1590,7 +1589,7 @@ def _held_step(
 
 
 def _wanted(
-    system: System,
+    system: Model,
     closed: ConstrainedSteps,
     q: Array,
     wanted: Any,
@@ -1628,7 +1627,7 @@ def _wanted(
 
 
 @kept
-def _closed(system: System) -> Any:
+def _closed(system: Model) -> Any:
 
     return ConstrainedSteps(system)
 
@@ -1663,7 +1662,7 @@ def _is_pose(x: Array) -> bool:
 
 
 @kept
-def speeds(system: System) -> Array:
+def speeds(system: Model) -> Array:
     """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else
     `TURNING` and `SLIDING`.
 

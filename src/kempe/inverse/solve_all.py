@@ -43,7 +43,7 @@ from kempe.spatial import Array
 from kempe.words import joined
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 VALUES = 64
 """Values of the spare joints that are tried before it is said that there is no solution, the first
@@ -554,7 +554,7 @@ def by_chain(problem: Problem) -> Solutions:
 # ---- the solvers
 
 
-def _no_loops(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
+def _no_loops(system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
     if of_loops(system, frame) or shared_by(system, frame):
         return None
     return "the frame does not move with loops, or with joints that follow others"
@@ -563,7 +563,7 @@ def _no_loops(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) 
 def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | None]:
     """A refusal of chains whose plan is another one."""
 
-    def refuses(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
+    def refuses(system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
         lines = chain_lines(system, frame, task[1])
         values = held(frame, lines.names, dict.fromkeys(fixed, 0.0))
         plan = plan_for(system, frame, lines, *task, tuple(values))
@@ -619,7 +619,7 @@ SOLVERS = (
 
 @kept
 def chosen(
-    system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]
+    system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]
 ) -> tuple[Solver, Choice]:
     """Who answers for a frame, a task, and joints that are held."""
     return choose(SOLVERS, system, frame, task, fixed)
@@ -630,7 +630,7 @@ class BoundIkAll:
     plain calls.
     """
 
-    def __init__(self, system: System, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
+    def __init__(self, system: Model, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
         self.system = system
         self.frame = frame
         self.plan = plan
@@ -666,7 +666,7 @@ class BoundIkAll:
         return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
 
 
-def bind(system: System, frame: str) -> BoundIkAll | None:
+def bind(system: Model, frame: str) -> BoundIkAll | None:
     """The bound form for poses of a frame, None where there is none; made once."""
     lines = chain_lines(system, frame, Z_AXIS)
     plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())

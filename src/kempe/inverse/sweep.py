@@ -50,8 +50,7 @@ from kempe.status import Status, member
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 EDGE = 1e-10
 """How far beyond a limit rounding may push a coordinate, as in `ik_all`."""
@@ -134,7 +133,7 @@ class Slice(ConfigurationList, Answer):
     success = by_code
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system of the problem."""
         return self.sweep.system
 
@@ -193,7 +192,7 @@ class Sweep(Answer):
         "inside",
     )
 
-    system: System
+    system: Model
     frame: str
     parameter: str
     task: str
@@ -467,7 +466,7 @@ def _turned(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, 
         return np.where(fits, np.clip(other, low, high), best), fits.all(axis=-1)
 
 
-def distinct(lines: Lines, system: System, q: Array, mask: np.ndarray) -> np.ndarray:
+def distinct(lines: Lines, system: Model, q: Array, mask: np.ndarray) -> np.ndarray:
     """Rows (k,) of q (K, nq) in use that are not the same configuration as one before them."""
     out: list[int] = []
     period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
@@ -498,7 +497,7 @@ USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
 @explained
 @time_limited(USUAL)
 def ik_sweep(
-    system: System,
+    system: Model,
     target: ArrayLike,
     frame: FrameLike,
     parameter: str | tuple[str, ArrayLike] | None = None,
@@ -590,7 +589,7 @@ def ik_sweep(
 
 
 def _no_arm(
-    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+    system: Model, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
 ) -> str | None:
     joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
     if parameter not in (None, ARM_ANGLE):
@@ -602,7 +601,7 @@ def _no_arm(
 
 
 def _no_joint(
-    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+    system: Model, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
 ) -> str | None:
     return "the arm angle is requested" if parameter == ARM_ANGLE else None
 
@@ -675,7 +674,7 @@ def _count(n: object) -> int:
 class SweepProblem:
     """System, frame, target and parameter of a sweep over the solutions of a redundant chain."""
 
-    system: System
+    system: Model
     frame: str
     lines: Lines
     task: str

@@ -29,7 +29,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 LONGEST = 0.15
 MOST_STEPS = 4000
@@ -53,7 +53,7 @@ class ChainMotion(Curve):
     coordinates, slides in lengths of the chain.
     """
 
-    system: System
+    system: Model
     frame: str
     lines: Lines
     task: str

@@ -35,7 +35,7 @@ from kempe.status import Status
 from kempe.words import InWords, counted, cut, verb
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- classify text
 
@@ -337,7 +337,7 @@ USUAL = Usual("classify", time_limit=SHORT)
 @time_limited(USUAL)
 @tolerant("q")
 def classify(
-    system: System,
+    system: Model,
     q: Any = None,
     *,
     t: float = 0.0,
@@ -385,7 +385,7 @@ class _Classifier:
     """The rows of a system at a closed configuration, and around it."""
 
     def __init__(
-        self, system: System, q: Array, t: float, rng: np.random.Generator, time: TimeLimit
+        self, system: Model, q: Array, t: float, rng: np.random.Generator, time: TimeLimit
     ):
         self.system = system
         self.rows = tangent_rows(system)

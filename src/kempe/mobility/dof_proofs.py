@@ -38,7 +38,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- known motions
 
@@ -510,7 +510,7 @@ class Proof:
 # ---- ranks beyond rounding
 
 
-def regular(system: System, rank: Rank, residual: float) -> bool:
+def regular(system: Model, rank: Rank, residual: float) -> bool:
     """Whether every cluster provably has full rank at the closed configuration near by."""
     s = structure(system)
     at = rank.screws
@@ -586,7 +586,7 @@ def _bend(size: LoopSizes, at: Screws, D: float) -> float:
 class Prover:
     """Proofs of dimensions at one closed configuration q (nq,)."""
 
-    def __init__(self, system: System, equations: Equations, q: Array):
+    def __init__(self, system: Model, equations: Equations, q: Array):
         self.system = system
         self.equations = equations
         self.q = q
@@ -660,7 +660,7 @@ def _sum(found: Sequence[Proof]) -> Proof:
 
 
 def _parts(
-    system: System, s: ConstraintGraph, at: Screws, equations: Equations, J: Array
+    system: Model, s: ConstraintGraph, at: Screws, equations: Equations, J: Array
 ) -> list[Part]:
     """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
     edges = equations.rows_of
@@ -691,7 +691,7 @@ def _rows(m: int, at: np.ndarray, mix: Array) -> Array:
 
 
 def _group(
-    system: System, s: ConstraintGraph, at: Screws, k: int, path: list[int], J: Array, length: float
+    system: Model, s: ConstraintGraph, at: Screws, k: int, path: list[int], J: Array, length: float
 ) -> Array:
     """Combinations (rows, d) of the rows of a loop that suffice, for its joints generate a group of
     d dimensions.

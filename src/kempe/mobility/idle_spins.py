@@ -16,7 +16,7 @@ from kempe.spatial import Array, skew
 if TYPE_CHECKING:
     from kempe.first_order.idle_freedoms import IdleFreedom
     from kempe.mobility.answer import Mobility
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 ZERO = 1e-8
 """Singular values below this count as zero."""
@@ -34,7 +34,7 @@ class Spin(NamedTuple):
     text: str
 
 
-def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
+def spins_of(system: Model, q: Array) -> tuple[Spin, ...]:
     """The idle spins of a system: as at its posture `closed`, or at a closed configuration that is
     found; if there is none, at q (nq,).
     """
@@ -47,7 +47,7 @@ def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
     return _spins(tree, mobility(tree, q, local=False))
 
 
-def moved_by_spins(system: System, q: Array) -> np.ndarray:
+def moved_by_spins(system: Model, q: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) idle spins change; of a rotation, all three."""
     out = np.any(
         [s.moves for s in spins_of(system, q)] or [np.zeros(system.nv, dtype=bool)], axis=0
@@ -57,7 +57,7 @@ def moved_by_spins(system: System, q: Array) -> np.ndarray:
     return np.asarray(out)
 
 
-def not_spun(system: System) -> np.ndarray:
+def not_spun(system: Model) -> np.ndarray:
     """Which velocity coordinates (nv,) idle spins leave alone."""
     return (
         ~moved_by_spins(system, mid(system))
@@ -66,7 +66,7 @@ def not_spun(system: System) -> np.ndarray:
     )
 
 
-def spin_rates(system: System, q: Array) -> Array:
+def spin_rates(system: Model, q: Array) -> Array:
     """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
     tree = own_tree(system)
     spins = spins_of(system, mid(system)) if system.dim == 3 else ()
@@ -75,18 +75,18 @@ def spin_rates(system: System, q: Array) -> Array:
 
 
 @kept
-def _at_home(system: System) -> tuple[Spin, ...] | None:
+def _at_home(system: Model) -> tuple[Spin, ...] | None:
     from kempe.mobility.mobility import mobility
 
     report = mobility(system, local=False)
     return _spins(system, report) if report.closed else None
 
 
-def _spins(system: System, report: Mobility) -> tuple[Spin, ...]:
+def _spins(system: Model, report: Mobility) -> tuple[Spin, ...]:
     return tuple(_spin(system, report.q, f) for f in report.idle_freedoms)
 
 
-def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
+def _spin(system: Model, q: Array, found: IdleFreedom) -> Spin:
     X = fk(system, q, found.bodies[0])
     point, line = (
         X[:3, :3].T @ v for v in (np.array(found.point) - X[:3, 3], np.array(found.direction))
@@ -94,7 +94,7 @@ def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
     return Spin(found.bodies[0], point, line, found.velocity != 0.0, str(found))
 
 
-def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spin, ...]) -> Array:
+def idle_part(system: Model, q: Array, N: Array, scale: Array, spins: tuple[Spin, ...]) -> Array:
     """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal,
     that are idle spins.
     """

@@ -46,7 +46,7 @@ from kempe.words import listed as listed_words
 
 if TYPE_CHECKING:
     from kempe.assemble.nearest_exact import Idealised
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- shaky
 
@@ -60,7 +60,7 @@ VANISHES = 1e-6
 """Second derivatives below this count as zero."""
 
 
-def moving(system: System, q: Array, left: Array, null_space: Array, scale: Array) -> Array:
+def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array) -> Array:
     """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have
     as velocities.
 
@@ -85,7 +85,7 @@ def moving(system: System, q: Array, left: Array, null_space: Array, scale: Arra
 
 
 def _change(
-    system: System, q: Array, left: Array, null_space: Array, scale: Array, along: Array
+    system: Model, q: Array, left: Array, null_space: Array, scale: Array, along: Array
 ) -> Array:
     """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space,
     and the null space.
@@ -126,7 +126,7 @@ class Chart(Report):
     nothing but bodies that spin idly.
     """
 
-    system: System
+    system: Model
     independent: tuple[str, ...]
     dependent: tuple[str, ...]
     origin: Array
@@ -319,7 +319,7 @@ class Chart(Report):
 @explained
 @tolerant("q")
 def independent(
-    system: System,
+    system: Model,
     q: Any = None,
     prefer: Iterable[str] = (),
     *,
@@ -385,7 +385,7 @@ def independent(
     )
 
 
-def _wished(system: System, names: Iterable[str]) -> list[int]:
+def _wished(system: Model, names: Iterable[str]) -> list[int]:
     """Velocity indices of coordinates. Errors: `UnknownNameError`."""
     number = _numbers(system)
     for name in names:
@@ -415,12 +415,12 @@ def _in_turn(
     return found, spinning if len(spinning) == idle.shape[1] else []
 
 
-def _is_exponential(system: System, name: str) -> bool:
+def _is_exponential(system: Model, name: str) -> bool:
     """Whether this is the name of a component of a rotation vector."""
     return name not in system.coordinate_names
 
 
-def _numbers(system: System) -> dict[str, int]:
+def _numbers(system: Model) -> dict[str, int]:
     """Velocity index of each name that a coordinate of a chart can have."""
     names = system.structure.velocity_names
     vector = {*system.structure.layout.vector_v.tolist()}
@@ -440,7 +440,7 @@ def _of_log(w: Array) -> Array:
     return np.eye(3) + 0.5 * K + factor * K @ K
 
 
-def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
+def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array, Array]:
     """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the
     scales (nv,).
 
@@ -553,7 +553,7 @@ class Parametrizations(Report):
     dimension, and are not counted.
     """
 
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     rows: tuple[Parametrization, ...]
     n_b: int
     """Number of bodies, the ground left out."""
@@ -619,7 +619,7 @@ class Parametrizations(Report):
 
 
 @explained
-def parametrizations(system: System, q: Any = None) -> Parametrizations:
+def parametrizations(system: Model, q: Any = None) -> Parametrizations:
     """How many numbers say where all bodies are, in pairs with constraints and in generalized
     positions.
 

@@ -28,7 +28,7 @@ from kempe.spatial import Array
 from kempe.words import InWords
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 RADII = (0.06, 0.02, 0.006)
 """Radii of the spheres, in radians and characteristic lengths."""
@@ -621,7 +621,7 @@ def _describe(branch: Branch) -> str:
 
 
 def local_dimension(
-    system: System,
+    system: Model,
     q: Any,
     *,
     order: int = 8,
@@ -662,7 +662,7 @@ def local_dimension(
     return in_chart(system, _found(other, there, order, rng, tolerance, sampling, time), turned)
 
 
-def in_chart(system: System, found: LocalDimension, turned: dict[str, Array]) -> LocalDimension:
+def in_chart(system: Model, found: LocalDimension, turned: dict[str, Array]) -> LocalDimension:
     """The answer with its configurations in the coordinates of the system itself."""
     if not turned:
         return found
@@ -671,7 +671,7 @@ def in_chart(system: System, found: LocalDimension, turned: dict[str, Array]) ->
 
 
 def _found(
-    system: System,
+    system: Model,
     q: Array,
     order: int,
     rng: np.random.Generator,
@@ -760,7 +760,7 @@ def _doubts(at: Split) -> list[str]:
 
 
 @kept
-def _equations(system: System) -> Equations:
+def _equations(system: Model) -> Equations:
     """The packed equations of a system."""
     return Equations(system)
 

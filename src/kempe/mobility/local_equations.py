@@ -23,7 +23,7 @@ from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 BALL_REST = -(10**9)
 """Mark of the second and third velocity coordinate of a ball."""
@@ -70,7 +70,7 @@ class Equations:
     """What is looked at where they are evaluated: it raises `TimeUp`. Copies for one call have a
     limit of their own."""
 
-    def __init__(self, system: System):
+    def __init__(self, system: Model):
         self.system = system
         self._loops = loops_of(system, frozenset(system.structure.closures))
         self.names = self._loops.names

@@ -35,12 +35,12 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.mobility.local_dimension import Branch, LocalDimension
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 USUAL = Usual("mobility", time_limit=SHORT)
 
 
-def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any) -> Mobility:
+def _counted(time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any) -> Mobility:
     """The count alone: the time was up before more was known."""
     given = None if q is None else _given(system, q)
     tree = own_tree(system)
@@ -56,7 +56,7 @@ def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any)
 @time_limited(USUAL, _counted)
 @tolerant()
 def mobility(
-    system: System,
+    system: Model,
     q: Any = None,
     actuated: Iterable[str] | None = None,
     *,
@@ -87,8 +87,8 @@ def mobility(
 
 
 def _looked_at(
-    system: System,
-    shown: System,
+    system: Model,
+    shown: Model,
     given: Array | None,
     actuated: Iterable[str] | None,
     local: bool,
@@ -110,8 +110,8 @@ def _looked_at(
 
 
 def _found(
-    system: System,
-    shown: System,
+    system: Model,
+    shown: Model,
     at: NearestClosed,
     actuated: Iterable[str] | None,
     local: bool,
@@ -174,7 +174,7 @@ def _found(
     )
 
 
-def _given(system: System, q: Any) -> Array:
+def _given(system: Model, q: Any) -> Array:
     given = as_q(system, q)
     if given.ndim != 1:
         raise InputError(
@@ -183,7 +183,7 @@ def _given(system: System, q: Any) -> Array:
     return given
 
 
-def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
+def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
     s = structure(system)
     return Mobility(
         system.name,
@@ -210,7 +210,7 @@ def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
 
 
 def _local(
-    system: System, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
+    system: Model, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
 ) -> LocalDimension | None:
     """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
     if not wanted or not rank.dependent or not rank.nullity or called(system):
@@ -220,7 +220,7 @@ def _local(
     return local_dimension(system, rank.q, rng=rng, time=time)
 
 
-def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
+def _on_branches(system: Model, truth: LocalDimension | None) -> list[Rank]:
     """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
     if truth is None or truth.smooth:
         return []
@@ -245,7 +245,7 @@ def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, .
     return tuple(out)
 
 
-def _outside(system: System, s: ConstraintGraph) -> int:
+def _outside(system: Model, s: ConstraintGraph) -> int:
     """Freedoms of joints that no loop touches."""
     return system.nv - sum(len(c.velocities) for c in s.clusters)
 

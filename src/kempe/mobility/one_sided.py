@@ -25,8 +25,7 @@ from kempe.spatial import Array
 from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- cone
 
@@ -304,7 +303,7 @@ class OneSidedReport(Report):
     closed sides leave, to first order. Sides that are open take nothing away.
     """
 
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     q: Array
     sides: tuple[Side, ...]
     cone: Cone = field(repr=False)
@@ -426,7 +425,7 @@ class OneSidedReport(Report):
 
 
 @explained
-def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
+def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
     """What one-sided constraints leave at a configuration: which are closed, by how much others are
     open.
 
@@ -455,7 +454,7 @@ def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> On
     return OneSidedReport(system, at, tuple(sides), cone, full(system, True).scale)
 
 
-def if_any(system: System, q: Array) -> OneSidedReport | None:
+def if_any(system: Model, q: Array) -> OneSidedReport | None:
     """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
     rows = one_sided_rows(system)
     if not rows.declared:
@@ -520,7 +519,7 @@ def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[st
     return replace(side, ways=ways)
 
 
-def _equations(system: System, q: Array) -> tuple[Array, bool]:
+def _equations(system: Model, q: Array) -> tuple[Array, bool]:
     """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is
     one of them.
 

@@ -15,7 +15,7 @@ from kempe.mobility.growth_vectors import Distribution, Growth, distribution, gr
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 STEP = 0.7
 """Mean length of the step of a velocity to a configuration drawn at random, in radians and
@@ -30,7 +30,7 @@ DRIFT = 1e-9
 """How far it leads away from what such motions reach, at most."""
 
 
-def velocity_freedoms(system: System, q: Array) -> int | None:
+def velocity_freedoms(system: Model, q: Array) -> int | None:
     """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of
     velocity.
     """

@@ -25,8 +25,7 @@ from kempe.report import Nearest, Report
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- transmission
 
@@ -136,7 +135,7 @@ class RelativeMotion(Report):
 @explained
 @tolerant("q")
 def relative_motion(
-    system: System,
+    system: Model,
     q: ArrayLike,
     body: FrameLike,
     to: FrameLike,

@@ -66,8 +66,7 @@ from kempe.status import Status
 from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- input segments
 
@@ -375,7 +374,7 @@ class RollingSamples(NamedTuple):
 
 
 def driven(
-    system: System,
+    system: Model,
     names: Sequence[str],
     hold: Mapping[str, float],
     start: Any,
@@ -432,7 +431,7 @@ def driven(
 
 
 def _first(
-    system: System, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array
+    system: Model, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array
 ) -> Array | None:
     """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None
     on failure.
@@ -449,7 +448,7 @@ class _Follow:
 
     def __init__(
         self,
-        system: System,
+        system: Model,
         index: list[int],
         names: Sequence[str],
         hold: Mapping[str, float],
@@ -602,7 +601,7 @@ class Drive(Motion):
 
     also = ("times", "inputs", "held", "jumps", "interrupted", "late")
 
-    system: System
+    system: Model
     q: Array
     times: Array
     inputs: dict[str, Array]
@@ -685,7 +684,7 @@ class Drive(Motion):
 
 def _not_begun(
     time: TimeLimit,
-    system: System,
+    system: Model,
     inputs: Mapping[str, Any],
     times: Any = None,
     start: Any = None,
@@ -725,7 +724,7 @@ def _not_begun(
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def drive(
-    system: System,
+    system: Model,
     inputs: Mapping[str, ArrayLike | Callable[[float], float]],
     times: ArrayLike | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None,
@@ -820,7 +819,7 @@ def drive(
 
 
 def _in_time(
-    system: System,
+    system: Model,
     inputs: Mapping[str, Any],
     times: Any,
     start: Any,
@@ -847,7 +846,7 @@ def _in_time(
     return _without_time(found, system)
 
 
-def _with_time(system: System, start: Any, clock: Array) -> Any:
+def _with_time(system: Model, start: Any, clock: Array) -> Any:
     """The start with the first time, where it is a configuration."""
     if start is None or isinstance(start, str) or not clock.size:
         return start
@@ -858,7 +857,7 @@ def _with_time(system: System, start: Any, clock: Array) -> Any:
     )
 
 
-def _without_time(found: Drive, system: System) -> Drive:
+def _without_time(found: Drive, system: Model) -> Drive:
     """The motion in the coordinates of the system itself."""
     inputs = {n: x for n, x in found.inputs.items() if n != TIME}
     toggles = tuple(replace(toggle, q=toggle.q[:-1]) for toggle in found.toggles)
@@ -876,7 +875,7 @@ def _without_time(found: Drive, system: System) -> Drive:
 
 def _rolled(
     found: RollingSamples | None,
-    system: System,
+    system: Model,
     names: list[str],
     clock: Array,
     samples: Callable[[int, int], list[Array]],
@@ -972,7 +971,7 @@ def _numbers(values: Any, subject: str) -> Array:
 
 
 def _begin(
-    system: System,
+    system: Model,
     start: Any,
     hold: dict[str, float],
     first: dict[str, float],

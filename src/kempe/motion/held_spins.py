@@ -20,7 +20,7 @@ from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
     from kempe.equations.closure import Closure
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 STEEP = 0.2
 """Sine of the angle between line and direction in the ground below which a direction farther away
@@ -38,7 +38,7 @@ class Spins:
     `lines` (k, 3) are directions of the lines about which bodies spin, in the axes of the bodies.
     """
 
-    def __init__(self, system: System, bodies: Iterable[str], lines: Array, q: Array):
+    def __init__(self, system: Model, bodies: Iterable[str], lines: Array, q: Array):
         self.bodies = list(bodies)
         self.lines = lines
         self.q = q

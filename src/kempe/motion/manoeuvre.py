@@ -38,8 +38,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- manoeuvre path
 
@@ -100,7 +99,7 @@ class Manoeuvre(Motion):
     also = ("t", "s", "length", "duration", "cusps", "turns", "slip")
     interrupted = False
 
-    system: System
+    system: Model
     q: Array
     t: Array
     s: Array
@@ -821,7 +820,7 @@ USUAL = Usual("manoeuvre", points=200, time_limit=SHORT)
 
 @explained
 def manoeuvre(
-    system: System,
+    system: Model,
     start: ArrayLike | Mapping[str, float] | None,
     goal: ArrayLike | Mapping[str, float],
     *,
@@ -911,7 +910,7 @@ def manoeuvre(
     )
 
 
-def _one(system: System, q: Any, what: str) -> Array:
+def _one(system: Model, q: Any, what: str) -> Array:
     """One configuration (nq,), closed or not. Errors: `InputError`."""
     if q is None:
         q = system.neutral
@@ -934,7 +933,7 @@ def _one(system: System, q: Any, what: str) -> Array:
     return array.astype(float)
 
 
-def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tuple[int, ...]:
+def _loose(system: Model, goal: Any, free: Iterable[str], car: Wheeled) -> tuple[int, ...]:
     """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
     names = list(system.structure.velocity_names)
     out: list[int] = []
@@ -1024,7 +1023,7 @@ def _times(motion: ExactManoeuvre, samples: int) -> Array:
     return np.concatenate(out)
 
 
-def _outside(system: System, motion: ExactManoeuvre, samples: int) -> str:
+def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
     """What a motion does that it must not, in words: it leaves limits, or violates one-sided
     constraints.
     """
@@ -1087,7 +1086,7 @@ def _arrive(
     return turns
 
 
-def way_there(system: System) -> str:
+def way_there(system: Model) -> str:
     """End of a sentence about a configuration: whether motions get there, of a system that rolls.
 
     A manoeuvre is named only where brackets show that motions reach every configuration around.
@@ -1099,7 +1098,7 @@ def way_there(system: System) -> str:
 
 
 @kept
-def _motions_there(system: System) -> str:
+def _motions_there(system: Model) -> str:
     """What is known of motions to other configurations, with a field {hold} for the constraints."""
     unknown = "{hold}: whether a motion gets there is not known"
     try:

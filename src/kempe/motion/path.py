@@ -30,8 +30,7 @@ from kempe.spatial import Array
 from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- other branches
 
@@ -248,7 +247,7 @@ class Path(Motion):
     remark: str = ""
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system that moves."""
         return self.track.equations.system
 

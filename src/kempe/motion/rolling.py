@@ -28,7 +28,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 RANK = 1e-8
 """Singular values below this count as zero, of rows of size 1."""
@@ -69,7 +69,7 @@ class Velocities:
     coordinate, whose velocity is 1 and which closing the loops does not change.
     """
 
-    def __init__(self, system: System, inputs: Mapping[str, Any]):
+    def __init__(self, system: Model, inputs: Mapping[str, Any]):
         self.inputs = {name: _checked(name, u) for name, u in inputs.items()}
         self.rows = [_row(system, name) for name in inputs]
         self.times = bool(timed(system))
@@ -196,7 +196,7 @@ def _checked(name: str, u: Any) -> Input:
     return float(u)
 
 
-def _row(system: System, name: str) -> Callable[[Array], Array]:
+def _row(system: Model, name: str) -> Callable[[Array], Array]:
     """The row (nv,) of an input as a function of q: a velocity coordinate, or a twist in the axes
     of a frame.
     """
@@ -213,7 +213,7 @@ def _row(system: System, name: str) -> Callable[[Array], Array]:
 
 
 def roll(
-    system: System,
+    system: Model,
     inputs: Mapping[str, Any],
     q: Array,
     times: Array,
@@ -291,7 +291,7 @@ def roll(
 
 
 def _limit(
-    system: System, dense: Callable[[Any], Array], t0: float, t1: float
+    system: Model, dense: Callable[[Any], Array], t0: float, t1: float
 ) -> tuple[float, str] | None:
     """The time at which a limit or another one-sided constraint is met between two times, and the
     words for it.
@@ -323,7 +323,7 @@ def _limit(
     return a, f"it stops at time {a:.9g}, where {rows.names[k]!r} meets {what}"
 
 
-def slip(system: System, t: Array, q: Array, v: Array) -> float:
+def slip(system: Model, t: Array, q: Array, v: Array) -> float:
     """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the
     system.
     """

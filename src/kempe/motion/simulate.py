@@ -33,8 +33,7 @@ from kempe.spatial import Array
 from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- falling
 
@@ -58,7 +57,7 @@ class Falling:
     The centre is `basis` @ y + a point; y = `shape` @ slides, so that y has the metric of space.
     """
 
-    system: System
+    system: Model
     body: str
     slides_q: np.ndarray
     slides_v: np.ndarray
@@ -90,7 +89,7 @@ class Falling:
         return out, rate
 
 
-def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
+def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
     """The one ball or particle of a system, from q (nq,) with velocities v (nv,). Errors:
     `UnsupportedError`.
     """
@@ -146,7 +145,7 @@ class MovingRows:
 
     def __init__(
         self,
-        system: System,
+        system: Model,
         q: Array,
         slides_q: np.ndarray,
         slides_v: np.ndarray,
@@ -223,7 +222,7 @@ class MovingRows:
 
 
 def _moving_planes(
-    system: System, body: str, moving: MovingRows, samples: Array, duration: float
+    system: Model, body: str, moving: MovingRows, samples: Array, duration: float
 ) -> tuple[Plane, ...]:
     """The planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
     rows = moving.rows
@@ -256,7 +255,7 @@ def start_of_flight(fall: Falling, q: Array) -> None:
             )
 
 
-def _no_others(system: System, q: Array) -> None:
+def _no_others(system: Model, q: Array) -> None:
     """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
     if timed(system):
         system = clocked(system)
@@ -273,7 +272,7 @@ def _no_others(system: System, q: Array) -> None:
         )
 
 
-def _body(system: System) -> tuple[str, Array]:
+def _body(system: Model) -> tuple[str, Array]:
     """The one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
     samples = random(system, np.random.default_rng(SEED), (TRIALS,))
     moving = [
@@ -302,7 +301,7 @@ def _body(system: System) -> tuple[str, Array]:
 
 
 def _planes(
-    system: System, body: str, q: Array, slides_q: np.ndarray, shape: Array, samples: Array
+    system: Model, body: str, q: Array, slides_q: np.ndarray, shape: Array, samples: Array
 ) -> tuple[Plane, ...]:
     """The planes of one-sided rows. Errors: `UnsupportedError`."""
     rows = one_sided_rows(system)
@@ -350,7 +349,7 @@ def _planes(
 
 
 def _turns(
-    system: System, body: str, q: Array, v: Array, turning: np.ndarray, duration: float
+    system: Model, body: str, q: Array, v: Array, turning: np.ndarray, duration: float
 ) -> None:
     """Refuse bodies whose turning does not go on evenly. Errors: `UnsupportedError`."""
     moving = np.flatnonzero(turning & (v != 0.0))
@@ -424,7 +423,7 @@ class Simulation(Motion):
 
     also = ("t", "v", "slip", "interrupted", "late")
 
-    system: System
+    system: Model
     t: Array
     q: Array
     v: Array
@@ -509,7 +508,7 @@ class Simulation(Motion):
 @explained
 @interruptible
 def simulate(
-    system: System,
+    system: Model,
     duration: float,
     start: ArrayLike | Mapping[str, float] | str | None = None,
     *,
@@ -620,7 +619,7 @@ def simulate(
 
 
 def _rolls(
-    system: System,
+    system: Model,
     q: Array,
     times: Array,
     inputs: Any,
@@ -658,7 +657,7 @@ def _rolls(
     )
 
 
-def _velocity(system: System, velocity: Any) -> Array:
+def _velocity(system: Model, velocity: Any) -> Array:
     """Velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
     v = np.zeros(system.nv)
     given = None if velocity is None else named(velocity)
@@ -680,7 +679,7 @@ def _velocity(system: System, velocity: Any) -> Array:
     return v
 
 
-def _acceleration(system: System, acceleration: Any) -> Array:
+def _acceleration(system: Model, acceleration: Any) -> Array:
     """The acceleration (3,) of what falls. Errors: `InputError`."""
     if acceleration is None:
         return np.array([0.0, 0.0, -GRAVITY] if system.dim == 3 else [0.0, -GRAVITY, 0.0])

@@ -24,7 +24,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 MOST_TURNS = 1000
 """Turns of a coordinate after which those that follow it must be where they were, for that to count
@@ -58,7 +58,7 @@ def longest_step(step: float | None) -> float:
     return float(step)
 
 
-def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
+def wish_of(system: Model, toward: Mapping[str, float] | None) -> Array:
     """The rates (nv,) that choose a sense or a branch. Errors: `InputError`, `UnknownNameError`."""
     wish = np.zeros(system.nv)
     for name, rate in (toward or {}).items():
@@ -71,7 +71,7 @@ def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
     return wish
 
 
-def angle_or_slide(system: System, name: str) -> int:
+def angle_or_slide(system: Model, name: str) -> int:
     """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by
     name.
 
@@ -94,7 +94,7 @@ def angle_or_slide(system: System, name: str) -> int:
     raise UnknownNameError("angle or slide", name, allowed, system.name)
 
 
-def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
+def start_of(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
     """The configuration (nq,) that `start` names, before any loop is closed."""
     if start is None:
         q = home_of(system)
@@ -113,7 +113,7 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
     return refuse_wound(system, held, "hold")
 
 
-def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
+def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
     """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or
     None.
 
@@ -147,7 +147,7 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
 
 
 def _within(
-    system: System, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array
+    system: Model, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array
 ) -> Array:
     """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else
     q as it is.
@@ -164,7 +164,7 @@ def _within(
     return q
 
 
-def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:
+def why_open(system: Model, start: Any, hold: Mapping[str, float]) -> str:
     """The sentence for a motion that cannot begin: which loop is open at the start, by how much,
     and why.
     """
@@ -186,7 +186,7 @@ class WoundFollower(NamedTuple):
     turns: bool
 
 
-def periods(system: System, limits: bool = True) -> Array:
+def periods(system: Model, limits: bool = True) -> Array:
     """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that
     never happens.
 
@@ -195,14 +195,14 @@ def periods(system: System, limits: bool = True) -> Array:
     return _turning(system, limits)[0]
 
 
-def followers(system: System, limits: bool = True) -> list[WoundFollower]:
+def followers(system: Model, limits: bool = True) -> list[WoundFollower]:
     """The coupled coordinates that keep those which they follow from ever coming back by turning
     on.
     """
     return _turning(system, limits)[1]
 
 
-def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
+def _turning(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
     c = system.structure.coordinates
     whole = np.where(
         c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0
@@ -229,7 +229,7 @@ def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
     return np.where(_distinct(system, found), 0.0, found), never
 
 
-def _distinct(system: System, period: Array) -> np.ndarray:
+def _distinct(system: Model, period: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
     rows = one_sided_rows(system)
     out = np.zeros(system.nv, dtype=bool)

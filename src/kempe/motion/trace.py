@@ -59,7 +59,7 @@ from kempe.spatial import Array
 from kempe.words import plural
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- endless
 
@@ -243,7 +243,7 @@ class _Options:
 
 def _not_begun(
     time: TimeLimit,
-    system: System,
+    system: Model,
     driver: str | None = None,
     start: Any = None,
     *,
@@ -275,7 +275,7 @@ def _not_begun(
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def trace(
-    system: System,
+    system: Model,
     driver: str | None = None,
     start: ArrayLike | Mapping[str, float] | str | None = None,
     *,
@@ -377,7 +377,7 @@ def _followed(
 
 
 def branches(
-    system: System, driver: str | None = None, start: Any = None, **options: Any
+    system: Model, driver: str | None = None, start: Any = None, **options: Any
 ) -> tuple[Path, ...]:
     """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
     options["ways"] = "branches"
@@ -388,9 +388,7 @@ def branches(
 # ---- where it begins
 
 
-def _options(
-    system: System, driver: str | None, ways: str, limits: bool, spend: Budget
-) -> _Options:
+def _options(system: Model, driver: str | None, ways: str, limits: bool, spend: Budget) -> _Options:
     flag(limits, "limits")
     if ways not in WAYS:
         raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")

@@ -36,7 +36,7 @@ from kempe.status import Status, member
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 @explained_methods
@@ -117,7 +117,7 @@ class LoopJacobian(Report):
 @explained
 @tolerant("q")
 def loop_jacobian(
-    system: System,
+    system: Model,
     q: ArrayLike,
     inputs: Sequence[str],
     outputs: Sequence[str],
@@ -188,7 +188,7 @@ def _listed(names: Sequence[str]) -> list[str]:
     return out
 
 
-def _output(system: System, name: str) -> tuple[str, str]:
+def _output(system: Model, name: str) -> tuple[str, str]:
     """("joint" or "frame", name) of an output."""
     kind, colon, rest = str(name).partition(":")
     if colon and kind in ("joint", "frame"):
@@ -212,7 +212,7 @@ def _output(system: System, name: str) -> tuple[str, str]:
 @explained
 @tolerant("q")
 def mechanical_advantage(
-    system: System,
+    system: Model,
     q: ArrayLike,
     input: str,
     output: str,
@@ -272,7 +272,7 @@ def dead_points(path: Path, input: str) -> tuple[Event, ...]:
 
 
 def pressure_angle(
-    system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
+    system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
     """Angle (...) in [0, pi/2] between the force that the coupler transmits at a joint and the way
     the output can go.
@@ -300,7 +300,7 @@ def pressure_angle(
 
 @explained
 def transmission_angle(
-    system: System, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
+    system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
     """Angle (...) in [0, pi/2] between the coupler and the output link at their joint: pi/2 less
     the pressure angle.
@@ -311,14 +311,14 @@ def transmission_angle(
     return 0.5 * math.pi - pressure_angle(system, q, joint, coupler, output)
 
 
-def _kind(system: System, name: str) -> int | None:
+def _kind(system: Model, name: str) -> int | None:
     """R or P for a joint with one turn or one slide, else None."""
     joint = system.structure.joints[name]
     primitives = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
     return primitives[0].kind if len(primitives) == 1 and primitives[0].kind in (R, P) else None
 
 
-def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -> tuple[str, str]:
+def _dyad(system: Model, joint: str, coupler: str | None, output: str | None) -> tuple[str, str]:
     """The other joints of the coupler and of the output link."""
     joints = system.structure.joints
     for name in (joint, coupler, output):
@@ -363,7 +363,7 @@ def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -
     return coupler or rest[0], output
 
 
-def _at(system: System, q: Array, name: str) -> Array:
+def _at(system: Model, q: Array, name: str) -> Array:
     """Pose (..., 4, 4) of frame F of a joint."""
     joint = system.structure.joints[name]
     return fk(system, q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters)

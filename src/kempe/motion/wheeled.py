@@ -28,7 +28,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 SAME = 1e-9
 """Difference of projections, derivatives or rows without unit that counts as rounding."""
@@ -50,7 +50,7 @@ class PlanarPlace:
     turn's coordinate. `plane` (2, 3) are the plane's axes in the ground frame.
     """
 
-    system: System
+    system: Model
     body: str
     slides_q: np.ndarray
     slides_v: np.ndarray
@@ -114,7 +114,7 @@ class PlanarPlace:
         return out
 
 
-def pose_of(system: System) -> PlanarPlace:
+def pose_of(system: Model) -> PlanarPlace:
     """The body nearest to the ground that moves in a plane by two slides and a turn. Errors:
     `UnsupportedError`.
     """
@@ -183,7 +183,7 @@ class Wheeled:
     loose: bool
 
     @property
-    def system(self) -> System:
+    def system(self) -> Model:
         """The system that moves."""
         return self.pose.system
 
@@ -228,7 +228,7 @@ class Wheeled:
         return N[3:] @ x
 
 
-def wheeled(system: System, q: Array) -> Wheeled:
+def wheeled(system: Model, q: Array) -> Wheeled:
     """What of the system is steered like a car, beside its configuration q (nq,). Errors:
     `UnsupportedError`.
     """
@@ -320,7 +320,7 @@ def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[A
     return middle, -1.0 if sense < -0.5 else 1.0
 
 
-def ends_of_velocity_constraints(system: System) -> list[tuple[str, Array]]:
+def ends_of_velocity_constraints(system: Model) -> list[tuple[str, Array]]:
     """For each declared velocity constraint between frames the body of its end B, and the pose of
     that end on it.
     """
@@ -334,7 +334,7 @@ def ends_of_velocity_constraints(system: System) -> list[tuple[str, Array]]:
     ]
 
 
-def binding(system: System, q: Array) -> str | None:
+def binding(system: Model, q: Array) -> str | None:
     """The name of a position constraint, loop or relation that restricts configurations around q
     (nq,), if one does.
     """

@@ -27,7 +27,7 @@ from kempe.spatial import Array, inverse
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 LIMIT = -1
 SOUND = -2
@@ -46,7 +46,7 @@ class BranchFunctions:
     branches exist, for the coordinate as an enclosure of n intervals, and signs (n, signs).
     """
 
-    system: System
+    system: Model
     name: str
     low: float
     high: float
@@ -88,7 +88,7 @@ def within(value: Enclosure, low: float, high: float) -> list[Function]:
 # A planar mechanism of dyads as functions of one coordinate: where each of its branches exists,
 # with bounds.
 #
-# The dyads of a closed form (`solvers.dyads`) are walked with enclosures in place of numbers. Each of
+# The dyads of a closed form (`kempe.assemble.dyads`) are walked with enclosures in place of numbers. Each of
 # them has two roots, which exist where its circles, or its line and circle, meet: where functions of
 # the coordinate are positive. Where one of them is zero the two roots are one. Limits of the other
 # coordinates are such functions, too.
@@ -102,7 +102,7 @@ Vector = tuple[Enclosure, Enclosure]
 
 
 @kept
-def dyad_branches(system: System) -> tuple[BranchFunctions, ...] | str:
+def dyad_branches(system: Model) -> tuple[BranchFunctions, ...] | str:
     """The branches over each coordinate from which all others follow by dyads, or why there are
     none.
     """
@@ -146,7 +146,7 @@ def dyad_branches(system: System) -> tuple[BranchFunctions, ...] | str:
     return tuple(x for _, x in out) or "no coordinate that is bounded gives all others by dyads"
 
 
-def _aside(system: System) -> list[str]:
+def _aside(system: Model) -> list[str]:
     """Coordinates of joints that are in no loop: they are what they are, whatever loops do."""
     moved = {v for c in structure(system).clusters for v in c.velocities}
     layout = system.structure.layout
@@ -179,7 +179,7 @@ class Walk:
     here, only.
     """
 
-    def __init__(self, system: System, plan: Plan):
+    def __init__(self, system: Model, plan: Plan):
         ints: list[int] = plan.program[0].tolist()
         given, self.ops = operations(plan.program)
         self.registers = ints[K.N_REGISTERS]
@@ -429,7 +429,7 @@ class Rod(NamedTuple):
 
 
 @kept
-def skew_branches(system: System) -> tuple[BranchFunctions, ...] | str:
+def skew_branches(system: Model) -> tuple[BranchFunctions, ...] | str:
     """The branches over each crank whose neighbour is the other one, or a slide, or why there are
     none.
     """
@@ -452,7 +452,7 @@ def skew_branches(system: System) -> tuple[BranchFunctions, ...] | str:
     )
 
 
-def _over(system: System, ring: list[str], joints: list[Joint]) -> list[BranchFunctions]:
+def _over(system: Model, ring: list[str], joints: list[Joint]) -> list[BranchFunctions]:
     """The branches over the first of four joints, with the last one as the other: none where they
     do not fit.
     """
@@ -497,7 +497,7 @@ def _over(system: System, ring: list[str], joints: list[Joint]) -> list[BranchFu
     ]
 
 
-def _limits(system: System) -> dict[str, tuple[float, float]]:
+def _limits(system: Model) -> dict[str, tuple[float, float]]:
     """Limits of each coordinate that is alone in its joint."""
     own = {*system.coordinate_names}
     return {
@@ -507,12 +507,12 @@ def _limits(system: System) -> dict[str, tuple[float, float]]:
     }
 
 
-def _limited(system: System, joint: str) -> bool:
+def _limited(system: Model, joint: str) -> bool:
     """Whether a joint has limits of any kind."""
     return any(n == joint or n.startswith(f"{joint}.") for n in one_sided_rows(system).names)
 
 
-def _rod(system: System, ring: tuple[str, ...], joints: list[Joint]) -> Rod | None:
+def _rod(system: Model, ring: tuple[str, ...], joints: list[Joint]) -> Rod | None:
     """The rod, between points, between directions of axes through one point, or between parallel
     axes.
     """
@@ -554,7 +554,7 @@ def _rod(system: System, ring: tuple[str, ...], joints: list[Joint]) -> Rod | No
 
 
 def _curve(
-    system: System, joint: Joint, base: str, crank: str, point: Array, weight: float
+    system: Model, joint: Joint, base: str, crank: str, point: Array, weight: float
 ) -> Array:
     """Coefficients of 1, cos and sin, or of 1 and the slide, of a point (or, of weight 0, a
     direction) on a crank, seen from the base.
@@ -573,7 +573,7 @@ def _curve(
     return np.asarray(np.linalg.solve(wave, (X @ np.append(point, weight))[:, :3]), dtype=float)
 
 
-def _axis(system: System, joint: Joint, body: str) -> tuple[Array, Array]:
+def _axis(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
     """A point and the direction of the axis of a turn, in the axes of one of its bodies."""
     X = pin(system, joint, body)[1]
     return X[:3, 3], X[:3, "xyz".index(primitives_of(system, joint)[0].axis)]

@@ -29,7 +29,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.numerics.clock import TimeLimit
 
 FIRST = 48
@@ -346,12 +346,12 @@ def _joined(branches: BranchFunctions, signs: Array, cells: Cells) -> np.ndarray
 
 
 @kept
-def _found(_system: System) -> list[CurveSweep | str]:
+def _found(_system: Model) -> list[CurveSweep | str]:
     """Where what was found of a system is kept."""
     return []
 
 
-def sweep_of(system: System, time: TimeLimit) -> CurveSweep | str:
+def sweep_of(system: Model, time: TimeLimit) -> CurveSweep | str:
     """The sweep that proves most, over the coordinates that can be used; or why there is none."""
     found = _found(system)
     if not found:

@@ -42,7 +42,7 @@ from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.mobility.answer import Mobility
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 STARTS = 256
 VALUES = 24
@@ -214,7 +214,7 @@ def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
     )
 
 
-def _first(system: System, q: Array) -> list[int]:
+def _first(system: Model, q: Array) -> list[int]:
     """Which of configurations (k, nq) are not the same as one before."""
     metric = Manifold(system, 1).metric
     out = list[int]()
@@ -237,7 +237,7 @@ class Components(Report):
 
     __repr__ = brief
 
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     count: int
     complete: bool
     reason: str
@@ -304,7 +304,7 @@ class Components(Report):
 @explained
 @interruptible
 @time_limited(USUAL)
-def components(system: System, *, budget: Budget | None = None) -> Components:
+def components(system: Model, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with
     the reason.
 
@@ -329,7 +329,7 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
         )
 
 
-def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
+def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
     """The components, as `components` counts them."""
     if not has_loops(system):
         divided = bool(one_sided_rows(system).declared)
@@ -389,7 +389,7 @@ def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
     )
 
 
-def _inside(system: System, home: Array, spend: Budget) -> bool:
+def _inside(system: Model, home: Array, spend: Budget) -> bool:
     """Whether a configuration within limits and one-sided constraints is known: `home`, or one that
     starts lead to.
     """
@@ -406,7 +406,7 @@ def _inside(system: System, home: Array, spend: Budget) -> bool:
 
 
 def _proven(
-    system: System, time: TimeLimit
+    system: Model, time: TimeLimit
 ) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:
     """The number and its proof, if there is one; the sweep over a coordinate; and whether the time
     was up.
@@ -446,7 +446,7 @@ class Traced:
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
 
 
-def _lower_bound(system: System, found: Traced, sweep: CurveSweep | None) -> tuple[int, str]:
+def _lower_bound(system: Model, found: Traced, sweep: CurveSweep | None) -> tuple[int, str]:
     """The least number of components, and why."""
     apart = sum(part.alone for part in found.parts)
     count = apart + (len(found.parts) > apart)
@@ -461,7 +461,7 @@ def _lower_bound(system: System, found: Traced, sweep: CurveSweep | None) -> tup
 
 
 def _traced(
-    system: System,
+    system: Model,
     freedoms: Mobility,
     sweep: CurveSweep | None,
     spend: Budget,
@@ -503,7 +503,7 @@ def _traced(
     return Traced(tuple(parts), several, late)
 
 
-def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
+def _of_one_freedom(system: Model, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
     """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as
     anywhere, and the true numbers of others.
     """
@@ -514,7 +514,7 @@ def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozense
     return q[left <= most], frozenset(others - {0, 1})
 
 
-def _starts(system: System, home: Array, spend: Budget) -> Array:
+def _starts(system: Model, home: Array, spend: Budget) -> Array:
     """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes
     of a closed form.
     """

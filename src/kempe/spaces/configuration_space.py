@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from kempe.budget import Budget
     from kempe.mobility.answer import Mobility
     from kempe.mobility.independent import Parametrizations
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.spaces.components import Components
     from kempe.spaces.connection import Connection
     from kempe.spaces.sampling import Sample
@@ -60,7 +60,7 @@ class ConfigurationSpace(Report):
     are `System.nq` and `System.nv`.
     """
 
-    system: System
+    system: Model
     ambient: ProductSpace
     limited: int
     constraints: int
@@ -204,7 +204,7 @@ class ConfigurationSpace(Report):
         return f"dimension {'' if known else 'probably '}{dimension}: {self.within}"
 
 
-def configuration_space(system: System) -> ConfigurationSpace:
+def configuration_space(system: Model) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found on demand."""
     turning = (system.structure.coordinates.turning & ~winding_angles(system))[
         system.structure.layout.vector_v

@@ -30,7 +30,7 @@ from kempe.spatial import Array
 from kempe.status import Status
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- random trees
 
@@ -247,7 +247,7 @@ class Connection(Configurations):
     outcome: Status
     reason: str
     step: float
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     interrupted: bool = False
     late: bool = False
 
@@ -271,7 +271,7 @@ class Connection(Configurations):
 @explained
 @interruptible
 @time_limited(USUAL)
-def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
+def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
     """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is
     none.
 
@@ -321,7 +321,7 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
         )
 
 
-def _end(system: System, q: Any, name: str) -> Array:
+def _end(system: Model, q: Any, name: str) -> Array:
     q = one_finite(system, q, name)
     judged = judge(system, q)
     if not judged:
@@ -329,7 +329,7 @@ def _end(system: System, q: Any, name: str) -> Array:
     return q
 
 
-def _no_way(system: System) -> Array:
+def _no_way(system: Model) -> Array:
     return np.empty((0, system.nq))
 
 
@@ -342,7 +342,7 @@ def _straight(manifold: Manifold, a: Array, b: Array, step: float) -> Array:
 
 
 def _closed(
-    system: System,
+    system: Model,
     a: Array,
     b: Array,
     step: float,
@@ -384,7 +384,7 @@ def _closed(
 # ---- along curves
 
 
-def _curve(system: System, a: Array, spend: Budget) -> Component:
+def _curve(system: Model, a: Array, spend: Budget) -> Component:
     """The component of a, as far as it can be traced."""
     first = trace(system, start=a, ways="branches", budget=Budget(time_limit=spend.time_limit))
     return Component((first, *first.others), moved_by_spins(system, a))

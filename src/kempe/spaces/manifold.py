@@ -22,7 +22,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 CLOSED = 1e-9
 """Norm of the closure equations, in radians and characteristic lengths, up to which a configuration
@@ -55,7 +55,7 @@ class Frames(NamedTuple):
 class Manifold:
     """The closed configurations of a system where they have dimension `dim`, within its limits."""
 
-    def __init__(self, system: System, dim: int):
+    def __init__(self, system: Model, dim: int):
         self.system = system
         self.dim = dim
         self.scale = closure_rows.scales(system)

@@ -23,7 +23,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- loops
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @kept
-def loop_of(system: System) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
+def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
     """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
     such loop.
     """
@@ -61,12 +61,12 @@ def loop_of(system: System) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
     return tuple(bodies), tuple(names)
 
 
-def primitives_of(system: System, joint: Joint) -> list[Primitive]:
+def primitives_of(system: Model, joint: Joint) -> list[Primitive]:
     """The turns and slides of a joint."""
     return list(joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1])
 
 
-def pin(system: System, joint: Joint, body: str) -> tuple[Array, Array]:
+def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
     """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
     X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system.mechanism.parameters)
     return X[:3, 3], X
@@ -84,7 +84,7 @@ class Polygon:
     lengths (n,) [m].
     """
 
-    system: System
+    system: Model
     bodies: tuple[str, ...]
     joints: tuple[str, ...]
     vectors: Array
@@ -173,7 +173,7 @@ def _angle(X: Array) -> float:
 
 
 @kept
-def polygon_of(system: System) -> Polygon | str:
+def polygon_of(system: Model) -> Polygon | str:
     """The planar polygon of bars that a system is, besides what hangs on it; or why it is none."""
     if system.dim != 2:
         return "it is not planar"
@@ -195,7 +195,7 @@ def polygon_of(system: System) -> Polygon | str:
     return Polygon(system, bodies, names, vectors)
 
 
-def _turns(system: System, joint: Joint) -> bool:
+def _turns(system: Model, joint: Joint) -> bool:
     """Whether it is one turn without limits."""
     primitives = primitives_of(system, joint)
     if (

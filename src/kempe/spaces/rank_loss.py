@@ -24,7 +24,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 STEP = 1e-5
 """Step of the differences of the matrix."""
@@ -53,7 +53,7 @@ class RankLoss:
     counts as 1 of each.
     """
 
-    system: System
+    system: Model
     matrices: Matrices
     rank: int
     columns: np.ndarray

@@ -27,7 +27,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- random walk
 
@@ -155,7 +155,7 @@ class Sample(Configurations):
     reason: str
     taken: float
     wanted: int
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     interrupted: bool = False
     late: bool = False
 
@@ -166,7 +166,7 @@ class Sample(Configurations):
 
 
 def _made(
-    system: System, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0
+    system: Model, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0
 ) -> Sample:
     said = (
         f"{counted(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in "
@@ -175,7 +175,7 @@ def _made(
     return Sample(q, measure, exact, said, taken, n, system)
 
 
-def _not_begun(time: TimeLimit, system: System, n: float, *_: Any, **__: Any) -> Sample:
+def _not_begun(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> Sample:
     """The answer where the time was up before a configuration was drawn."""
     none = f"none is known: {time.reason(TimeUp())} came first"
     return _broken(
@@ -187,7 +187,7 @@ def _not_begun(time: TimeLimit, system: System, n: float, *_: Any, **__: Any) ->
 @interruptible
 @time_limited(USUAL, _not_begun)
 def sample(
-    system: System,
+    system: Model,
     n: float,
     rng: np.random.Generator | int | None = None,
     *,
@@ -241,7 +241,7 @@ def sample(
 
 
 def _of_tree(
-    system: System, n: int, rng: np.random.Generator, check: Callable[[int], None]
+    system: Model, n: int, rng: np.random.Generator, check: Callable[[int], None]
 ) -> Sample:
     v = system.structure.layout.vector_v
     bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | circles(system)
@@ -268,7 +268,7 @@ def _of_tree(
     return _broken(_made(system, n, q[:n], "the product of the coordinates", True, how, taken), why)
 
 
-def _of_points(system: System, n: int, rng: np.random.Generator) -> Sample:
+def _of_points(system: Model, n: int, rng: np.random.Generator) -> Sample:
     modes = assembly_modes(system)
     q = modes.q[rng.integers(len(modes.q), size=n)] if len(modes.q) else modes.q
     how = (
@@ -278,7 +278,7 @@ def _of_points(system: System, n: int, rng: np.random.Generator) -> Sample:
     return _made(system, n, q, "the count of assembly modes", modes.complete, how)
 
 
-def _of_curves(system: System, n: int, rng: np.random.Generator, spend: Budget) -> Sample:
+def _of_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -> Sample:
     found = components(system, budget=Budget(time_limit=spend.time_limit))
     paths = [p for c in found.parts for p in c.paths if len(p) > 1]
     for path in paths:
@@ -305,7 +305,7 @@ def _of_curves(system: System, n: int, rng: np.random.Generator, spend: Budget) 
 
 
 def _by_walk(
-    system: System,
+    system: Model,
     n: int,
     rng: np.random.Generator,
     dim: int,
@@ -351,7 +351,7 @@ def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generato
     return np.resize(q, (count, q.shape[1])) if len(q) else q
 
 
-def _run_away(system: System) -> list[str]:
+def _run_away(system: Model) -> list[str]:
     """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds
     them.
     """

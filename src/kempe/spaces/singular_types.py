@@ -34,7 +34,7 @@ from kempe.status import Status
 from kempe.words import InWords, counted, joined
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- singular sets
 
@@ -168,7 +168,7 @@ def changes(lost: Array, gained: Array) -> str:
     return " and ".join(said) or "no direction of a frame lost or gained"
 
 
-def inside_limits(system: System, q: Array) -> np.ndarray:
+def inside_limits(system: Model, q: Array) -> np.ndarray:
     """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
     return np.asarray((one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
 
@@ -212,7 +212,7 @@ class RankQuestions:
 
     def __init__(
         self,
-        system: System,
+        system: Model,
         frame: str | None,
         task: str,
         inputs: list[int] | None,
@@ -417,7 +417,7 @@ class RankQuestions:
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
 
 
-def _led_inside(system: System, q: Array) -> Array:
+def _led_inside(system: Model, q: Array) -> Array:
     """Closed configurations (k, nq), those outside the limits as ones inside them, where `assemble`
     finds some.
 

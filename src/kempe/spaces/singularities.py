@@ -59,8 +59,7 @@ from kempe.words import InWords, counted
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- arm names
 
@@ -70,7 +69,7 @@ if TYPE_CHECKING:
 BORDER = " singular"
 
 
-def names_of(system: System, frame: str | None, q: Array) -> list[str]:
+def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
     """For each configuration (k, nq) "shoulder", "elbow", "wrist", or several of them, or "" where
     there is no name.
     """
@@ -87,7 +86,7 @@ def names_of(system: System, frame: str | None, q: Array) -> list[str]:
 
 
 @kept
-def _named(system: System, frame: str) -> tuple[Kind, Lines] | None:
+def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
     """The kind of arm and its lines, None where its branches have no names."""
     plan = plan_of(system, frame, "pose", Z_AXIS)
     if isinstance(plan, str):
@@ -165,7 +164,7 @@ class SingularCurves(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     frame: str | None
     curves: tuple[SingularCurve, ...]
     held: tuple[str, ...] = ()
@@ -529,7 +528,7 @@ class Singularities(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     frame: str | None
     task: str
     sets: tuple[SingularSet, ...]
@@ -725,7 +724,7 @@ set."""
 @explained
 @interruptible
 def singularities(
-    system: System,
+    system: Model,
     frame: FrameLike | None = None,
     task: str | None = None,
     *,
@@ -836,7 +835,7 @@ def _led(
 
 
 def _questions_of(
-    system: System,
+    system: Model,
     frame: str | None,
     task: str | None,
     driving: list[int] | None,
@@ -864,7 +863,7 @@ def _questions_of(
     return word, questions
 
 
-def _task(system: System, frame: str | None, task: str | None, loops: bool) -> str:
+def _task(system: Model, frame: str | None, task: str | None, loops: bool) -> str:
     """The task by its name, or that which the chain is for. Errors: `InputError`."""
     if task is not None:
         return known("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
@@ -895,7 +894,7 @@ def _sharpened(problem: RankLoss, q: Array) -> Array:
     return q
 
 
-def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
+def _set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
     kinds, name, deciding = key
     q = np.array([row[0] for row in rows])
     names = system.structure.velocity_names
@@ -931,7 +930,7 @@ def _distinct_rows(x: Array) -> list[int]:
     return keep
 
 
-def _distinct(system: System, x: Array, deciding: tuple[int, ...]) -> Array:
+def _distinct(system: Model, x: Array, deciding: tuple[int, ...]) -> Array:
     """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they
     have no limits.
     """
@@ -947,7 +946,7 @@ def _distinct(system: System, x: Array, deciding: tuple[int, ...]) -> Array:
     return np.array(keep)
 
 
-def _turned(system: System, q: Array) -> Array:
+def _turned(system: Model, q: Array) -> Array:
     """Configurations (k, nq) of which turns are led by full turns into (-pi, pi], or where that is
     outside, the limits.
 

@@ -29,8 +29,7 @@ from kempe.status import Status
 from kempe.words import counted, verb
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- image rank
 
@@ -48,7 +47,7 @@ origin."""
 
 
 def image_ranks(
-    system: System, q: Array, rates: Array, metres: np.ndarray
+    system: Model, q: Array, rates: Array, metres: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Ranks (k,) of rates (k, m, nv) over the velocities that loops leave at q (k, nq), and the
     least freedoms.
@@ -97,7 +96,7 @@ class TaskSpace(Report):
 
     __repr__ = brief
 
-    system: System = field(repr=False)
+    system: Model = field(repr=False)
     task: str
     m: int
     n: int
@@ -188,7 +187,7 @@ class TaskSpace(Report):
 @explained
 @time_limited(USUAL)
 def task_space(
-    system: System,
+    system: Model,
     tasks: Any,
     q: Any = None,
     *,
@@ -251,7 +250,7 @@ def task_space(
 
 
 def _wanted(
-    system: System, tasks: Any, task: str | None
+    system: Model, tasks: Any, task: str | None
 ) -> tuple[list[Constraint], str, FrameLike | None]:
     """The tasks, what they are called, and the frame if it is one of a frame."""
     name: Any = tasks
@@ -274,7 +273,7 @@ def _wanted(
     return [made(frame, X if kind == "pose" else X[:3, 3])], f"{kind} of {frame!r}", frame
 
 
-def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
+def _drawn(system: Model, count: int, rng: np.random.Generator) -> Array:
     """Random configurations (k, nq), closed where there are loops."""
     if not has_loops(system):
         return random(system, rng, count)

@@ -36,7 +36,7 @@ from kempe.status import Status
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- lattices
 
@@ -347,7 +347,7 @@ class TwoFreedoms:
     """Called with how many nodes of a lattice have configurations, and how many it has."""
 
     def __init__(
-        self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit
+        self, system: Model, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit
     ):
         self.system = system
         self.frame = frame
@@ -610,7 +610,7 @@ class Dyads(TwoFreedoms):
 
     complete = True
 
-    def __init__(self, system: System, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
+    def __init__(self, system: Model, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
         super().__init__(system, frame, task, plan.known, clock)
         self.plan = plan
         self.placed = _placed(system, frame)
@@ -657,7 +657,7 @@ class Dyads(TwoFreedoms):
 
 
 def two_freedoms(
-    system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None
+    system: Model, frame: str, task: FlatTask, clock: TimeLimit | None = None
 ) -> TwoFreedoms:
     """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see
     `TwoFreedoms`.
@@ -686,7 +686,7 @@ def two_freedoms(
     return TwoFreedoms(system, frame, task, _pair(system), clock)
 
 
-def _pairs(system: System) -> Iterator[tuple[str, ...]]:
+def _pairs(system: Model) -> Iterator[tuple[str, ...]]:
     """The actuated coordinates, if these are two, then all pairs."""
     names = system.structure.velocity_names
     inputs = tuple(names[i] for i in driven(system, None) or ())
@@ -695,7 +695,7 @@ def _pairs(system: System) -> Iterator[tuple[str, ...]]:
     yield from combinations([n for n in names if n in system.coordinate_names], 2)
 
 
-def _plan(system: System) -> Plan | None:
+def _plan(system: Model) -> Plan | None:
     """The closed form from the actuated coordinates, else from the first that have one."""
     for pair in _pairs(system):
         found = closed_form(system, pair)
@@ -711,7 +711,7 @@ def _moves(plan: Plan) -> bool:
     return bool(plan.all(np.random.default_rng(0).uniform(low, high, (512, 2)))[1].any())
 
 
-def _pair(system: System) -> tuple[str, ...]:
+def _pair(system: Model) -> tuple[str, ...]:
     """The actuated coordinates where they place the others, else the first with ends that do.
     Errors: `UnsupportedError`.
     """
@@ -741,7 +741,7 @@ def _pair(system: System) -> tuple[str, ...]:
     return pairs[good[0]]
 
 
-def _placed(system: System, frame: str) -> Plan | None:
+def _placed(system: Model, frame: str) -> Plan | None:
     """The closed form with the place of a frame known: that of the mechanism with slides in x and y
     pinned to it.
     """

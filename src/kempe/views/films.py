@@ -23,7 +23,7 @@ from kempe.views.plots import drawing_of, motion_of, subject_of
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 ENDINGS = {".gif": "pillow", ".mp4": "ffmpeg", ".html": "html"}
 """By the ending of a file who writes it, as `matplotlib.animation.writers` calls them."""
@@ -66,7 +66,7 @@ def _packed_ffmpeg() -> bool:
 
 @explained
 def animate(
-    system: System,
+    system: Model,
     path: Any,
     file: str | Path,
     *,
@@ -110,7 +110,7 @@ def animate(
     return out
 
 
-def _evenly(system: System, q: Array, count: int) -> Array:
+def _evenly(system: Model, q: Array, count: int) -> Array:
     """Configurations (count, nq) at equal steps along rows (n, nq), where loops are closed the
     nearest of these.
     """

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from kempe.mobility.answer import Mobility
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 MOST_LINES = 40
 MOST_DRAWN = 60
@@ -37,7 +37,7 @@ siblings are apart."""
 # ---- the tree
 
 
-def children(system: System) -> list[list[int]]:
+def children(system: Model) -> list[list[int]]:
     """For each body from the ground on, the bodies whose parent it is."""
     out: list[list[int]] = [[] for _ in system.body_names]
     for body, parent in enumerate(system.parent, 1):
@@ -45,7 +45,7 @@ def children(system: System) -> list[list[int]]:
     return out
 
 
-def tree_lines(system: System) -> list[str]:
+def tree_lines(system: Model) -> list[str]:
     """The tree as text: for each body its joint, with the type, its number and its name; then what
     closes loops.
     """
@@ -71,12 +71,12 @@ def tree_lines(system: System) -> list[str]:
     return [*out, connectivity(system)]
 
 
-def connectivity(system: System) -> str:
+def connectivity(system: Model) -> str:
     """The connectivity vector as text: the parent of each body."""
     return f"C = {{{', '.join(map(str, system.parent))}}}"
 
 
-def _places(system: System) -> np.ndarray:
+def _places(system: Model) -> np.ndarray:
     """Where bodies (n + 1, 2) are drawn: leaves beside one another, each parent over the middle of
     its children.
     """
@@ -98,7 +98,7 @@ def _places(system: System) -> np.ndarray:
 
 
 @explained
-def plot_tree(system: System, ax: Axes | None = None) -> Axes:
+def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
     """Axes with the tree: bodies as circles by depth, joints as lines with their letters, C below.
 
     Joints that close loops, which the tree leaves out, are dashed red lines. Letters: R revolute, P
@@ -199,7 +199,7 @@ def _edge_said(joint: Any) -> str:
     return f"{shortened(joint.name)}  {joint.type.letter}".rstrip()
 
 
-def _beyond(system: System) -> float:
+def _beyond(system: Model) -> float:
     """The room of the widest name of a body from the middle of its circle on, in the units of the
     tree.
     """
@@ -210,7 +210,7 @@ def _beyond(system: System) -> float:
     return 0.34 + widest / 72.0 / INCHES + 0.1
 
 
-def _apart(system: System) -> float:
+def _apart(system: Model) -> float:
     """How far leaves are from one another: no name of a body or joint reaches the next one, where
     there is room.
     """
@@ -219,7 +219,7 @@ def _apart(system: System) -> float:
     return float(np.clip(max(_beyond(system) + 0.36, (_widest(system) + 0.15) / BELOW), 1.4, 4.0))
 
 
-def _widest(system: System) -> float:
+def _widest(system: Model) -> float:
     """The width of the widest name of a joint, in the units of the tree."""
     from kempe.views.drawing import style
     from kempe.views.drawing.labels import extent
@@ -315,7 +315,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
 # ---- notebooks
 
 
-def notebook_page(system: System) -> str:
+def notebook_page(system: Model) -> str:
     """The system as HTML: a picture, its freedoms, its tree. What cannot be had is left out."""
     count = counted(len(system.parent), "body")
     kind = "in the plane" if system.dim == 2 else "in space"
@@ -326,7 +326,7 @@ def notebook_page(system: System) -> str:
     return "".join([*parts, f"<pre>{html.escape(chr(10).join(lines))}</pre>"])
 
 
-def _freedoms(system: System) -> str:
+def _freedoms(system: Model) -> str:
     """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by
     rank.
     """
@@ -342,7 +342,7 @@ def _freedoms(system: System) -> str:
         return str(error)
 
 
-def _counted(system: System) -> Mobility:
+def _counted(system: Model) -> Mobility:
     """The mobility of a system by counting and by rank."""
     # Here, as it loads the kernels, which drawing a tree does not need.
     from kempe.mobility.mobility import mobility
@@ -350,7 +350,7 @@ def _counted(system: System) -> Mobility:
     return mobility(system, local=False)
 
 
-def _of_velocity(system: System) -> str:
+def _of_velocity(system: Model) -> str:
     """How many freedoms constraints of velocity leave, such as those of wheels; '' without them."""
     if not velocity_rows(system).names:
         return ""
@@ -360,7 +360,7 @@ def _of_velocity(system: System) -> str:
         return ""
 
 
-def _picture(system: System) -> str:
+def _picture(system: Model) -> str:
     """An `img` with the picture, '' where there is none: without matplotlib, and of what is large
     or not drawn.
     """

@@ -38,7 +38,7 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 FARTHEST = 1e15
 """Coordinates up to which a configuration is drawn: squares of distances must stay finite."""
@@ -61,7 +61,7 @@ of the drawing."""
 
 @explained
 @with_options(PlotOptions)
-def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> Any:
+def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> Any:
     """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that
@@ -123,7 +123,7 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     return _side_by_side(drawing, subjects)
 
 
-def _missed(system: System, answer: Any) -> Array | None:
+def _missed(system: Model, answer: Any) -> Array | None:
     """Where the frame of an answer to one target is, and the place that it does not reach (2, 3);
     else None.
     """
@@ -136,7 +136,7 @@ def _missed(system: System, answer: Any) -> Array | None:
     return ends if np.isfinite(ends).all() else None
 
 
-def bare(system: System) -> Axes:
+def bare(system: Model) -> Axes:
     """Axes with the system as it is drawn by default, in a figure of their own that nothing else
     knows of.
     """
@@ -144,7 +144,7 @@ def bare(system: System) -> Axes:
     return drawing_of(system).picture(subject, None, make=page.bare_figure)
 
 
-def drawing_of(system: System) -> Any:
+def drawing_of(system: Model) -> Any:
     """The module that draws systems of this dimension."""
     from kempe.views.drawing import plane, space
 
@@ -152,7 +152,7 @@ def drawing_of(system: System) -> Any:
 
 
 def subject_of(
-    system: System,
+    system: Model,
     several: Array,
     way: Array | None,
     path: Any,
@@ -195,7 +195,7 @@ def subject_of(
     )
 
 
-def _workspace(system: System, options: PlotOptions) -> Any:
+def _workspace(system: Model, options: PlotOptions) -> Any:
     """The workspace that is shaded. Errors: `UnsupportedError`."""
     if options.workspace is None:
         return None
@@ -244,7 +244,7 @@ def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
     return axes
 
 
-def names_of(system: System, frames: Any) -> list[str]:
+def names_of(system: Model, frames: Any) -> list[str]:
     """Names of the frames that are given: a list, one, or None for all bodies and frames."""
     if frames is None:
         return list(system.frame_names)
@@ -253,7 +253,7 @@ def names_of(system: System, frames: Any) -> list[str]:
 
 
 def plot_path(
-    path: Any, *, names: Iterable[str] = (), system: System | None = None, ax: Axes | None = None
+    path: Any, *, names: Iterable[str] = (), system: Model | None = None, ax: Axes | None = None
 ) -> Axes:
     """Axes with coordinates over the arc length of a path: angles in radians, slides in metres
     (dashed).
@@ -336,12 +336,12 @@ def _apart(count: int, k: int) -> tuple[int, int]:
     return (k * every // len(MARKERS)) % max(count, 1), every
 
 
-def configuration_of(system: System, q: Any, way: Array | None = None) -> Array:
+def configuration_of(system: Model, q: Any, way: Array | None = None) -> Array:
     """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
     return _configurations(system, q, way)[0][0]
 
 
-def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
+def _configurations(system: Model, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
     """Configurations (k, nq) that are drawn, and their names, if they have any."""
     if q is None:
         return _usual(system, way)[None], ()
@@ -367,7 +367,7 @@ def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, t
     return found[good], tuple(t for t, ok in zip(titles, np.ravel(good), strict=False) if ok)
 
 
-def _neighbours(system: System, q: Array) -> Array:
+def _neighbours(system: Model, q: Array) -> Array:
     """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no
     loops.
     """
@@ -451,7 +451,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _usual(system: System, configurations: Array | None) -> Array:
+def _usual(system: Model, configurations: Array | None) -> Array:
     """The configuration that is drawn unless one is given."""
     q = home_of(system)
     if configurations is None:
@@ -465,7 +465,7 @@ def _usual(system: System, configurations: Array | None) -> Array:
     return finite[int(np.argmin(distance(system, finite, q)))]
 
 
-def motion_of(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
+def motion_of(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
     """Configurations (n, nq) of a path, and names of the joints that drive it.
 
     `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None

@@ -33,8 +33,7 @@ from kempe.views.singular_plot import LINES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 SHADES = ("#ffffff", "#d3e3f2", "#8db8dc", "#4c7fb0", "#2f5d8a", "#1b3d63")
 """Colours of places with no, one, two, three, four and more configurations: from light to dark, to
@@ -64,7 +63,7 @@ USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT, progress=None)
 
 @explained
 def plot_spaces(
-    system: System,
+    system: Model,
     frame: FrameLike,
     *,
     points: ArrayLike = (),
@@ -161,7 +160,7 @@ def _targets(points: ArrayLike, seen: FlatTask) -> Array:
 
 
 def nearest(
-    system: System, frame: str, task: FlatTask, target: Array, q: Array, p: Array
+    system: Model, frame: str, task: FlatTask, target: Array, q: Array, p: Array
 ) -> tuple[Array, Array, float]:
     """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one:
     that which is nearest to a place (2,), where it is, and how far away.
@@ -176,7 +175,7 @@ def nearest(
     return x, at, float(task.apart(at, target))
 
 
-def _closed(system: System, q: Array) -> bool:
+def _closed(system: Model, q: Array) -> bool:
     return float(np.abs(closure_error(system, q)).max(initial=0.0)) < CLOSED
 
 

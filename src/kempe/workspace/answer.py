@@ -41,7 +41,7 @@ from kempe.workspace.sampling_job import closed_configurations
 from kempe.workspace.store import description_of, refuse_other
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- map measures
 
@@ -63,7 +63,7 @@ at together."""
 
 
 def measured(
-    system: System,
+    system: Model,
     frame: str,
     cells: CellMap,
     seed: int,
@@ -124,7 +124,7 @@ def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Ar
 
 
 def decided(
-    system: System, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
+    system: Model, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
 ) -> np.ndarray:
     """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse
     model.
@@ -142,7 +142,7 @@ def decided(
 
 
 def to_boundary(
-    system: System,
+    system: Model,
     frame: str,
     cells: CellMap,
     points: Array,
@@ -241,7 +241,7 @@ FINE = 2**18
 """Cells into which a box is cut at least, as far as halving brings them there."""
 
 
-def outer_measure(system: System, frame: str, grid: Grid) -> float:
+def outer_measure(system: Model, frame: str, grid: Grid) -> float:
     """Measure of the cells of a box, made finer, of which no bound proves that the frame's origin
     is never there.
     """
@@ -250,7 +250,7 @@ def outer_measure(system: System, frame: str, grid: Grid) -> float:
     return float(left) * float(np.prod(grid.size)) / finer ** len(grid.axes)
 
 
-def possible_cells(system: System, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
+def possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
     """Cells of a box, made finer along each axis, of which no bound proves that the frame's origin
     is never there.
     """
@@ -315,7 +315,7 @@ class Workspace(Report):
 
     _pictured = True
 
-    system: System
+    system: Model
     frame: str
     map: CellMap
     samples: int
@@ -668,7 +668,7 @@ class Workspace(Report):
 
 
 @explained
-def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
+def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
     """The `Workspace` that was written to a path.
 
     The system is read from the map itself, or given. Errors: `InputError` where there is no map,
@@ -685,13 +685,13 @@ def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
         from kempe.description.toml_reader import read_toml
 
         with collecting_later():
-            own: System = call_late("System", read_toml(stored.toml))
+            own: Model = call_late("System", read_toml(stored.toml))
             system = own
     refuse_other(stored.said, {"system": system.structure.content_hash}, str(path))
     return of_stored(system, stored, stored.samples)
 
 
-def of_stored(system: System, stored: Stored, requested: int, **ended: Any) -> Workspace:
+def of_stored(system: Model, stored: Stored, requested: int, **ended: Any) -> Workspace:
     """The answer that a stored map is."""
     numbers = stored.samples, requested, stored.outside, stored.left_out
     return Workspace(system, stored.said["frame"], stored.map, *numbers, stored.said, **ended)

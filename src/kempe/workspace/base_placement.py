@@ -26,8 +26,7 @@ from kempe.workspace.reach import checked_poses, reached, sliced
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time_limit=LONG)
 AXES = ("x", "y", "z", "yaw")
@@ -51,7 +50,7 @@ class BasePlacement(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     frame: str
     poses: int
     axes: dict[str, Array]
@@ -143,7 +142,7 @@ def base_pose(places: Array) -> Array:
 @explained
 @interruptible
 def place_base(
-    system: System,
+    system: Model,
     targets: ArrayLike,
     frame: FrameLike,
     box: Mapping[str, Any],
@@ -196,7 +195,7 @@ def place_base(
 
 
 def _axes(
-    system: System, box: Mapping[str, Any], cells: Any
+    system: Model, box: Mapping[str, Any], cells: Any
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """Values of the base's coordinates that vary, and those that do not. Errors: `InputError`."""
     allowed = AXES if system.dim == 3 else tuple(n for n in AXES if n != "z")

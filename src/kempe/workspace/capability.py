@@ -33,8 +33,7 @@ from kempe.workspace.reach import UNKNOWN, reached, sliced
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=LONG)
 
@@ -58,7 +57,7 @@ class CapabilityMap(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     frame: str
     axes: tuple[Array, ...]
     directions: Array
@@ -138,7 +137,7 @@ def spread_directions(n: int) -> Array:
 @explained
 @interruptible
 def capability_map(
-    system: System,
+    system: Model,
     frame: FrameLike,
     box: ArrayLike,
     cells: int | tuple[int, ...] = 10,

@@ -28,7 +28,7 @@ from kempe.spatial import Array
 from kempe.workspace.place_bounds import legs_of, possible_places
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 REACHABLE = "reachable"
 CONSTANT = "constant-orientation"
@@ -83,7 +83,7 @@ class WorkspaceKind:
         """What it is made of."""
         return "orientation" if self.kind == ORIENTATION else "place"
 
-    def reached(self, system: System, frame: str, points: Array, seed: int) -> np.ndarray:
+    def reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
         """Which points (n, 3) are reached within all limits and constraints, as far as the inverse
         model finds.
         """
@@ -93,7 +93,7 @@ class WorkspaceKind:
         out[out] = self._reached(system, frame, points[out], seed)
         return out
 
-    def _reached(self, system: System, frame: str, points: Array, seed: int) -> np.ndarray:
+    def _reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
         X = np.tile(np.eye(4), (len(points), 1, 1))
         X[:, :3, 3] = self.at or points
         if self.kind == REACHABLE:
@@ -108,7 +108,7 @@ class WorkspaceKind:
         return np.isin(np.arange(len(points)), left)
 
 
-def reached(system: System, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
+def reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
     """Which poses (n, 4, 4), or for the task "position" their places, a frame is found to reach."""
     if not len(X):
         return np.zeros(0, dtype=bool)
@@ -129,7 +129,7 @@ def reached(system: System, X: Array, frame: str, task: str, seed: int) -> np.nd
     return searched(system, X, frame, task, seed)
 
 
-def searched(system: System, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
+def searched(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
     """The same, by a search; for places with as many starts as `ik` takes by itself."""
     budget = Budget(rng=seed) if task == "position" else Budget(rng=seed, starts=STARTS)
     goals = X[:, : system.dim, 3] if task == "position" else X
@@ -221,7 +221,7 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
 
 
 def question_of(
-    system: System, frame: str, kind: object, orientation: Any, at: Any
+    system: Model, frame: str, kind: object, orientation: Any, at: Any
 ) -> WorkspaceKind:
     """The question that arguments of `workspace` pose. Errors: `InputError`."""
     if kind is None:

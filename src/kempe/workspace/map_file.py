@@ -59,8 +59,7 @@ from kempe.workspace.store import (
 )
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- row verbs
 
@@ -79,7 +78,7 @@ class RowJob:
     `tail` is the shape of a row and `columns` their names, None where they have none.
     """
 
-    system: System
+    system: Model
     verb: str
     frame: str | None
     options: dict[str, Any]
@@ -304,7 +303,7 @@ def axes_of(name: str, array: np.ndarray) -> tuple[str, ...]:
 
 
 def job_of(
-    system: System,
+    system: Model,
     verb: str,
     frame: Any,
     options: Mapping[str, Any] | None,
@@ -644,7 +643,7 @@ class FileMap(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     verb: str
     source: Path
     path: Path
@@ -692,7 +691,7 @@ class FileMap(Report):
 @explained
 @interruptible
 def map_file(
-    system: System,
+    system: Model,
     verb: str,
     source: str | Path,
     path: str | Path,

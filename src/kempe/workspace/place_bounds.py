@@ -32,7 +32,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- legs
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @kept
-def legs_of(system: System, frame: str) -> tuple[System, ...]:
+def legs_of(system: Model, frame: str) -> tuple[Model, ...]:
     """The legs to a frame, each a system with that frame; none where the mechanism is not made of
     two legs or more.
 
@@ -56,7 +56,7 @@ def legs_of(system: System, frame: str) -> tuple[System, ...]:
     body = m.frames[frame].body if frame in m.frames else frame
     if m.constraints or m.couplings or system.structure.relations or body == ground:
         return ()
-    out: list[System] = []
+    out: list[Model] = []
     for names in _between(m, ground, body):
         part = m.copy()
         part.joints = {n: m.joints[n] for n in names}
@@ -118,12 +118,12 @@ class PlaceBounds(NamedTuple):
 
 
 @kept
-def place_bounds(system: System, frame: str) -> tuple[PlaceBounds, ...]:
+def place_bounds(system: Model, frame: str) -> tuple[PlaceBounds, ...]:
     """What bounds the places of a frame: of each leg to it, or of its chain."""
     return tuple(_bounds(part, frame) for part in legs_of(system, frame) or (system,))
 
 
-def possible_places(system: System, frame: str, points: Array) -> np.ndarray:
+def possible_places(system: Model, frame: str, points: Array) -> np.ndarray:
     """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of
     NaN none.
     """
@@ -137,7 +137,7 @@ def possible_places(system: System, frame: str, points: Array) -> np.ndarray:
     return out
 
 
-def _bounds(system: System, frame: str) -> PlaceBounds:
+def _bounds(system: Model, frame: str) -> PlaceBounds:
     table, _, v_index = local_chain(system.structure.table, frame)
     ints, floats = table.pack([frame])
     limits = system.structure.limits[v_index].T

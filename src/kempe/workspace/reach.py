@@ -32,8 +32,7 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- map slices
 
@@ -51,7 +50,7 @@ square."""
 
 
 def sliced(
-    system: System,
+    system: Model,
     work: Callable[[int, int, Budget], list[Array]],
     shapes: Sequence[tuple[int, ...]],
     count: int,
@@ -122,7 +121,7 @@ def checked_poses(X: Array) -> Array:
     return within_range(X, "targets")
 
 
-def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
+def manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
     """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in
     characteristic lengths.
 
@@ -138,7 +137,7 @@ def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
     return np.sqrt(np.maximum(np.linalg.det(G), 0.0))
 
 
-def margin(system: System, q: Array) -> Array:
+def margin(system: Model, q: Array) -> Array:
     """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the
     middle; inf without.
     """
@@ -155,7 +154,7 @@ def margin(system: System, q: Array) -> Array:
     return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
 
 
-def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
+def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
     single = ik(system, targets, frame, task=task, budget=budget)
     said, axis = task_and_axis(task)
@@ -204,7 +203,7 @@ class ReachStudy(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     frame: str
     reached: np.ndarray
     solutions: np.ndarray
@@ -294,7 +293,7 @@ class ReachStudy(Report):
 @explained
 @interruptible
 def reach_poses(
-    system: System,
+    system: Model,
     targets: ArrayLike,
     frame: FrameLike,
     *,

@@ -36,7 +36,7 @@ from kempe.workspace.kinds import ORIENTATION, RANGES, TURNED, WorkspaceKind
 from kempe.workspace.store import DonePart, PartLog, write_whole
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- sample parts
 
@@ -163,7 +163,7 @@ class Recipe:
     `variant` are the kernels that make them: others round otherwise, and are refused.
     """
 
-    system: System
+    system: Model
     frame: str
     seed: int
     grid: Grid
@@ -298,7 +298,7 @@ def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
 # ---- what is drawn
 
 
-def is_plain_chain(system: System) -> bool:
+def is_plain_chain(system: Model) -> bool:
     """Whether every configuration within the limits is one of the system."""
     return not has_loops(system) and not system._mechanism.constraints
 
@@ -317,7 +317,7 @@ def _mix(state: int, counter: int) -> int:
     return z ^ (z >> 31)
 
 
-def bounds_of(system: System) -> Array:
+def bounds_of(system: Model) -> Array:
     """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
     low, high = sampling_box(system)
     layout = system.structure.layout
@@ -327,7 +327,7 @@ def bounds_of(system: System) -> Array:
     return out
 
 
-def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
+def slow_positions(system: Model, frame: str, seed: int, piece: int) -> Array:
     """Positions (SLOW_PIECE, 3) of one piece of samples of a system with loops or constraints.
 
     NaN where a configuration is not closed, or violates a constraint.
@@ -339,7 +339,7 @@ def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
 
 
 def closed_configurations(
-    system: System, seed: int, piece: int, count: int = SLOW_PIECE
+    system: Model, seed: int, piece: int, count: int = SLOW_PIECE
 ) -> tuple[Array, np.ndarray]:
     """Random configurations (count, nq), brought to where loops are closed, and where (count,) all
     constraints hold.
@@ -356,7 +356,7 @@ def closed_configurations(
 
 
 def recipe_of(
-    system: System, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
+    system: Model, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
 ) -> Recipe:
     """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides,
     wrong boxes.
@@ -395,7 +395,7 @@ def recipe_of(
     return Recipe(system, frame, seed, grid, question=question)
 
 
-def pilot_positions(system: System, frame: str, seed: int) -> Array:
+def pilot_positions(system: Model, frame: str, seed: int) -> Array:
     """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration
     could be closed.
     """
@@ -441,7 +441,7 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
     )
 
 
-def unlimited(system: System, frame: str) -> list[str]:
+def unlimited(system: Model, frame: str) -> list[str]:
     """Names of coordinates that move a frame without end."""
     layout = system.structure.layout
     circle = circles(system)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 from kempe.errors import UNREADABLE, DiskError, InputError, KempeError, MissingExtraError
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 LIST = "parts.jsonl"
 
@@ -219,7 +219,7 @@ def zarr_library() -> Any:
     return zarr
 
 
-def description_of(system: System) -> str | None:
+def description_of(system: Model) -> str | None:
     """The system as TOML text, to be read again; None where it holds what no file can, such as
     functions.
     """

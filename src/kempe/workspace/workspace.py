@@ -27,8 +27,7 @@ from kempe.workspace.sampling_job import Recipe, SampleParts, Threads, recipe_of
 from kempe.workspace.store import description_of, refuse_other, refuse_place, zarr_library
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 MOST = 2**62
 USUAL = Usual("workspace", rng=0, threads=None, time_limit=None, progress=None)
@@ -41,7 +40,7 @@ LARGEST_PART = 2**31
 @explained
 @interruptible
 def workspace(
-    system: System,
+    system: Model,
     frame: FrameLike,
     *,
     kind: str | None = None,

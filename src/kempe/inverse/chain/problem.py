@@ -16,7 +16,7 @@ from kempe.spatial import Array
 from kempe.status import Status
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs
@@ -40,7 +40,7 @@ in these."""
 class FrameProblem:
     """What was required of the solver: kept with the answer, so that it can say why it failed."""
 
-    system: System
+    system: Model
     frame: str
     targets: Array = field(repr=False)
     name: str

@@ -29,7 +29,7 @@ from kempe.numerics.length_bounds import ReachBound, Span, reach_bounds, span_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Chain:
     span: Span
 
 
-def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
+def chain_of(system: Model, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
     """The packed chain of a frame, its z axis turned to `axis`.
 
     Errors: `UnsupportedError` where loops, declared constraints or relations move it.
@@ -61,7 +61,7 @@ def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXI
 
 
 @kept
-def _packed(system: System, name: str, axis: tuple[float, float, float]) -> Chain:
+def _packed(system: Model, name: str, axis: tuple[float, float, float]) -> Chain:
     return _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
 
 
@@ -73,7 +73,7 @@ def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
     return replace(chain, floats=floats)
 
 
-def _chain(system: System, name: str) -> Chain:
+def _chain(system: Model, name: str) -> Chain:
     refusal = obstacle(system, name)
     if refusal is not None:
         raise UnsupportedError(refusal)
@@ -123,7 +123,7 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return turns, slides
 
 
-def slides_of(system: System, frame: str) -> list[str]:
+def slides_of(system: Model, frame: str) -> list[str]:
     """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none
     without a chain.
     """
@@ -135,14 +135,14 @@ def slides_of(system: System, frame: str) -> list[str]:
     return [system.structure.velocity_names[int(chain.v_index[v])] for v in local]
 
 
-def of_loops(system: System, name: str) -> bool:
+def of_loops(system: Model, name: str) -> bool:
     """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
     why = obstacle(system, name) or ""
     return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
 
 
 @kept
-def shared_by(system: System, frame: str) -> bool:
+def shared_by(system: Model, frame: str) -> bool:
     """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
     if obstacle(system, frame) is not None:
         return False
@@ -151,7 +151,7 @@ def shared_by(system: System, frame: str) -> bool:
 
 
 @kept
-def obstacle(system: System, name: str) -> str | None:
+def obstacle(system: Model, name: str) -> str | None:
     """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
     moving = {int(i) for i in local_chain(system.structure.table, name)[2]}
     used = {system.structure.velocity_names[i] for i in moving}
@@ -178,7 +178,7 @@ def obstacle(system: System, name: str) -> str | None:
     return None
 
 
-def loop_coordinates(system: System, closure: str) -> set[str]:
+def loop_coordinates(system: Model, closure: str) -> set[str]:
     """Velocity coordinates of the joints of the loop that a left-out joint closes, its own
     included.
     """
@@ -202,7 +202,7 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
     return names
 
 
-def inside(system: System, q: Array) -> Array:
+def inside(system: Model, q: Array) -> Array:
     """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
     at_q = system.structure.layout.vector_q
     at_v = system.structure.layout.vector_v

@@ -30,7 +30,7 @@ from kempe.numerics.length_bounds import Span, evened
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 NOISE = 1e-12
@@ -77,7 +77,7 @@ class Lines:
         return q * self.multiplier + self.offset
 
 
-def lines_of(system: System, frame: str) -> Lines:
+def lines_of(system: Model, frame: str) -> Lines:
     """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and
     shared coordinates.
     """

@@ -20,7 +20,7 @@ from kempe.numerics.pool import over_chunks
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 TOLERANCE = 1e-9
 """Largest position error [m] and rotation angle [rad] of a solution."""
@@ -57,7 +57,7 @@ def attainable(targets: Array, lines: Lines) -> float:
 
 
 @kept
-def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) -> Lines:
+def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
     """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
     lines = lines_of(system, frame)
     if axis == Z_AXIS:
@@ -68,7 +68,7 @@ def chain_lines(system: System, frame: str, axis: tuple[float, float, float]) ->
 
 
 def plan_for(
-    system: System,
+    system: Model,
     frame: str,
     lines: Lines,
     task: str,
@@ -81,7 +81,7 @@ def plan_for(
 
 @kept
 def _plan(
-    system: System, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
+    system: Model, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
 ) -> ChainPlan:
     planar = system.dim == 2
     return replace(

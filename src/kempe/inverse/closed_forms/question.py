@@ -17,7 +17,7 @@ from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 FARTHEST = 1e5
 """Largest coordinate of `start`: beyond, an angle with its turns has lost the digits that solutions
@@ -46,7 +46,7 @@ class Question:
     task.
     """
 
-    system: System
+    system: Model
     frame: str
     task: str
     axis: tuple[float, float, float]
@@ -117,7 +117,7 @@ def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
     return out
 
 
-def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | None:
+def near_of(system: Model, near: Any, lead: tuple[int, ...] | None) -> Array | None:
     """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
     if near is None:
         return None

@@ -22,7 +22,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.inverse.tasks.demands import Demands
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 SLACK = 1e-9
 """What is left to rounding, in radians and parts of the lengths."""
@@ -192,7 +192,7 @@ def _more(off: Array, slack: float, *sizes: Array) -> Array:
     return np.where(off > slack + SLACK * size, off, 0.0)
 
 
-def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
+def longest_between(system: Model, a: BodyDemand, b: BodyDemand) -> float:
     """The largest distance that lengths of links, and limits of slides, allow between two points;
     may be infinite.
     """
@@ -214,7 +214,7 @@ def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
     return total + float(np.linalg.norm(ends[0] - ends[1]))
 
 
-def _up(system: System, row: int) -> list[int]:
+def _up(system: Model, row: int) -> list[int]:
     """Rows from one to the ground, which is -1."""
     out = [row]
     while out[-1] >= 0:

@@ -17,7 +17,7 @@ from kempe.equations.packed_tasks import Packed
 from kempe.equations.tasks import Goals, Task
 from kempe.inverse.chain.serial_chain import inside
 from kempe.kernels.base import search_layout as S
-from kempe.kernels.compiled import task_search as kernel
+from kempe.kernels.compiled import task_search
 from kempe.model.configurations import random
 from kempe.model.constraint_program import Callback
 from kempe.model.model import keep
@@ -26,7 +26,7 @@ from kempe.numerics.pool import over_chunks
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- uninvolved
 
@@ -104,7 +104,7 @@ class Demands:
     `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
     """
 
-    system: System
+    system: Model
     tasks: tuple[Task, ...]
     packed: Packed = field(repr=False)
     goals: tuple[Goals, ...] = field(repr=False)
@@ -216,7 +216,7 @@ class Demands:
 
         def work(i: int, j: int) -> int:
             with watched_by(up_at(self.end), *(() if self.effort is None else (self.effort,))):
-                left = kernel.solve(
+                left = task_search.solve(
                     loops.ints,
                     loops.floats,
                     loops.plan,

@@ -22,7 +22,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.inverse.tasks.demands import Demands
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 
 def unreachable(problem: Demands) -> np.ndarray:
@@ -67,7 +67,7 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
     return by_lengths(bounds, goal, problem.tolerance_of(task), turned, axes, system.dim)
 
 
-def _bounds(system: System, hold: TaskTie) -> tuple[list[ReachBound], int]:
+def _bounds(system: Model, hold: TaskTie) -> tuple[list[ReachBound], int]:
     """Bounds for the point that a task holds, and how many coordinates move it."""
     table, _, v_index = local_chain(system.structure.table, hold.b)
     row, X, particle = table.at[hold.b]

@@ -42,7 +42,7 @@ from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- default start
 
@@ -96,7 +96,7 @@ def near_target(problem: Demands, home: Array) -> Array:
 
 
 @kept
-def _slides(system: System) -> list[int]:
+def _slides(system: Model) -> list[int]:
     """Velocity coordinates without limits that slide along axes that nothing turns."""
     table = system.structure.table
     out: list[int] = []
@@ -277,7 +277,7 @@ def _hopeful(problem: Demands, base: Array) -> bool:
     return True
 
 
-def most_starts(system: System, packed: Packed) -> int:
+def most_starts(system: Model, packed: Packed) -> int:
     """Starts before tasks are given up: they grow with the number of limits that an answer may
     touch. Kept.
     """
@@ -358,7 +358,7 @@ MET = 1e-16
 """Square of what a soft level misses up to which it is met."""
 
 
-def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
+def packed_for(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
     """The packed ties of tasks, made once for each structure; the last few are kept."""
     levels: tuple[int, ...] = ()
     if len(tasks) > 1:
@@ -691,7 +691,7 @@ def reach(problem: Problem) -> Reached:
 
 
 def pose_problem(
-    system: System,
+    system: Model,
     wanted: Constraint | Sequence[Constraint],
     start: Any = None,
     tolerance: Any = TOLERANCE,
@@ -741,7 +741,7 @@ def pose_problem(
 
 
 @kept
-def _home(system: System) -> Array:
+def _home(system: Model) -> Array:
     """Where a search starts by default."""
     return home_of(system)
 

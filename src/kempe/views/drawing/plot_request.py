@@ -16,7 +16,7 @@ from kempe.views.drawing.scene import Scene, SeenJoint
 from kempe.views.plot_options import PlotOptions
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 IN_PLACE = 4
 SHORT = (2, 12)
@@ -34,7 +34,7 @@ class Subject:
     curves, frames.
     """
 
-    system: System
+    system: Model
     scene: Scene
     options: PlotOptions
     others: tuple[Scene, ...] = ()
@@ -152,7 +152,7 @@ def coordinate_text(subject: Subject, name: str) -> str:
     return f"{name} = {said}"
 
 
-def subscript(system: System, frame: str) -> str:
+def subscript(system: Model, frame: str) -> str:
     """What an axis of a frame is called after x and y: the number of a body, a short name of a
     frame.
     """
@@ -161,7 +161,7 @@ def subscript(system: System, frame: str) -> str:
     return f"_{{{frame}}}" if len(frame) <= 3 and frame.isalnum() else ""
 
 
-def lengths_by_name(system: System, bodies: Any) -> list[tuple[str, float]]:
+def lengths_by_name(system: Model, bodies: Any) -> list[tuple[str, float]]:
     """Expressions in parameters by which frames of joints and others are placed on some bodies,
     with their values.
     """

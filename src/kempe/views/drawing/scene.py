@@ -19,7 +19,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 FARTHEST = 1e100
 """Largest coordinate of a point that is drawn: squares and cubes of lengths are still finite."""
@@ -108,7 +108,7 @@ class Scene:
     point. `marks` are where other constraints take hold.
     """
 
-    system: System
+    system: Model
     q: Array
     links: tuple[SeenLink, ...]
     joints: tuple[SeenJoint, ...]
@@ -186,7 +186,7 @@ def distinct(points: Array, near: float = 1e-7) -> Array:
     return np.array(out).reshape(-1, points.shape[1])
 
 
-def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
+def look(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the
     actuated ones.
 
@@ -264,7 +264,7 @@ def _end(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
     return {} if far is None else {far: bodies[far]}
 
 
-def links_of(system: System) -> dict[str, int]:
+def links_of(system: Model) -> dict[str, int]:
     """Number of the link of each body: bodies joined by joints without freedom are one."""
     mechanism = system.mechanism
     root = {b: b for b in system.body_names}
@@ -283,9 +283,7 @@ def links_of(system: System) -> dict[str, int]:
     return {b: heads.index(find(b)) for b in system.body_names}
 
 
-def _constraints(
-    system: System, poses: dict[str, Array], number: dict[str, int]
-) -> tuple[Any, ...]:
+def _constraints(system: Model, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, ...]:
     """Rods, lines and marks of the constraints that are no joints, where the mechanism has any."""
     mechanism = system.mechanism
     rods: list[tuple[str, tuple[int, int], Array, float]] = []
@@ -313,7 +311,7 @@ def _constraints(
     return tuple(rods), tuple(lines), tuple(marks)
 
 
-def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
+def _mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
     """A constraint that is no rod or line, with the plane that it touches or lies on, if there is
     one.
     """

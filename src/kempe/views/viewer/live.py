@@ -33,8 +33,7 @@ from kempe.views.viewer.server import HOST, PageServer, quiet
 from kempe.views.viewer.session import KINDS, Session, Slider, possible
 
 if TYPE_CHECKING:
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- beside
 
@@ -680,7 +679,7 @@ that."""
 
 
 def show(
-    system: System,
+    system: Model,
     q: Any = None,
     *,
     frame: FrameLike | None = None,
@@ -712,7 +711,7 @@ def show(
 
 
 def serve(
-    system: System,
+    system: Model,
     q: Any = None,
     frame: FrameLike | None = None,
     path: Any = None,

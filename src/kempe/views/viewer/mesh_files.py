@@ -30,7 +30,7 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.description.xml import XmlElement
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- meshes
 
@@ -158,7 +158,7 @@ class _File(NamedTuple):
     X: Array
 
 
-def meshes_of(system: System) -> tuple[dict[str, list[Any]], list[str]]:
+def meshes_of(system: Model) -> tuple[dict[str, list[Any]], list[str]]:
     """Meshes (trimesh) by body, in the body's frame, and a sentence for each that could not be
     shown.
     """

@@ -18,7 +18,7 @@ from kempe.views.viewer.server import POLICY, PageServer, quiet
 from kempe.views.viewer.session import Session
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 FRAMES = 30.0
 """Frames a second of the motion."""
@@ -33,7 +33,7 @@ NOTE = (
 
 
 def save_html(
-    system: System, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0
+    system: Model, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0
 ) -> None:
     """Write a page of one file that opens from disk, without network: the system in space, to be
     turned by mouse.
@@ -48,7 +48,7 @@ def save_html(
 
 
 def write_page(
-    system: System, file: Any, q: Any = None, path: Any = None, seconds: float = 6.0
+    system: Model, file: Any, q: Any = None, path: Any = None, seconds: float = 6.0
 ) -> Drawn:
     """Write a page as `save_html` does, and return what was drawn, which knows which meshes are
     not.

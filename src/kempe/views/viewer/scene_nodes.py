@@ -25,7 +25,7 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from matplotlib.path import Path
 
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
     from kempe.views.viewer.overlays import Overlay
 
 # ---- rigid parts
@@ -213,7 +213,7 @@ class RigidParts:
     `middle` (3,).
     """
 
-    def __init__(self, system: System, q: Array):
+    def __init__(self, system: Model, q: Array):
         self.system = system
         self.q = q
         scene = look(system, q)
@@ -510,7 +510,7 @@ def _likely(scene: Scene, name: str, links: int) -> list[int]:
     return found or [0]
 
 
-def _end(system: System, rod: str, k: int) -> tuple[int, Array]:
+def _end(system: Model, rod: str, k: int) -> tuple[int, Array]:
     """Body and pose (4, 4) on it of an end of a rod."""
     c = system.mechanism.constraints[rod]
     frames = c.frames(system.mechanism.parameters, system.dim)
@@ -530,7 +530,7 @@ def _of_ends(ends: Array) -> Array:
     return X
 
 
-def _is_length(system: System) -> list[bool]:
+def _is_length(system: Model) -> list[bool]:
     from kempe.model.configurations import units
 
     unit = units(system)
@@ -591,7 +591,7 @@ class Drawn:
     Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one.
     """
 
-    def __init__(self, system: System, q: Array, way: Array | None = None):
+    def __init__(self, system: Model, q: Array, way: Array | None = None):
         self.system = system
         self.rigid = RigidParts(system, q)
         self.middle = self.rigid.middle

@@ -25,7 +25,7 @@ from kempe.views.drawing.scene import links_of, look
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 # ---- motions
 
@@ -63,7 +63,7 @@ class Played(NamedTuple):
         return np.array(self.q[k - 1 if before else k])
 
 
-def motion_from(system: System, path: Any) -> Played | None:
+def motion_from(system: Model, path: Any) -> Played | None:
     """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for
     other shapes.
     """
@@ -190,7 +190,7 @@ class Session:
     `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
     """
 
-    def __init__(self, system: System, q: Any = None, frame: Any = None, path: Any = None):
+    def __init__(self, system: Model, q: Any = None, frame: Any = None, path: Any = None):
         from kempe.views.plots import configuration_of
 
         self.system = system
@@ -607,7 +607,7 @@ class Session:
         return "\n\n".join(line for line in (closed, self.singular(), self.status) if line)
 
 
-def _by_use(system: System) -> tuple[str, ...]:
+def _by_use(system: Model) -> tuple[str, ...]:
     """Names of the frames and bodies, those first that are dragged most often: the last frame on
     what moves.
     """

@@ -46,8 +46,7 @@ from kempe.workspace.planar.plane_curves import NOTHING, PlanarRegion, PlaneCurv
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.model.model import FrameLike
-    from kempe.model.model import Model as System
+    from kempe.model.model import FrameLike, Model
 
 # ---- planar of systems
 
@@ -60,7 +59,7 @@ MOST = 6
 """Joints that a chain may have: the work grows with a power of their number."""
 
 
-def planar_region(system: System, frame: str, question: WorkspaceKind) -> PlanarRegion:
+def planar_region(system: Model, frame: str, question: WorkspaceKind) -> PlanarRegion:
     """The region of a question about a frame. Errors: `UnsupportedError`, `InputError`; see
     `planar_workspace`.
     """
@@ -96,7 +95,7 @@ def planar_region(system: System, frame: str, question: WorkspaceKind) -> Planar
     return _together(parts, question.kind == CONSTANT and all(p.counted for p in parts))
 
 
-def at_zero(system: System) -> Array:
+def at_zero(system: Model) -> Array:
     """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
     q = system.neutral.copy()
     held = system.lower == system.upper
@@ -104,13 +103,13 @@ def at_zero(system: System) -> Array:
     return q
 
 
-def _turn_at_zero(system: System, frame: str) -> float:
+def _turn_at_zero(system: Model, frame: str) -> float:
     """The angle by which a frame is turned there."""
     R = fk(system, at_zero(system), frame)[:2, :2]
     return float(np.arctan2(R[1, 0], R[0, 0]))
 
 
-def _held(part: PlanarRegion | None, system: System, frame: str) -> PlanarRegion:
+def _held(part: PlanarRegion | None, system: Model, frame: str) -> PlanarRegion:
     """The part. Errors: `UnsupportedError` where there is none."""
     if part is None:
         raise UnsupportedError(
@@ -121,7 +120,7 @@ def _held(part: PlanarRegion | None, system: System, frame: str) -> PlanarRegion
     return part
 
 
-def _moving(chain: PlanarChain, system: System, frame: str) -> PlanarChain:
+def _moving(chain: PlanarChain, system: Model, frame: str) -> PlanarChain:
     """The chain without joints that do not move the frame's origin. Errors: `InputError` where none
     does.
     """
@@ -143,7 +142,7 @@ def _together(parts: Sequence[PlanarRegion], counted: bool) -> PlanarRegion:
 
 
 def _of_platform(
-    system: System, frame: str, chains: list[PlanarChain], turned: list[float]
+    system: Model, frame: str, chains: list[PlanarChain], turned: list[float]
 ) -> PlanarRegion:
     """The region of a frame at the end of legs, which are turned by angles where they are at zero.
 
@@ -167,7 +166,7 @@ def _of_platform(
 
 
 def _platform_legs(
-    system: System,
+    system: Model,
     frame: str,
     wrists: list[tuple[PlanarChain, complex] | None],
     turned: list[float],
@@ -197,7 +196,7 @@ def _platform_legs(
     return legs
 
 
-def planar_chain(system: System, frame: str) -> PlanarChain:
+def planar_chain(system: Model, frame: str) -> PlanarChain:
     """The chain that moves a frame. Errors: `UnsupportedError`, `InputError`; see
     `planar_workspace`.
     """
@@ -274,7 +273,7 @@ class PlanarWorkspace(Report):
 
     __repr__ = brief
 
-    system: System
+    system: Model
     frame: str
     region: PlanarRegion = field(repr=False)
     kind: str = REACHABLE
@@ -489,7 +488,7 @@ def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...
 
 @explained
 def planar_workspace(
-    system: System, frame: FrameLike, kind: str | None = None, orientation: Any = None
+    system: Model, frame: FrameLike, kind: str | None = None, orientation: Any = None
 ) -> PlanarWorkspace:
     """The exact workspace of the origin of a frame of a planar system of revolute and prismatic
     joints.
@@ -512,7 +511,7 @@ def planar_workspace(
     return planar_answer(system, name, question_of(system, name, kind, orientation, None))
 
 
-def planar_answer(system: System, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
+def planar_answer(system: Model, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
     """The answer to a question. Errors: see `planar_workspace`."""
     if question.kind == ORIENTATION:
         raise UnsupportedError(

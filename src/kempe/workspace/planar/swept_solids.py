@@ -34,7 +34,7 @@ from kempe.workspace.planar.plane_curves import (
 )
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model as System
+    from kempe.model.model import Model
 
 FINE = 0.003
 """Angle between the points of an arc from which the nearest of it is looked for."""
@@ -422,7 +422,7 @@ class SpaceJoint:
         return PlanarJoint(None, 0.0, _complex(axes @ self.way), self.low, self.high)
 
 
-def swept_solid(system: System, frame: str) -> SweptSolid | None:
+def swept_solid(system: Model, frame: str) -> SweptSolid | None:
     """The solid that a frame of a chain in space reaches; None where it is of another kind."""
     if (joints := _space_joints(system, frame)) is None:
         return None
@@ -433,7 +433,7 @@ def swept_solid(system: System, frame: str) -> SweptSolid | None:
     return None
 
 
-def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
+def _space_joints(system: Model, frame: str) -> list[SpaceJoint] | None:
     """The joints that move a frame's origin; None where there are others than turns and slides of
     their own.
     """
