@@ -55,7 +55,7 @@ cli __main__
 """A line may import itself and lines above; behind a colon stands the order within a folder, where
 * is all that is not named."""
 
-TYPED = {("description.mechanism", "model.model")}
+TYPED = {("late", "system")}
 """The type of what `Mechanism.build` returns, which a row of `late` makes."""
 
 

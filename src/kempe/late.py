@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kempe.system import System as System  # the type of what `Mechanism.build` returns
 
 ROWS = {
     "System": "kempe.system:System",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from kempe.arguments import explained
+from kempe.equations.closure_rows import of_system
 from kempe.model.model import FrameLike
 from kempe.spatial import Array
 
@@ -238,8 +239,6 @@ class Loops(Namespace):
         """The constraints of the system: closures, declared ones, relations; see
         `kempe.equations.closure_rows`.
         """
-        from kempe.equations.closure_rows import of_system
-
         return of_system(self.system)
 
     def closure_error(self, q: Any) -> Array:

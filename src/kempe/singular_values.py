@@ -22,7 +22,7 @@ def svd(
 @overload
 def svd(A: Any, full_matrices: bool = True, *, compute_uv: Literal[False]) -> Floats: ...
 def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
-    """Singular value decomposition of matrices (..., m, n), as `numpy.linalg.svd` gives it.
+    """Singular value decomposition of matrices (..., m, n), as numpy's `svd` gives it.
 
     LAPACK's divide and conquer (gesdd), which numpy calls, does not converge for some finite
     matrices with several singular values near rounding. These are decomposed by QR iteration

@@ -15,6 +15,7 @@ from kempe.arguments import explained, quiet, with_options
 from kempe.budget import Budget
 from kempe.description.parts import Frame
 from kempe.errors import InputError, UnknownNameError
+from kempe.model import configurations
 from kempe.model.model import FrameLike, Model, SystemType
 from kempe.spatial import Array
 from kempe.views.plot_options import PlotOptions
@@ -242,9 +243,7 @@ class System(Model, Pictured):
 
         It is read-only: `mid.copy()` is one to change.
         """
-        from kempe.model.configurations import mid
-
-        return mid(self)
+        return configurations.mid(self)
 
     def random(
         self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
@@ -252,9 +251,7 @@ class System(Model, Pictured):
         """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free
         lengths in (-1, 1).
         """
-        from kempe.model.configurations import random
-
-        return random(self, rng, shape)
+        return configurations.random(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
         """Configuration (..., nq) from values by coordinate name, or of a named posture.
@@ -262,15 +259,11 @@ class System(Model, Pictured):
         Coordinates that are not named are neutral, or as in `base` (..., nq). Numbers are only
         written down: no loop is closed (`assemble` closes them).
         """
-        from kempe.model.configurations import q_from_dict
-
-        return q_from_dict(self, coordinates, base)
+        return configurations.q_from_dict(self, coordinates, base)
 
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Values by coordinate name of one configuration (nq,)."""
-        from kempe.model.configurations import q_dict
-
-        return q_dict(self, q)
+        return configurations.q_dict(self, q)
 
     # ---- the space of configurations
 

@@ -259,8 +259,8 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
         or (
             isinstance(node, ast.Constant)
             and type(node.value) in (int, float)
-            and math.isfinite(node.value)
-        )  # type: ignore[arg-type]
+            and math.isfinite(node.value)  # type: ignore[arg-type]
+        )
     ):
         raise InputError(
             f"{text!r} is not an expression of numbers, parameters, + - * / ** and functions"

@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 # Assembly of systems with one-sided constraints: all equations and bounds are held by the solver
 # of tasks.
 #
-# Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.task_search`). What
+# Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.task_search`).
+# What
 # is found is then led back towards its start, so that a start which violates a bound is brought to
 # the nearest place that holds all.
 

@@ -36,9 +36,11 @@ if TYPE_CHECKING:
 #
 # Bodies that cannot move against each other form one rigid *cluster*. A joint whose coordinate is
 # known merges two clusters; three clusters, joined in a circle by three joints of one freedom, are
-# rigid and merge too: with the ground among them that is a dyad (Assur, 1914), without it the closed
-# form is the same. Two clusters joined twice are over-constrained: two joints place them, the rest is
-# checked. Revolute joints that share a point of a body are one hinge of several bodies, so it does
+# rigid and merge too: with the ground among them that is a dyad (Assur, 1914), without it the
+# closed
+# form is the same. Two clusters joined twice are over-constrained: two joints place them, the rest
+# is checked. Revolute joints that share a point of a body are one hinge of several bodies, so it
+# does
 # not matter which pairs of them the description names.
 
 

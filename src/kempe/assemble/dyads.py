@@ -165,9 +165,8 @@ class _Writing:
         angles = [polar((X[0, axis], X[1, axis]))[1] for X in ends]
         name = self.system.structure.coordinates_of_joint(joint.name)
         value = self.leaves.coordinate(name[0]) if name else sympy.Integer(0)
-        return _Geometry(
-            joint, turns, tuple((X[0, 3], X[1, 3]) for X in ends), tuple(angles), value
-        )  # type: ignore[arg-type]
+        (a, b) = ((X[0, 3], X[1, 3]) for X in ends)
+        return _Geometry(joint, turns, (a, b), (angles[0], angles[1]), value)
 
     def write(self) -> DyadFormulas:
         """Place body after body, by known coordinates, then by the next dyad, until all coordinates

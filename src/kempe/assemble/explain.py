@@ -103,7 +103,8 @@ def _left(bound: Assembler, q: Array) -> str:
     sure = count >= 0 or 0 <= bound.freedoms < left
     if (
         count < 0
-        # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their
+        # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey
+        # their
         # group
     ):
         somewhere = random(system, np.random.default_rng(0))

@@ -203,7 +203,7 @@ def _pose(steps: tuple[Any, ...]) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """The cross product of two vectors (3,), for which `numpy.cross` takes ten times as long."""
+    """The cross product of two vectors (3,), for which numpy's `cross` takes ten times as long."""
     (ax, ay, az) = a.tolist()
     (bx, by, bz) = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

@@ -80,7 +80,8 @@ if TYPE_CHECKING:
 #
 # Where the points by which bodies are connected lie in a plane (in a planar system: on a line), on
 # the ground and on each body, the mirror image of a closed configuration in the ground's plane is
-# closed, too: distances do not tell left from right. Where they do not, the bodies are put as near to
+# closed, too: distances do not tell left from right. Where they do not, the bodies are put as near
+# to
 # the image as may be; whoever reads these configurations closes them, so nothing rests on them.
 
 
@@ -197,9 +198,11 @@ def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array)
 #
 # Random starts are closed and sorted. When each mode has been found often enough, places are tried
 # where others may hide: mirror images and mixtures of those found. Nothing of this proves that all
-# are found, but parity can prove that some are not: the map from what is unknown to how far the loops
+# are found, but parity can prove that some are not: the map from what is unknown to how far the
+# loops
 # are open has as many regular zeros as its degree modulo 2 says, which is 0 if not all values are
-# taken. So their number is even where angles alone are unknown, which run around closed circles, and
+# taken. So their number is even where angles alone are unknown, which run around closed circles,
+# and
 # where particles are tied by distances, which are not negative (Milnor, Topology from the
 # differentiable viewpoint, 1965).
 

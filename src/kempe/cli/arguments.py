@@ -183,9 +183,9 @@ def configuration(
 ) -> tuple[spatial.Array | None, Assembly | None]:
     """A configuration (nq,) from the command line; None where nothing is given.
 
-    As `table_files.configuration`, but where 'name=value,...' is given of a system with loops, these are
-    closed, started at the posture: then the assembly is the second answer. Errors: as there, and
-    `InputError` for several rows.
+    As `table_files.configuration`, but where 'name=value,...' is given of a system with loops,
+    these are closed, started at the posture: then the assembly is the second answer. Errors: as
+    there, and `InputError` for several rows.
     """
     if text is None and posture is None:
         return None, None

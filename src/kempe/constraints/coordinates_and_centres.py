@@ -102,8 +102,9 @@ class _OfCentre(Bounded):
         w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         if w.shape[-1:] not in ((), (1,), (n,)) or not np.all(w >= 0.0):
             raise InputError(
-                f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})"
-            )  # type: ignore[attr-defined]
+                f"within of {self.label} is {self.within!r}; "  # type: ignore[attr-defined]
+                f"it must be a distance, or (..., {n})"
+            )
         ends = {"low": "below", "high": "above"} if np.any(w) else {}
         return tuple(
             Row(Op.POINT, (i,), "xyz"[i], part=k if ends else None, **ends)

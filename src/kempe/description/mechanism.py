@@ -47,7 +47,8 @@ from kempe.values import Expression, Value, evaluate, value
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from kempe.model.model import Model
+    from kempe.late import System
+
 
 # ---- constrain
 
@@ -810,7 +811,7 @@ class Mechanism(ConstraintMethods):
 
     def attach(
         self,
-        other: Mechanism | Model,
+        other: Mechanism | System,
         to: BodyLike | Frame | None = None,
         prefix: str = "",
         **placement: Any,
@@ -848,7 +849,7 @@ class Mechanism(ConstraintMethods):
         out.postures = {k: dict(v) for k, v in self.postures.items()}
         return out
 
-    def build(self) -> Model:
+    def build(self) -> System:
         """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
         with collecting_later(len(self.bodies)):
             return late("System")(self)
@@ -959,7 +960,7 @@ def unused_name(m: Mechanism, name: str) -> str:
     return name
 
 
-def _mechanism_of(thing: Mechanism | Model) -> Mechanism:
+def _mechanism_of(thing: Mechanism | System) -> Mechanism:
     mechanism = thing if isinstance(thing, Mechanism) else getattr(thing, "mechanism", None)
     if not isinstance(mechanism, Mechanism):
         raise InputError(f"{thing!r} is no Mechanism or System; read a file with kempe.read first")

@@ -22,8 +22,8 @@ from kempe.poses import place
 #
 # An element that has no part in the motion is passed over where it is known, else noted. What would
 # be part of the mechanism for another reader, by its name or by what it ties together, is refused:
-# without it the file describes another mechanism. The parts of blocks for one simulator, <gazebo> and
-# <mujoco>, are for it alone, and are noted.
+# without it the file describes another mechanism. The parts of blocks for one simulator, <gazebo>
+# and <mujoco>, are for it alone, and are noted.
 
 
 VERSIONS = ("1.0", "1.1", "1.2")

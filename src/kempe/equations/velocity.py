@@ -156,7 +156,8 @@ class VelocityRows:
 #
 # A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted
 # with the twists that the joints between A and B give, as in
-# `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded, so that a tape holds
+# `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded, so that a tape
+# holds
 # what moves only.
 
 

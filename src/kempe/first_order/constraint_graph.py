@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 # Shorter loops: what singular values and bounds of a mechanism of many loops are read from.
 #
 # Loops that a spanning tree closes may be long, however small the cells are. Any of them may be
-# replaced by its sum with another one that is closed by a whole joint: the equations stay equivalent
-# (Kirchhoff, 1847).
+# replaced by its sum with another one that is closed by a whole joint: the equations stay
+# equivalent (Kirchhoff, 1847).
 
 
 MOST = 400

@@ -356,7 +356,8 @@ def between(system: Model, i: int, k: int) -> frozenset[int]:
 
 # Ends between which something may spin: consecutive joints in series whose axes meet in one point.
 #
-# Where axes meet in a part that two joints share does not depend on the configuration, as long as it
+# Where axes meet in a part that two joints share does not depend on the configuration, as long as
+# it
 # is closed.
 
 

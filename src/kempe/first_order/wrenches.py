@@ -406,11 +406,11 @@ class Wrenches:
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
                 joint = of.name in m.joints
-                M = (
+                M: Array = (
                     of.X_CM.evaluate(m.parameters)
                     if joint
-                    else of.frames(m.parameters, self.system.dim)[1]
-                )  # type: ignore[union-attr]
+                    else of.frames(m.parameters, self.system.dim)[1]  # type: ignore[union-attr]
+                )
                 end = (of.child, 1.0) if of.child != ground else (of.parent, -1.0)
                 out[of.name] = *end, (self._poses[of.child] @ M)[:3, 3]
         return out

@@ -499,7 +499,8 @@ def jacobian(
     time derivatives of `q`, and for a quaternion the angular velocity in the turned axes. Source:
     Featherstone, 2008, section 2.8. Errors: as `fk`.
     """
-    return _query(system, frame).jacobian(q, in_frame, threads=threads)
+    bound = _query(system, frame)
+    return bound.jacobian(q, in_frame, threads=threads)
 
 
 def refuse_bad(system: Model, q: Array) -> None:

@@ -390,10 +390,12 @@ def upright(a: Any, b: Any) -> bool:
 # Arms in space as formulas that end in two turns after three joints in one plane, such as those of
 # Universal Robots.
 #
-# Axis 5 lies in the plane of the joints before it, and meets axis 6 at right angles in a point, which
+# Axis 5 lies in the plane of the joints before it, and meets axis 6 at right angles in a point,
+# which
 # turns of neither move: it gives the first coordinate. How axis 6 stands to the plane gives the
 # fifth, how the tip sees the normal of the plane the sixth, and axis 6 in the plane the turn of the
-# fourth body, with which three joints in a plane are left (Hawkins 2013, "Analytic inverse kinematics
+# fourth body, with which three joints in a plane are left (Hawkins 2013, "Analytic inverse
+# kinematics
 # for the Universal Robots UR-5/UR-10 arms", does so in DH parameters).
 
 
@@ -431,7 +433,8 @@ class ParallelArm(ArmPlane):
 # wrist.
 #
 # The wrist has three axes that meet in a point, which the first three joints place; the orientation
-# is left to the last three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12).
+# is left to the last three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section
+# 2.12).
 
 
 class SpatialArm(ArmPlane):
@@ -519,9 +522,10 @@ class InverseFormulas(Derivation):
             at = np.concatenate([X[..., :3, 3], X[..., :3, :3].reshape(*X.shape[:-2], 9)], axis=-1)
         else:
             at = numbers(self._of_poses(p), "p", len(self.given))
+        many: Any = sign
         several = isinstance(sign, (tuple, list, np.ndarray))
         most = max(len(self.signs), 1)
-        signs: list[Any] = list(sign) if several else [sign] * most
+        signs: list[Any] = list(many) if several else [many] * most
         if not all(is_whole(s) and s in (-1, 1) for s in signs):
             elbows = (" (elbow up)", " (elbow down)") if len(self.signs) < 2 else ("", "")
             raise InputError(f"sign is {shown(sign)}; it must be -1{elbows[0]} or 1{elbows[1]}")

@@ -51,7 +51,8 @@ again."""
 def answer(
     task: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
-    """As `multi_start.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there
+    """As `multi_start.run`: the solution inside the limits nearest to `near` (1 or N, nq); where
+    there
     is none, numbers.
     """
     n = len(task.targets)

@@ -60,8 +60,10 @@ if TYPE_CHECKING:
 #
 # A step of least squares takes what is missing for something that the joints can make good. Where
 # they cannot, at the border of the workspace, at limits or by far, the error stays, and with it the
-# second derivative of the chain that such a step lacks: it overshoots, and the next one shoots back.
-# So there the error's own Hessian counts (Newton), in the box of what the limits allow, and a step is
+# second derivative of the chain that such a step lacks: it overshoots, and the next one shoots
+# back.
+# So there the error's own Hessian counts (Newton), in the box of what the limits allow, and a step
+# is
 # taken where it lowers the error as promised. What cannot be had is then left by speeds that go to
 # zero, at a local minimum of the error. It is measured as `ik` does, in radians and characteristic
 # lengths.
@@ -414,8 +416,9 @@ def aside(z: Array, way: Array, low: Array, high: Array) -> Array:
 # Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z,
 # with an orthonormal basis N of their null space, in radians and characteristic lengths. What each
 # stage reaches, the next ones keep: they act in the null space of its equations, its inequalities
-# become bounds (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014). The step is of first
-# order, so it opens the loops by the square of its size: they are closed again, within the same
+# become bounds (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014). The step is of
+# first order, so it opens the loops by the square of its size: they are closed again, within the
+# same
 # limits.
 
 
@@ -696,8 +699,8 @@ class ConstrainedSteps:
             k is None
             or (k and max(requested[:k]) > BUSY * size)
             or (k and requested[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
-            # earlier ones move it, by more than it disturbs them; or curvature is little beside what is
-            # gained
+            # earlier ones move it, by more than it disturbs them; or curvature is little beside
+            # what is gained
         ):
             if still:
                 u = np.minimum(np.maximum(0.0, low), high)

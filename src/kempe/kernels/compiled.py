@@ -119,6 +119,6 @@ def __getattr__(name: str) -> Any:
 
 def maker(*shape: int) -> Callable[[], np.ndarray]:
     """A function that makes new float64 arrays (shape), their entries unset; faster than
-    `numpy.empty`.
+    numpy's `empty`.
     """
     return partial(np.empty, shape) if _native is None else _native.maker(shape)

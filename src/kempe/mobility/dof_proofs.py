@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
 # Motions that are known in closed form, proven at points of the whole motion.
 #
-# Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those of
-# Bennett's linkage. Along such motions the equations are trigonometric polynomials, or rational
+# Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those
+# of Bennett's linkage. Along such motions the equations are trigonometric polynomials, or rational
 # functions, of a degree that the joints bound. One that vanishes at random points all around
 # vanishes, with probability one, everywhere.
 
@@ -149,18 +149,21 @@ def _ratios(span: Array) -> Array | None:
 # forms.
 #
 # Let g(s) = 0 be what the reduction of Lyapunov and Schmidt leaves, c equations in delta unknowns,
-# and G its leading forms. Upper bounds hold for complex solutions, so that dimensions drop by one at
+# and G its leading forms. Upper bounds hold for complex solutions, so that dimensions drop by one
+# at
 # most with each equation added:
 #
 # - one unknown: any coefficient that is not zero isolates the configuration;
 # - one equation: solutions have delta - 1 dimensions where g has both signs at all small distances,
 #   for they part these;
-# - quadratic forms without a common complex zero on a subspace of codimension d: at most d dimensions
-#   (Macaulay, 1916, decides that by a rank); a definite combination of them: none;
-# - coordinates held, so that loop by loop all others are isolated: at most as many dimensions as are
+# - quadratic forms without a common complex zero on a subspace of codimension d: at most d
+# dimensions (Macaulay, 1916, decides that by a rank); a definite combination of them: none;
+# - coordinates held, so that loop by loop all others are isolated: at most as many dimensions as
+# are
 #   held.
 #
-# A zero of the quadratic forms where their derivatives are independent is the tangent of a branch of
+# A zero of the quadratic forms where their derivatives are independent is the tangent of a branch
+# of
 # delta - c dimensions (implicit function theorem, after a blow-up): a lower bound.
 
 

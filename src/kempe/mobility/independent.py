@@ -352,10 +352,11 @@ def independent(
         )
     least = _worst(p, system.nv)
     if rows and _quality(N, rows) < least:
+        best = independent(system, q)
         raise InputError(
             f"{', '.join(wish)} cannot be set independently here: conditioning "
             f"{_quality(N, rows):.2g}, at least {least:.2g} is needed; the best choice is "
-            f"{', '.join(independent(system, q).independent)}"
+            f"{', '.join(best.independent)}"
         )
     plain = sorted(system.structure.layout.vector_v.tolist())
     found = _extend(N, rows, plain)
@@ -642,7 +643,8 @@ def parametrizations(system: Model, q: Any = None) -> Parametrizations:
         why = "generalized positions, whose true number is not known"
     if m.closed:
         try:
-            names = independent(system, m.q).independent
+            chart = independent(system, m.q)
+            names = chart.independent
             if m.dof in (None, len(names)):
                 rows.append(Parametrization("generalized positions", len(names), 0, 0, names))
             else:

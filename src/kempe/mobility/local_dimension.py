@@ -517,8 +517,9 @@ def _curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
 # The rank of the constraint Jacobian gives an upper bound only. Where equations are dependent, the
 # reduction of Lyapunov and Schmidt tells by Taylor coefficients whether null vectors are velocities
 # of motions; where not all are, the branches are found on small spheres, and what they are is
-# measured at their own points. Kicking the mechanism and letting it snap back is a second method that
-# shares nothing with the first but equations and projection. Neither proves a number; where a theorem
+# measured at their own points. Kicking the mechanism and letting it snap back is a second method
+# that shares nothing with the first but equations and projection. Neither proves a number; where a
+# theorem
 # does (`kempe.mobility.dof_proofs`), the answer is certain. Joint limits do not count.
 
 
@@ -655,7 +656,8 @@ def local_dimension(
         raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
     if not 0.0 < tolerance < 1.0:
         raise InputError(
-            f"tolerance is {tolerance!r}; it must be a part of one, such as {lyapunov_schmidt.RANK:g}"
+            f"tolerance is {tolerance!r}; it must be a part of one, such as "
+            f"{lyapunov_schmidt.RANK:g}"
         )
     other, there, turned = regular_chart(own_tree(system), q)
     rng = np.random.default_rng(rng)
@@ -708,7 +710,10 @@ def _found(
     if k is None:
         found = [_whole(equations, at)]
         smooth = True
-        why = f"no velocity is obstructed to order {order} (coefficients below {lyapunov_schmidt.ZERO:g})"
+        why = (
+            f"no velocity is obstructed to order {order} (coefficients below "
+            f"{lyapunov_schmidt.ZERO:g})"
+        )
         why += ": a manifold, to that order"
         reached, faded = _walked(equations, at, rng) if sampling else (0.0, False)
         if faded:

@@ -33,8 +33,10 @@ if TYPE_CHECKING:
 # linear programming.
 #
 # Columns are scaled velocities (slides in lengths of a link), so that rows of turns and slides
-# compare. Facts used: a one-sided row is zero on the whole cone where it takes part in a nonnegative
-# combination of rows that vanishes (Stiemke, 1915); where no row is, and E has full rank, the cone is
+# compare. Facts used: a one-sided row is zero on the whole cone where it takes part in a
+# nonnegative combination of rows that vanishes (Stiemke, 1915); where no row is, and E has full
+# rank, the cone
+# is
 # what curves of the set {e = 0, g >= 0} leave with (Mangasarian and Fromovitz, 1967); otherwise it
 # says to first order what may move.
 

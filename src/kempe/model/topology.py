@@ -30,8 +30,9 @@ from kempe.model.structural_order import structural_order
 # A spanning tree of least total loop length is NP-hard to find (Deo, Prabhu and Krishnamoorthy,
 # 1982). The heuristic here reduces the graph to branches between bodies where loops meet, keeps the
 # branches that lie on many short loops (a shortest loop through every branch, as in Horton, 1987),
-# and then exchanges branches of the tree for branches that it left out while this shortens the loops
-# (Amaldi, Liberti, Maculan and Maffioli, 2009). It is exact for chains of loops, ladders and trusses.
+# and then exchanges branches of the tree for branches that it left out while this shortens the
+# loops (Amaldi, Liberti, Maculan and Maffioli, 2009). It is exact for chains of loops, ladders and
+# trusses.
 # The result depends on the graph and on the order of preference only, not on how bodies and joints
 # are numbered.
 

@@ -822,8 +822,8 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
 # curve has tangents.
 #
 # There the curve is where the equations hold and the small singular values of the Jacobian vanish,
-# too. These equations together are regular if the null space is cut down to a tangent to second order
-# (deflation: Leykin, Verschelde, Zhao, *Theor. Comput. Sci.* 359, 2006).
+# too. These equations together are regular if the null space is cut down to a tangent to second
+# order (deflation: Leykin, Verschelde, Zhao, *Theor. Comput. Sci.* 359, 2006).
 
 
 ALIGNED = 0.7

@@ -277,8 +277,10 @@ def _moved(wheel: Array, length: Array, angle: Array) -> Array:
 # Shortest ways of a car that turns no tighter than a radius and drives both ways: arcs and
 # straight lines.
 #
-# A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right, 0
-# goes straight; a negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a car
+# A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right,
+# 0
+# goes straight; a negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a
+# car
 # that goes both forwards and backwards*, Pacific J. Math. 145, 1990: one of their 48 words is
 # shortest. Each way that a formula gives is followed to its end, and counts only where that is the
 # goal.

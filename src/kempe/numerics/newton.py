@@ -78,8 +78,8 @@ def sign_change(f: Callable[[float], float], low: float, high: float) -> float |
 # a regular one.
 #
 # Kantorovich, 1948; Ortega, Rheinboldt, 1970, section 12.6. It needs three numbers: how far the
-# equations are from zero, the smallest singular value of their Jacobian, and a bound of their second
-# derivatives.
+# equations are from zero, the smallest singular value of their Jacobian, and a bound of their
+# second derivatives.
 
 
 UNIT = float(np.finfo(float).eps)

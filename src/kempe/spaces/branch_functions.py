@@ -88,8 +88,10 @@ def within(value: Enclosure, low: float, high: float) -> list[Function]:
 # A planar mechanism of dyads as functions of one coordinate: where each of its branches exists,
 # with bounds.
 #
-# The dyads of a closed form (`kempe.assemble.dyads`) are walked with enclosures in place of numbers. Each of
-# them has two roots, which exist where its circles, or its line and circle, meet: where functions of
+# The dyads of a closed form (`kempe.assemble.dyads`) are walked with enclosures in place of
+# numbers. Each of them has two roots, which exist where its circles, or its line and circle, meet:
+# where functions
+# of
 # the coordinate are positive. Where one of them is zero the two roots are one. Limits of the other
 # coordinates are such functions, too.
 
@@ -403,7 +405,8 @@ def _read_slide(poses: Any, i: list[int], f: list[float]) -> Enclosure:
 # four turns.
 #
 # The ends p and r of two cranks, or of a crank and a slide, on one body are a rod's length L apart:
-# |p(a) - r(b)| = L. For a crank that is A cos b + B sin b + C = 0 with A, B and C of the first degree
+# |p(a) - r(b)| = L. For a crank that is A cos b + B sin b + C = 0 with A, B and C of the first
+# degree
 # in cos a and sin a: b is real where D = A^2 + B^2 - C^2 >= 0 (Freudenstein, Kiss, "Type
 # determination of skew four-bar mechanisms", J. Eng. Ind. 91, 1969). For a slide it is a quadratic
 # equation. Four turns about axes through one point are such a loop, too: p and r are the directions

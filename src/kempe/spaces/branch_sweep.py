@@ -216,8 +216,10 @@ def _ordered(parts: list[Cells]) -> Cells:
 #
 # Branches are joined where intervals touch (`branch_intervals`), and where they meet: where the
 # function of a sign is zero, the curve goes on with the other sign; where that of a limit is, it
-# ends. Where a sign's function only touches zero, four branches meet, or one point lies alone. Where
-# something is open, as where several functions vanish at once, all branches of which nothing is known
+# ends. Where a sign's function only touches zero, four branches meet, or one point lies alone.
+# Where something is open, as where several functions vanish at once, all branches of which nothing
+# is
+# known
 # may be joined: the number of components is a lower bound then.
 
 

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 # A random walk on the closed configurations whose limit is uniform: Metropolis's algorithm on a
 # manifold.
 #
-# Source: Zappa, Holmes-Cerfon, Goodman, "Monte Carlo on manifolds: sampling densities and integrating
-# functions", Comm. Pure Appl. Math. 71 (2018): a step along the tangent space, led back along the
+# Source: Zappa, Holmes-Cerfon, Goodman, "Monte Carlo on manifolds: sampling densities and
+# integrating functions", Comm. Pure Appl. Math. 71 (2018): a step along the tangent space, led back
+# along the
 # normals of where it began, is taken only if the step back would be found, too. In rotations steps
 # are exponentials; the determinants that compare the volumes of the two steps are transposes of one
 # another, as in flat space, because the measure is invariant on both sides.

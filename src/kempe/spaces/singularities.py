@@ -100,8 +100,10 @@ def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
 # Curves of singular configurations, traced, and the curves that a frame draws there.
 #
 # The equations are those of `rank_loss`, of configuration and null vectors; where they leave one
-# dimension, a curve is followed from each singular configuration that was found. In the plane, places
-# at which the frame loses a direction are such curves for any number of freedoms, and they bound what
+# dimension, a curve is followed from each singular configuration that was found. In the plane,
+# places
+# at which the frame loses a direction are such curves for any number of freedoms, and they bound
+# what
 # it reaches where no limit does (Haug and others, "Numerical algorithms for mapping boundaries of
 # manipulator workspaces", J. Mechanical Design 118, 1996).
 

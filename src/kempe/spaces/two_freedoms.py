@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 # Closed configurations at which two functions have the values of a lattice, found from node to
 # node.
 #
-# Each configuration that is found at a node leads by Newton's method to those of its neighbours, from
+# Each configuration that is found at a node leads by Newton's method to those of its neighbours,
+# from
 # many random ones on. What is found is closed and has the values of its node; that nothing else
 # exists is evidence, not proof.
 

@@ -342,8 +342,10 @@ def search_by_effort(
 
 # Levels of tasks: their order, their packed ties, and what is found without the later ones.
 #
-# Lowering never gives up what earlier levels have reached, and soft levels are added one by one, each
-# to what is found without it. Hard tasks behind a soft level are met first, and an angle that a later
+# Lowering never gives up what earlier levels have reached, and soft levels are added one by one,
+# each
+# to what is found without it. Hard tasks behind a soft level are met first, and an angle that a
+# later
 # level names does not turn on beyond its limits: there the search without the later ones is looked
 # at, too.
 

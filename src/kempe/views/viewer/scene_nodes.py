@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 # link that carries it.
 #
 # The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link
-# between the two is carried by that link, and rods by their two ends. What reaches from one half of a
-# sliding joint to the other is carried by both, and is as long as the joint. So a new configuration
+# between the two is carried by that link, and rods by their two ends. What reaches from one half of
+# a sliding joint to the other is carried by both, and is as long as the joint. So a new
+# configuration
 # is a few poses and lengths, and no drawing.
 
 

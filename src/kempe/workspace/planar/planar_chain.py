@@ -279,7 +279,8 @@ def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
 # one.
 #
 # So are places in one orientation, in several and in all of them, and those of parallel mechanisms:
-# each leg leaves a region of its own. Sources: Gosselin, Angeles, "The optimum kinematic design of a
+# each leg leaves a region of its own. Sources: Gosselin, Angeles, "The optimum kinematic design of
+# a
 # planar three-degree-of-freedom parallel manipulator", J. Mechanisms 110 (1988); Merlet, Gosselin,
 # Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998).
 
