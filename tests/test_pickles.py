@@ -7,6 +7,7 @@ reads them.
 
 from __future__ import annotations
 
+import importlib.util
 import pickle
 import re
 import subprocess
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import kempe
 
@@ -432,3 +434,17 @@ def test_another_process_says_the_same(tmp_path):
         if here[name].get(key) != there[name].get(key)
     }
     assert not wrong
+
+
+@pytest.mark.parametrize(
+    "place", ["solvers.one_frame.solution", "kinematics.common.result", "model.compiled_system"]
+)
+def test_a_pickle_of_another_version_is_refused_in_a_sentence(place):
+    """It names a module that is not there."""
+    with pytest.raises(
+        ModuleNotFoundError, match=f"no module 'kempe.{place.split('.')[0]}.*wrote it"
+    ):
+        pickle.loads(f"ckempe.{place}\nSolution\n.".encode())
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        from kempe import nothing  # noqa: F401
+    assert importlib.util.find_spec("kempe.kernels._nothing") is None

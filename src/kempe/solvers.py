@@ -11,6 +11,9 @@ from kempe.answers.problem import Solver
 from kempe.assemble import assemble, modes
 from kempe.inverse import numeric, path, self_motion, solve_all, sweep
 
+__path__: list[str] = []
+"""Modules that a pickle asks for below this one are said to be missing by `kempe.version`, too."""
+
 TABLE: Mapping[str, tuple[Solver, ...]] = MappingProxyType(
     {
         "ik": numeric.SOLVERS,
