@@ -50,6 +50,7 @@ AREAS = {
     "constraints": ["constraints/*"],
     "closures": [
         "model/constraint_program.py",
+        "model/kernel_functions.py",
         "model/packed_loops.py",
         "equations/closure*",
         "assemble/bound.py",

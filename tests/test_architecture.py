@@ -224,6 +224,22 @@ def test_describing_needs_no_kernels_and_forward_needs_numpy_only(code, left):
     assert not (HEAVY | left) & modules_after(DESCRIBED + code)
 
 
+ASKED = """
+import kempe
+arm, leg, bar, car = map(kempe.load, ("puma560", "jansen", "four_bar", "car"))
+X = arm.fk(arm.mid, "tool")
+arm.ik(X, "tool"), arm.ik_all(X, "tool"), arm.ik_path(X[None], "tool"), arm.singularities("tool")
+arm.ik([kempe.tasks.Position("tool", X[:3, 3])]), arm.workspace("tool", n=1000)
+leg.assemble({"O": 1.0}), leg.assembly_modes({"O": 1.0}), leg.mobility(), leg.loops.closed_form("O")
+bar.trace("A"), bar.drive({"A": [0.0, 1.0]}), bar.configuration_space.components(), car.classify()
+"""
+
+
+def test_verbs_load_no_extra():
+    """A user who installed none has the answers, and does not wait for modules that draw."""
+    assert not (HEAVY - {"scipy"}) & modules_after(ASKED)
+
+
 # ---- what stands in files
 
 

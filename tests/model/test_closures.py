@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 import kempe
-from kempe.model.constraint_program import Callback, Tie
+from kempe.model.constraint_program import Tie
+from kempe.model.kernel_functions import Callback
 from kempe.model.packed_loops import _by_level
 
 NOWHERE = (-1, np.eye(4), False)

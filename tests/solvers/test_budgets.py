@@ -16,6 +16,7 @@ from test_tasks import inside, two_arms
 
 import kempe
 from kempe import Mechanism, arguments, spatial, tasks
+from kempe.assemble import modes
 from kempe.budget import watched_by
 from kempe.errors import InputError, NoSolutionError
 from kempe.inverse import explain_tasks, multi_start, solve_all
@@ -457,15 +458,13 @@ def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_va
 def test_the_time_limit_of_a_frame_that_moves_with_loops(monkeypatch):
     """It is that of the assembly modes that answer."""
     given = []
-    before = solve_all.assembly_modes
+    before = modes.assembly_modes
 
-    def modes(*args, budget):
+    def noted(*args, limits, budget):
         given.append(budget.time_limit)
         return before(*args, limits=False, budget=budget)
 
-    monkeypatch.setattr(
-        solve_all, "assembly_modes", lambda *a, limits, budget: modes(*a, budget=budget)
-    )
+    monkeypatch.setattr(modes, "assembly_modes", noted)
     s = kempe.load("four_bar")
     q = s.assemble({"A": 0.9}).q
     X = s.fk(q, "coupler")

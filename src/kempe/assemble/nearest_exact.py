@@ -14,7 +14,6 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -786,6 +785,8 @@ def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
 
 def _number(x: float, is_angle: bool, digits: int) -> str:
     """The number as text; angles that are simple fractions of pi by name."""
+    from fractions import Fraction
+
     part = Fraction(round(12.0 * x / math.pi), 12)
     if is_angle and part and abs(x - math.pi * part) < 1e-14:
         return f"{'-' * (part < 0)}{abs(part.numerator) if abs(part.numerator) > 1 else ''}pi" + (

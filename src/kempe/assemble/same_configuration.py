@@ -5,7 +5,6 @@ lengths.
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,6 +136,8 @@ def _periods(system: Model) -> Array:
 
     A gear p / q brings its follower back only after q turns of its source.
     """
+    from fractions import Fraction
+
     turns = np.where(system.structure.coordinates.turning, 1, 0)
     number = {name: i for i, name in enumerate(system.structure.velocity_names)}
     mechanism = system.mechanism

@@ -22,8 +22,8 @@ from kempe.forward.fk import fk
 from kempe.forward.fk import jacobian as frame_jacobian
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import random
-from kempe.model.constraint_program import STEP, WEIGHTS, Callback
 from kempe.model.coordinates import Layout
+from kempe.model.kernel_functions import STEP, WEIGHTS, Callback
 from kempe.spatial import Array
 from kempe.words import counted
 

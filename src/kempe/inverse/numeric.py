@@ -26,7 +26,6 @@ from kempe.inverse.closed_forms.held import TOLERANCE
 from kempe.inverse.closed_forms.plan import ChainPlan
 from kempe.inverse.closed_forms.question import Question, Watch
 from kempe.inverse.multi_start import run, seeds_of
-from kempe.inverse.solve_all import solve
 from kempe.kernels.base.search_layout import SOLVED, STEPS
 from kempe.model.configurations import refuse_far
 from kempe.model.model import kept
@@ -97,6 +96,8 @@ def _solved(
         within,
         watch=Watch(limit, n),
     )
+    from kempe.inverse.solve_all import solve  # only here: it imports what most targets never need
+
     found = solve(question, plan, near, {}, threads)
     own = found._rows[..., : len(plan.lines)]
     inside = found.inside

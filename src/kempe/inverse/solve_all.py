@@ -19,7 +19,6 @@ import numpy as np
 from kempe.answers.problem import Choice, Problem, Solver, TaskOf, choose, takes_all
 from kempe.answers.targets import TASKS, Z_AXIS, frame_of, not_a_pose
 from kempe.arrays import FARTHEST
-from kempe.assemble.modes import Modes, assembly_modes
 from kempe.budget import Budget, Usual, look
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError, UnsupportedError
@@ -43,6 +42,7 @@ from kempe.spatial import Array
 from kempe.words import joined
 
 if TYPE_CHECKING:
+    from kempe.assemble.modes import Modes
     from kempe.model.model import Model
 
 VALUES = 64
@@ -462,6 +462,8 @@ def all_modes(problem: Problem, moving: str = "loops") -> Modes:
     limit = LOOPS.of(problem.budget).time_limit
     spend = Budget(time_limit=math.inf if limit is None else limit)
     known = {**problem.known, str(frame): X}
+    from kempe.assemble.modes import assembly_modes  # only here: frames of chains never need it
+
     found = assembly_modes(system, known, problem.start, limits=bool(problem.limits), budget=spend)
     order = np.argsort(~found.inside, kind="stable")
     return replace(

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from kempe.arguments import deadline
 from kempe.budget import Budget, TimeUp, Usual, checks, look, watched_by
 from kempe.errors import TimeLimitError
-from kempe.model.constraint_program import KernelFunction
+from kempe.model.kernel_functions import KernelFunction
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

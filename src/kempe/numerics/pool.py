@@ -8,14 +8,16 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from kempe.arguments import quiet
 from kempe.arrays import is_whole
 from kempe.budget import checks, look, watched_by
 from kempe.errors import InputError, shown
 from kempe.numerics.clock import BROKEN_OFF
+
+if TYPE_CHECKING:  # it imports what one thread does not need
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 # ---- parallel
 
@@ -132,10 +134,7 @@ def over_chunks(
         with watched_by(*watching):
             return take_chunks()
 
-    from concurrent.futures import (
-        ThreadPoolExecutor,
-        wait,
-    )  # which imports what one thread does not need
+    from concurrent.futures import ThreadPoolExecutor, wait
 
     with _lock:
         pool = _pools.get(n)
@@ -207,6 +206,8 @@ class ThreadWorkers:
     finishes = True
 
     def __init__(self, threads: int, spare: int = 0, stops: bool = False):
+        from concurrent.futures import ThreadPoolExecutor
+
         self.most = threads + spare
         self.pool = ThreadPoolExecutor(threads, thread_name_prefix="kempe")
         self.stops = stops
@@ -228,6 +229,8 @@ class ThreadWorkers:
 
     def wait(self, futures: list[Any]) -> set[Any]:
         """Those that are done."""
+        from concurrent.futures import FIRST_COMPLETED, wait
+
         return wait(futures, timeout=WAKE, return_when=FIRST_COMPLETED).done
 
     def lost(self, future: Any) -> bool:
@@ -236,6 +239,8 @@ class ThreadWorkers:
 
     def give_up(self, futures: list[Future[Any]]) -> None:
         """Let those end that are begun."""
+        from concurrent.futures import wait
+
         wait(futures)
 
 

@@ -19,7 +19,7 @@ from kempe.inverse.chain.serial_chain import inside
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.compiled import task_search
 from kempe.model.configurations import random
-from kempe.model.constraint_program import Callback
+from kempe.model.kernel_functions import Callback
 from kempe.model.model import keep
 from kempe.numerics.clock import EndReached, clock, up_at
 from kempe.numerics.pool import over_chunks

@@ -33,7 +33,7 @@ from kempe.joints import P
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.configurations import as_start, home_of, mid, random, refuse_far
-from kempe.model.constraint_program import Callback
+from kempe.model.kernel_functions import Callback
 from kempe.model.model import keep, kept
 from kempe.model.own_tree import own_tree
 from kempe.numerics.clock import EndReached, TimeLimit

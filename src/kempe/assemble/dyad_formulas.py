@@ -1,0 +1,436 @@
+"""The closed form of a planar mechanism of dyads as formulas: body after body, coordinate after
+coordinate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.assemble.dyad_decomposition import Dyad, alone, parts_of
+from kempe.errors import UnsupportedError
+from kempe.forward.formula_steps import (
+    Derivation,
+    FormulaStep,
+    Names,
+    Vector,
+    endings,
+    line_and_circle,
+    minus,
+    plus,
+    polar,
+    turned,
+    turning_slide,
+    two_circles,
+    two_lines,
+)
+from kempe.forward.symbolic import SymbolLeaves, placement_steps, pose_of, sympy
+from kempe.joints import R
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.assemble.dyads import Plan
+    from kempe.description.parts import Joint
+
+Three = tuple[str, str, str]
+Bodies = tuple[str, ...]
+LEFT = "+1 has the middle joint to the left"
+
+
+@dataclass(frozen=True, eq=False)
+class DyadFormulas(Derivation):
+    """Formulas of all coordinates of a mechanism from those that are known; `sign_1`, ... are the
+    branch signs.
+
+    Angles are found up to full turns. Symbols `x_b`, `y_b`, `theta_b` are the place and the angle
+    of the body b.
+    """
+
+    plan: Plan
+
+    def __call__(self, values: ArrayLike, branch: Any = None) -> Array:
+        """Configurations (..., nq) for known coordinates (..., n), nan where a branch does not
+        close; see `Plan.solve`.
+
+        Angles that are found are in (-pi, pi].
+        """
+        given, lead = self.plan.values(values)
+        found = self.evaluate(
+            given,
+            np.broadcast_to(self.plan.sign_rows(branch, None, lead), (len(given), self.plan.signs)),
+        )
+        names = self.system.coordinate_names
+        turning = self.system.structure.coordinates.turning
+        q = np.empty((len(given), self.system.nq))
+        for name, column in zip(self.plan.known, given.T, strict=True):
+            q[:, names.index(name)] = column
+        for name, column in zip(self.coordinates, found.T, strict=True):
+            i = names.index(name)
+            q[:, i] = -((np.pi - column) % (2.0 * np.pi) - np.pi) if turning[i] else column
+        return q.reshape(*lead, self.system.nq)
+
+
+class _Place(NamedTuple):
+    """Where a body is in the ground: its origin and its angle."""
+
+    at: Vector
+    angle: Any
+
+    def of(self, point: Vector) -> Vector:
+        """A point of the body, in the ground."""
+        return plus(self.at, turned(point, self.angle))
+
+
+class _Geometry(NamedTuple):
+    """A joint of one freedom in the plane: a point on each of two bodies, and the angle of its
+    frames there.
+    """
+
+    joint: Joint
+    turns: bool
+    points: tuple[Vector, Vector]
+    angles: tuple[Any, Any]
+    value: Any
+    """Its coordinate as an expression in coordinates of q."""
+
+    def side(self, body: str) -> int:
+        """0 for the parent, 1 for the child."""
+        return int(body == self.joint.child)
+
+
+class _Writing:
+    """The derivation while it is written: what is placed, what is known."""
+
+    def __init__(self, plan: Plan, symbols: Mapping[str, Any] | None):
+        self.plan = plan
+        self.system = plan.system
+        self.leaves = SymbolLeaves(plan.system, symbols or {}, 0.0)
+        self.steps: list[FormulaStep] = []
+        taken = {*plan.system.coordinate_names, *plan.system.structure.parameters}
+        own = {f"{word}_{b}" for word in ("theta", "x", "y") for b in plan.system.body_names}
+        own |= {
+            f"{word}_{k}"
+            for word in (*Names._fields, "d_x", "d_y")
+            for k in range(1, len(plan.dyads) + 1)
+        }
+        self.end = next(
+            end for end in endings() if not any(f"{word}{end}" in taken for word in own)
+        )
+        self.found: list[str] = []
+        self.unknown = {sympy.Symbol(n) for n in plan.system.coordinate_names} - {
+            sympy.Symbol(n) for n in plan.known
+        }
+        self.places = {plan.system.body_names[0]: _Place((0, 0), 0)}
+        self.joints = {name: self._geometry(j) for name, j in plan.system.structure.joints.items()}
+        self.hinges = {name: names for names, _ in parts_of(plan.system).hinges for name in names}
+
+    def _geometry(self, joint: Joint) -> _Geometry:
+        """A joint as it lies on its bodies; without motion its value is zero."""
+        motion = alone(joint)
+        if motion is None and joint.type.layout(2)[1]:
+            raise UnsupportedError(
+                f"joint {joint.name!r} has no formulas here; loops.closed_form has numbers"
+            )
+        ends: list[Any] = [
+            pose_of(placement_steps(X, joint.name, self.leaves), self.leaves)
+            for X in (joint.X_PF, joint.X_CM)
+        ]
+        turns = motion is None or motion.kind == R
+        axis = 0 if turns or motion is None else "xyz".index(motion.axis)
+        angles = [polar((X[0, axis], X[1, axis]))[1] for X in ends]
+        name = self.system.structure.coordinates_of_joint(joint.name)
+        value = self.leaves.coordinate(name[0]) if name else sympy.Integer(0)
+        (a, b) = ((X[0, 3], X[1, 3]) for X in ends)
+        return _Geometry(joint, turns, (a, b), (angles[0], angles[1]), value)
+
+    def write(self) -> DyadFormulas:
+        """Place body after body, by known coordinates, then by the next dyad, until all coordinates
+        are known.
+        """
+        dyads = list(self.plan.dyads)
+        while True:
+            while self._drive() or self._read():
+                pass
+            if not dyads:
+                break
+            self._close(dyads.pop(0), len(self.plan.dyads) - len(dyads))
+        if self.unknown:
+            names = ", ".join(sorted(map(str, self.unknown)))
+            raise UnsupportedError(f"no formulas for {names}; loops.closed_form has numbers")
+        given = tuple(sympy.Symbol(n) for n in self.plan.known)
+        signs = tuple(sympy.Symbol(f"sign_{k + 1}{self.end}") for k in range(self.plan.signs))
+        return DyadFormulas(
+            self.system, tuple(self.steps), given, signs, tuple(self.found), self.plan
+        )
+
+    # ---- what is known
+
+    def _say(self, name: str, formula: Any, says: str = "") -> Any:
+        symbol = sympy.Symbol(name)
+        self.steps.append(FormulaStep(symbol, formula, says))
+        return symbol
+
+    def _place(self, body: str, angle: Any, own: Vector, at: Vector) -> None:
+        """Place a body: its angle, and the ground's point `at` at which its own point is."""
+        end = f"{body}{self.end}"
+        theta = self._say(f"theta_{end}", angle, f"angle of {body}")
+        x, y = minus(at, turned(own, theta))
+        self.places[body] = _Place(
+            (self._say(f"x_{end}", x, f"place of {body}"), self._say(f"y_{end}", y)), theta
+        )
+
+    def _drive(self) -> bool:
+        """Place a body by a joint whose coordinate is known."""
+        for g in self.joints.values():
+            ends = g.joint.parent, g.joint.child
+            there = [b for b in ends if b in self.places]
+            if len(there) == 1 and not g.value.free_symbols & self.unknown:
+                self._beyond(g, there[0], g.value)
+                return True
+        return False
+
+    def _across(
+        self, g: _Geometry, body: str, here: _Place, value: Any
+    ) -> tuple[str, Any, Vector, Vector]:
+        """What is on the other side of a joint at a value: the body, its angle, its point, and
+        where that is.
+        """
+        side = g.side(body)
+        sense = -1 if side else 1
+        angle = here.angle + g.angles[side] - g.angles[1 - side] + (sense * value if g.turns else 0)
+        at = here.of(g.points[side])
+        if not g.turns:
+            at = plus(at, turned((sense * value, 0), here.angle + g.angles[side]))
+        return (g.joint.parent if side else g.joint.child), angle, g.points[1 - side], at
+
+    def _beyond(self, g: _Geometry, body: str, value: Any) -> None:
+        other, angle, own, at = self._across(g, body, self.places[body], value)
+        self._place(other, angle, own, at)
+
+    def _read(self) -> bool:
+        """Learn the coordinate of a joint that turns between bodies that are placed."""
+        for g in self.joints.values():
+            if (
+                g.joint.parent in self.places
+                and g.joint.child in self.places
+                and g.value.free_symbols & self.unknown
+            ):
+                parent = self.places[g.joint.parent]
+                child = self.places[g.joint.child]
+                if g.turns:
+                    self._learn(g, child.angle + g.angles[1] - parent.angle - g.angles[0])
+                else:
+                    gap = minus(child.of(g.points[1]), parent.of(g.points[0]))
+                    self._learn(g, turned(gap, -(parent.angle + g.angles[0]))[0])
+                return True
+        return False
+
+    def _learn(self, g: _Geometry, value: Any) -> None:
+        """Note the coordinate of which the value of a joint is a multiple, plus an offset."""
+        unknown = list(g.value.free_symbols & self.unknown)
+        if len(unknown) == 1:
+            rate = sympy.diff(g.value, unknown[0])
+            self._say(
+                str(unknown[0]),
+                (value - g.value.subs(unknown[0], 0)) / rate,
+                f"coordinate of {g.joint.name}",
+            )
+            self.unknown -= {unknown[0]}
+            self.found.append(str(unknown[0]))
+
+    # ---- dyads
+
+    def _cluster(self, bodies: tuple[str, ...]) -> dict[str, _Place]:
+        """Where bodies that known coordinates join are in the frame of the first one."""
+        out = {bodies[0]: _Place((0, 0), sympy.Integer(0))}
+        grown = True
+        while grown:
+            grown = False
+            for g in self.joints.values():
+                ends = g.joint.parent, g.joint.child
+                there = [b for b in ends if b in out]
+                if (
+                    len(there) == 1
+                    and {*ends} <= {*bodies}
+                    and not g.value.free_symbols & self.unknown
+                ):
+                    other, angle, own, at = self._across(g, there[0], out[there[0]], g.value)
+                    out[other] = _Place(minus(at, turned(own, angle)), angle)
+                    grown = True
+        return out
+
+    def _pin(self, joint: str, places: dict[str, _Place]) -> Vector:
+        """The point of a hinge on bodies whose places are given."""
+        for name in self.hinges.get(joint, (joint,)):
+            g = self.joints.get(name)
+            for body, point in (
+                zip((g.joint.parent, g.joint.child), g.points, strict=True) if g else ()
+            ):
+                if body in places:
+                    return places[body].of(point)
+        raise self._none(joint)
+
+    def _rail(self, joint: str, places: dict[str, _Place]) -> tuple[_Geometry, str]:
+        """A joint that slides, and the body of it whose place is given."""
+        g = self.joints.get(joint)
+        for body in (g.joint.parent, g.joint.child) if g else ():
+            if g and body in places:
+                return g, body
+        raise self._none(joint)
+
+    def _none(self, joint: str) -> UnsupportedError:
+        return UnsupportedError(
+            f"no formulas for the dyad at {joint!r}; loops.closed_form has numbers"
+        )
+
+    def _to(self, k: int, v: Vector) -> Vector:
+        return self._say(f"d_x_{k}{self.end}", v[0], "between the joints"), self._say(
+            f"d_y_{k}{self.end}", v[1]
+        )
+
+    def _polar(self, v: Vector) -> tuple[Any, Any]:
+        """Length, not negative, and angle of a vector."""
+        length, angle = polar(v)
+        values = {sympy.Symbol(n): x for n, x in self.system.structure.parameters.items()}
+        number = length.subs(values)
+        if number.free_symbols:
+            return sympy.sqrt(sympy.expand(v[0] ** 2 + v[1] ** 2)), sympy.atan2(v[1], v[0])
+        return (length, angle) if float(number) >= 0.0 else (-length, angle + sympy.pi)
+
+    def _close(self, dyad: Dyad, k: int) -> None:
+        """Place the two links of a dyad."""
+        n = Names.ending(f"_{k}{self.end}")
+        if dyad.sign is not None:
+            n = n._replace(sign=sympy.Symbol(f"sign_{dyad.sign + 1}{self.end}"))
+        first, second = dyad.bodies
+        x, y, z = dyad.joints
+        if not {*first, *second} <= set(self.system.body_names):
+            raise self._none(y)
+        near = ((x, y, z), first, second)
+        far = ((z, y, x), second, first)
+        how = {"RRR": self._circles, "RPR": self._turning, "PRP": self._both_slide}.get(dyad.kind)
+        if how is None:
+            how = self._line_circle if dyad.kind.count("P") == 1 else self._slide_on_slide
+        how(
+            n,
+            k,
+            *(near if dyad.kind[0] == "P" or dyad.kind[-1] == "R" and dyad.kind != "RPP" else far),
+        )
+
+    def _circles(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
+        (x, y, z) = joints
+        one = self._cluster(first)
+        two = self._cluster(second)
+        A = self._pin(x, self.places)
+        to = self._to(k, minus(self._pin(z, self.places), A))
+        a1 = self._pin(x, one)
+        b1 = self._pin(y, one)
+        b2 = self._pin(y, two)
+        c2 = self._pin(z, two)
+        (l1, at1) = self._polar(minus(b1, a1))
+        (l2, at2) = self._polar(minus(c2, b2))
+        steps, angle, bend = two_circles(n._replace(sign=-n.sign), to, l1, l2, LEFT)
+        self.steps += steps
+        self._place(first[0], angle - at1, a1, A)
+        here = self.places[first[0]]
+        self._place(second[0], here.angle + at1 + bend - at2, b2, here.of(b1))
+
+    def _slid(self, rail: str, slider: Bodies) -> tuple[_Geometry, str, _Place, Vector]:
+        """A link that slides on what is placed: the joint, its placed body, where the link is at
+        zero, and its way.
+        """
+        g, still = self._rail(rail, self.places)
+        own = self._cluster(slider)
+        body, angle, point, at = self._across(g, still, self.places[still], 0)
+        if body not in own:
+            raise self._none(rail)
+        turn = angle - own[body].angle
+        side = g.side(still)
+        along = turned((-1 if side else 1, 0), self.places[still].angle + g.angles[side])
+        return g, still, _Place(minus(at, turned(own[body].of(point), turn)), turn), along
+
+    def _line_circle(self, n: Names, k: int, joints: Three, slider: Bodies, bar: Bodies) -> None:
+        """Place a slider on what is placed, and a bar from it to a hinge on what is placed."""
+        rail, middle, pin = joints
+        g, still, start, along = self._slid(rail, slider)
+        two = self._cluster(bar)
+        b2 = self._pin(middle, two)
+        c2 = self._pin(pin, two)
+        fixed = self._pin(pin, self.places)
+        length, at_bar = self._polar(minus(c2, b2))
+        to = minus(fixed, start.of(self._pin(middle, self._cluster(slider))))
+        steps, u, turn = line_and_circle(n, self._to(k, to), along, length)
+        self.steps += steps
+        self._slide(g, still, u)
+        self._place(bar[0], turn - at_bar, c2, fixed)
+
+    def _slide(self, g: _Geometry, body: str, u: Any) -> None:
+        """Note how far a joint slides, and place what is beyond it."""
+        self._learn(g, u)
+        self._beyond(g, body, g.value)
+
+    def _turning(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
+        """Place two links on hinges with a slide between them."""
+        x, y, z = joints
+        g, body = self._rail(y, dict.fromkeys(first, self.places[self.system.body_names[0]]))
+        if g.joint.parent != body:
+            x, z, first, second = z, x, second, first
+        one = self._cluster(first)
+        two = self._cluster(second)
+        parent = one.get(g.joint.parent)
+        child = two.get(g.joint.child)
+        if parent is None or child is None:
+            raise self._none(y)
+        A = self._pin(x, self.places)
+        a = self._pin(x, one)
+        rail = parent.angle + g.angles[0]
+        other = child.angle + g.angles[1]
+        reach = turned(minus(self._pin(z, two), child.of(g.points[1])), rail - other)
+        gap = turned(plus(minus(parent.of(g.points[0]), a), reach), -rail)
+        ahead, aside = (sympy.simplify(v) for v in gap)
+        steps, u, angle = turning_slide(n, self._to(k, minus(self._pin(z, self.places), A)), aside)
+        self.steps += steps
+        self._learn(g, u - ahead)
+        self._place(first[0], angle - rail, a, A)
+
+    def _both_slide(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
+        """Place two sliders on what is placed, joined by a hinge."""
+        ways = [
+            self._slid(rail, bodies) for rail, bodies in ((joints[0], first), (joints[2], second))
+        ]
+        pins = [
+            way[2].of(self._pin(joints[1], self._cluster(bodies)))
+            for way, bodies in zip(ways, (first, second), strict=True)
+        ]
+        (d1, d2) = (way[3] for way in ways)
+        to = self._to(k, minus(pins[1], pins[0]))
+        steps, *slides = two_lines(n, to, d1, (-d2[0], -d2[1]))
+        self.steps += steps
+        for (g, still, *_), u in zip(ways, slides, strict=True):
+            self._slide(g, still, u)
+
+    def _slide_on_slide(self, n: Names, k: int, joints: Three, near: Bodies, far: Bodies) -> None:
+        """Place a slider on what is placed, and one on it that a hinge holds."""
+        rail, middle, pin = joints
+        g1, still, start, d1 = self._slid(rail, near)
+        before = self.places
+        own = self._cluster(near)
+        self.places = {
+            b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()
+        }  # as at zero
+        g2, _, tip, d2 = self._slid(middle, far)
+        self.places = before
+        to = minus(self._pin(pin, self.places), tip.of(self._pin(pin, self._cluster(far))))
+        steps, u1, u2 = two_lines(n, self._to(k, to), d1, d2)
+        self.steps += steps
+        self._slide(g1, still, u1)
+        self._learn(g2, u2)
+
+
+def dyad_formulas(plan: Plan, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
+    """The formulas of a closed form; see `Plan.formulas`."""
+    return _Writing(plan, symbols).write()
