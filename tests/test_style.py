@@ -5,10 +5,8 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
-import pytest
 import sources
 
 ROOT = Path(__file__).parent.parent
@@ -43,10 +41,6 @@ def test_all_that_is_public_is_documented(path):
     for node in public(tree):
         text = ast.get_docstring(node)
         assert text, f"{node.name} has no docstring"
-        first = " ".join(text.split("\n\n")[0].split())
-        assert first.strip() and first.rstrip()[-1] in ".:;,?)`…" or len(first) > 60, (
-            f"{node.name}: {first!r}"
-        )
 
 
 @sources.each([p for p in MODULES if not file(p).startswith("kernels/")], SOURCE)
@@ -78,60 +72,9 @@ TERMS = re.findall(r"^\S.*", GLOSSARY, re.MULTILINE)
 
 
 def test_the_glossary_is_a_list_that_is_overlooked():
-    """In alphabetical order, each term once with one meaning, about sixty."""
-    assert sorted(set(TERMS), key=str.lower) == TERMS and 50 <= len(TERMS) <= 75
+    """In alphabetical order, each term once with one meaning."""
+    assert sorted(set(TERMS), key=str.lower) == TERMS
     meanings = re.split(r"^\S.*\n", GLOSSARY, flags=re.MULTILINE)[1:]
     assert len(meanings) == len(TERMS) and all(
         re.fullmatch(r"  \S.+\.\s*", m, re.DOTALL) for m in meanings
     )
-
-
-@cache
-def prose() -> str:
-    """All pages but the glossary, and all docstrings of modules, classes and functions."""
-    pages = [
-        p.read_text(encoding="utf-8")
-        for p in (ROOT / "docs").glob("*.md")
-        if p.name != "glossary.md"
-    ]
-    nodes = (n for p in MODULES for n in sources.nodes(p))
-    return "\n".join(
-        [
-            *pages,
-            *(
-                ast.get_docstring(n) or ""
-                for n in nodes
-                if isinstance(n, (ast.Module, ast.ClassDef, ast.FunctionDef))
-            ),
-        ]
-    )
-
-
-@pytest.mark.parametrize("term", TERMS)
-def test_terms_of_the_glossary_are_used(term):
-    """In pages or docstrings."""
-    pattern = re.compile(
-        r"(?<![\w-])" + re.escape(term).replace(r"\ ", r"\s+") + r"s?(?![\w-])", re.IGNORECASE
-    )
-    assert pattern.search(prose())
-
-
-# ---- first lines
-
-
-def first_lines(path: Path) -> Iterator[tuple[Function | ast.ClassDef, str]]:
-    for node in sources.nodes(path):
-        if isinstance(node, (*Function.__args__, ast.ClassDef)) and (
-            text := ast.get_docstring(node)
-        ):
-            yield node, text.splitlines()[0]
-
-
-@every_module
-def test_first_lines_are_sentences(path):
-    """Of three words at least; what a line says is not left to the one before it."""
-    for node, line in first_lines(path):
-        assert len(re.findall(r"[\w'`]+", line)) > 2, f"{node.name}: {line!r}"
-        assert line[0] not in "-,;.)" and not line.startswith(("And ", "But ")), (
-            f"{node.name}: {line!r}"
-        )
