@@ -180,7 +180,7 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
             continue
         worst = size
         if related:
-            what = "constraint" if name in system.mechanism.constraints else "the relation of"
+            what = "constraint" if name in system._mechanism.constraints else "the relation of"
             text = f"{what} {name!r} is off by {turned:.6g}"
             continue
         text = (

@@ -359,13 +359,13 @@ def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:
 
 def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float) -> None:
     """Refuse poses, with the configurations read off them, that violate a declared constraint."""
-    if not system.mechanism.constraints:
+    if not system._mechanism.constraints:
         return
     other = maximal(system)
     loops = full(other, False)
     off = evaluate(other, maximal_q(system, q, poses), False)[0]
     units = loops.units
-    for name, made in system.mechanism.constraints.items():
+    for name, made in system._mechanism.constraints.items():
         rows: dict[str, list[int]] = {}
         for i, (n, what) in enumerate(loops.names):
             if n == name and what != "relation":

@@ -627,7 +627,7 @@ def _round(system: Model, i: int) -> bool:
 
 def _equations(system: Model) -> list[Declared]:
     """The declared constraints that are equations."""
-    return [c for c in system.mechanism.constraints.values() if c.equations(system.dim)]
+    return [c for c in system._mechanism.constraints.values() if c.equations(system.dim)]
 
 
 def _tied(system: Model, i: int) -> bool:

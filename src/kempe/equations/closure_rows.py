@@ -157,7 +157,7 @@ def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
     rows: dict[tuple[str, bool], list[int]] = {}
     for i, (name, what) in enumerate(loops.names):
         rows.setdefault((name, what == "relation"), []).append(i)
-    order = [(n, False) for n in (*system.structure.closures, *system.mechanism.constraints)]
+    order = [(n, False) for n in (*system.structure.closures, *system._mechanism.constraints)]
     order += [(r.of, True) for r in system.structure.relations]
     return [SystemConstraint(key[0], loops, tuple(rows[key])) for key in order if key in rows]
 

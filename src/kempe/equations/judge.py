@@ -30,7 +30,7 @@ from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q
 from kempe.model.constraint_program import TURNS, between, numbers_of, value_of
 from kempe.model.coordinates import Follower, coordinate_names
-from kempe.model.model import Model
+from kempe.model.model import Model, kept
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -63,7 +63,7 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
     bodies = fk(system, q)
     out = np.zeros((*q.shape[:-1], len(system.structure.closures), 6))
     number = {b: i for i, b in enumerate(system.body_names)}
-    mechanism = system.mechanism
+    mechanism = system._mechanism
     for k, name in enumerate(system.structure.closures):
         joint = mechanism.joints[name]
         names = coordinate_names(mechanism, joint)
@@ -72,7 +72,7 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
             if names
             else q[..., :0]
         )
-        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        X_PF, X_CM = placements(system, name)
         X_FM = joint_pose(joint.type, local, system.dim, mechanism.bodies[joint.child].particle)
         X_WM = bodies[..., number[joint.parent], :, :] @ X_PF @ X_FM
         X_MM = spatial.inverse(X_WM) @ bodies[..., number[joint.child], :, :] @ X_CM
@@ -81,6 +81,20 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
         else:
             out[..., k, :] = spatial.log_se3(X_MM)
     return out
+
+
+@kept
+def placements(system: Model, joint: str) -> tuple[Array, Array]:
+    """Poses (4, 4) of the frames F of a joint on its parent body and M on its child."""
+    m = system._mechanism
+    return m.joints[joint].X_PF.evaluate(m.parameters), m.joints[joint].X_CM.evaluate(m.parameters)
+
+
+@kept
+def placement_of_frame(system: Model, frame: str) -> Array:
+    """Pose (4, 4) of a declared frame on its body."""
+    m = system._mechanism
+    return m.frames[frame].X_BF.evaluate(m.parameters)
 
 
 def joint_pose(
@@ -310,7 +324,7 @@ class Poses:
     def __init__(self, system: Model, q: Array, t: Array | float = 0.0):
         self.system = system
         self.q = q
-        self.mechanism = system.mechanism
+        self.mechanism = system._mechanism
         tree = system.structure.topology
         self.t = t
         self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
@@ -333,9 +347,8 @@ class Poses:
         whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
         own = [coordinate_value(system, self.q, n) for n in whole]
         values = np.stack(own, axis=-1) if own else self.q[..., :0]
-        return joint.X_PF.evaluate(m.parameters) @ motion(primitives, values), joint.X_CM.evaluate(
-            m.parameters
-        )
+        X_PF, X_CM = placements(system, joint.name)
+        return X_PF @ motion(primitives, values), X_CM
 
     def __call__(self, name: str | Sequence[str] | None) -> Array:
         """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n,
@@ -346,7 +359,7 @@ class Poses:
         frame = self.mechanism.frames.get(name)
         if frame is None:
             return self.bodies[name]
-        return self.bodies[frame.body] @ frame.X_BF.evaluate(self.mechanism.parameters)
+        return self.bodies[frame.body] @ placement_of_frame(self.system, name)
 
     def joint(self, joint: Joint) -> tuple[Array, Array]:
         """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a

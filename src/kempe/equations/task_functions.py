@@ -354,7 +354,7 @@ def held_too(system: SystemType, further: Any) -> SystemType:
     if not given:
         return system
     m = system.mechanism
-    taken = {*system.mechanism.constraints, *system.mechanism.joints}
+    taken = {*system._mechanism.constraints, *system._mechanism.joints}
     for c in given:
         made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
         if not isinstance(made, Constraint):

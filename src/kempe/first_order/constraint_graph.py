@@ -410,7 +410,7 @@ def _laws(system: Model) -> tuple[Law, ...]:
     loops = full(system, True)
     first = 0
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
-    order = {c.name: i for i, c in enumerate(system.mechanism.constraints.values())}
+    order = {c.name: i for i, c in enumerate(system._mechanism.constraints.values())}
     for tie in loops.ties:
         places = list(range(first, first + len(tie.rows)))
         first += len(tie.rows)
@@ -419,7 +419,7 @@ def _laws(system: Model) -> tuple[Law, ...]:
             of = tie.relation
         elif tie.written:
             key = (1, order[tie.name])
-            of = system.mechanism.constraints[tie.name]
+            of = system._mechanism.constraints[tie.name]
         else:
             continue
         _, own, ties = found.setdefault(key, (of, [], []))

@@ -1175,7 +1175,7 @@ class IkStep(Answer):
             none = "Nothing of the wanted motion" if self.velocity.any() else "No motion"
             text = f"{self.fraction:.3g} of the wanted motion" if self.fraction > 0.0 else none
             default = self.default_speed
-        declared = self.system.mechanism.constraints
+        declared = self.system._mechanism.constraints
         why = [declared[name].of.prevents.format(name=name) for name in self.blocked_by]
         if limited := [name for name in self.saturated if name not in self.default_speed]:
             why.append(f"at a limit: {', '.join(map(repr, limited))}")

@@ -38,7 +38,7 @@ def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
     s = system.structure
     if len(s.closures) != 1:
         return "it has more than one loop" if s.closures else "it has no loop"
-    if s.relations or s.couplings or system.mechanism.constraints:
+    if s.relations or s.couplings or system._mechanism.constraints:
         return "coordinates are tied by more than its loop"
     joints = s.joints
     parent = dict(zip(system.body_names[1:], system.parent, strict=True))

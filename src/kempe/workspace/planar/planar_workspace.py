@@ -67,8 +67,8 @@ def planar_region(system: Model, frame: str, question: WorkspaceKind) -> PlanarR
         raise UnsupportedError(
             f"{system.name} is a system in space: the exact workspace is that of planar ones"
         )
-    if system.mechanism.constraints:
-        declared = next(iter(system.mechanism.constraints))
+    if system._mechanism.constraints:
+        declared = next(iter(system._mechanism.constraints))
         raise UnsupportedError(
             f"constraint {declared!r} of {system.name} may bound the workspace by other curves"
         )

@@ -440,7 +440,7 @@ def _space_joints(system: Model, frame: str) -> list[SpaceJoint] | None:
     table, _, v_index = local_chain(system.structure.table, frame)
     if system.nq != system.nv or len(table.iv) != len(v_index) or system.structure.closures:
         return None
-    if system.mechanism.constraints or system.structure.relations or len(v_index) > 2 * MOST:
+    if system._mechanism.constraints or system.structure.relations or len(v_index) > 2 * MOST:
         return None
     q = at_zero(system)
     tip = fk(system, q, frame)[:3, 3]
