@@ -442,7 +442,7 @@ def test_another_process_says_the_same(tmp_path):
 def test_a_pickle_of_another_version_is_refused_in_a_sentence(place):
     """It names a module that is not there."""
     with pytest.raises(
-        ModuleNotFoundError, match=f"no module 'kempe.{place.split('.')[0]}.*wrote it"
+        ModuleNotFoundError, match=f"no module 'kempe.{place.split('.')[0]}.*wrote them"
     ):
         pickle.loads(f"ckempe.{place}\nSolution\n.".encode())
     with pytest.raises(ImportError, match="cannot import name 'nothing'"):

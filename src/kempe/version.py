@@ -17,9 +17,9 @@ class NoSuchModule:
         """Nothing, for modules that are not of Kempe. Errors: `ModuleNotFoundError`."""
         if name.startswith("kempe.") and not name.rpartition(".")[2].startswith("_"):
             raise ModuleNotFoundError(
-                f"Kempe {__version__} has no module {name!r}; a pickle is read by the version of "
-                "Kempe that wrote it, mechanisms and maps by all (`kempe.load`, "
-                "`kempe.open_workspace`)",
+                f"Kempe {__version__} has no module {name!r}; pickles are read by the version of "
+                "Kempe that wrote them, `kempe.load` and `kempe.open_workspace` read mechanisms and "
+                "maps of other versions",
                 name=name,
             )
 
