@@ -1,4 +1,4 @@
-"""Answers that are tables of numbers: their columns by name, and files of them."""
+"""Tables of numbers: files of answers, and targets read from columns."""
 
 from __future__ import annotations
 
@@ -118,10 +118,9 @@ def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Ar
     return out
 
 
-# ---- target columns
+# ---- targets read from columns
 
-# Targets as tables have them: in columns, by their order or by their names.
-
+# Columns are read by their order or by their names.
 
 PLACE = ("x", "y", "z")
 TURNED = ("roll", "pitch", "yaw")

@@ -1,4 +1,4 @@
-"""Targets of the inverse models: what is required of a frame, checked."""
+"""Targets of the inverse models, and other arguments of solvers: read and checked."""
 
 from __future__ import annotations
 
@@ -302,9 +302,7 @@ def not_a_pose(target: Array, other: str = "target") -> str:
     return f"{other} has entries that are not finite or too large, or a quaternion that is zero"
 
 
-# ---- arguments
-
-# Arguments that several solvers take, checked.
+# ---- known values, and places of frames
 
 
 def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:

@@ -1,8 +1,6 @@
-"""The sentences of answers: what `ik`, `ik_all` and `assemble` say of what was found, and of why
-nothing was.
+"""Sentences of answers: what was found, or why nothing was, in the same words for all verbs.
 
-Solvers and the modules `explain_...` find out, this one says it: each kind of evidence has its
-sentence here, alike for all verbs.
+Solvers and the modules `explain_...` find the facts; each kind of fact has one sentence here.
 """
 
 from __future__ import annotations
@@ -18,7 +16,8 @@ from kempe.words import counted, in_words, joined, listed, verb
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- figures
+
+# ---- numbers, errors and limits as text
 
 
 def number(x: float) -> str:
@@ -56,7 +55,7 @@ MILLIMETRES = 30.0
 mistake."""
 
 
-# ---- what was found
+# ---- configurations that were found
 
 
 def reached(place: float | None, turn: float | None, steps: int, starts: int) -> str:
@@ -118,7 +117,7 @@ def freedoms_left(first: int, finite: int, equations: int = 0, freedoms: int = 0
     )
 
 
-# ---- failures: a head, and what follows it
+# ---- failures: the first clause, and what follows it
 
 
 def failed(head: str, *parts: Any) -> str:
@@ -564,11 +563,9 @@ FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
 """All other kinds, with their sentences: they say what was found out, and prove nothing."""
 
 
-# ---- immovable
+# ---- coordinates that limits hold still
 
-# Coordinates that limits hold still, in a sentence: many files mean no limits where they give
-# none.
-
+# Many files mean no limits where they give none.
 
 SHOWN = 6
 """Names that are listed."""

@@ -1,6 +1,4 @@
-"""Assembly: from some known coordinates, or places of frames, a configuration that closes all
-loops.
-"""
+"""`assemble`: a configuration that closes all loops, from known coordinates or places of frames."""
 
 from __future__ import annotations
 
@@ -170,7 +168,7 @@ def allowing(system: Model, tolerance: float | str) -> tuple[Model, float]:
     )
 
 
-# ---- the bound form
+# ---- the bound form, for a fixed set of known names
 
 
 @explained
@@ -187,7 +185,7 @@ def bound(system: Model, known: tuple[str, ...]) -> Assembler:
     return bare(ideal_of(system), known)
 
 
-# ---- the solvers
+# ---- the solvers, and how one is chosen
 
 
 def _no_signs(assembler: Assembler, signs: bool) -> str | None:

@@ -1,4 +1,7 @@
-"""The bound form of `assemble`: names of what is known looked up, and the loops packed, once."""
+"""The bound form of `assemble`: names are looked up and loops packed once, for many known values.
+
+Systems with one-sided constraints have a solver of their own.
+"""
 
 from __future__ import annotations
 
@@ -40,16 +43,12 @@ from kempe.status import MEMBERS, Status
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- assembly bounded
 
-# Assembly of systems with one-sided constraints: all equations and bounds are held by the solver
-# of tasks.
-#
-# Its steps are small quadratic programmes with an active set (`kempe.kernels.tasks.task_search`).
-# What
-# is found is then led back towards its start, so that a start which violates a bound is brought to
-# the nearest place that holds all.
+# ---- systems with one-sided constraints
 
+# The solver of tasks holds all equations and bounds. Its steps are small quadratic programmes with
+# an active set (`kempe.kernels.tasks.task_search`). What it finds is then led back towards its
+# start, so that a start that violates a bound is brought to the nearest place where all hold.
 
 BOUNDED_CHUNK = 16
 BOUNDED_SERIAL_BELOW = 32
@@ -218,6 +217,8 @@ class OneSidedAssembly:
                 out[:, iq : iq + 4] = known[:, iq : iq + 4]
         return out
 
+
+# ---- the assembler
 
 STARTS = 20
 """Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones
@@ -985,6 +986,9 @@ class Assembler:
         return np.any((x < self.low) | (x > self.high), axis=-1)
 
 
+# ---- further starts for mechanisms of many loops
+
+
 class LocalStarts:
     """Further starts of an assembly of many loops, each changed near a place that stayed open.
 
@@ -1126,6 +1130,9 @@ class LocalStarts:
             raise error
         loops.check()
         return q[0], float(residual[0]), info[0]
+
+
+# ---- how assemblers are made
 
 
 def limitless(system: Model, loops: PackedLoops) -> Array:

@@ -1,5 +1,6 @@
-"""The search for dyads, Assur groups of two clusters, and the program that closes them one after
-another.
+"""Decomposition of a planar mechanism into dyads, and the program that closes them in turn.
+
+A dyad is an Assur group of two rigid clusters of bodies, which three joints connect.
 """
 
 from __future__ import annotations
@@ -29,20 +30,15 @@ if TYPE_CHECKING:
     from kempe.model.coordinates import Relation
     from kempe.model.model import Model
 
-# ---- decompose
 
-# A planar mechanism as a program of dyads: which dyads of three rigid clusters close one after
-# another.
-#
+# ---- parts, links and hinges of a planar system
+
 # Bodies that cannot move against each other form one rigid *cluster*. A joint whose coordinate is
 # known merges two clusters; three clusters, joined in a circle by three joints of one freedom, are
 # rigid and merge too: with the ground among them that is a dyad (Assur, 1914), without it the
-# closed
-# form is the same. Two clusters joined twice are over-constrained: two joints place them, the rest
-# is checked. Revolute joints that share a point of a body are one hinge of several bodies, so it
-# does
-# not matter which pairs of them the description names.
-
+# closed form is the same. Two clusters joined twice are over-constrained: two joints place them,
+# the rest is checked. Revolute joints that share a point of a body are one hinge of several bodies,
+# so it does not matter which pairs of them the description names.
 
 NOWHERE = -1
 """In place of the number of a coordinate, or of a body: there is none."""
@@ -369,6 +365,9 @@ def _hinges(
     return tuple(out)
 
 
+# ---- the program for the dyad kernel
+
+
 class Code:
     """A program for the dyad kernel while it is written: operations, and the places of registers
     and coordinates.
@@ -440,6 +439,8 @@ def operations(
     ]
     return ints[K.HEADER : start], ops
 
+
+# ---- the search for dyads
 
 Edge = tuple[int, int]
 """What joins clusters: (R, number of a hinge) or (P, number of a link)."""

@@ -1,5 +1,6 @@
-"""Planar mechanisms made of dyads in closed form: all configurations for known coordinates, with
-their branches.
+"""Planar mechanisms made of dyads: all configurations for known coordinates, in closed form.
+
+The signs of the dyads name the branch of a configuration.
 """
 
 from __future__ import annotations
@@ -519,10 +520,7 @@ def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
     )
 
 
-# ---- held
-
-# What is held at given values, coordinates and frames, as judges measure it.
-
+# ---- known values as tasks, for judges
 
 WITHIN = (1e-6, 1e-6)
 """Metres and radians that what is held may be off by."""

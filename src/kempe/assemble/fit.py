@@ -1,5 +1,6 @@
-"""Small changes of the dimensions of a mechanism, and those by which it closes exactly all along a
-motion.
+"""Small changes of dimensions with which a mechanism closes exactly all along a motion.
+
+Relations that the dimensions nearly obey, such as parallel axes, are found, too.
 """
 
 from __future__ import annotations
@@ -31,11 +32,10 @@ from kempe.values import Expression, Value
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- relations
 
-# Relations that dimensions of a mechanism nearly obey: parallel, orthogonal and meeting axes,
-# equal lengths.
+# ---- relations that dimensions nearly obey
 
+# Parallel, orthogonal and meeting axes, equal lengths, and angles that are simple fractions of pi.
 
 STEP = math.pi / 12.0
 """Angles between axes that are multiples of this are meant to be."""
@@ -278,6 +278,8 @@ def _same(f: Values, g: Values) -> Values:
     return lambda at: f(at) - g(at)
 
 
+# ---- changes of dimensions
+
 Steps = tuple[tuple[str, tuple[float]], ...]
 """Slides and turns by numbers, one after the other."""
 Equations = Callable[..., tuple[Array, Array]]
@@ -488,6 +490,9 @@ def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
     return out
 
 
+# ---- valleys: where loop equations are nearest to zero
+
+
 class Step(NamedTuple):
     """Where a step along a valley leads, the direction (n,) in which it goes on, and what stays
     open there.
@@ -644,6 +649,9 @@ class Valley:
             if ahead.regular:
                 found.append((k + 1, left, q))
         return found
+
+
+# ---- dimensions fitted to configurations
 
 
 class Fit(NamedTuple):

@@ -1,4 +1,7 @@
-"""Joint coordinates read off the poses of the bodies: the way back from maximal coordinates."""
+"""Joint coordinates read off the poses of bodies: the way back from maximal coordinates.
+
+Each joint is read alone; full turns are then chosen so that dependent coordinates agree.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +94,7 @@ def from_maximal(
     return q
 
 
-# ---- joint by joint
+# ---- coordinates of each joint
 
 
 def read_joints(
@@ -233,7 +236,7 @@ def _three_angles(R: Array, angles: Array, near: Array) -> Array:
     return np.where(second[:, None], other, one)
 
 
-# ---- coordinates that depend on others
+# ---- coordinates that depend on others, and full turns
 
 
 class LinearRow(NamedTuple):
@@ -338,7 +341,7 @@ def _within(off: Array, turns: bool) -> Array:
     return off - FULL_TURN * np.round(off / FULL_TURN) if turns else off
 
 
-# ---- what is refused
+# ---- poses that are refused
 
 
 def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:

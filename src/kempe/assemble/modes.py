@@ -1,5 +1,7 @@
-"""All assembly modes: the configurations that close a mechanism for given inputs, and how surely
-these are all.
+"""`assembly_modes`: the configurations that close a mechanism for given inputs.
+
+Mechanisms made of dyads are solved in closed form, others from many starts. The answer says how
+surely it is complete.
 """
 
 from __future__ import annotations
@@ -73,17 +75,13 @@ from kempe.words import counted, verb
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- mirror images
 
-# Mirror images of configurations, and mixtures of them: places where more assembly modes are
-# looked for.
-#
+# ---- mirror images and mixtures: where further modes are looked for
+
 # Where the points by which bodies are connected lie in a plane (in a planar system: on a line), on
 # the ground and on each body, the mirror image of a closed configuration in the ground's plane is
 # closed, too: distances do not tell left from right. Where they do not, the bodies are put as near
-# to
-# the image as may be; whoever reads these configurations closes them, so nothing rests on them.
-
+# to the image as may be; whoever reads these configurations closes them, so nothing rests on them.
 
 FLAT = 1e-6
 """Distance of points from a plane, as a part of the mechanism's size, up to which they lie in
@@ -192,20 +190,11 @@ def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array)
     return out
 
 
-# ---- modes search
+# ---- search from many random starts
 
-# The search for assembly modes from many starts, and what it is worth.
-#
 # Random starts are closed and sorted. When each mode has been found often enough, places are tried
-# where others may hide: mirror images and mixtures of those found. Nothing of this proves that all
-# are found, but parity can prove that some are not: the map from what is unknown to how far the
-# loops
-# are open has as many regular zeros as its degree modulo 2 says, which is 0 if not all values are
-# taken. So their number is even where angles alone are unknown, which run around closed circles,
-# and
-# where particles are tied by distances, which are not negative (Milnor, Topology from the
-# differentiable viewpoint, 1965).
-
+# where others may hide: mirror images and mixtures of those found. This does not prove that all are
+# found.
 
 ONCE = Budget(starts=1)
 
@@ -501,7 +490,7 @@ def random_starts(s: ModesSearch, n: int) -> Array:
     return q
 
 
-# ---- what is left to move
+# ---- freedoms left at a mode
 
 
 def freedoms(
@@ -567,7 +556,13 @@ def _moving(
     return V[: len(sizes)][moving] @ null_space, sizes[moving]
 
 
-# ---- what the search is worth
+# ---- completeness: parity, and estimates from how often modes are found
+
+# Parity can prove that some modes are missing: the map from what is unknown to how far the loops
+# are open has as many regular zeros as its degree modulo 2 says, which is 0 if not all values are
+# taken. So their number is even where angles alone are unknown, which run around closed circles,
+# and where particles are tied by distances, which are not negative (Milnor, Topology from the
+# differentiable viewpoint, 1965).
 
 
 def must_be_even(s: ModesSearch) -> bool:
@@ -693,6 +688,8 @@ def _upper(seen: int, n: int) -> float:
         low, high = (x, high) if sum(map(math.exp, terms)) > 1.0 - CONFIDENCE else (low, x)
     return high
 
+
+# ---- the answer
 
 STARTS = 4096
 """Starts of a search, at most."""
@@ -881,7 +878,7 @@ def chosen(system: Model, known: tuple[str, ...]) -> tuple[Solver, Choice]:
     return choose(SOLVERS, system, known)
 
 
-# ---- by structure
+# ---- solver: dyads in closed form
 
 
 def no_dyads(system: Model, known: tuple[str, ...]) -> str | None:
@@ -1029,7 +1026,7 @@ def _merged(names: list[str]) -> str:
     return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
 
 
-# ---- by many starts
+# ---- solver: many starts
 
 
 def by_starts(question: Problem) -> Modes:
@@ -1117,7 +1114,7 @@ def _up(percent: float) -> str:
     return f"{np.ceil(percent / unit - 1e-9) * unit:.3g}"
 
 
-# ---- what both need
+# ---- steps of both solvers
 
 
 def _inside(system: Model, q: Array) -> np.ndarray:

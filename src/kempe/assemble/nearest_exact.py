@@ -1,11 +1,8 @@
-"""One tolerance: the nearest mechanism that closes exactly and moves, where given numbers are
-slightly wrong.
+"""The nearest mechanism that closes exactly and moves, where given numbers are slightly wrong.
 
-Redundant constraints of an overconstrained mechanism agree only if its dimensions obey conditions,
-which rounded and measured numbers miss. *Within a tolerance* it closes, and has so many freedoms,
-if changes of the placements of its joints by at most this tolerance, in metres and radians, make it
-close exactly with them. That nearest mechanism, here the *ideal* one, has the same coordinates;
-what is required of the given one is answered for it, and says so.
+Redundant constraints agree only for special dimensions, which rounded and measured numbers miss.
+Small changes of joint placements, up to a tolerance in metres and radians, give the *ideal*
+mechanism. It has the same coordinates; answers about the given one are computed for it.
 """
 
 from __future__ import annotations
@@ -360,7 +357,7 @@ class _Found(NamedTuple):
     freedoms: int
 
 
-# ---- parts that move without one another
+# ---- parts that move independently
 
 
 def _parts(system: Model) -> list[tuple[Model, np.ndarray]]:
@@ -462,6 +459,12 @@ def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
                     out.append(open_[at:])
                     del open_[at:]
     return [block for block in out if len(block) > 1 or edges[block[0]][0] == edges[block[0]][1]]
+
+
+# ---- the nearest mechanism of a part
+
+# *Within a tolerance* a mechanism closes, and has so many freedoms, if changes of the placements of
+# its joints by at most this tolerance, in metres and radians, make it close exactly with them.
 
 
 def _of_part(
@@ -718,6 +721,9 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
     return nicer if nicer.closed else found
 
 
+# ---- differences between two mechanisms, in words
+
+
 def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
     """What was found, with what differs."""
     m = system.mechanism
@@ -793,6 +799,9 @@ def _number(x: float, is_angle: bool, digits: int) -> str:
             f"/{part.denominator}" if part.denominator > 1 else ""
         )
     return f"{x:.{digits}f}"
+
+
+# ---- verbs that answer within a tolerance
 
 
 def tolerant(*closed: str) -> Callable[[Function], Function]:

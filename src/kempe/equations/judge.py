@@ -1,9 +1,7 @@
-"""The judge: how far constraints are missed, by plain numpy from poses. It shares nothing with the
-kernels.
+"""How far constraints are missed, from poses in plain numpy, without the kernels.
 
-Each operation of a row has one measure here. Tasks of `ik` are judged by it at poses of the forward
-model; `judge` measures all that a system declares (joints that the tree left out, constraints,
-couplings) at poses that are multiplied out joint by joint.
+Tasks of `ik` are judged at poses of the forward model. `judge` measures all that a system declares,
+at poses that are multiplied out joint by joint.
 """
 
 from __future__ import annotations
@@ -34,10 +32,7 @@ from kempe.model.model import Model, kept
 from kempe.spatial import Array
 from kempe.words import InWords
 
-# ---- closure errors
-
-# How far loops are open: the joints that the spanning tree left out, as residuals of a
-# configuration.
+# ---- loops: how far joints that the spanning tree left out are open
 
 
 def coordinate_value(system: Model, q: spatial.Array, name: str) -> spatial.Array:
@@ -108,6 +103,10 @@ def joint_pose(
     mechanism.joints["joint"] = Joint("joint", kind, mechanism.ground.name, child.name)
     return fk(Model(mechanism), q, "M")
 
+
+# ---- rows of a pose
+
+# Each operation of a row has one measure.
 
 WITHIN = 1e-6
 """Error in radians, or as a part of the characteristic length, up to which what is declared counts
@@ -292,7 +291,7 @@ def _value(
     return out
 
 
-# ---- poses, joint by joint
+# ---- poses multiplied out joint by joint
 
 
 def motion(primitives: Sequence[Primitive], values: Array) -> Array:
@@ -400,7 +399,7 @@ class Poses:
         return (np.zeros_like(off), off) if turning else (off, np.zeros_like(off))
 
 
-# ---- all of it
+# ---- the judgement of a whole system
 
 
 class MeasuredTask(Protocol):

@@ -1,4 +1,4 @@
-"""Several tasks as one set of equations, packed with the loops of their system, which always hold."""
+"""Several tasks, and the loops of their system, packed as one set of equations."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ class Packed:
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])
 
 
-# ---- one constraint at configurations
+# ---- one constraint: values, derivatives and units
 
 
 @explained

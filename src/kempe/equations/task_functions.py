@@ -1,4 +1,4 @@
-"""Python functions of configurations and of poses as constraints of one system."""
+"""Constraints that are Python functions of configurations or poses, with their derivatives."""
 
 from __future__ import annotations
 
@@ -30,11 +30,10 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import Model, SystemType
 
-# ---- derivatives
 
-# Derivatives of functions that users give: supplied and checked, by complex steps, or by central
-# differences.
+# ---- derivatives of users' functions
 
+# Supplied and checked, by complex steps, or by central differences.
 
 SUPPLIED = "supplied"
 COMPLEX = "complex step"
@@ -158,6 +157,9 @@ def check_supplied(
 def _agree(a: Array, b: Array) -> bool:
     scale = 1.0 + float(np.max(np.abs(b), initial=0.0))
     return bool(np.all(np.abs(a - b) <= AGREE * scale))  # not a number fails
+
+
+# ---- functions as constraints of a system
 
 
 class Whole:

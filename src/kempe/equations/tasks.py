@@ -1,7 +1,6 @@
-"""A constraint as what a configuration shall do: ties for the kernels, goals, and a measure by the
-forward model.
+"""Constraints as tasks: ties for the kernels, goals, and a measure by the forward model.
 
-Which of the classes below a constraint needs follows from the operations of its rows (`task_of`).
+The operations of a constraint's rows decide which class it needs (`task_of`).
 """
 
 from __future__ import annotations
@@ -129,6 +128,9 @@ class Task(ABC):
         `goals` are its own, where they are at hand; `at` gives the poses of frames in place of the
         forward model.
         """
+
+
+# ---- constraints on frames and on centres of masses
 
 
 class PlacedTask(Task):
@@ -373,9 +375,7 @@ def _moments(
     return None if len(names) == len(system.body_names) else names, moments
 
 
-# ---- tasks whole
-
-# Constraints on coordinates as tasks.
+# ---- constraints on coordinates
 
 
 class CoordinateTask(Task):
@@ -473,9 +473,7 @@ class CoordinateTask(Task):
         return d[..., slides].max(axis=-1, initial=0.0), angle
 
 
-# ---- written
-
-# Constraints whose rows are expressions or functions, or of several kinds, as tasks.
+# ---- constraints by expressions or functions, or with rows of several kinds
 
 
 class Made(NamedTuple):
@@ -605,10 +603,7 @@ class Written(Task):
         return missed(system, of, rows, q, A, B, given)
 
 
-# ---- task classes
-
-# Which class asks for which constraint.
-
+# ---- the class for a constraint
 
 FAMILIES: dict[Op, type[Task]] = {Op.COORDINATE: CoordinateTask, Op.TAPE: Written, Op.CALL: Written}
 """Which class asks for rows of an operation; `PlacedTask` for all others."""

@@ -1,4 +1,4 @@
-"""Velocity constraints A(q) v = b(q, t) of a system, and the tangents of what holds positions."""
+"""Velocity constraints A(q) v = b(q, t) of a system, and tangents of its position constraints."""
 
 from __future__ import annotations
 
@@ -33,11 +33,10 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- velocity rows
 
-# Rows A(q) v = b(q, t) recorded as one tape: values at any number of configurations, and what
-# brackets need.
+# ---- recorded rows: names and values
 
+# One tape gives values at any number of configurations, and what brackets need.
 
 CLOCK = ""
 """The name of the time among the inputs of the tape, which is no coordinate's."""
@@ -149,17 +148,12 @@ class VelocityRows:
         return np.ascontiguousarray(pairs.reshape(-1, 2), dtype=np.int64)
 
 
-# ---- velocity recording
+# ---- recording of rows
 
-# Recording of rows A(q) v = b(q, t): of constraints of velocity, and the tangents of all that
-# holds positions.
-#
 # A row is linear in the twist of frame B against frame A: coefficients c of the pose X_AB, dotted
 # with the twists that the joints between A and B give, as in
 # `kempe.kernels.constraints.constraint_rows`. Numbers that are known are folded, so that a tape
-# holds
-# what moves only.
-
+# holds what moves only.
 
 Num = float | int
 """A number that is known (float) or a place of the tape that is recorded (int)."""
@@ -544,6 +538,9 @@ class Seen:
         y = (i + 1) % 3
         z = (i + 2) % 3
         return entry(i), {3 + y: entry(z), 3 + z: n.neg(entry(y))}
+
+
+# ---- rows of a system
 
 
 @explained

@@ -1,9 +1,7 @@
-"""The graph of a system as mobility sees it: joints and constraints as edges, loops, and clusters
-of loops.
+"""The constraint graph of a system: joints and constraints as edges, loops, and clusters of loops.
 
-Nothing here depends on the configuration. A cluster is a set of loops and laws that share
-velocities, directly or through others: its rank, its redundancy and its freedoms are its own
-affair.
+It does not depend on the configuration. Loops and laws that share velocities, directly or through
+others, form a cluster. Each cluster has its own rank, redundancy and freedoms.
 """
 
 from __future__ import annotations
@@ -26,14 +24,14 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- cycles
 
-# Shorter loops: what singular values and bounds of a mechanism of many loops are read from.
+# ---- shorter loops
+
+# Singular values and bounds of a mechanism of many loops are read from short loops.
 #
 # Loops that a spanning tree closes may be long, however small the cells are. Any of them may be
 # replaced by its sum with another one that is closed by a whole joint: the equations stay
 # equivalent (Kirchhoff, 1847).
-
 
 MOST = 400
 """Loops of a cluster up to which shorter ones are sought."""
@@ -93,6 +91,8 @@ def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
             break
     return steps == len(edges)
 
+
+# ---- edges, laws, loops and clusters
 
 NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
 
@@ -270,6 +270,9 @@ class ConstraintGraph:
 
     slides: np.ndarray
     """Which velocities (nv,) of the system are slides; screws count as turns."""
+
+
+# ---- the graph of a system
 
 
 @kept

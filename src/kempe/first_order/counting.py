@@ -1,10 +1,8 @@
-"""Degrees of freedom by counting: bodies times 3 or 6, less what each joint takes away; for all,
-and for each loop.
+"""Degrees of freedom by counting, for the whole system and for each loop.
 
-The count is Gruebler's (1917) and Kutzbach's (1929). It assumes that all constraints are
-independent, which only the rank can tell. A loop whose joints move its links in a smaller group of
-motions (all in one plane, all about one point, ...) is closed by as many equations as that group
-has dimensions (Herve, 1978): the count by loop uses them.
+The count of Gruebler (1917) and Kutzbach (1929) assumes that all constraints are independent, which
+only the rank can tell. A loop whose joints move its links in a group of motions of d dimensions is
+closed by d equations (Herve, 1978).
 """
 
 from __future__ import annotations
@@ -211,7 +209,9 @@ def _lecture_text(
     return f"{who}: {text} = {gruebler}."
 
 
-# ---- loops
+# ---- the count of each loop, by its group of motions
+
+# Such groups are the motions in one plane, about one point, along one line, and so on.
 
 
 def loop_counts(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:

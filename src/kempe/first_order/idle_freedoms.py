@@ -1,26 +1,6 @@
-"""Idle freedoms: bodies that can spin about the line through the points that hold them, while
-everything else rests.
+"""Idle freedoms: spins of bodies about the line through the points that hold them.
 
-An *idle freedom* is a motion at which
-
-1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the small
-   links of balls that are made of several joints;
-2. the line goes through all points, two at least, about which joints let the group turn, its ends:
-   the centre of a ball (a spherical or universal joint, or consecutive hinges whose axes meet in
-   one point), any point of a hinge's axis that is fixed in the group, up to slides in it, or a
-   point of the group that a constraint holds. Two hinges of one body must have one axis, as a
-   roller's or a bush's;
-3. it is there at the configurations around as well;
-4. no joint that is driven moves;
-5. the ends are held by different parts, of which a rod that is a constraint is one. A group that
-   one part alone holds is a door, a shaft or a leg: to move is what it is for;
-6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor
-   but those of slides along it, and its joints, which all rest, are slides. With two ends joints
-   that turn may be among them between balls that are one joint each, or made of hinges that are
-   known not to be driven, since it is known which joints are.
-
-Nothing of this looks at the types of joints, but only at their velocities and where the axes of
-these are.
+Everything else rests at such a motion. It is found from velocities and axes, not from joint types.
 """
 
 from __future__ import annotations
@@ -47,14 +27,33 @@ from kempe.words import InWords
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- series joints
 
-# Joints in series: sets of joints any two of which part the mechanism, and what is between two of
-# them; and stars, groups of bodies that are held at more than two places.
+# ---- definition of an idle freedom
+
+# An *idle freedom* is a motion at which
 #
+# 1. a group of bodies turns, as one, about a fixed line, and all other bodies rest, except the
+#    small links of balls that are made of several joints;
+# 2. the line goes through all points, two at least, about which joints let the group turn, its
+#    ends: the centre of a ball (a spherical or universal joint, or consecutive hinges whose axes
+#    meet in one point), any point of a hinge's axis that is fixed in the group, up to slides in it,
+#    or a point of the group that a constraint holds. Two hinges of one body must have one axis, as
+#    a roller's or a bush's;
+# 3. it is there at the configurations around as well;
+# 4. no joint that is driven moves;
+# 5. the ends are held by different parts, of which a rod that is a constraint is one. A group that
+#    one part alone holds is a door, a shaft or a leg: to move is what it is for;
+# 6. the group carries nothing: no frame whose origin moves, no body on a joint of its own, no motor
+#    but those of slides along it, and its joints, which all rest, are slides. With two ends joints
+#    that turn may be among them between balls that are one joint each, or made of hinges that are
+#    known not to be driven, since it is known which joints are.
+
+
+# ---- joints in series, and stars
+
 # Two joints of a loop are in series if cutting both parts the bodies. All that are in series with
 # each other stand in one order around every loop through them: a series, of which the part with the
-# ground is one piece.
+# ground is one piece. A star is a group of bodies that is held at more than two places.
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,14 +351,10 @@ def between(system: Model, i: int, k: int) -> frozenset[int]:
     return frozenset(range(len(system.body_names))) - reached
 
 
-# ---- ends
+# ---- ends, between which something may spin
 
-# Ends between which something may spin: consecutive joints in series whose axes meet in one point.
-#
-# Where axes meet in a part that two joints share does not depend on the configuration, as long as
-# it
-# is closed.
-
+# An end is one joint, or consecutive joints in series whose axes meet in one point. Where axes meet
+# in a part that two joints share does not depend on the configuration, as long as it is closed.
 
 ALONE = 1e-6
 """Sine of the angle between axes, or distance as a part of the mechanism's size, below which they
@@ -626,6 +621,8 @@ def line_through(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
     return None if any(off(c - a, direction) > ALONE for c in centers) else (a, direction)
 
 
+# ---- the idle freedoms of a system
+
 INDEPENDENT = 1e-3
 """Volume of three unit vectors above which they span space, without a closer look."""
 
@@ -731,7 +728,7 @@ def may_idle(system: Model, rank: Rank, driven: Iterable[int] | None = None) -> 
     )
 
 
-# ---- where something can spin
+# ---- spins that exist at all configurations
 
 
 def _spins(
@@ -818,7 +815,7 @@ def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[
     return out
 
 
-# ---- whether it is idle
+# ---- tests whether a spin is idle
 
 
 def _group(system: Model, s: ConstraintGraph, spin: _SpinCandidate, known: bool) -> _Group | None:

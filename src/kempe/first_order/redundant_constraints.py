@@ -1,10 +1,8 @@
-"""Which constraints are redundant: the self-stresses in each joint's own axes, and a smallest set
-of releases.
+"""Redundant constraints: self-stresses in the axes of each joint, and a smallest set of releases.
 
-A self-stress is a set of joint reactions in balance without any load. Each redundant constraint is
-one; a joint direction that carries no self-stress is needed. Releasing a direction lets the joint
-move in it; releases are chosen so that no self-stress is left, and none of them gives the mechanism
-a new freedom.
+A self-stress is a set of joint reactions in balance without any load; each is one redundant
+constraint. A released direction may move. Releases leave no self-stress, and give the mechanism no
+new freedom.
 """
 
 from __future__ import annotations
@@ -160,7 +158,9 @@ def redundancy(system: Model, rank: Rank) -> Redundancy:
     return Redundancy(rank.dependent, tuple((k, tuple(v)) for k, v in named), tuple(releases))
 
 
-# ---- self-stress in each joint's axes
+# ---- self-stresses in the axes of each joint
+
+# A joint direction that carries no self-stress is needed.
 
 
 def _rows(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
@@ -291,7 +291,7 @@ def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[st
     return frozenset(names) - held
 
 
-# ---- releases
+# ---- choice of releases
 
 
 def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:

@@ -1,4 +1,4 @@
-"""The forward geometric model: where bodies and frames are (poses) and how they move (Jacobians)."""
+"""The forward geometric model: poses of bodies and frames (`fk`), and Jacobians (`jacobian`)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ from kempe.spatial import Array, matrix_to_quat_wxyz
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- forms
 
-# Forms in which the forward model is written: whole poses, their upper three rows, positions, with
-# quaternions.
+# ---- forms of a pose
 
+# Whole poses, their upper three rows, positions, and positions with quaternions.
 
 FEW = 2048
 """Configurations whose poses, or numbers of another type, are held at once: a block that stays in
@@ -166,6 +165,8 @@ def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
         f"out is a {given}; it must be a writable, C-contiguous {kind} array of shape {shape}"
     )
 
+
+# ---- queries: one frame, looked up once
 
 Verb = TypeVar("Verb", bound=Callable[..., Any])
 
@@ -385,6 +386,9 @@ def _packed(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, 
     return system.structure.table.pack(system.body_names if frames is None else frames)
 
 
+# ---- `fk` and `jacobian`
+
+
 def _poses_at_once(function: Verb) -> Verb:
     """The function `fk`, explained; plain calls go to the query of the frame that is known already.
 
@@ -501,6 +505,9 @@ def jacobian(
     """
     bound = _query(system, frame)
     return bound.jacobian(q, in_frame, threads=threads)
+
+
+# ---- checks of arguments
 
 
 def refuse_bad(system: Model, q: Array) -> None:

@@ -1,7 +1,7 @@
-"""The closing of three joints in the plane in steps: two circles, a line and a circle, two lines.
+"""Formulas in the steps of a derivation, and the triangle of three joints in the plane.
 
-An arm that reaches a point or a pose, and a dyad between two links, are the same triangle (Assur,
-1914).
+The triangle is closed by two circles, a line and a circle, or two lines. An arm that reaches a
+point or a pose, and a dyad between two links, make the same triangle (Assur, 1914).
 """
 
 from __future__ import annotations
@@ -23,10 +23,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- derivation
 
-# Formulas one after another, as a derivation on paper: evaluated, in LaTeX, and as a function for
-# numpy.
+# ---- derivations: evaluated, in LaTeX, and as functions for numpy
 
 
 class FormulaStep(NamedTuple):
@@ -162,6 +160,8 @@ def _variable(name: str, taken: set[str]) -> str:
     return word
 
 
+# ---- vectors of expressions
+
 Vector = tuple[Any, Any]
 """Two expressions, along x and y."""
 
@@ -208,6 +208,9 @@ def unless_zero(*lengths: Any, named: Any = None) -> str:
     """
     left = [x if named is None else named for x in lengths if not x.is_number or x.is_zero]
     return " and ".join(f"{x} != 0" for x in left)
+
+
+# ---- the triangle of three joints
 
 
 def endings() -> Iterator[str]:

@@ -1,8 +1,6 @@
-"""The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2), from the
-same description.
+"""The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2).
 
-The chain is walked as a product of turns and slides, see
-`kempe.forward.symbolic`.
+The chain is a product of turns and slides. Neighbouring parallel turns become one.
 """
 
 from __future__ import annotations
@@ -27,15 +25,12 @@ from kempe.values import FUNCTIONS, Expression, Value
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- symbolic turns
 
-# Products of turns and slides in symbols, with parallel turns merged into one by the sum of their
-# angles.
-#
+# ---- products of turns and slides
+
 # Quarter turns only rename axes, so they are kept apart as a signed permutation at the right end;
 # what is left is a list of turns about axes that stand still in the frame before, and neighbours
 # about the same axis are merged.
-
 
 try:
     import sympy as _sympy
@@ -228,6 +223,8 @@ def pose_of(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
     )
 
 
+# ---- formulas of poses, and their LaTeX
+
 WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z.]+")
 """What is a word in the LaTeX of a name, not a letter or a command."""
 SPECIAL = re.compile(r"(?<!\\)[%#$&]")
@@ -328,7 +325,7 @@ def aligned(lines: Iterable[str]) -> str:
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
 
-# ---- the way from the ground to the frame, as turns, slides and constant rotations
+# ---- the way to a frame, as turns, slides and constant rotations
 
 
 def _between(

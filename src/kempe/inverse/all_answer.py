@@ -1,4 +1,4 @@
-"""Answers of the analytical inverse model: all configurations that reach a target."""
+"""`Solutions`, the answer of `ik_all`: all configurations that reach a target."""
 
 from __future__ import annotations
 
@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     from kempe.inverse.closed_forms.question import Question
     from kempe.model.model import Model
 
-# ---- outcome
 
-# The outcome of `ik_all` for each target, and what its solutions must be judged by.
+# ---- status of each target, and goals of its solutions
 
 
 def codes(solutions: Solutions) -> np.ndarray:
@@ -67,11 +66,9 @@ def goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     return [(task_of(c, solutions.system.dim), None, allowed) for c in made]
 
 
-# ---- turns
+# ---- choice and order of solutions
 
-# Rows of an answer chosen or ordered: every turn inside the limits, only what is inside, branches
-# that continue.
-
+# Every turn inside the limits, only what is inside, branches that continue.
 
 NEW = 1e3
 """Change of the joints that is as bad as the beginning of a branch."""
@@ -155,6 +152,9 @@ def followed(rows: Array, lines: Lines, length: int) -> Array:
             out[i] = out[i, order]
             last = np.where((out[i, :, n + A.CODE] >= 0.0)[:, None], out[i, :, :n], last)
     return out
+
+
+# ---- the answer
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,4 @@
-"""Answers of solvers: the configuration, whether and how well it solves the task, and the sentence
-that says so.
-"""
+"""Answers of `ik`: configurations, how well they solve the task, and a sentence that says so."""
 
 from __future__ import annotations
 
@@ -257,10 +255,7 @@ class Solution(Answer):
         return late("way_there")(self.system)
 
 
-# ---- reached
-
-# The answer for several tasks: the configuration, what each task misses, and what freedoms are
-# left.
+# ---- the answer for several tasks
 
 
 @explained_methods
@@ -298,10 +293,7 @@ class Reached(Solution):
         return self._row.derive(self)
 
 
-# ---- iterates
-
-# The iterates of the numerical inverse model: step by step what its starts found.
-
+# ---- iterates of the numerical search
 
 MOST_STARTS = 64
 """Starts whose iterates are kept: those of more fill no picture."""

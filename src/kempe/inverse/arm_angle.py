@@ -1,13 +1,13 @@
-"""Arms with a shoulder and a wrist: all their configurations for a pose, over the angle of the
-arm's plane.
+"""Arms with a shoulder and a wrist: all configurations for a pose, over the arm angle.
 
 Seven turns: three axes that meet in the shoulder point S, the elbow axis, three axes that meet in
 the wrist point W. A pose fixes W, and |SW| the elbow's angle; the arm can still turn about the line
-SW. The *arm angle* says how far:
+SW. The *arm angle* psi says how far:
 
     E    the elbow point: the point of the elbow axis that is nearest to S
     v    the direction from S to W
-    psi  the angle about v that brings the half plane through SW and `reference` to the half plane through SW and E
+    psi  the angle about v that brings the half plane through SW and `reference`
+         to the half plane through SW and E
 
 `reference` is a direction in ground axes: that of the first joint's axis, where no other is named.
 For arms whose first axis is vertical, psi = 0 has the elbow straight above the line SW, in the
@@ -15,12 +15,6 @@ vertical plane, where q3 = 0 in the usual designs (Kreutz-Delgado, Long and Sera
 1992). Singular cases: where v lies along `reference`, the x axis of the ground stands for it (the y
 axis where that lies along v too), so that psi jumps there; where the arm is stretched, E lies on
 SW, and psi is the limit that is reached from the elbow's branch "+".
-
-Shoulder and wrist are rotations that depend on psi as M0 + Mc cos(psi) + Ms sin(psi). So a joint is
-at a limit where a sum of constant, cosine and sine of psi vanishes: a quadratic equation in
-tan(psi/2), as Shimizu, Kakuya, Yoon, Kitagaki and Kosuge ("Analytical inverse kinematic computation
-for 7-DOF redundant manipulators with joint limits", IEEE T-RO 24(5), 2008) found for axes at right
-angles. Here they may meet at any angles, and the elbow may be offset.
 """
 
 from __future__ import annotations
@@ -249,7 +243,7 @@ def turns(h: Array, theta: Any) -> Array:
     return np.eye(3) + np.sin(theta) * K + 2.0 * np.sin(0.5 * theta) ** 2 * (K @ K)
 
 
-# ---- three axes that meet
+# ---- angles of three axes that meet in a point
 
 
 def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
@@ -293,6 +287,15 @@ def _onto(h: Array, u: Array, v: Array) -> Array:
     sine = np.sum((u @ spatial.skew(h).T) * v, axis=-1)
     cosine = np.sum(u * v, axis=-1)
     return np.where(np.hypot(sine, cosine) > ROUNDING**2, np.arctan2(sine, cosine), 0.0)
+
+
+# ---- rotations over the arm angle, and limits of their joints
+
+# Shoulder and wrist are rotations that depend on psi as M0 + Mc cos(psi) + Ms sin(psi). So a joint
+# is at a limit where a sum of constant, cosine and sine of psi vanishes: a quadratic equation in
+# tan(psi/2), as Shimizu, Kakuya, Yoon, Kitagaki and Kosuge ("Analytical inverse kinematic
+# computation for 7-DOF redundant manipulators with joint limits", IEEE T-RO 24(5), 2008) found for
+# axes at right angles. Here they may meet at any angles, and the elbow may be offset.
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +346,7 @@ def events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]
     return out + R.reaches(a, c, middle + r) + R.reaches(a, c, middle - r)
 
 
-# ---- an arm at a pose
+# ---- configurations of an arm at a pose
 
 
 @dataclass(frozen=True, eq=False)

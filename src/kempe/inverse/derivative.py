@@ -1,4 +1,4 @@
-"""Derivatives of answers of the numerical inverse model with respect to their targets."""
+"""Derivatives of answers of `ik` with respect to their targets, and to the goals of tasks."""
 
 from __future__ import annotations
 
@@ -77,10 +77,7 @@ def _rank(J: Array, whole: Array) -> np.ndarray:
     return (svd(J, compute_uv=False) > RANK_TOLERANCE * most[..., None]).sum(axis=-1)
 
 
-# ---- derivative tasks
-
-# Derivatives of answers to tasks with respect to the goals of the tasks.
-
+# ---- answers to several tasks, by the goals of the tasks
 
 AT_BOUND = 2e-6
 """How near to its bound an inequality holds the answer there, in radians and characteristic

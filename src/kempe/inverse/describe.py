@@ -1,4 +1,4 @@
-"""What the analytical inverse model recognises in a chain, and the path on which it solves it."""
+"""`ik_plan`: what is recognised in a chain, and how its inverse model is solved, in words."""
 
 from __future__ import annotations
 
@@ -48,11 +48,10 @@ if TYPE_CHECKING:
     from kempe.inverse.formulas import InverseFormulas
     from kempe.model.model import FrameLike, Model
 
-# ---- describe axes
 
-# What consecutive axes of a chain have in common, in words: the facts by which its inverse model
-# is solved.
+# ---- facts about consecutive axes
 
+# These facts decide how the inverse model is solved.
 
 NEAR = 1e-2
 """Sine of an angle, or distance in lengths of the chain, below which a structure that is not there
@@ -211,10 +210,7 @@ def _metres(lines: Lines, distance: float) -> str:
     return f"{distance * lines.length:.4g} m"
 
 
-# ---- describe path
-
-# The way from a target to all configurations, in words, and how many there can be.
-
+# ---- the way from a target to all configurations, and how many there can be
 
 BY_SLIDES = {0: 16, 1: 16, 2: 8, 3: 2}
 """Isolated configurations of six joints at most, by the number that slide (Raghavan and Roth,
@@ -357,7 +353,7 @@ def _is(names: list[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-# ---- closed forms
+# ---- steps of a closed form
 
 
 def _closed(plan: ChainPlan) -> list[str]:
@@ -534,6 +530,8 @@ def _amplitudes(plan: ChainPlan, way: Strategy) -> Array:
         out = np.maximum(out, np.abs(terms.reshape(2, 2, 3)[..., 1:]))
     return out
 
+
+# ---- the report
 
 WIDTH = 110
 """Columns of the text."""

@@ -1,6 +1,4 @@
-"""What there is to say about a target: how many solutions, why these are all, or why there are
-none.
-"""
+"""What `ik_all` says of a target: how many solutions, why these are all, or why there are none."""
 
 from __future__ import annotations
 
@@ -44,10 +42,6 @@ if TYPE_CHECKING:
     from kempe.inverse.all_answer import Solutions
     from kempe.inverse.answer import Solution
     from kempe.inverse.closed_forms.question import Question
-
-# ---- nearest
-
-# The closest that a chain comes to a target, and the errors and Jacobians by which that is found.
 
 
 # ---- the nearest configuration
@@ -137,6 +131,8 @@ def _closest(aim: Aim, first: Array) -> Array:
     return best
 
 
+# ---- the sentence of a target
+
 BEYOND = 1e-8
 """How far (lengths of the chain, cosines) an equation must be from having a root, to be named as
 the reason."""
@@ -225,7 +221,7 @@ def held_sentence(solutions: Solutions) -> str:
     return wording.to_spare(len(solutions.spare), f", held: {', '.join(parts)}" if parts else "")
 
 
-# ---- reached
+# ---- targets with solutions
 
 
 def _reached(solutions: Solutions, index: int) -> str:
@@ -306,7 +302,7 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     )
 
 
-# ---- not reached
+# ---- targets without solutions
 
 
 def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
@@ -472,6 +468,9 @@ def _named(
         what = "height"
         off = max(low - wanted, wanted - high) * length
     return evidence("no root", joint=plan.lines.names[joint], axes=inner, what=what, off=off)
+
+
+# ---- choice of the solver
 
 
 def choice(solutions: Solutions) -> Choice:

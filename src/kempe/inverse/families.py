@@ -1,4 +1,4 @@
-"""Self-motions: curves, and surfaces, of configurations that all reach one target."""
+"""Self-motions: curves and surfaces of configurations that all reach one target."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from kempe.words import InWords, counted, in_words, joined, verb
 if TYPE_CHECKING:
     from kempe.inverse.all_answer import Solutions
 
-# ---- family points
+
+# ---- points of a family
 
 # Whether configurations are on a target, and in how many directions others are next to them.
-
 
 SINGULAR = 1e-5
 """Singular values of the Jacobian below this (radians, lengths of the chain) are looked at as zero;
@@ -197,10 +197,7 @@ class Points:
         return theta
 
 
-# ---- family curves
-
-# How a chain can move without leaving its target: curves of solutions followed step by step.
-
+# ---- curves of solutions, followed step by step
 
 REACH = 0.05
 NEAR = 3e-3
@@ -563,9 +560,7 @@ class TolerantMotion(Points, Curve):
         return None
 
 
-# ---- nearest
-
-# The closest that a chain comes to a target, and the errors and Jacobians by which that is found.
+# ---- what a target asks of the chain
 
 
 def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
@@ -599,6 +594,8 @@ def held_coordinates(solutions: Solutions, index: int) -> Array:
         )
     return q
 
+
+# ---- the families of a target
 
 ON = 1e-5
 """Distance (radians, lengths of the chain) below which a solution counts as one of a family."""
@@ -943,11 +940,7 @@ def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     )
 
 
-# ---- explain ik all
-
-# What there is to say about a target: how many solutions, why these are all, or why there are
-# none.
-
+# ---- families in words
 
 CONSTANT = 1e-9
 """Factor of an unknown below which an equation does not depend on it."""
@@ -960,9 +953,6 @@ of the joints that move larger."""
 AT_ZERO = 1e-7
 """Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of
 rounding."""
-
-
-# ---- families
 
 
 def family_sentence(family: Family) -> str:

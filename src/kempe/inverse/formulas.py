@@ -1,5 +1,6 @@
-"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms
-in space.
+"""`symbolic_ik`: the inverse model as formulas, in the steps of its derivation on paper.
+
+It knows planar arms, SCARAs, and arms in space with a wrist or with parallel axes.
 """
 
 from __future__ import annotations
@@ -38,11 +39,10 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- plane arms
 
-# Arms of two or three joints in a plane as formulas: the triangle that joints and target make,
-# solved step by step.
+# ---- planar arms of two or three joints
 
+# The triangle that joints and target make is solved step by step.
 
 ELBOW = "-1 is elbow up, +1 elbow down"
 
@@ -171,11 +171,9 @@ def _parts(v: Vector, along: Vector) -> tuple[Any, Any]:
     return v[0] * along[0] + v[1] * along[1], along[0] * v[1] - along[1] * v[0]
 
 
-# ---- arm plane
+# ---- arms in space: the plane that the first joint turns to the target
 
-# What arms in space have in common whose first turn is about z: joints in the plane that it turns
-# to the target.
-
+# The first turn is about z; joints after it move in the plane.
 
 SMALL = 1e-9
 """Sine of an angle, and a cosine, below which directions are parallel or at right angles."""
@@ -385,18 +383,14 @@ def upright(a: Any, b: Any) -> bool:
     return abs(float(a.dot(b))) < SMALL
 
 
-# ---- parallel arms
+# ---- arms in space with parallel axes, such as those of Universal Robots
 
-# Arms in space as formulas that end in two turns after three joints in one plane, such as those of
-# Universal Robots.
-#
-# Axis 5 lies in the plane of the joints before it, and meets axis 6 at right angles in a point,
-# which
-# turns of neither move: it gives the first coordinate. How axis 6 stands to the plane gives the
-# fifth, how the tip sees the normal of the plane the sixth, and axis 6 in the plane the turn of the
-# fourth body, with which three joints in a plane are left (Hawkins 2013, "Analytic inverse
-# kinematics
-# for the Universal Robots UR-5/UR-10 arms", does so in DH parameters).
+# Two turns follow three joints in one plane. Axis 5 lies in the plane of the joints before it, and
+# meets axis 6 at right angles in a point, which turns of neither move: it gives the first
+# coordinate. How axis 6 stands to the plane gives the fifth, how the tip sees the normal of the
+# plane the sixth, and axis 6 in the plane the turn of the fourth body, with which three joints in a
+# plane are left (Hawkins 2013, "Analytic inverse kinematics for the Universal Robots UR-5/UR-10
+# arms", does so in DH parameters).
 
 
 class ParallelArm(ArmPlane):
@@ -427,14 +421,11 @@ class ParallelArm(ArmPlane):
         return [*self.turned_to(to, names), *hand, *self.placed(3, to[2], lift, names, n)]
 
 
-# ---- spatial arms
+# ---- arms in space of three joints, or six with a wrist
 
-# Arms in space as formulas: a first turn about z, two joints in the plane that it turns, perhaps a
-# wrist.
-#
-# The wrist has three axes that meet in a point, which the first three joints place; the orientation
-# is left to the last three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section
-# 2.12).
+# A first turn about z is followed by two joints in the plane that it turns, perhaps by a wrist. The
+# wrist has three axes that meet in a point, which the first three joints place; the orientation is
+# left to the last three (Pieper, 1968; Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12).
 
 
 class SpatialArm(ArmPlane):
@@ -480,6 +471,8 @@ def _centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
         end if end is not None and c.turns and upright(b.along, c.along) and is_on(end, c) else None
     )
 
+
+# ---- formulas of a system
 
 TASKS = {2: "position", 3: "pose"}
 """What a chain of so many joints that move in the plane can reach."""

@@ -1,5 +1,6 @@
-"""The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a
-target.
+"""`ik` for targets of one frame: a configuration in which the frame reaches the target.
+
+Plain calls for one target go by a bound form.
 """
 
 from __future__ import annotations
@@ -43,11 +44,10 @@ from kempe.status import Status, member
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- bound ik
 
-# The way of plain calls of `ik` for one target of one frame: all is looked up but the target and
-# the start.
+# ---- the bound form of plain calls
 
+# All is looked up but the target and the start.
 
 LENGTH, ANGLE = TOLERANCE
 
@@ -187,6 +187,9 @@ class BoundIk:
         quiet(problem.look_closer)(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
         return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
+
+
+# ---- the general call
 
 
 @explained

@@ -1,4 +1,4 @@
-"""The search for configurations that reach single targets: rounds of starts, then what is nearest."""
+"""Numerical search for configurations that reach targets: rounds of starts, then the nearest."""
 
 from __future__ import annotations
 
@@ -316,10 +316,7 @@ def _search(chain: Chain) -> Callable[..., int]:
     return schedule.reach
 
 
-# ---- inverse
-
-# The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a
-# target.
+# ---- all targets of a problem, and their starts
 
 
 def run(

@@ -1,4 +1,7 @@
-"""The iterates of the numerical inverse model: step by step what its starts found."""
+"""The solvers of `ik`: search by numbers, the nearest solution in closed form, or several tasks.
+
+Searches give their iterates on request.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +40,10 @@ from kempe.status import Status, member
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- ik analytic
 
-# Where `ik` is answered by `ik_all`: the nearest of all solutions, and numbers for the rest.
+# ---- the nearest of all solutions in closed form
 
+# Numbers answer the rest.
 
 PIECE = 2**15
 """Targets that are solved, and whose solutions are compared, before the clock is looked at
@@ -114,6 +117,9 @@ def _solved(
     return q, residual, there
 
 
+# ---- iterates of a search
+
+
 def with_history(answer: Solution, problem: Problem) -> Solution:
     """The answer with its iterates. Errors: `InputError` for batches and other methods."""
     if np.ndim(answer.success) or problem.method != "numeric" or type(answer) is not Solution:
@@ -156,11 +162,7 @@ def _of_starts(task: FrameProblem, base: Array, seeds: Array, starts: int) -> Ik
     return IkHistory(task.system, q, missed[:, 0], missed[:, 1], number, step, starts)
 
 
-# ---- inverse
-
-# The inverse geometric model, numerically: a configuration in which a frame of a tree reaches a
-# target.
-
+# ---- methods, and usual budgets
 
 METHODS = ("numeric", "analytic", "auto")
 TASKS = "tasks are requested, not a target of one frame"
@@ -169,7 +171,7 @@ USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=SHORT, rng=0,
 BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
 
-# ---- the solvers
+# ---- the solvers, and how one is chosen
 
 
 def _no_closed_form(

@@ -1,6 +1,4 @@
-"""Paths of configurations that follow a sequence of targets without a jump, and where and why that
-cannot be.
-"""
+"""`ik_path`: configurations that follow targets without a jump, or where and why none can."""
 
 from __future__ import annotations
 
@@ -44,14 +42,12 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- path steps
 
-# Steps along the way of targets: from target to target without a jump, also through singularities.
-#
+# ---- steps from target to target
+
 # Where nothing is singular a step is explained by its first order. Near a singularity that says
 # little: there a path goes on as before where it can, and a turn of joints that leaves the targets'
 # way alone is no jump.
-
 
 TOLERANCE = 1e-10
 """Largest error of the targets along a path, in metres and radians."""
@@ -407,11 +403,10 @@ def _between(a: Array | None, b: Array | None, part: float) -> Array | None:
     return spatial.pose(turned, a[:3, 3] + part * (b[:3, 3] - a[:3, 3]))
 
 
-# ---- rolling path
+# ---- paths of systems that roll
 
-# Paths of what rolls: checked for slip, and where the targets leave freedoms, led without slip
-# from the start on.
-
+# They are checked for slip, and where the targets leave freedoms, led without slip from the start
+# on.
 
 LONGEST = 0.02
 """Longest step that is led without slip at once, in radians and characteristic lengths."""
@@ -507,6 +502,8 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
     inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
     return x if found.size <= HELD and inside.all() else None
 
+
+# ---- the path
 
 USUAL = Usual("ik_path", starts=STARTS, rng=0, time_limit=LONG, progress=None)
 ROUNDING = 1e-12

@@ -1,9 +1,7 @@
-"""Configurations brought onto their targets where lengths are far apart: steps that are solved, not
-damped.
+"""Refinement of solutions where the lengths of a chain are far apart: steps without damping.
 
-Damping keeps a search alive, but it drowns a joint whose lever is a millionth of another's. Near a
-solution a Gauss-Newton step needs none; with each column of the Jacobian scaled to its own size
-small levers count as large ones.
+Damping drowns a joint whose lever is a millionth of another's. Near a solution a Gauss-Newton step
+needs none; each column of the Jacobian is scaled to its size, so that small levers count.
 """
 
 from __future__ import annotations
@@ -166,9 +164,7 @@ def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
     return (np.linalg.pinv(J / column, rcond=CONDITION) @ e[..., None])[..., 0] / column[:, 0]
 
 
-# ---- ik analytic
-
-# Where `ik` is answered by `ik_all`: the nearest of all solutions, and numbers for the rest.
+# ---- solutions in closed form, where there is one
 
 
 def plan_of(

@@ -1,5 +1,6 @@
-"""One step of the differential inverse model: velocities that give a frame a twist, within all
-limits.
+"""`ik_step`: velocities of one step that give a frame a twist or lead it to a pose, within limits.
+
+Loops and relations stay closed. Several tasks are met in order.
 """
 
 from __future__ import annotations
@@ -53,21 +54,17 @@ if TYPE_CHECKING:
     from kempe.inverse.tasks.demands import Demands
     from kempe.model.model import FrameLike, Model
 
-# ---- servo pose
 
-# Steps of one frame towards a pose: to second order wherever the first order does not halve the
-# error.
-#
-# A step of least squares takes what is missing for something that the joints can make good. Where
-# they cannot, at the border of the workspace, at limits or by far, the error stays, and with it the
-# second derivative of the chain that such a step lacks: it overshoots, and the next one shoots
-# back.
-# So there the error's own Hessian counts (Newton), in the box of what the limits allow, and a step
-# is
+# ---- steps of one frame towards a pose
+
+# A step is of second order wherever the first order does not halve the error. A step of least
+# squares takes what is missing for something that the joints can make good. Where they cannot, at
+# the border of the workspace, at limits or by far, the error stays, and with it the second
+# derivative of the chain that such a step lacks: it overshoots, and the next one shoots back. So
+# there the error's own Hessian counts (Newton), in the box of what the limits allow, and a step is
 # taken where it lowers the error as promised. What cannot be had is then left by speeds that go to
 # zero, at a local minimum of the error. It is measured as `ik` does, in radians and characteristic
 # lengths.
-
 
 POSE_ENOUGH = 1e-26
 """Square of the error that counts as zero: 1e-13 of a length."""
@@ -408,19 +405,14 @@ def aside(z: Array, way: Array, low: Array, high: Array) -> Array:
     return np.minimum(np.maximum(z + min(ASIDE, float(room.min(initial=ASIDE))) * way, low), high)
 
 
-# ---- servo closed
+# ---- steps under constraints, and for several tasks
 
-# One step of the differential inverse model under constraints: loops and relations stay closed,
-# tasks come in order.
-#
 # Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z,
 # with an orthonormal basis N of their null space, in radians and characteristic lengths. What each
 # stage reaches, the next ones keep: they act in the null space of its equations, its inequalities
 # become bounds (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014). The step is of
 # first order, so it opens the loops by the square of its size: they are closed again, within the
-# same
-# limits.
-
+# same limits.
 
 OPEN = 1e-3
 """By how much, in radians and characteristic lengths, loops may be open at first: more is no
@@ -1112,6 +1104,8 @@ def posed(system: Model, wanted: Any, q: Array) -> Demands:
         refuse(goals, task.label)
     return problem
 
+
+# ---- `ik_step`, and the steps of one frame
 
 WHOLE = 1.0 - 1e-3
 """Fraction of what is wanted that counts as all of it: damping takes less than the rest far from

@@ -1,10 +1,7 @@
-"""Other values of the joints that a redundant chain has to spare, for targets that the first values
-do not reach.
+"""The solvers of `ik_all`, which find every configuration in which a frame reaches a target.
 
-A target has solutions at some values of a spare joint only, near the boundary of the workspace and
-in the corners of the limits at hardly more than one. So a grid of values misses some. A numerical
-search finds a configuration wherever there is one; with the spare joints held where that has them,
-all the other solutions follow.
+A chain is solved by its plan, with spare joints held at several values. For a frame that moves with
+loops, the solutions are assembly modes.
 """
 
 from __future__ import annotations
@@ -44,6 +41,14 @@ from kempe.words import joined
 if TYPE_CHECKING:
     from kempe.assemble.modes import Modes
     from kempe.model.model import Model
+
+
+# ---- other values of the joints that a redundant chain has to spare
+
+# A target has solutions at some values of a spare joint only, near the boundary of the workspace
+# and in the corners of the limits at hardly more than one. So a grid of values misses some. A
+# numerical search finds a configuration wherever there is one; with the spare joints held where
+# that has them, all the other solutions follow.
 
 VALUES = 64
 """Values of the spare joints that are tried before it is said that there is no solution, the first
@@ -383,9 +388,7 @@ def _put(row: Array, count: np.ndarray, q: Array, error: float, inside: bool, fi
     row[at] = own
 
 
-# ---- obeying
-
-# Solutions without those that violate declared one-sided constraints.
+# ---- solutions that hold one-sided constraints
 
 
 def obeying(solutions: Solutions) -> Solutions:
@@ -427,13 +430,9 @@ def _wound(solutions: Solutions) -> list[str]:
     return [names[int(v)] for v in solutions.plan.lines.v_index if endless[v]]
 
 
-# ---- through loops
+# ---- frames that move with loops, or with joints that follow others
 
-# All configurations in which a frame reaches a target that moves with loops, or with joints that
-# follow others.
-#
-# They are the assembly modes with the frame known.
-
+# Their solutions are the assembly modes with the frame known.
 
 LOOPS = Usual("ik_all", threads=None, time_limit=30.0)
 """What is spent on one target."""
@@ -476,10 +475,7 @@ def all_modes(problem: Problem, moving: str = "loops") -> Modes:
     )
 
 
-# ---- ik all
-
-# The inverse geometric model, all of it: every configuration in which a frame reaches a target.
-
+# ---- answers for loops and for chains
 
 SINGLE = 30.0
 """Seconds that the answer for one target may take, unless the caller says otherwise."""
@@ -553,7 +549,7 @@ def by_chain(problem: Problem) -> Solutions:
     return obeying(answer)
 
 
-# ---- the solvers
+# ---- the solvers, and how one is chosen
 
 
 def _no_loops(system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
@@ -625,6 +621,9 @@ def chosen(
 ) -> tuple[Solver, Choice]:
     """Who answers for a frame, a task, and joints that are held."""
     return choose(SOLVERS, system, frame, task, fixed)
+
+
+# ---- the bound form of plain calls, and the kernels
 
 
 class BoundIkAll:

@@ -1,6 +1,4 @@
-"""`Sweep`: the answer of `ik_sweep`, the solutions of a redundant chain as functions of a
-parameter.
-"""
+"""`ik_sweep`: the solutions of a chain with one freedom to spare, as functions of a parameter."""
 
 from __future__ import annotations
 
@@ -51,6 +49,9 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
+
+
+# ---- the answer
 
 EDGE = 1e-10
 """How far beyond a limit rounding may push a coordinate, as in `ik_all`."""
@@ -479,11 +480,7 @@ def distinct(lines: Lines, system: Model, q: Array, mask: np.ndarray) -> np.ndar
     return np.array(out, dtype=int)
 
 
-# ---- redundancy
-
-# The inverse model of a chain with one freedom to spare: its solutions as functions of a
-# parameter.
-
+# ---- the call of `ik_sweep`
 
 ARM_ANGLE = "arm_angle"
 
@@ -668,6 +665,9 @@ def _count(n: object) -> int:
             f"the number of samples is {n!r}; it must be a whole number from 2 to {MOST_SAMPLES}"
         )
     return int(n)
+
+
+# ---- the problem, and the curves of its solutions
 
 
 @dataclass(frozen=True, eq=False)

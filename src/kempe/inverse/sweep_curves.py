@@ -1,11 +1,8 @@
-"""The motions of a chain that leave its task as it is, where one freedom is left: curves, cut into
-arcs over a joint.
+"""Self-motions of a chain with one freedom to spare: curves, cut into arcs over a joint.
 
-Each curve is followed by predictor and corrector from solutions at many values of the parameter, so
-that its *folds*, where the parameter turns back and two solutions merge, and the places where
-joints reach limits, are found on the curve itself (Burdick, "On the inverse kinematics of redundant
-manipulators: characterization of the self-motion manifolds", ICRA 1989). A curve that lives between
-two of the values is missed: hence "not exact", however small the errors are.
+Each curve is followed by predictor and corrector from solutions at many values of the parameter.
+A curve that lives between two of the values is missed: hence "not exact", however small the errors
+are.
 """
 
 from __future__ import annotations
@@ -343,6 +340,10 @@ def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
 
 # ---- following a curve between two values
 
+# *Folds*, where the parameter turns back and two solutions merge, and the places where joints reach
+# limits, are found on the curve itself (Burdick, "On the inverse kinematics of redundant
+# manipulators: characterization of the self-motion manifolds", ICRA 1989).
+
 
 def follow(
     motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
@@ -432,10 +433,7 @@ def _folds(
             yield z, node(motion, z, t).t
 
 
-# ---- sweep net
-
-# From solutions at many values of a parameter to the arcs of the curves through them.
-
+# ---- arcs through solutions at many values of the parameter
 
 SAME = 1e-4
 """Distance below which the end of a path is a solution that is known."""

@@ -1,4 +1,4 @@
-"""Intervals of a parameter, on a line or round the circle."""
+"""Intervals of a parameter, on a line or round the circle, and power series that are enclosed."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ import numpy as np
 
 from kempe.spatial import Array
 
-# ---- enclosures
+# ---- power series whose coefficients are enclosed
 
-# Power series whose coefficients are enclosed: what is computed with them is proven, rounding
-# included.
-#
-# A coefficient is any number within a radius of a middle (ball arithmetic: van der Hoeven, "Ball
-# arithmetic", 2009), the k-th one f^(k)(x) / k! of a function f, at every x of an interval at once.
-# So the first coefficient bounds the values of f on that interval, the second its slopes (Moore,
-# *Interval Analysis*, 1966). What is not known has an infinite radius.
-
+# What is computed with them is proven, rounding included. A coefficient is any number within a
+# radius of a middle (ball arithmetic: van der Hoeven, "Ball arithmetic", 2009), the k-th one
+# f^(k)(x) / k! of a function f, at every x of an interval at once. So the first coefficient bounds
+# the values of f on that interval, the second its slopes (Moore, *Interval Analysis*, 1966). What
+# is not known has an infinite radius.
 
 UNIT = 4.0 * float(np.finfo(float).eps)
 """Bound of the relative error of a few operations, with a margin."""
@@ -180,6 +177,8 @@ def _inverse(a: Enclosure) -> Enclosure:
             np.where(least > 0.0, 1.0 / a.mid, np.inf), a.rad / (size * least) * (1.0 + UNIT)
         )
 
+
+# ---- intervals on a line or round the circle
 
 Intervals = tuple[tuple[float, float], ...]
 

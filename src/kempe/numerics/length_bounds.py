@@ -1,6 +1,4 @@
-"""How many orders of magnitude the lengths of a chain span, and what of that double precision can
-carry.
-"""
+"""Lengths of a chain: how many orders of magnitude they span, and how far the chain can reach."""
 
 from __future__ import annotations
 
@@ -22,6 +20,8 @@ from kempe.kernels.forward.table_layout import (
     rows_of,
 )
 from kempe.spatial import Array
+
+# ---- the span of lengths, and what of it double precision can carry
 
 NOISE = 1e-14
 """Parts of an offset that are rounding: cos(pi / 2) of a length, say."""
@@ -134,9 +134,7 @@ def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     )
 
 
-# ---- serial chain
-
-# The chain that moves one frame, packed for the kernels of the numerical inverse model.
+# ---- bounds of the reach of a chain
 
 
 class ReachBound(NamedTuple):
@@ -198,10 +196,7 @@ def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array)
     return ReachBound(start, total, max(0.0, 2.0 * longest - total), point)
 
 
-# ---- proofs
-
-# Why there is no answer, as data: what proves it, and what was found out; `wording` says it.
-
+# ---- poses out of reach
 
 ROUNDING = 1e-14
 """What rounding makes of lengths, in parts of them."""

@@ -1,10 +1,7 @@
-"""Where equations hold, or come nearest to it: Gauss-Newton steps, each the least change that
-linear equations ask.
+"""Solutions of equations: Gauss-Newton steps, sign changes, and proofs that a solution is near.
 
-There may be more equations than unknowns, or fewer, and dependent ones do no harm: the step is that
-of the pseudo-inverse, whose small singular values are left out. Sources: Ben-Israel, "A
-Newton-Raphson method for the solution of systems of equations", J. Math. Anal. Appl. 15 (1966);
-Bjorck, *Numerical Methods for Least Squares Problems*, 1996, chapter 9.
+A Gauss-Newton step is the least change that the linear equations ask, by the pseudo-inverse without
+its small singular values. Equations may be more or fewer than the unknowns, or dependent.
 """
 
 from __future__ import annotations
@@ -20,10 +17,7 @@ from kempe.budget import look
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
-# ---- roots
-
-# Where a function of one number changes its sign.
-
+# ---- sign changes of a function of one variable
 
 ROUNDING = 1e-15
 """Distance of two points, absolute and as a part of their size, between which a function is not
@@ -72,15 +66,11 @@ def sign_change(f: Callable[[float], float], low: float, high: float) -> float |
         part = min(max(part, margin), 1.0 - margin)
 
 
-# ---- newton certificate
+# ---- proof of a solution near a point, by the theorem of Newton and Kantorovich
 
-# Proof, by the theorem of Newton and Kantorovich, that equations have a solution near a point, and
-# a regular one.
-#
-# Kantorovich, 1948; Ortega, Rheinboldt, 1970, section 12.6. It needs three numbers: how far the
-# equations are from zero, the smallest singular value of their Jacobian, and a bound of their
-# second derivatives.
-
+# It proves that there is a solution, and a regular one (Kantorovich, 1948; Ortega, Rheinboldt,
+# 1970, section 12.6). It needs three numbers: how far the equations are from zero, the smallest
+# singular value of their Jacobian, and a bound of their second derivatives.
 
 UNIT = float(np.finfo(float).eps)
 OPERATIONS = 16.0
@@ -127,6 +117,11 @@ def rounding(joints: int, reach: float) -> float:
     """
     return UNIT * OPERATIONS * (1.0 + joints) * (1.0 + reach)
 
+
+# ---- Gauss-Newton steps
+
+# Sources: Ben-Israel, "A Newton-Raphson method for the solution of systems of equations", J. Math.
+# Anal. Appl. 15 (1966); Bjorck, *Numerical Methods for Least Squares Problems*, 1996, chapter 9.
 
 CUT = 1e-9
 """Singular values below this fraction of the largest are left out."""

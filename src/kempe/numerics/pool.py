@@ -1,6 +1,4 @@
-"""Tasks done side by side, a few at a time, in threads or by a cluster; stopped without loss, with
-the time left.
-"""
+"""Parallel work in threads or on a cluster, which can be stopped without loss."""
 
 from __future__ import annotations
 
@@ -19,11 +17,10 @@ from kempe.numerics.clock import BROKEN_OFF
 if TYPE_CHECKING:  # it imports what one thread does not need
     from concurrent.futures import Future, ThreadPoolExecutor
 
-# ---- parallel
 
-# Work on fixed chunks in a pool of threads: kernels release the GIL, and answers do not depend on
-# the thread count.
+# ---- fixed chunks in a pool of threads
 
+# Kernels release the GIL, and answers do not depend on the thread count.
 
 _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
@@ -146,6 +143,8 @@ def over_chunks(
     finally:
         wait(others)
 
+
+# ---- tasks done a few at a time, in threads or by a cluster
 
 Task = TypeVar("Task")
 WAKE = 0.2

@@ -1,4 +1,4 @@
-"""The null space and the column space of a matrix, for callers that say what counts as zero."""
+"""The null space and the column space of a matrix, with a bound for what counts as zero."""
 
 from __future__ import annotations
 
@@ -84,18 +84,7 @@ def column_space(A: Array, least: float, size: float) -> Array:
     return U[:, s > least * max(float(s.max(initial=0.0)), size)]
 
 
-# ---- freedoms
-
-# Freedoms that tasks leave: how many to first order, and how many of them are motions over a
-# distance.
-#
-# Counted are the freedoms of the joints that move a frame of the tasks, directly or through loops:
-# fingers and other arms are no redundancy of an arm.
-#
-# Where the equations are independent the two are the same, by the implicit function theorem. Where
-# the Jacobian loses rank, steps along its null space are led back to the solutions, at two lengths:
-# what stays away from where it began, in proportion to the step, is a motion.
-
+# ---- the null space at a fixed relative tolerance
 
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""

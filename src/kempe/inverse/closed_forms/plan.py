@@ -1,5 +1,6 @@
-"""The plan of an analytical inverse model: what is unknown, what completes it to six joints, how it
-is solved.
+"""The plan of an analytical inverse model: what is unknown, and how it is solved.
+
+Lines complete the unknown joints to six. Which joints a redundant chain holds is chosen here, too.
 """
 
 from __future__ import annotations
@@ -185,6 +186,9 @@ def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
     return X
 
 
+# ---- lines that complete a chain to six joints
+
+
 def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
     """Lines at the tip that may move freely, for what the task does not ask."""
     R = lines.tip[:3, :3]
@@ -300,6 +304,9 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 
+# ---- how plans are made
+
+
 def make(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
 ) -> ChainPlan:
@@ -373,6 +380,9 @@ def _by_elimination(
         return None
     plan = pack(lines, task, locked, extra, None, (tuple(places), best))
     return plan if _error(plan) < AGAIN else None
+
+
+# ---- kernels, and arrays packed for them
 
 
 def kernel_of(plan: ChainPlan) -> Callable[..., None]:
@@ -513,11 +523,9 @@ def _error(plan: ChainPlan) -> float:
     return float(np.sort(off.min(axis=1))[int(0.8 * TRIALS)])
 
 
-# ---- choice
+# ---- choice of the joints that a redundant chain holds
 
-# Which joints of a redundant chain are held: those without which the rest is solved best, and most
-# often.
-
+# Held are those without which the rest is solved best, and most often.
 
 MOST_CHOICES = 60
 ELIMINATED = 12

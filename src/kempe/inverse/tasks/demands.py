@@ -1,4 +1,4 @@
-"""The tasks of a request, checked and packed: what is searched for, and one run of the search."""
+"""The tasks of a request, checked and packed, and one run of the search for them."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- uninvolved
 
-# Coordinates that tasks have nothing to do with: no search needs to move them.
+# ---- coordinates that no task depends on
 
+# No search needs to move them.
 
 NONE = np.zeros(0, dtype=np.int64)
 SAMPLES = 3
@@ -74,6 +74,8 @@ def _left_alone(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
         [angles, (layout.quaternion_q[balls][:, None] + np.arange(4)).ravel()]
     ).astype(np.int64)
 
+
+# ---- the packed problem, and one run of the search
 
 FIRST = 60
 """Starts after which one looks whether more are worth their time."""

@@ -1,12 +1,7 @@
-"""Freedoms that tasks leave: how many to first order, and how many of them are motions over a
-distance.
+"""Freedoms that tasks leave: how many to first order, and how many are motions over a distance.
 
 Counted are the freedoms of the joints that move a frame of the tasks, directly or through loops:
 fingers and other arms are no redundancy of an arm.
-
-Where the equations are independent the two are the same, by the implicit function theorem. Where
-the Jacobian loses rank, steps along its null space are led back to the solutions, at two lengths:
-what stays away from where it began, in proportion to the step, is a motion.
 """
 
 from __future__ import annotations
@@ -42,6 +37,14 @@ LENGTHS = (0.05, 0.005)
 """Lengths of the steps along the null space, in radians and characteristic lengths."""
 KEPT = 0.2
 """Part of a step that must be left when it has been led back."""
+
+
+# ---- motions that the equations leave
+
+# Where the equations are independent, all freedoms of first order are motions, by the implicit
+# function theorem. Where the Jacobian loses rank, steps along its null space are led back to the
+# solutions, at two lengths: what stays away from where it began, in proportion to the step, is a
+# motion.
 
 
 class Local:
@@ -250,10 +253,7 @@ def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(sorted(found), dtype=np.int64), rows[packed.rows == -1]
 
 
-# ---- reached
-
-# The answer for several tasks: the configuration, what each task misses, and what freedoms are
-# left.
+# ---- equations, freedoms and self-motions at a configuration
 
 
 def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:

@@ -1,6 +1,4 @@
-"""The inverse geometric model for several tasks on any frames of any system: trees, loops,
-relations, free bases.
-"""
+"""`ik` for several tasks on any frames of any system: trees, loops, relations, free bases."""
 
 from __future__ import annotations
 
@@ -44,10 +42,8 @@ from kempe.status import MEMBERS, Status
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- default start
 
-# Where searches start: at home, beside a target, or anywhere.
-
+# ---- starts near a target
 
 FAR = 10.0
 """Characteristic lengths from a frame to its target from which on a base is moved before the first
@@ -113,11 +109,7 @@ def _slides(system: Model) -> list[int]:
     return out
 
 
-# ---- preferences
-
-# What `ik` of tasks can make least in the freedoms that all tasks leave: functions of q, with
-# their gradient.
-
+# ---- preferences: what is minimised in the freedoms that tasks leave
 
 SMALL = 1e-24
 """Added to squared singular values, so that the logarithm of none is infinite."""
@@ -186,15 +178,12 @@ def _of_user(
     )
 
 
-# ---- effort
+# ---- effort: how many starts a search is given
 
-# How many starts the search for several tasks is given: few where nothing speaks for an answer,
-# many where much does.
-#
-# Without the limits, nearly every start finds an answer where there is one. So where some starts
-# without them fail too, more are hardly worth their time; where they do not, an answer within the
-# limits may take thousands of starts.
-
+# Few where nothing speaks for an answer, many where much does. Without the limits, nearly every
+# start finds an answer where there is one. So where some starts without them fail too, more are
+# hardly worth their time; where they do not, an answer within the limits may take thousands of
+# starts.
 
 EACH = 30
 MOST = 15_000
@@ -338,17 +327,12 @@ def search_by_effort(
     return q, info
 
 
-# ---- levels
+# ---- levels of tasks, in the order of their priorities
 
-# Levels of tasks: their order, their packed ties, and what is found without the later ones.
-#
 # Lowering never gives up what earlier levels have reached, and soft levels are added one by one,
-# each
-# to what is found without it. Hard tasks behind a soft level are met first, and an angle that a
-# later
-# level names does not turn on beyond its limits: there the search without the later ones is looked
-# at, too.
-
+# each to what is found without it. Hard tasks behind a soft level are met first, and an angle that
+# a later level names does not turn on beyond its limits: there the search without the later ones is
+# looked at, too.
 
 Search = Callable[[Demands, Array, "int | None"], tuple[Array, np.ndarray]]
 
@@ -591,6 +575,8 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
             out[:, stage] += strengths[k, 0] * np.sum(error * error, axis=1)
     return out[:, 1:]
 
+
+# ---- `ik` for several tasks
 
 TOLERANCE = (1e-6, 1e-6)
 """Largest error in metres and radians of a hard task that has no tolerance of its own."""
