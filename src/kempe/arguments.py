@@ -1,6 +1,4 @@
-"""Calls from outside: names, numbers and switches as they are given, and what was wrong with a call
-that failed.
-"""
+"""Arguments of calls: names, numbers and switches are checked, and errors name the argument."""
 
 from __future__ import annotations
 
@@ -35,6 +33,9 @@ CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
 
 FEW = 16
 """Entries of an array, or of a tuple, that are shown."""
+
+
+# ---- errors that name the argument
 
 
 def quiet(function: Function) -> Function:
@@ -361,7 +362,7 @@ def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
     raise InputError(f"index is {shown(places)}; it must be {needed}")
 
 
-# ---- answers, shown
+# ---- answers on one line
 
 
 def brief(self: Any) -> str:
@@ -381,10 +382,7 @@ def _brief(x: Any) -> str:
     return repr(given)
 
 
-# ---- arguments
-
-# Arguments that several solvers take, checked.
-
+# ---- starts, steps, time, seeds and tolerances
 
 DRAWN = 10**6
 """Starts of a search that draws them all before it begins, at most."""

@@ -1,5 +1,6 @@
-"""Where a frame sits on a body: a product of elementary motions, whose numbers may be expressions
-in parameters.
+"""Poses and placements: where a frame sits on a body, from all forms in which people have poses.
+
+A placement is a product of elementary motions, whose numbers may be expressions in parameters.
 """
 
 from __future__ import annotations
@@ -32,11 +33,9 @@ from kempe.spatial import Array
 from kempe.values import Expression, Value, evaluate, negate, value, values
 from kempe.words import counted
 
-# ---- rigid
+# ---- poses in many forms
 
-# Poses and rotations as people have them: arrays, pairs, words, and the objects of other
-# libraries.
-
+# Arrays, pairs, words, and the objects of other libraries.
 
 EXACT = 1e-6
 """How far R'R may be from 1 for R to be taken as it is: the kernels allow this, too."""
@@ -285,6 +284,8 @@ def _rotation_given(way: str, given: Any, what: str) -> Array:
         raise InputError(f"{way!r} of {what} is {shown(given)}; it must not be zero")
     return spatial.quat_wxyz_to_matrix(q)
 
+
+# ---- placements
 
 Step = tuple[str, tuple[Value, ...]]
 

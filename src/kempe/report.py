@@ -1,5 +1,6 @@
-"""What all results of verbs share: whether a question was answered, the sentence that says so,
-text, HTML and JSON.
+"""Results of verbs: the base of all answers, with the sentence, text, HTML and JSON.
+
+An answer is true where its question was answered.
 """
 
 from __future__ import annotations

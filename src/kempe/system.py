@@ -1,5 +1,6 @@
-"""`System`: what is computed with, and the map of the library: its methods call the functions of
-later layers.
+"""`System`: what is computed with. Its methods are the map of the library.
+
+They call the functions of later layers.
 """
 
 from __future__ import annotations
@@ -52,9 +53,7 @@ if TYPE_CHECKING:
 __all__ = ["FrameLike", "System"]
 
 
-# ---- opened
-
-# Systems with joints taken out.
+# ---- systems with joints taken out
 
 
 @explained
@@ -101,9 +100,7 @@ def _keep_ends(mechanism: Mechanism, name: str) -> None:
     mechanism.frames = {**frames, **mechanism.frames}
 
 
-# ---- pictured
-
-# Methods of `System` by which it is looked at: pictures, motions, pages.
+# ---- pictures and pages
 
 
 class Pictured:
@@ -214,6 +211,8 @@ class Pictured:
             budget=budget,
         )
 
+
+# ---- the system
 
 ARRAY = np.ndarray
 """Looked up once: bound calls take four microseconds."""

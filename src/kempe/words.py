@@ -1,4 +1,4 @@
-"""The wording that sentences of all answers share, and answers as text, HTML and JSON."""
+"""Wording that all answers share, and answers as text, HTML and JSON."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from textwrap import fill
 from typing import Any, cast
 
 import numpy as np
+
+# ---- wording
 
 SMALL = ("no", "one", "two", "three", "four", "five", "six")
 """Numbers that are written out."""

@@ -1,4 +1,4 @@
-"""What all commands share: the application, their options, how files are read.
+"""The application: options that commands share, reading of files, writing of results.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that
 are no numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file
@@ -42,6 +42,8 @@ def option(flags: str, help: str, metavar: str | None = None, panel: str | None 
     """An option of a command, without `metavar` a switch that takes no value."""
     return typer.Option(*flags.split(","), help=help, metavar=metavar or "", rich_help_panel=panel)
 
+
+# ---- options
 
 DESCRIBE = "Describe and convert"
 OPEN = "Positions"
@@ -167,7 +169,7 @@ Page = Annotated[
 ]
 
 
-# ---- what all commands share
+# ---- files and results
 
 
 def reading(

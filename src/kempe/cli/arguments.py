@@ -1,6 +1,4 @@
-"""Tasks from a TOML file: a table [[task]] for each, by type with the parameters of its class in
-`kempe.tasks`.
-"""
+"""Arguments of commands: known values, starts, configurations, branches, and files of tasks."""
 
 from __future__ import annotations
 
@@ -28,11 +26,10 @@ if TYPE_CHECKING:
     from kempe.assemble.answer import Assembly
     from kempe.system import System
 
-# ---- given
 
-# Known values, starts, configurations and branches of systems with loops, as the command line is
-# given them.
+# ---- values, starts and branches
 
+# As systems with loops need them.
 
 SPECIAL = ("neutral", "mid")
 """Names that every system has besides its postures."""
@@ -225,6 +222,11 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
             f"branch {text!r} has {report.count(len(text), 'sign')}; {system.name} has {needs}"
         )
     return text
+
+
+# ---- tasks from a TOML file
+
+# A table [[task]] for each, by type with the parameters of its class in `kempe.tasks`.
 
 
 def types() -> dict[str, type[Constraint]]:

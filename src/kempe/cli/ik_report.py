@@ -1,6 +1,4 @@
-"""All solutions of inverse models, how they are found, and paths that follow targets: as tables and
-data.
-"""
+"""Reports of inverse models: all solutions, how they are found, and paths."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ BLOCK = 8
 """Solutions beside each other, at most."""
 
 
-# ---- what is required
+# ---- axis and tolerance as given
 
 
 def axis(text: str) -> spatial.Array:
@@ -285,7 +283,7 @@ def write(path: Path, answer: Solutions, degrees: bool = False) -> None:
     write_table(path, ("target", *system.coordinate_names), lines, q)
 
 
-# ---- how they are found
+# ---- plans and paths
 
 
 def plan(answer: Recognised) -> RenderableType:

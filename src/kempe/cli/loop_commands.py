@@ -1,4 +1,4 @@
-"""Commands for systems with closed loops: degrees of freedom, assembly, motion, drawings."""
+"""Commands for systems with loops: freedoms, assembly, motions, drawings."""
 
 from __future__ import annotations
 
@@ -479,7 +479,7 @@ def plot(
         raise typer.Exit(INCOMPLETE)
 
 
-# ---- pictures, and what is said
+# ---- pictures and messages
 
 
 def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:

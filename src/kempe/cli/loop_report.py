@@ -1,4 +1,4 @@
-"""Freedoms, assemblies, modes and motions for people and for programs: answers as tables and data."""
+"""Reports of systems with loops: freedoms, assemblies, modes and motions, as tables and data."""
 
 from __future__ import annotations
 
@@ -321,7 +321,7 @@ def write_path(file: FilePath, answer: Path, degrees: bool = False, branches: bo
     write_table(file, names, columns)
 
 
-# ---- what all need
+# ---- coordinates and their units
 
 
 def by_name(system: Model, q: spatial.Array, degrees: bool) -> Any:

@@ -1,4 +1,4 @@
-"""What the library answers, as tables and sentences for a terminal or a file (rich renderables).
+"""Reports for a terminal or a file: answers as tables and sentences (rich renderables).
 
 Print them with `show`, or with any rich console.
 """
@@ -188,7 +188,7 @@ def number(x: float, digits: int = 6) -> str:
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
 
-# ---- info
+# ---- report of `kempe info`
 
 
 def info(system: Model, degrees: bool = False) -> RenderableType:
@@ -378,7 +378,7 @@ def _lines(title: str, lines: Sequence[str]) -> RenderableType | None:
     return Group(Text(title, style="bold"), *(Text(f"  {clean(line)}") for line in lines))
 
 
-# ---- check
+# ---- report of `kempe check`
 
 
 def findings(file: str, problems: Sequence[Fault], notes: Sequence[str] = ()) -> RenderableType:

@@ -1,4 +1,4 @@
-"""Commands that describe systems and find positions; each is a few lines over the library."""
+"""Commands that describe systems, convert files, and find positions."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from kempe.cli.app import (
 from kempe.cli.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 from kempe.description.formats import endings_written, named, read_by
 
-# ---- describe
+# ---- describe and convert
 
 
 @app.command(rich_help_panel=DESCRIBE)
@@ -153,7 +153,7 @@ def convert(
         print(f"{mechanism.name} written to {out}")
 
 
-# ---- forward
+# ---- forward model
 
 
 @app.command(rich_help_panel=OPEN)

@@ -1,9 +1,6 @@
-"""What a constraint declares: its ends, its rows, its numbers. Nothing is computed here.
+"""The parts of a constraint: its ends, its rows and its numbers. Nothing is computed here.
 
-A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and
-between which of its fields the value is held. Its fields hold the numbers. How rows become
-equations is in `kempe.model.constraint_program`, how they are judged from poses alone in
-`kempe.equations.judge`.
+The checks of what a constraint is given, and the table of kinds, are also here.
 """
 
 from __future__ import annotations
@@ -27,11 +24,9 @@ from kempe.spatial import Array
 from kempe.values import Expression
 from kempe.words import paragraphs
 
-# ---- reading
+# ---- checks of what is given
 
-# What constraints are given, checked: poses, points, directions, and what cannot change from
-# target to target.
-
+# Poses, points, directions, and what cannot change from target to target.
 
 LARGEST = 1e100
 """Numbers above this are too large for the kernels."""
@@ -228,6 +223,13 @@ def pair(low: Any, high: Any, what: str) -> tuple[Array, Array]:
         raise InputError(f"{what}: {low!r} and {high!r} leave nothing; needed is low <= high")
     return a.copy(), b.copy()
 
+
+# ---- the parts of a constraint
+
+# A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and
+# between which of its fields the value is held. Its fields hold the numbers. How rows become
+# equations is in `kempe.model.constraint_program`, how they are judged from poses alone in
+# `kempe.equations.judge`.
 
 Frame: TypeAlias = "str | End"
 """A field that names a frame or a body, or is an `End`."""
@@ -501,6 +503,9 @@ EYE.setflags(write=False)
 HERE = tuple(EYE.ravel().tolist())
 """The frame itself."""
 
+
+# ---- the table of kinds
+
 KINDS: dict[str, type[Constraint]] = {}
 """The kinds by name: the one table, which files, builders and reports read."""
 
@@ -573,6 +578,8 @@ def content(constraint: Constraint) -> tuple[Any, ...]:
     own = (f.name for f in fields(constraint) if f.init and f.type != PARAMETERS)
     return constraint.kind, *((name, plain(getattr(constraint, name))) for name in own)
 
+
+# ---- fields and numbers of a kind
 
 FRAMES = ("Frame", "Frame | None")
 """Annotations of fields that name a frame."""

@@ -1,8 +1,6 @@
-"""Kinds that the user writes: equations, inequalities and velocity equations of coordinates, as
-text or as functions.
+"""Kinds that the user writes: equations, inequalities and velocity equations of coordinates.
 
-A function is recorded once and kept as text, so that it can be written to files and compared. Where
-it branches on values it stays a function (`Call`): it can be called, but has no series.
+They are text, or Python functions, which are recorded once as text where that is possible.
 """
 
 from __future__ import annotations
@@ -26,10 +24,9 @@ from kempe.kernels.constraints import tape_layout as L
 from kempe.values import Expression
 from kempe.words import counted
 
-# ---- recording
+# ---- recording functions
 
-# Python functions recorded as tapes: run once on numbers that note what is done to them.
-
+# A function is run once on numbers that note what is done to them; the result is a tape.
 
 POINTS = 12
 """Points at which a recorded function is compared with its tape."""
@@ -446,6 +443,11 @@ def _compared(
                 "was recorded: it depends on hidden state"
             )
 
+
+# ---- the kinds
+
+# A recorded function is kept as text, so that it can be written to files and compared. Where it
+# branches on values it stays a function (`Call`): it can be called, but has no series.
 
 Written: TypeAlias = Any
 """A field of an expression: text, several, or a function of named inputs."""

@@ -1,9 +1,7 @@
-"""Kinds that hold a frame, or a point or an axis of it, in, on or near something; lengths in
-metres, angles in radians.
+"""Kinds of constraints on a frame, or on a point or axis of it, in metres and radians.
 
 A frame is held against the ground, or against the frame `other`, in whose axes targets are then
-read. Targets may have leading axes where `System.ik` takes them: they make a batch. `point` is a
-point of the frame, in its axes.
+read.
 """
 
 from __future__ import annotations
@@ -47,11 +45,10 @@ from kempe.errors import InputError
 from kempe.poses import arrays
 from kempe.spatial import Array
 
-# ---- placed
+# ---- bases of kinds
 
 # What kinds that hold a frame share: their rows, where they are held, and bounds on how far they
 # are from there.
-
 
 ORIGIN = (0.0, 0.0, 0.0)
 Z = (0.0, 0.0, 1.0)
@@ -168,11 +165,9 @@ OFF_LINE, TILTED, AWAY, TURNED = (
 the origin of A, and of B against A."""
 
 
-# ---- frame targets
+# ---- targets of `System.ik`
 
-# What the target of one frame stands for: the constraints that `System.ik` holds by the name of a
-# task.
-
+# The constraints that `System.ik` holds by the name of a task.
 
 AXIS_TASKS = ("direction", "position_axis")
 """Tasks on an axis of the tool."""
@@ -195,6 +190,12 @@ def of_target(
     if task in ("position", "position_axis"):
         out.append(Position(frame, X[..., :3, 3]))
     return out
+
+
+# ---- the kinds
+
+# Targets may have leading axes where `System.ik` takes them: they make a batch. `point` is a point
+# of the frame, in its axes.
 
 
 @kind("pose", says="{frame} is at {target}")

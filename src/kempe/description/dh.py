@@ -1,4 +1,4 @@
-"""Chains from Denavit-Hartenberg tables and from screw axes (product of exponentials)."""
+"""Chains from Denavit-Hartenberg tables, and from screw axes (product of exponentials)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ from kempe.poses import Placement, direction, place, placement_of_pose, steps_fr
 from kempe.values import Expression, Value, value, values
 from kempe.words import counted
 
-# ---- dh table
+# ---- rows of Denavit-Hartenberg tables
 
-# Rows of Denavit-Hartenberg tables in the forms in which people have them, and their angles in
-# radians.
-
+# People have them as dicts, records, lists or columns, with angles in degrees or radians.
 
 ORDER = ("a", "alpha", "d", "theta")
 """Order of plain rows unless their columns are named; a fifth entry is the type of the joint."""
@@ -185,7 +183,7 @@ def _is_nan(x: Any) -> bool:
     return isinstance(x, float) and math.isnan(x)
 
 
-# ---- angles
+# ---- angles in radians
 
 
 def counts_turns(rows: Iterable[DHRow]) -> bool:
@@ -293,6 +291,8 @@ def _limits(given: Any, what: str, deg: bool) -> Any:
         out.append(float(number) * DEGREE if real and deg else number)
     return tuple(out)
 
+
+# ---- the chains
 
 CONVENTIONS = ("standard", "modified")
 NUMBERS = ("a", "alpha", "d", "theta", "offset")

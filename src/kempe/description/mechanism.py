@@ -1,4 +1,7 @@
-"""The builder: what the user says of a system, as a graph of bodies and joints. No kinematics here."""
+"""The builder `Mechanism`: bodies, joints, frames and constraints as a graph, without kinematics.
+
+Mechanisms are also joined here, and chains cut out of them.
+"""
 
 from __future__ import annotations
 
@@ -50,10 +53,9 @@ if TYPE_CHECKING:
     from kempe.late import System
 
 
-# ---- constrain
+# ---- constraints: ends and numbers
 
-# Constraints as parts of a mechanism: their ends found, their numbers checked.
-
+# The ends of a constraint are found, and its numbers are checked.
 
 BETWEEN = {"distance": "distance", "point_on_line": "on_line", "point_on_plane": "on_plane"}
 """Kinds that are placed on bodies, by their names as methods of `Mechanism` and in files of format
@@ -346,10 +348,7 @@ def renamed(
     )
 
 
-# ---- constraint methods
-
-# The methods of `Mechanism` that declare constraints: what always holds besides the joints.
-
+# ---- constraints: methods of the builder
 
 BodyLike = Body | str
 
@@ -502,6 +501,9 @@ class ConstraintMethods:
         for each row.
         """
         return self.constrain(constraints.VelocityEquation(matrix, of, b, time, name=name), name)
+
+
+# ---- the builder
 
 
 @explained_methods
@@ -967,9 +969,7 @@ def _mechanism_of(thing: Mechanism | System) -> Mechanism:
     return mechanism
 
 
-# ---- compose
-
-# Composition of mechanisms: mount one on another, cut a chain out of one.
+# ---- mounting mechanisms, and cutting out chains
 
 
 def attach(

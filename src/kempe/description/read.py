@@ -1,4 +1,7 @@
-"""Any source -> Mechanism: finds out what a path or a text is, and calls its reader."""
+"""Descriptions read, checked and written: from a file, a text or the library to a mechanism.
+
+The format is found out, and its reader or writer called.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +46,8 @@ from kempe.errors import (
 )
 from kempe.library import names as library_models
 from kempe.library import path as library_path
+
+# ---- reading and checking
 
 
 class _How(NamedTuple):
@@ -273,9 +278,7 @@ def _format_of(text: str | bytes, given: Format | None) -> Format:
     return found or given or DEFAULT
 
 
-# ---- write
-
-# Mechanism -> file, in the format that the file's ending names.
+# ---- writing
 
 
 def write(mechanism: Mechanism, path: str | Path) -> Path:

@@ -1,4 +1,4 @@
-"""A TOML text as tables whose shape is checked and whose every value knows its place."""
+"""A TOML document: its tables, whose shape is checked, and the place of every value in the text."""
 
 from __future__ import annotations
 
@@ -15,11 +15,9 @@ from kempe.description.source import Findings, Source, fail, shorten
 from kempe.errors import Where, hint
 from kempe.joints import TYPES, JointType
 
-# ---- toml places
+# ---- places of values
 
-# Where each table, key and array element of a TOML text stands, which the standard parser does not
-# say.
-
+# The standard parser does not say where tables, keys and array elements stand.
 
 Path = tuple[str | int, ...]
 """Keys and indices that lead to a value: ``("joint", 2, "limits")``."""
@@ -155,15 +153,12 @@ def _value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> No
             fresh = True
 
 
-# ---- toml fast
+# ---- fast parsing of many small tables
 
-# TOML of many small tables, read line by line: what `tomllib` says, several times as fast.
-#
 # Only lines of the plainest form are read here: a header of one bare name, or a bare key with text
 # without escapes, a number, a truth value, or a list of these in one line. A table with any other
 # line is given to `tomllib` by itself, and where that does not fit together, all of the text is: so
 # the answer, or what is wrong, is that of `tomllib`.
-
 
 MANY = 100
 """Tables from which on it is worth it."""
@@ -288,6 +283,8 @@ def _whole(text: str) -> dict[str, Any]:
         raise _Other
     return tomllib.loads(text)
 
+
+# ---- the document
 
 FORMAT = 1
 NEWEST = 2

@@ -1,5 +1,6 @@
-"""TOML text -> Mechanism: our own format for any mechanism, loops included. `docs/toml.md`
-describes it.
+"""A mechanism from TOML text, our own format for any mechanism, loops included.
+
+`docs/toml.md` describes the format.
 """
 
 from __future__ import annotations

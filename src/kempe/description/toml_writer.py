@@ -1,4 +1,4 @@
-"""Mechanism -> TOML text, without loss: `read_toml(write_toml(m)) == m`, floats to the last bit."""
+"""TOML text of a mechanism, without loss: `read_toml(write_toml(m)) == m`, to the last bit."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def _plain_form(X: Placement, dim: int) -> dict[str, Any]:
     return form
 
 
-# ---- TOML's syntax
+# ---- syntax of TOML
 
 
 def _key(key: str) -> str:

@@ -1,5 +1,6 @@
-"""The parts of URDF's links and joints, read strictly: what is wrong goes to the findings with its
-place.
+"""URDF elements, read strictly: links, joints, and what stands beside them.
+
+What is wrong goes to the findings with its place.
 """
 
 from __future__ import annotations
@@ -16,15 +17,12 @@ from kempe.description.source import Findings, shorten
 from kempe.description.xml import XmlElement
 from kempe.poses import place
 
-# ---- urdf unknown
+# ---- elements that are not read
 
-# What a URDF file holds beside the elements that are read: passed over, noted, or refused.
-#
 # An element that has no part in the motion is passed over where it is known, else noted. What would
 # be part of the mechanism for another reader, by its name or by what it ties together, is refused:
 # without it the file describes another mechanism. The parts of blocks for one simulator, <gazebo>
 # and <mujoco>, are for it alone, and are noted.
-
 
 VERSIONS = ("1.0", "1.1", "1.2")
 """Versions of URDF that are read. 1.1 adds `quat_xyzw` and capsules, 1.2 more kinds of limits
@@ -106,7 +104,7 @@ _NOT_READ = (
 """Attributes that decide on the motion."""
 
 
-# ---- namespaces, version
+# ---- namespaces and version
 
 
 def strip_namespaces(robot: XmlElement) -> None:
@@ -166,7 +164,7 @@ def _version(robot: XmlElement) -> str:
     return f"{found[1]}.{found[2]}" if found else given
 
 
-# ---- names that are not known
+# ---- unknown names
 
 
 def check_known(
@@ -248,7 +246,7 @@ def _near(name: str, known: tuple[str, ...]) -> str | None:
     return None
 
 
-# ---- what stands in <robot>, and inside what is not read
+# ---- children of <robot>, and of elements that are not read
 
 
 def check_top(
@@ -403,6 +401,8 @@ def _speaks_of(element: XmlElement) -> str:
     ]
     return f" ({', '.join(said[:5])}{', ...' if len(said) > 5 else ''})" if said else ""
 
+
+# ---- elements that are read
 
 UNLIMITED = 1e308
 """A limit of this size or more stands for none: URDF has no other way to say so for a prismatic
@@ -760,7 +760,7 @@ def _range(
     return {} if (lower, upper) == (-math.inf, math.inf) else {"limits": (lower, upper)}
 
 
-# ---- what is not known
+# ---- unknown and repeated parts of joints
 
 
 def _check_joint(joint: XmlElement, findings: Findings, subject: str) -> None:

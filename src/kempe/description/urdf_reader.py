@@ -1,5 +1,6 @@
-"""URDF text -> Mechanism. Strict: what changes the motion is understood exactly, or refused with
-its line.
+"""A mechanism from URDF text: what changes the motion is understood exactly, or refused.
+
+Refusals name the line in the file.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
 from kempe.words import counted
 
-# ---- link graph
+# ---- the graph of links
 
 # Who is joined to whom, for readers and writers of tree-shaped formats; without recursion, for any
 # size.
@@ -138,6 +139,8 @@ def reachable(start: str, ends: Iterable[tuple[str, str]]) -> set[str]:
                 queue.append(there)
     return reached
 
+
+# ---- the reader
 
 TYPES = {
     "revolute": "revolute",
@@ -452,7 +455,7 @@ def _fresh(name: str, taken: Mapping[str, object]) -> str:
     return out
 
 
-# ---- mimic
+# ---- mimic joints
 
 
 def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
@@ -528,7 +531,7 @@ def _refuse_cycles(follows: Mapping[str, tuple[str, XmlElement]], findings: Find
         done.update(path)
 
 
-# ---- what is not read
+# ---- blocks that are not read
 
 
 def _note_unused(urdf: _Urdf) -> None:

@@ -1,4 +1,4 @@
-"""Mechanism -> URDF text where URDF can say it; what it cannot say is refused, all of it at once."""
+"""URDF text of a mechanism; what URDF cannot say is refused, all of it at once."""
 
 from __future__ import annotations
 

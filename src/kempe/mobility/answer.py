@@ -1,4 +1,4 @@
-"""A `Mobility` in words: the sentence, the reasoning by topic, and plain data."""
+"""The answer of `mobility`: degrees of freedom, and their wording as sentence, report and data."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from kempe.mobility.local_dimension import LocalDimension
     from kempe.mobility.relative_motion import RelativeMotion
     from kempe.model.model import FrameLike
+
+
+# ---- the answer in words
 
 FEW = 4
 """Branches whose dimensions are listed one by one."""
@@ -332,10 +335,7 @@ def _are(n: int) -> str:
     return f"there is {n}" if n == 1 else f"there are {n}"
 
 
-# ---- mobility
-
-# Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is
-# redundant, idle, driven.
+# ---- the answer
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,6 @@
-"""Which kind each constraint is: holonomic, integrable, nonholonomic, unilateral; how far free
-velocities reach.
+"""Classification of constraints: holonomic, integrable, nonholonomic or unilateral.
 
-Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed configurations.
-What brackets of its fields span at q is tangent to the set that motions from q reach (Chow, 1939;
-Nagano, 1966; Sussmann, 1973). Where it is no more than the distribution, at a configuration drawn
-at random and so everywhere, since all is analytic, the rows are the rates of functions of q
-(Frobenius, 1877): positions in disguise.
+The verb `classify`, its answer, and the wording of the answer. It also tells how far motions reach.
 """
 
 from __future__ import annotations
@@ -37,10 +32,8 @@ from kempe.words import InWords, counted, cut, verb
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- classify text
 
-# A `Classification` in words: the sentence, the reasoning by topic, and plain data.
-
+# ---- the answer in words
 
 SHOWN = 24
 """Constraints that are listed one by one."""
@@ -223,6 +216,8 @@ def data(c: Classification) -> dict[str, Any]:
     }
 
 
+# ---- the answer
+
 HOLONOMIC = "holonomic"
 INTEGRABLE = "integrable"
 NONHOLONOMIC = "nonholonomic"
@@ -329,6 +324,14 @@ class Classification(Worded):
 
         return Words(sentence, lines, data)
 
+
+# ---- the verb
+
+# Velocities that rows A(q) v = 0 leave free span a distribution on the set of closed
+# configurations. What brackets of its fields span at q is tangent to the set that motions from q
+# reach (Chow, 1939; Nagano, 1966; Sussmann, 1973). Where it is no more than the distribution, at a
+# configuration drawn at random and so everywhere, since all is analytic, the rows are the rates of
+# functions of q (Frobenius, 1877): positions in disguise.
 
 USUAL = Usual("classify", time_limit=SHORT)
 

@@ -1,19 +1,7 @@
-"""Proofs of degrees of freedom: for each cluster of loops a theorem whose hypotheses are checked in
-numbers.
+"""Proofs of degrees of freedom: theorems whose hypotheses are checked numerically.
 
-What is zero to rounding counts as exactly zero: axes that are parallel to the last digit are
-parallel. Dimensions of clusters add up, for clusters share no unknowns. The theorems, in the order
-in which they are tried:
-
-- *Regular*: the loop equations, reduced to the group of motions that the joints of each loop
-  generate (Herve, 1978), have a Jacobian of full rank, beyond rounding and the error of the
-  configuration (`kempe.numerics.newton`). Then the closed configurations are a
-  manifold of as many dimensions as its null space has (implicit function theorem).
-- *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions:
-  what both groups share moves, and the number is the same everywhere.
-- *Families*: a motion in closed form keeps all loops closed (`kempe.mobility.dof_proofs`).
-- *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide
-  (`kempe.mobility.dof_proofs`).
+Each cluster of loops is proven separately. Dimensions of clusters add up, for clusters share no
+unknowns. What is zero to rounding counts as exactly zero.
 """
 
 from __future__ import annotations
@@ -40,15 +28,13 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- known motions
 
-# Motions that are known in closed form, proven at points of the whole motion.
-#
+# ---- motions in closed form
+
 # Angles turn in fixed ratios, as those of parallelograms do, or tangents of half of them, as those
 # of Bennett's linkage. Along such motions the equations are trigonometric polynomials, or rational
 # functions, of a degree that the joints bound. One that vanishes at random points all around
 # vanishes, with probability one, everywhere.
-
 
 PARTS = 12
 """Ratios are multiples of one over this."""
@@ -145,27 +131,20 @@ def _ratios(span: Array) -> Array | None:
 
 # ---- leading forms
 
-# What the reduced equations at a singular configuration prove: dimensions from their leading
-# forms.
-#
-# Let g(s) = 0 be what the reduction of Lyapunov and Schmidt leaves, c equations in delta unknowns,
-# and G its leading forms. Upper bounds hold for complex solutions, so that dimensions drop by one
-# at
-# most with each equation added:
+# Let g(s) = 0 be what the reduction of Lyapunov and Schmidt leaves at a singular configuration, c
+# equations in delta unknowns, and G its leading forms. Upper bounds hold for complex solutions, so
+# that dimensions drop by one at most with each equation added:
 #
 # - one unknown: any coefficient that is not zero isolates the configuration;
 # - one equation: solutions have delta - 1 dimensions where g has both signs at all small distances,
 #   for they part these;
 # - quadratic forms without a common complex zero on a subspace of codimension d: at most d
-# dimensions (Macaulay, 1916, decides that by a rank); a definite combination of them: none;
+#   dimensions (Macaulay, 1916, decides that by a rank); a definite combination of them: none;
 # - coordinates held, so that loop by loop all others are isolated: at most as many dimensions as
-# are
-#   held.
+#   are held.
 #
 # A zero of the quadratic forms where their derivatives are independent is the tangent of a branch
-# of
-# delta - c dimensions (implicit function theorem, after a blow-up): a lower bound.
-
+# of delta - c dimensions (implicit function theorem, after a blow-up): a lower bound.
 
 CLEAR = 1e-5
 """Numbers above this part of what they would be at most are not zero, where they are not computed
@@ -294,7 +273,7 @@ def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
     return out
 
 
-# ---- one equation
+# ---- leading forms: one equation
 
 
 def _one_equation(
@@ -341,7 +320,7 @@ def _one_equation(
     return delta - 1, 2 if crossing else None, why
 
 
-# ---- quadratic forms
+# ---- leading forms: quadratic forms
 
 
 def quadratic(equations: Equations, at: Split) -> Array:
@@ -414,7 +393,7 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
     return bool(sigma[-1] > CLEAR * sigma[0])
 
 
-# ---- coordinates held
+# ---- leading forms: coordinates held
 
 
 def _holding(
@@ -480,6 +459,19 @@ def _isolated(equations: Equations, here: Here, order: int, rng: np.random.Gener
         return k is not None
     return k == 2 and here.exact and _no_zero(quadratic(equations, at), at.delta, rng)
 
+
+# ---- clusters and theorems
+
+# The theorems, in the order in which they are tried:
+#
+# - *Regular*: the loop equations, reduced to the group of motions that the joints of each loop
+#   generate (Herve, 1978), have a Jacobian of full rank, beyond rounding and the error of the
+#   configuration (`kempe.numerics.newton`). Then the closed configurations are a manifold of as
+#   many dimensions as its null space has (implicit function theorem).
+# - *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions:
+#   what both groups share moves, and the number is the same everywhere.
+# - *Families*: a motion in closed form keeps all loops closed.
+# - *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide.
 
 SAME = 1e-12
 """Parts of a unit screw below this are rounding: the screw lies in the group of motions of the

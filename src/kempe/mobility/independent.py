@@ -1,15 +1,7 @@
-"""Minimal coordinates of systems with loops: which of the joint coordinates are independent, and
-the others from them.
+"""Independent coordinates of systems with loops, and ways to parametrize the configurations.
 
-Near a regular configuration the closed configurations form a surface of dimension p, and p of the n
-velocity coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's
-generalised positions). It is as good as the smallest singular value of the tangent space's rows of
-these p coordinates: 1 where they are the tangent space, 0 where they no longer move the others (a
-turning point of a driver).
-
-The three angles of a ball would be such coordinates, but are not part of q: their place take the
-components of the rotation vector from where the chart was chosen (exponential coordinates, Murray,
-Li, Sastry, 1994, section 2.2).
+A chart names coordinates that can be set, and computes the others from them. `parametrizations`
+compares how many numbers and constraints each description needs.
 """
 
 from __future__ import annotations
@@ -48,11 +40,11 @@ if TYPE_CHECKING:
     from kempe.assemble.nearest_exact import Idealised
     from kempe.model.model import Model
 
-# ---- shaky
 
-# Velocities that lead to no motion where the equations touch along all of a motion, and those that
-# do.
+# ---- null vectors that motions have
 
+# Where the equations touch along all of a motion, the null space also has velocities that lead to
+# no motion.
 
 DIFFERENCE = 1e-5
 """Step of the central differences of the Jacobian, in radians and characteristic lengths."""
@@ -96,6 +88,18 @@ def _change(
     )[1]
     return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ null_space
 
+
+# ---- charts
+
+# Near a regular configuration the closed configurations form a surface of dimension p, and p of the
+# n velocity coordinates can be its parameters: a *chart* (Haug, 1989, chapter 3; the lecture's
+# generalised positions). It is as good as the smallest singular value of the tangent space's rows
+# of these p coordinates: 1 where they are the tangent space, 0 where they no longer move the others
+# (a turning point of a driver).
+#
+# The three angles of a ball would be such coordinates, but are not part of q: their place take the
+# components of the rotation vector from where the chart was chosen (exponential coordinates,
+# Murray, Li, Sastry, 1994, section 2.2).
 
 ENOUGH = 0.1
 """Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
@@ -516,9 +520,8 @@ def _without(N: Array, direction: Array) -> Array:
 
 # ---- parametrizations
 
-# Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized
-# positions without any.
-
+# Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized positions
+# without any.
 
 SHOWN = 12
 """Names that the table shows of one row."""

@@ -1,8 +1,7 @@
-"""Branches of the solution set through a configuration, found by looking at spheres around it.
+"""The true local dimension of the solution set at a closed configuration, branch by branch.
 
-Near a point an analytic set is a cone over its intersection with a small sphere (Milnor, 1968,
-section 2), so the points at distance h, for several h, show all branches: cusps, too, and those
-that tangent cones do not tell apart.
+The rank of the Jacobian is an upper bound only. Taylor coefficients, and points on small spheres
+around the configuration, tell the branches and their dimensions.
 """
 
 from __future__ import annotations
@@ -29,6 +28,13 @@ from kempe.words import InWords
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
+
+
+# ---- branches on small spheres
+
+# Near a point an analytic set is a cone over its intersection with a small sphere (Milnor, 1968,
+# section 2), so the points at distance h, for several h, show all branches: cusps, too, and those
+# that tangent cones do not tell apart.
 
 RADII = (0.06, 0.02, 0.006)
 """Radii of the spheres, in radians and characteristic lengths."""
@@ -509,19 +515,16 @@ def _curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
     return Branch(1, t[:, None], spot.split.q, ends, cusp, spot.split.delta > 1)
 
 
-# ---- local
+# ---- the local dimension
 
-# The true local dimension of a mechanism: of its solution set at a closed configuration, branch by
-# branch.
-#
 # The rank of the constraint Jacobian gives an upper bound only. Where equations are dependent, the
 # reduction of Lyapunov and Schmidt tells by Taylor coefficients whether null vectors are velocities
 # of motions; where not all are, the branches are found on small spheres, and what they are is
-# measured at their own points. Kicking the mechanism and letting it snap back is a second method
-# that shares nothing with the first but equations and projection. Neither proves a number; where a
-# theorem
-# does (`kempe.mobility.dof_proofs`), the answer is certain. Joint limits do not count.
-
+# measured at their own points.
+#
+# Kicking the mechanism and letting it snap back is a second method that shares nothing with the
+# first but equations and projection. Neither proves a number; where a theorem does
+# (`kempe.mobility.dof_proofs`), the answer is certain. Joint limits do not count.
 
 OPEN = 1e-6
 """Residual above which a configuration is not closed."""

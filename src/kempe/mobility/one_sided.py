@@ -1,5 +1,6 @@
-"""One-sided constraints at a configuration: which are closed, how far others are open, what is
-still allowed.
+"""One-sided constraints at a configuration: which are active, and which velocities they allow.
+
+Limits of coordinates are among them.
 """
 
 from __future__ import annotations
@@ -27,19 +28,15 @@ from kempe.words import InWords, counted
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- cone
 
-# What active one-sided constraints leave to velocities: the cone {v : E v = 0, G v >= 0}, by
-# linear programming.
-#
-# Columns are scaled velocities (slides in lengths of a link), so that rows of turns and slides
-# compare. Facts used: a one-sided row is zero on the whole cone where it takes part in a
-# nonnegative combination of rows that vanishes (Stiemke, 1915); where no row is, and E has full
-# rank, the cone
-# is
-# what curves of the set {e = 0, g >= 0} leave with (Mangasarian and Fromovitz, 1967); otherwise it
-# says to first order what may move.
+# ---- the cone of allowed velocities
 
+# The cone is {v : E v = 0, G v >= 0}, found by linear programming. Columns are scaled velocities
+# (slides in lengths of a link), so that rows of turns and slides compare. Facts used: a one-sided
+# row is zero on the whole cone where it takes part in a nonnegative combination of rows that
+# vanishes (Stiemke, 1915); where no row is, and E has full rank, the cone is what curves of the set
+# {e = 0, g >= 0} leave with (Mangasarian and Fromovitz, 1967); otherwise it says to first order
+# what may move.
 
 NOTHING = 1e-6
 """Rows, components and openings below this part of what they are measured against count as zero: at
@@ -259,6 +256,8 @@ def _rays(C: Array) -> Array | None:
             out.append(ray)
     return np.array(out).reshape(-1, r)
 
+
+# ---- the report
 
 BLIND = "its gradient vanishes or is not defined here: nothing is known to first order"
 """What is said of a row that does not tell what it allows."""

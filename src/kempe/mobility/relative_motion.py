@@ -27,15 +27,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- transmission
 
-# Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle,
-# dead points.
-#
-# The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that
-# they allow. Where the inputs determine them, the velocity of anything is linear in those of the
-# inputs; no number is differenced.
-
+# ---- velocities that all constraints allow
 
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
@@ -69,6 +62,8 @@ def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
         J = np.concatenate([J, A])
     return null_space(J, RANK)
 
+
+# ---- relative motion
 
 ZERO = 1e-9
 """Velocities below this part of the largest, and singular values likewise, are zero."""

@@ -1,6 +1,4 @@
-"""The configuration space of a system: reading `q`, random and special configurations, distances,
-its shape.
-"""
+"""Configurations `q` of a system: reading them, random and special ones, differences, distances."""
 
 from __future__ import annotations
 
@@ -24,6 +22,9 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
+
+
+# ---- reading configurations
 
 MOST_WOUND = 1e8
 """Largest angle in a motion, in radians: beyond it, floats are more than a hundred-millionth of a
@@ -268,6 +269,9 @@ def refuse_wound_angle(angle: float, what: str) -> None:
         )
 
 
+# ---- random and special configurations
+
+
 def mid(system: Model) -> Array:
     """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a
     limit is missing.
@@ -345,6 +349,9 @@ def sampling_box(system: Model) -> tuple[Array, Array]:
     return low, high
 
 
+# ---- differences and distances
+
+
 @explained
 def integrate(system: Model, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of
@@ -420,9 +427,7 @@ def distance(system: Model, q0: Any, q1: Any) -> Array:
     return np.linalg.norm(difference(system, q0, q1), axis=-1)
 
 
-# ---- coordinates
-
-# Which joint coordinates make up `q`, and what follows from them by couplings and locks.
+# ---- units and names of coordinates
 
 
 def units(system: Model) -> dict[str, str]:

@@ -1,6 +1,4 @@
-"""Declared constraints as ties for the kernels: their rows of position, with ends on rows of the
-table.
-"""
+"""Declared constraints as ties: rows of position between two frames, in the form kernels need."""
 
 from __future__ import annotations
 
@@ -29,10 +27,11 @@ from kempe.model.primitive_table import Table
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- frame constraints
 
-# Ties: what holds one frame in another, or coordinates; `loop_plan` packs them for the kernels.
+# ---- ties
 
+# What holds one frame in another, or coordinates; `kempe.model.packed_loops` packs ties for the
+# kernels.
 
 TURN_NAMES = {
     L.NO_TURN: (),
@@ -268,6 +267,8 @@ class PackedLoops:
         at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
         return self.plan[at : at + int(tie[L.LOCALS])].tolist()
 
+
+# ---- ties of declared constraints
 
 TURNS = {
     Op.ROTATION: {2: L.ANGLE, 3: L.FULL},

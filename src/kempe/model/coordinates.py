@@ -1,4 +1,7 @@
-"""Which joint coordinates make up `q`, and what follows from them by couplings and locks."""
+"""The coordinates of a system: which joint coordinates make up `q`, and which follow from them.
+
+Couplings and locks decide this; limits are brought back to the coordinates in `q`.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +23,7 @@ from kempe.errors import UnknownNameError
 from kempe.joints import P, Primitive, Q, R
 from kempe.values import Expression, evaluate
 
-# ---- coordinate layout
-
-# How a configuration is made up, and its tangent vectors.
+# ---- the layout of q
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,8 @@ def layout_of(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layou
         array.setflags(write=False)
     return Layout(nq, nv, vector[:, 0], vector[:, 1], ball[:, 0], ball[:, 1])
 
+
+# ---- coordinates, couplings and limits
 
 HELD_TOLERANCE = 1e-9
 """How far a coordinate that follows a locked one may be outside its limits: rounding of the

@@ -1,5 +1,6 @@
-"""What a system is, without what one can ask it; its `Structure`: tree, coordinates, table, limits,
-identity.
+"""A compiled model: its structure (tree, coordinates, primitive table, limits) and its identity.
+
+Results that follow from a model alone are kept with it.
 """
 
 from __future__ import annotations
@@ -22,10 +23,9 @@ from kempe.model.topology import Topology, spanning_tree
 from kempe.spatial import Array
 from kempe.words import counted
 
-# ---- kept
+# ---- results kept with a system
 
 # What follows from a system, and a few keys, alone is worked out once and kept with the system.
-
 
 MOST = 256
 """Answers of one function that are kept with a system; the oldest go first."""
@@ -66,6 +66,8 @@ def keep(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
     answers[key] = answer
     return answer
 
+
+# ---- the compiled model
 
 FrameLike = Body | Frame | str
 

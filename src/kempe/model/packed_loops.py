@@ -1,12 +1,7 @@
-"""Loops as data: what ties which frames together over which coordinates, packed for the kernels.
+"""Loops as data: ties between frames over coordinates, packed as arrays for the kernels.
 
-A *tie* is one constraint between two frames A and B: a joint that the tree left out, a declared
-constraint, a frame held in place (a pin), or a linear relation of coordinates. A joint that the
-tree left out is tied in one of two forms. *Implicit*, A is its frame F and B its frame M, held as
-the joint holds them; its own coordinates are read off afterwards. *Explicit*, A is led on through
-the joint's own motion, and coincides with B; its coordinates are unknowns like all others. So a
-coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
-that has no implicit form (`kempe.model.implicit_form`).
+A tie is one constraint between two frames: of a cut joint, a declared constraint, a frame held in
+place, or a linear relation of coordinates.
 """
 
 from __future__ import annotations
@@ -51,10 +46,9 @@ __all__ = [
 ]
 
 
-# ---- loop plan
+# ---- arrays for the kernels
 
-# Ties, packed for the kernels as `kempe.kernels.constraints.loop_layout` says.
-
+# Their layout is that of `kempe.kernels.constraints.loop_layout`.
 
 READINGS = {
     "x": L.READ_X,
@@ -397,6 +391,8 @@ class LoopPlan:
         return out, at
 
 
+# ---- packing a system
+
 Places = dict[str, tuple[int, int]]
 """For each coordinate by name its place in q, and in the velocities."""
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
@@ -543,7 +539,13 @@ def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
     return both, replace(both, at=first.at)
 
 
-# ---- what is tied
+# ---- ties of a system
+
+# A joint that the tree left out is tied in one of two forms. *Implicit*, A is its frame F and B its
+# frame M, held as the joint holds them; its own coordinates are read off afterwards. *Explicit*, A
+# is led on through the joint's own motion, and coincides with B; its coordinates are unknowns like
+# all others. So a coordinate that is known, limited or coupled needs nothing special, and neither
+# does a joint type that has no implicit form (`kempe.model.implicit_form`).
 
 
 def held_ties(system: Model, table: Table) -> list[Tie]:

@@ -1,13 +1,6 @@
-"""Graph -> forest: which joints carry the spanning tree, which close loops, and how bodies are
-numbered.
+"""The spanning tree of a mechanism: its joints, those that close loops, and numbers of bodies.
 
-Required of the result, and tested: the user's joint directions are kept (a tree joint may be walked
-from its child to its parent); a joint marked `cut` is left out if any other choice exists; fixed,
-actuated and coupled joints stay in the tree where they can; among the choices that remain the loops
-that the cut joints close are short. Between choices with loops of the same total length, joints of
-the least wanted kind are cut: passive ones, those with many freedoms, those far from the ground,
-those that are a second way into their child. What is alike in all this is ordered by structure,
-then by placements, then by limits, and by names last; the order of declaration decides nothing.
+The loops that the cut joints close are short.
 """
 
 from __future__ import annotations
@@ -23,19 +16,17 @@ from kempe.description.parts import Joint
 from kempe.errors import DescriptionError, Fault
 from kempe.model.structural_order import structural_order
 
-# ---- short loops
+# ---- spanning trees with short loops
 
-# Spanning trees whose fundamental loops are short.
-#
 # A spanning tree of least total loop length is NP-hard to find (Deo, Prabhu and Krishnamoorthy,
 # 1982). The heuristic here reduces the graph to branches between bodies where loops meet, keeps the
 # branches that lie on many short loops (a shortest loop through every branch, as in Horton, 1987),
 # and then exchanges branches of the tree for branches that it left out while this shortens the
 # loops (Amaldi, Liberti, Maculan and Maffioli, 2009). It is exact for chains of loops, ladders and
 # trusses.
+#
 # The result depends on the graph and on the order of preference only, not on how bodies and joints
 # are numbered.
-
 
 REACH = 400
 """Bodies at most that the search for a shortest loop through a branch looks at: others count as on
@@ -308,6 +299,18 @@ class _Search:
         size[f] = size.pop(e)
         for k in own:
             through[k].add(f)
+
+
+# ---- the tree of a mechanism
+
+# Required of the result, and tested: the user's joint directions are kept (a tree joint may be
+# walked from its child to its parent); a joint marked `cut` is left out if any other choice exists;
+# fixed, actuated and coupled joints stay in the tree where they can; among the choices that remain
+# the loops that the cut joints close are short. Between choices with loops of the same total
+# length, joints of the least wanted kind are cut: passive ones, those with many freedoms, those far
+# from the ground, those that are a second way into their child. What is alike in all this is
+# ordered by structure, then by placements, then by limits, and by names last; the order of
+# declaration decides nothing.
 
 
 @dataclass(frozen=True)

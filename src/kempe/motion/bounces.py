@@ -1,13 +1,7 @@
-"""One ball or particle that falls and bounces between planes: parabolas in closed form, and what
-happens between them.
+"""Flights and bounces of one ball or particle between planes, which may move.
 
-The centre moves in a flat space of slides, on which an acceleration acts that does not depend on
-the mass. Planes are smooth and push along their normals only: an impact reverses the normal speed
-times the restitution (Newton), in a corner by Moreau's law, v' = -e v + (1 + e) proj(v) with the
-projection on the velocities that no touched plane forbids; so no mass is needed. Bounces on one
-plane that get smaller and smaller end at a time that is the sum of a geometric series: from there
-on the ball rests on the plane, or slides. Sources: Moreau, *Unilateral contact and dry friction in
-finite freedom dynamics*, 1988; Brogliato, *Nonsmooth Mechanics*, 2016.
+Flights are parabolas in closed form. Planes are smooth, and an impact reverses the normal speed
+times the restitution; masses are not needed.
 """
 
 from __future__ import annotations
@@ -24,6 +18,16 @@ from kempe.budget import look
 from kempe.numerics.clock import TimeLimit
 from kempe.singular_values import svd
 from kempe.spatial import Array
+
+# ---- laws of flights and impacts
+
+# The centre moves in a flat space of slides, on which an acceleration acts that does not depend on
+# the mass. Planes push along their normals only: an impact reverses the normal speed times the
+# restitution (Newton), in a corner by Moreau's law, v' = -e v + (1 + e) proj(v) with the projection
+# on the velocities that no touched plane forbids; so no mass is needed. Bounces on one plane that
+# get smaller and smaller end at a time that is the sum of a geometric series: from there on the
+# ball rests on the plane, or slides. Sources: Moreau, *Unilateral contact and dry friction in
+# finite freedom dynamics*, 1988; Brogliato, *Nonsmooth Mechanics*, 2016.
 
 FADED = 1e-9
 """Part of the largest impact speed below which bounces on one plane count as the rest of their

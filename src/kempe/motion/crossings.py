@@ -1,11 +1,6 @@
-"""Singular points of a curve of configurations: where exactly, and which branches meet there.
+"""Singular points of a curve of configurations: where they are, and which branches meet there.
 
-At a singular point of the constraints the Jacobian loses rank: there are more null directions than
-the curve has, and as many new combinations of equations that vanish to first order. Their
-second-order forms on the null space tell the directions of the branches: the tangent cone (Müller,
-*J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3). Where the cone is degenerate, at
-cusps and where branches touch, small spheres around the point show the half-branches (Milnor,
-*Singular Points of Complex Hypersurfaces*, 1968, sections 2 and 3).
+Also curves along which the rank is low throughout.
 """
 
 from __future__ import annotations
@@ -86,6 +81,14 @@ ALIKE = 0.1
 center."""
 RESTS = 1e-6
 """Entries of the tangent of a cusp below this are zero."""
+
+
+# ---- singular points and tangent cones
+
+# At a singular point of the constraints the Jacobian loses rank: there are more null directions
+# than the curve has, and as many new combinations of equations that vanish to first order. Their
+# second-order forms on the null space tell the directions of the branches: the tangent cone
+# (Müller, *J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3).
 
 
 def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Array:
@@ -375,6 +378,10 @@ def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
 
 
 # ---- half-branches
+
+# Where the cone is degenerate, at cusps and where branches touch, small spheres around the point
+# show the half-branches (Milnor, *Singular Points of Complex Hypersurfaces*, 1968, sections 2 and
+# 3).
 
 
 @dataclass(frozen=True, eq=False)
@@ -816,15 +823,12 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
     )
 
 
-# ---- deflation
+# ---- curves of low rank (deflation)
 
-# Curves along which the equations touch: the Jacobian has a larger null space all along than the
-# curve has tangents.
-#
-# There the curve is where the equations hold and the small singular values of the Jacobian vanish,
-# too. These equations together are regular if the null space is cut down to a tangent to second
-# order (deflation: Leykin, Verschelde, Zhao, *Theor. Comput. Sci.* 359, 2006).
-
+# Along some curves the equations touch: the Jacobian has a larger null space all along than the
+# curve has tangents. There the curve is where the equations hold and the small singular values of
+# the Jacobian vanish, too. These equations together are regular if the null space is cut down to a
+# tangent to second order (deflation: Leykin, Verschelde, Zhao, *Theor. Comput. Sci.* 359, 2006).
 
 ALIGNED = 0.7
 """Least singular value of the product of two bases from which one need not follow the other."""

@@ -1,10 +1,7 @@
-"""Inputs that follow given time courses: the mechanism moves along, never jumping to another
-branch.
+"""Motions with given inputs: the verb `drive` follows the time courses on one branch.
 
-Between two samples the inputs move on a straight line, and the configuration is continued along it
-as a curve in configurations and length of that line. So a change point is passed straight on at any
-number of samples, and where the inputs ask for more than the mechanism can do the curve turns back:
-a toggle.
+Positions follow by continuation, so that no step jumps to another branch; what rolls follows by
+integration.
 """
 
 from __future__ import annotations
@@ -68,13 +65,13 @@ from kempe.words import InWords, counted
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- input segments
 
-# One straight segment of the inputs after the other, and the configuration continued along it.
-#
-# The curve lives in configurations and the length gone on the segment. Where it turns back in that
-# length the inputs cannot go on (a toggle); where two of its branches cross is a change point.
+# ---- segments of the inputs
 
+# Between two samples the inputs move on a straight segment, and the configuration is continued
+# along it as a curve in configurations and length gone on the segment. Where it turns back in that
+# length the inputs cannot go on (a toggle); where two of its branches cross is a change point,
+# which is passed straight on at any number of samples.
 
 SAME_INPUT = 1e-9
 """How far a toggle may be from the inputs requested and still be what was requested."""
@@ -342,16 +339,12 @@ def _land_on_crossing(
     return replace(b, x=x)
 
 
-# ---- rolling drive
+# ---- inputs of what rolls
 
-# Inputs that follow time courses, of what rolls: all else follows by integration, and the motion
-# must not slip.
-#
-# The velocities satisfy the inputs and the loops; among those that do, the ones that slip least are
-# taken. They are integrated by the classical method of Runge and Kutta, and after each sample the
-# inputs have their values and the loops are closed. Whether the motion slips is decided by its
-# samples.
-
+# All else follows by integration, and the motion must not slip. The velocities satisfy the inputs
+# and the loops; among those that do, the ones that slip least are taken. They are integrated by the
+# classical method of Runge and Kutta, and after each sample the inputs have their values and the
+# loops are closed. Whether the motion slips is decided by its samples.
 
 STEP = 0.02
 """Longest step of integration, in radians and characteristic lengths."""
@@ -553,6 +546,8 @@ class _Follow:
             z = self.at(self.closure.move(q, 0.5 * h * z), t + 0.5 * h, (end - u) / h)
         return self.closure.move(q, h * z)
 
+
+# ---- the answer and the verb
 
 USUAL = Usual("drive", step=None, time_limit=LONG, progress=None)
 CONTINUOUS = 1e-5

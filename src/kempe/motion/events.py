@@ -1,6 +1,4 @@
-"""What happens along a curve: steps through crossings, limits, the way back to the start, extremes,
-singular points.
-"""
+"""Events along a curve: crossings, limits, turning points, singular points, the start again."""
 
 from __future__ import annotations
 
@@ -54,6 +52,9 @@ HOME_CROSSING = 1e-4
 """The same where the start is a crossing: points beside it are known less well."""
 ARRIVED = 0.999
 """Cosine between the directions of departure and arrival."""
+
+
+# ---- steps and special points
 
 
 @dataclass(frozen=True)
@@ -298,11 +299,9 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
     return out + nodes[-1:] if len(nodes) > 1 else out
 
 
-# ---- one sided ends
+# ---- ends by one-sided constraints
 
-# Where one-sided rows end a walk along a curve: limits of coordinates, and declared one-sided
-# constraints.
-
+# Limits of coordinates, and declared one-sided constraints, end a walk along a curve.
 
 TOUCH = 1e-12
 """Radians or metres beyond a bound that are rounding."""

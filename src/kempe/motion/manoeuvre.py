@@ -1,11 +1,7 @@
-"""Manoeuvres: how what cannot move sideways gets there all the same, by turns, arcs and straight
-lines.
+"""Manoeuvres: motions of rolling systems to a given configuration, by turns, arcs and lines.
 
-The path is put together of pieces in which the axle keeps its speed and its turning, so that it is
-known in closed form and obeys the velocity rows at every time. A car without steering limits turns
-on the spot between two straight lines; one with a turning radius takes the shortest way of Reeds
-and Shepp (1990), by alternation where there is no room. Each sample is held against the velocity
-rows of the system itself.
+Every velocity constraint holds along the whole way. A car with a turning radius takes the shortest
+way of Reeds and Shepp (1990).
 """
 
 from __future__ import annotations
@@ -40,10 +36,8 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- manoeuvre path
 
-# `Manoeuvre`: the answer of `manoeuvre`, a way in pieces of even speed that is known in closed
-# form.
+# ---- the answer
 
 
 class Piece(NamedTuple):
@@ -272,19 +266,13 @@ def _moved(wheel: Array, length: Array, angle: Array) -> Array:
     )
 
 
-# ---- reeds shepp
+# ---- shortest ways of Reeds and Shepp
 
-# Shortest ways of a car that turns no tighter than a radius and drives both ways: arcs and
-# straight lines.
-#
-# A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right,
-# 0
-# goes straight; a negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a
-# car
-# that goes both forwards and backwards*, Pacific J. Math. 145, 1990: one of their 48 words is
-# shortest. Each way that a formula gives is followed to its end, and counts only where that is the
-# goal.
-
+# A car turns no tighter than a radius and drives both ways. A way is a sequence of (curvature,
+# length) pairs of unit radius: curvature 1 turns left, -1 right, 0 goes straight; a negative length
+# goes in reverse. Source: Reeds and Shepp, *Optimal paths for a car that goes both forwards and
+# backwards*, Pacific J. Math. 145, 1990: one of their 48 words is shortest. Each way that a formula
+# gives is followed to its end, and counts only where that is the goal.
 
 Way = tuple[tuple[float, float], ...]
 """(curvature, signed length) of each piece, for the radius 1."""
@@ -508,11 +496,9 @@ WORDS: tuple[Callable[[float, float, float], Iterator[Way]], ...] = (
 """The kinds of words, each a function of the goal."""
 
 
-# ---- steering
+# ---- plans
 
-# Plans of manoeuvres: which straight pieces, arcs and turns lead an axle from one place in the
-# plane to another.
-
+# Which straight pieces, arcs and turns lead an axle from one place in the plane to another.
 
 GRID = 240
 """Values of the steering, all around or between its limits, between which a wanted curvature is
@@ -810,6 +796,14 @@ def _spare(plan: Plan) -> Plan:
     return tuple(m for m in plan if abs(m.length) > 1e-300 or abs(m.angle) > 1e-15)
 
 
+# ---- the verb
+
+# The path is put together of pieces in which the axle keeps its speed and its turning, so that it
+# is known in closed form and obeys the velocity rows at every time. A car without steering limits
+# turns on the spot between two straight lines; one with a turning radius takes the ways of Reeds
+# and Shepp, by alternation where there is no room. Each sample is held against the velocity rows of
+# the system itself.
+
 SLIP = 1e-9
 """Slip, of rows and speeds of size 1, above which a sample is not on the constraint."""
 PARALLEL = 1e-3
@@ -1086,6 +1080,9 @@ def _arrive(
     x[0] = q
     x[-1] = end
     return turns
+
+
+# ---- what is said of ways to a configuration
 
 
 def way_there(system: Model) -> str:

@@ -1,4 +1,7 @@
-"""`Path`: the answer of `trace`, a curve of configurations with what happens on it."""
+"""The answer of `trace`: a curve of configurations, with the special points on it.
+
+`Motion`, the base of all motions, stands here, too.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +35,10 @@ from kempe.words import InWords, counted
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- other branches
 
-# Assembly modes that a traced path does not pass: a mechanism that is built again may move on
-# another branch.
+# ---- assembly modes that a path does not pass
 
+# A mechanism that is built again may move on another branch.
 
 MOST_SIGNS = 6
 """Dyads of mechanisms whose assembly modes are looked at: 64 modes, in some hundredths of a
@@ -81,6 +83,8 @@ def _passes(path: Path, q: Array) -> bool:
     y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit
     return bool(np.linalg.norm(y, axis=1).min() <= np.diff(track.s).max())
 
+
+# ---- the answer
 
 MOST = 10**7
 """Points at most of a path that is resampled."""

@@ -1,5 +1,6 @@
-"""Motion in time without masses: inputs that are velocities, and one ball or particle that falls
-and bounces.
+"""Motion in time without masses: given velocities, or one ball that falls and bounces.
+
+A particle moves as a ball does.
 """
 
 from __future__ import annotations
@@ -35,14 +36,12 @@ from kempe.words import InWords, counted
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- falling
 
-# What falls and bounces without that its mass matters: one ball or particle, recognised from the
-# kinematics.
-#
+# ---- the falling body and the planes below it
+
 # The centre of the one moving body moves in a flat space of slides; turns do not move it. One-sided
-# rows that are planes in that space are what it bounces on, limits of its slides among them.
-
+# rows that are planes in that space are what it bounces on, limits of its slides among them. So its
+# mass does not matter.
 
 SAME = 1e-9
 TRIALS = 5
@@ -374,6 +373,8 @@ def _turns(
                 "its moment of inertia"
             )
 
+
+# ---- the answer and the verb
 
 GRAVITY = 9.81
 """Acceleration of free fall [m/s^2], down z, in the plane down y, where none is given."""

@@ -1,10 +1,7 @@
-"""How a mechanism with one degree of freedom moves: its whole branch, by continuation; other
-branches by switching.
+"""The motion of a mechanism with one degree of freedom: its whole branch, by continuation.
 
-Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990): the
-driver is not special, so dead points are ordinary points. At a crossing the walk goes straight on,
-and where branches touch or end in a cusp it goes on along the half-branch that is the other half of
-its own; what other branches there are is recorded.
+At a crossing the walk goes straight on, and the other branches are recorded; `branches` follows
+these, too.
 """
 
 from __future__ import annotations
@@ -61,15 +58,12 @@ from kempe.words import plural
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- endless
 
-# Motions that have no end: slides that run away to infinity, and gears that never bring all back
-# to where it was.
-#
-# That a curve runs away is evidence, found by going on in longer and longer steps; so is a ratio of
-# whole numbers that is missing: a computer's number is always a fraction. What is said is what was
-# looked at.
+# ---- motions without end
 
+# Slides run away to infinity, or gears never bring all back to where it was. That a curve runs away
+# is evidence, found by going on in longer and longer steps; so is a ratio of whole numbers that is
+# missing: a computer's number is always a fraction. What is said is what was looked at.
 
 FAR = 50.0
 """Characteristic lengths that a slide, and radians that a turn without return, is away before one
@@ -209,6 +203,12 @@ class Endless:
         ]
         return f"infinity: nothing turns back as far as it was followed, to {', '.join(shown)}"
 
+
+# ---- the verbs
+
+# Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990):
+# the driver is not special, so dead points are ordinary points. Where branches touch or end in a
+# cusp the walk goes on along the half-branch that is the other half of its own.
 
 NONE = np.zeros((0, 0))
 SAME_POINT = 1e-6

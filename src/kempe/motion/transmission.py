@@ -1,9 +1,7 @@
-"""Velocities and forces through closed loops: Jacobians, mechanical advantage, transmission angle,
-dead points.
+"""Velocities and forces through closed loops: Jacobian, mechanical advantage, dead points, angles.
 
 The null space of the closure Jacobian, and of the velocity constraints, holds all velocities that
-they allow. Where the inputs determine them, the velocity of anything is linear in those of the
-inputs; no number is differenced.
+they allow. Where the inputs determine them, other velocities are linear in those of the inputs.
 """
 
 from __future__ import annotations
@@ -268,7 +266,7 @@ def dead_points(path: Path, input: str) -> tuple[Event, ...]:
     return tuple(e for e in path.extremes if e.coordinate == input)
 
 
-# ---- angles
+# ---- pressure and transmission angles
 
 
 def pressure_angle(

@@ -1,5 +1,6 @@
-"""A curve of configurations as branches over one coordinate, each of which exists where functions
-are positive.
+"""Branches of a curve over one coordinate: each exists where certain functions are positive.
+
+The functions are given for planar mechanisms of dyads and for spatial loops of four joints.
 """
 
 from __future__ import annotations
@@ -83,18 +84,12 @@ def within(value: Enclosure, low: float, high: float) -> list[Function]:
     ]
 
 
-# ---- dyad branches
+# ---- planar mechanisms of dyads
 
-# A planar mechanism of dyads as functions of one coordinate: where each of its branches exists,
-# with bounds.
-#
 # The dyads of a closed form (`kempe.assemble.dyads`) are walked with enclosures in place of
 # numbers. Each of them has two roots, which exist where its circles, or its line and circle, meet:
-# where functions
-# of
-# the coordinate are positive. Where one of them is zero the two roots are one. Limits of the other
-# coordinates are such functions, too.
-
+# where functions of the coordinate are positive. Where one of them is zero the two roots are one.
+# Limits of the other coordinates are such functions, too.
 
 MOST_SIGNS = 8
 """Branch signs up to which all branches are followed."""
@@ -259,7 +254,7 @@ class Walk:
         return out
 
 
-# ---- poses and groups, as the kernel has them
+# ---- dyads: poses and groups, as the kernel has them
 
 
 def times(a: Any, b: Any) -> Any:
@@ -373,7 +368,7 @@ def _lines(poses: Any, i: list[int], f: list[float], number: int, sign: Any) -> 
     return [(det * det, SOUND)]
 
 
-# ---- coordinates and their limits
+# ---- dyads: coordinates and their limits
 
 
 def _read_turn(poses: Any, i: list[int], f: list[float]) -> Vector:
@@ -399,20 +394,15 @@ def _read_slide(poses: Any, i: list[int], f: list[float]) -> Enclosure:
     return ((qx - px) * dx + (qy - py) * dy) * f[8] + f[9]
 
 
-# ---- skew branches
+# ---- spatial loops of four joints
 
-# Spatial loops of four joints as branches over the first crank: rods between balls, and loops of
-# four turns.
-#
 # The ends p and r of two cranks, or of a crank and a slide, on one body are a rod's length L apart:
 # |p(a) - r(b)| = L. For a crank that is A cos b + B sin b + C = 0 with A, B and C of the first
-# degree
-# in cos a and sin a: b is real where D = A^2 + B^2 - C^2 >= 0 (Freudenstein, Kiss, "Type
+# degree in cos a and sin a: b is real where D = A^2 + B^2 - C^2 >= 0 (Freudenstein, Kiss, "Type
 # determination of skew four-bar mechanisms", J. Eng. Ind. 91, 1969). For a slide it is a quadratic
 # equation. Four turns about axes through one point are such a loop, too: p and r are the directions
 # of the axes of the coupler, on the unit sphere; and so are four turns about parallel axes, seen
 # along them.
-
 
 SAME = 1e-12
 """Part of the size up to which points are one and directions parallel."""

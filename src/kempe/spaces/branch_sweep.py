@@ -1,10 +1,6 @@
-"""Where the branches of a curve exist, over one coordinate: intervals on which it is proven.
+"""Components of a curve of configurations, proven by a sweep over one coordinate.
 
-Each interval is cut until on it every branch is proven to exist throughout, or nowhere, or to end
-once: where one of its functions has one simple root, which opposite signs at the ends of the
-interval and a slope that is not zero prove (Moore, Kearfott, Cloud, *Introduction to Interval
-Analysis*, 2009). A function that is convex on an interval, positive at its ends, and zero to
-rounding between them, only touches zero there, as at a change point of a parallelogram.
+Intervals are cut until the branches on each are known; joined branches are circles or arcs.
 """
 
 from __future__ import annotations
@@ -31,6 +27,15 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import Model
     from kempe.numerics.clock import TimeLimit
+
+
+# ---- branches on intervals
+
+# Each interval is cut until on it every branch is proven to exist throughout, or nowhere, or to end
+# once: where one of its functions has one simple root, which opposite signs at the ends of the
+# interval and a slope that is not zero prove (Moore, Kearfott, Cloud, *Introduction to Interval
+# Analysis*, 2009). A function that is convex on an interval, positive at its ends, and zero to
+# rounding between them, only touches zero there, as at a change point of a parallelogram.
 
 FIRST = 48
 """Intervals at the beginning."""
@@ -209,19 +214,13 @@ def _ordered(parts: list[Cells]) -> Cells:
     return Cells(*(x[order] for x in joined))
 
 
-# ---- swept
+# ---- components of the curve
 
-# The components of a curve whose branches are known over one coordinate: circles and arcs, by
-# proof.
-#
-# Branches are joined where intervals touch (`branch_intervals`), and where they meet: where the
-# function of a sign is zero, the curve goes on with the other sign; where that of a limit is, it
-# ends. Where a sign's function only touches zero, four branches meet, or one point lies alone.
-# Where something is open, as where several functions vanish at once, all branches of which nothing
-# is
-# known
-# may be joined: the number of components is a lower bound then.
-
+# Branches are joined where intervals touch, and where they meet: where the function of a sign is
+# zero, the curve goes on with the other sign; where that of a limit is, it ends. Where a sign's
+# function only touches zero, four branches meet, or one point lies alone. Where something is open,
+# as where several functions vanish at once, all branches of which nothing is known may be joined:
+# the number of components is a lower bound then.
 
 TRIES = 4
 """Coordinates over which is swept at most."""

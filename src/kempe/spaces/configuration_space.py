@@ -1,5 +1,6 @@
-"""The configuration space of a system: the product space of its joints, and what loops and
-relations leave of it.
+"""The configuration space of a system: the product space of its joints, and its closed subset.
+
+Loops and relations leave this subset.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Continuous motions between two configurations: straight ways, traced curves, random trees on the
-manifold.
-"""
+"""Continuous motions between two configurations: straight, along curves, or by random trees."""
 
 from __future__ import annotations
 
@@ -32,15 +30,12 @@ from kempe.status import Status
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
+
 # ---- random trees
 
-# Two random trees that grow towards one another on the closed configurations, and the way where
-# they meet.
-#
-# Sources: Kuffner, LaValle, "RRT-Connect", ICRA 2000; Berenson, Srinivasa, Ferguson, Kuffner,
-# "Manipulation planning on constraint manifolds", ICRA 2009: each step towards a sample is led back
-# onto the manifold.
-
+# Two trees grow towards one another on the closed configurations, and meet. Sources: Kuffner,
+# LaValle, "RRT-Connect", ICRA 2000; Berenson, Srinivasa, Ferguson, Kuffner, "Manipulation planning
+# on constraint manifolds", ICRA 2009: each step towards a sample is led back onto the manifold.
 
 FEWEST = 0.1
 """Part of a step that must be left of the distance to the aim, and of the step itself, to go on."""
@@ -220,6 +215,8 @@ def _refined(manifold: Manifold, way: list[Array], step: float, time: TimeLimit)
     return None
 
 
+# ---- the answer and the verb
+
 STEP = 0.1
 """Longest step of the motion unless the caller says otherwise, in radians and characteristic
 lengths."""
@@ -381,7 +378,7 @@ def _closed(
     return _by_trees(Manifold(system, dim or 1), exact[0], exact[1], step, rng, spend, time)
 
 
-# ---- along curves
+# ---- the verb: along traced curves
 
 
 def _curve(system: Model, a: Array, spend: Budget) -> Component:
@@ -469,7 +466,7 @@ def _route(
     return out[::-1]
 
 
-# ---- by random trees
+# ---- the verb: by random trees
 
 
 def _by_trees(

@@ -1,12 +1,4 @@
-"""Planar loops of bars, whose components are known by theorem.
-
-The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
-only if there are three long bars, any two of which are longer together than half of all; then there
-are two components, mirror images of one another, and two long bars are never parallel: the side to
-which the second turns from the first tells them apart. Source: Kapovich, Millson, "On the moduli
-space of polygons in the Euclidean plane", J. Differential Geom. 42 (1995), theorem 1. With four
-bars it is Grashof's rule (1883).
-"""
+"""Planar loops of bars: the components of their configuration space, by theorem."""
 
 from __future__ import annotations
 
@@ -25,9 +17,8 @@ if TYPE_CHECKING:
     from kempe.description.parts import Joint
     from kempe.model.model import Model
 
-# ---- loops
 
-# The only loop of a system: its bodies and joints in their order.
+# ---- the only loop of a system
 
 
 @kept
@@ -71,6 +62,15 @@ def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
     X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system.mechanism.parameters)
     return X[:3, 3], X
 
+
+# ---- polygons of bars
+
+# The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
+# only if there are three long bars, any two of which are longer together than half of all; then
+# there are two components, mirror images of one another, and two long bars are never parallel: the
+# side to which the second turns from the first tells them apart. Source: Kapovich, Millson, "On the
+# moduli space of polygons in the Euclidean plane", J. Differential Geom. 42 (1995), theorem 1. With
+# four bars it is Grashof's rule (1883).
 
 EQUAL = 1e-12
 """Part of the sum of all lengths up to which sums of lengths are equal."""

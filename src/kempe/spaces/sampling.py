@@ -1,6 +1,4 @@
-"""Random configurations, uniform in a stated measure: product of coordinates, arc length, volume on
-a manifold.
-"""
+"""Random configurations, uniform in a stated measure: of coordinates, arc length or volume."""
 
 from __future__ import annotations
 
@@ -29,18 +27,15 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- random walk
 
-# A random walk on the closed configurations whose limit is uniform: Metropolis's algorithm on a
-# manifold.
-#
-# Source: Zappa, Holmes-Cerfon, Goodman, "Monte Carlo on manifolds: sampling densities and
-# integrating functions", Comm. Pure Appl. Math. 71 (2018): a step along the tangent space, led back
-# along the
-# normals of where it began, is taken only if the step back would be found, too. In rotations steps
-# are exponentials; the determinants that compare the volumes of the two steps are transposes of one
+# ---- a random walk on a manifold
+
+# Metropolis's algorithm on the closed configurations, with a uniform limit. Source: Zappa,
+# Holmes-Cerfon, Goodman, "Monte Carlo on manifolds: sampling densities and integrating functions",
+# Comm. Pure Appl. Math. 71 (2018): a step along the tangent space, led back along the normals of
+# where it began, is taken only if the step back would be found, too. In rotations steps are
+# exponentials; the determinants that compare the volumes of the two steps are transposes of one
 # another, as in flat space, because the measure is invariant on both sides.
-
 
 FIRST_STEP = 0.5
 """Standard deviation of the first steps in each tangent direction, in radians and characteristic
@@ -116,6 +111,8 @@ def _some(which: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
 def _along(basis: Array, v: Array) -> Array:
     return np.einsum("kij,kj->ki", basis, v)
 
+
+# ---- samples
 
 MOST = 10**7
 """Configurations at most."""

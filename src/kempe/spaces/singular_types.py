@@ -1,11 +1,6 @@
-"""Which matrices lose rank at the singular configurations of a frame, of inputs and of loops.
+"""Types of singular configurations: which matrix loses rank, of a chain or of closed loops.
 
-Of a chain it is the Jacobian of the frame. Of closed loops C(q) = 0 with inputs a: the frame loses
-directions where [dC; J] does (type 1), the inputs no longer hold the mechanism where [dC; da] does
-(type 2), and it has more first-order freedoms than elsewhere where dC alone does (constraint
-singularity). Sources: Gosselin, Angeles, "Singularity analysis of closed-loop kinematic chains",
-IEEE Trans. Robotics and Automation 6 (1990); Zlatanov, Bonev, Gosselin, "Constraint singularities
-of parallel mechanisms", ICRA 2002.
+The sets that singular configurations form, and the nearest of them, are described here, too.
 """
 
 from __future__ import annotations
@@ -36,11 +31,8 @@ from kempe.words import InWords, counted, joined
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- singular sets
 
-# What is said of singular configurations: sets that are singular in the same way, and the nearest
-# of them.
-
+# ---- sets of singular configurations
 
 SAME = 1e-5
 """Difference of coordinates, in radians and metres, up to which they are the same."""
@@ -172,6 +164,15 @@ def inside_limits(system: Model, q: Array) -> np.ndarray:
     """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
     return np.asarray((one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
 
+
+# ---- matrices that lose rank
+
+# Of a chain it is the Jacobian of the frame. Of closed loops C(q) = 0 with inputs a: the frame
+# loses directions where [dC; J] does (type 1), the inputs no longer hold the mechanism where [dC;
+# da] does (type 2), and it has more first-order freedoms than elsewhere where dC alone does
+# (constraint singularity). Sources: Gosselin, Angeles, "Singularity analysis of closed-loop
+# kinematic chains", IEEE Trans. Robotics and Automation 6 (1990); Zlatanov, Bonev, Gosselin,
+# "Constraint singularities of parallel mechanisms", ICRA 2002.
 
 OF_FRAMES = ("pose", "position", "orientation", *PLANES, DIRECTION)
 """Tasks of frames: "xy" is the position along x and y, "direction" that of the frame's z axis."""

@@ -1,5 +1,6 @@
-"""Singular configurations of a frame and of closed loops: found, distinguished, and how far the
-nearest is.
+"""Singular configurations of a frame and of closed loops: found, named, and traced as curves.
+
+The answer also finds the nearest one to a configuration.
 """
 
 from __future__ import annotations
@@ -61,10 +62,8 @@ if TYPE_CHECKING:
 
     from kempe.model.model import FrameLike, Model
 
-# ---- arm names
 
-# Names of the singular configurations of six-joint arms: those on the border of which branches.
-
+# ---- names for six-joint arms
 
 BORDER = " singular"
 
@@ -97,16 +96,11 @@ def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
 
 # ---- singular curves
 
-# Curves of singular configurations, traced, and the curves that a frame draws there.
-#
-# The equations are those of `rank_loss`, of configuration and null vectors; where they leave one
-# dimension, a curve is followed from each singular configuration that was found. In the plane,
-# places
-# at which the frame loses a direction are such curves for any number of freedoms, and they bound
-# what
-# it reaches where no limit does (Haug and others, "Numerical algorithms for mapping boundaries of
-# manipulator workspaces", J. Mechanical Design 118, 1996).
-
+# The equations are those of `kempe.spaces.rank_loss`, of configuration and null vectors; where they
+# leave one dimension, a curve is followed from each singular configuration that was found. In the
+# plane, places at which the frame loses a direction are such curves for any number of freedoms, and
+# they bound what it reaches where no limit does (Haug and others, "Numerical algorithms for mapping
+# boundaries of manipulator workspaces", J. Mechanical Design 118, 1996).
 
 CURVES_USUAL = Usual("curves", step=0.05, time_limit=TIME_LIMIT, progress=None)
 MOST = 1500
@@ -495,6 +489,8 @@ def _beside(to: Array, on: Array) -> np.ndarray:
     # a long one
     return (across <= CURVE_BESIDE * np.sqrt(size)) & (size < np.pi**2)
 
+
+# ---- singular configurations
 
 USUAL = Usual("singularities", starts=64, rng=0, time_limit=TIME_LIMIT, progress=None)
 AT_ONCE = 16

@@ -1,5 +1,6 @@
-"""The task space: what of the configuration space is seen in a task, by counts, ranks and bounds of
-its image.
+"""The task space of a system: the image of its configuration space in a task.
+
+It is described by counts of freedoms, by ranks, and by bounds of the image.
 """
 
 from __future__ import annotations
@@ -31,11 +32,10 @@ from kempe.words import counted, verb
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- image rank
 
-# The rank of what a system moves: of rates of tasks or frames over the velocities that loops
-# leave.
+# ---- ranks of rates
 
+# The rank of what a system moves: of rates of tasks or frames over the velocities that loops leave.
 
 FULL = 1e-7
 """Singular value, as a part of the largest, up to which a direction counts as lost."""
@@ -72,6 +72,8 @@ def image_ranks(
         out.append(int((s > max(FULL * float(s.max(initial=0.0)), rounding)).sum()))
     return np.array(out, dtype=int), n
 
+
+# ---- the task space
 
 SEEN = 10_000
 """Further configurations of a tree, which cost next to nothing, that bound the image."""

@@ -1,9 +1,6 @@
-"""Systems with two freedoms over two of their coordinates: all configurations there, and all that
-reach a place.
+"""Systems with two freedoms: all configurations at two coordinates, or at a place of a frame.
 
-Of an open chain there is one configuration over each pair of values; of a planar mechanism made of
-dyads there are its assembly modes, in closed form. Of others configurations are found from node to
-node of a lattice (`lattices`).
+Open chains and planar mechanisms of dyads are solved in closed form, others on a lattice.
 """
 
 from __future__ import annotations
@@ -38,16 +35,13 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
+
 # ---- lattices
 
-# Closed configurations at which two functions have the values of a lattice, found from node to
-# node.
-#
-# Each configuration that is found at a node leads by Newton's method to those of its neighbours,
-# from
-# many random ones on. What is found is closed and has the values of its node; that nothing else
-# exists is evidence, not proof.
-
+# Closed configurations at which two functions have the values of a lattice. Each configuration that
+# is found at a node leads by Newton's method to those of its neighbours, from many random ones on.
+# What is found is closed and has the values of its node; that nothing else exists is evidence, not
+# proof.
 
 MOST = 64
 """Configurations of one node, at most."""
@@ -311,6 +305,12 @@ def nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
     )
     return i * len(y) + j
 
+
+# ---- systems with two freedoms
+
+# Of an open chain there is one configuration over each pair of values; of a planar mechanism made
+# of dyads there are its assembly modes. Of others configurations are found from node to node of a
+# lattice.
 
 MOST_SIGNS = 6
 """Branch signs of a closed form, at most: 64 configurations at each place."""

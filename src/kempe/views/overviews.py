@@ -1,6 +1,4 @@
-"""The tree of a system as text, as a picture and in notebooks; all joint types in one picture and
-one table.
-"""
+"""Overviews: the tree of a system as text, picture and notebook page; and all joint types."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Configuration space and task space of a system with two freedoms, beside one another, with
-matplotlib.
+"""Pictures of the configuration space and the task space of a system with two freedoms.
 
-Left is the configuration space, right what a frame's origin sees of it. Both are coloured by
-numbers of configurations within the limits: none, one, two, and so on. Importing this module needs
-the extra [view].
+Left is the configuration space, right what a frame's origin sees of it; colours are numbers of
+configurations within the limits. Needs the extra [view].
 """
 
 from __future__ import annotations
@@ -179,7 +177,7 @@ def _closed(system: Model, q: Array) -> bool:
     return float(np.abs(closure_error(system, q)).max(initial=0.0)) < CLOSED
 
 
-# ---- what is drawn
+# ---- parts of the picture
 
 
 def _singular_curves(space: TwoFreedoms) -> Any:

@@ -1,4 +1,7 @@
-"""What a frame reaches: a map of counts by random configurations, and what follows from it."""
+"""The answer of `workspace`: the places that a frame reaches, their measure and their boundary.
+
+It holds counts of random configurations in cells, and bounds of what can be reached.
+"""
 
 from __future__ import annotations
 
@@ -43,11 +46,10 @@ from kempe.workspace.store import description_of, refuse_other
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- map measures
 
-# What a map and the inverse model say together: the measure of what is reached, single points, the
-# boundary.
+# ---- measure and boundary of what is reached
 
+# The map and the inverse model are used together.
 
 POINTS = {"inner": 500, "near": 2000, "far": 500}
 """Random points of each kind of cells whose places the inverse model is to reach, for the
@@ -236,7 +238,6 @@ def boundary_of(cells: CellMap) -> Any:
 
 # What bounds of places leave of the cells of a box.
 
-
 FINE = 2**18
 """Cells into which a box is cut at least, as far as halving brings them there."""
 
@@ -286,6 +287,8 @@ def _squares(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array
         parts.append((ends if far else np.maximum(np.maximum(a - x, x - b), 0.0)) ** 2)
     return parts[0][:, None, None] + parts[1][:, None] + parts[2]
 
+
+# ---- the answer
 
 MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 """What is measured in one, two and three dimensions, and its unit."""

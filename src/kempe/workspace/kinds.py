@@ -1,10 +1,6 @@
-"""What a workspace holds: places reached somehow, in one orientation, in several; or orientations
-reached at a place.
+"""Kinds of workspaces: places reached somehow, in one or several orientations; or orientations.
 
-Whether one is reached is decided by the inverse model: in closed form where the chain has one, leg
-by leg where the mechanism is made of legs, else by a search. Sources of the kinds: Kumar, Waldron,
-"The workspaces of a mechanical manipulator", J. Mechanical Design 103 (1981); Merlet, *Parallel
-Robots*, 2006, chapter 7.
+Whether one is reached is decided by the inverse model, in closed form where there is one.
 """
 
 from __future__ import annotations
@@ -29,6 +25,13 @@ from kempe.workspace.place_bounds import legs_of, possible_places
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
+
+
+# ---- kinds
+
+# The inverse model is in closed form where the chain has one, leg by leg where the mechanism is
+# made of legs, else a search. Sources of the kinds: Kumar, Waldron, "The workspaces of a mechanical
+# manipulator", J. Mechanical Design 103 (1981); Merlet, *Parallel Robots*, 2006, chapter 7.
 
 REACHABLE = "reachable"
 CONSTANT = "constant-orientation"
@@ -218,6 +221,9 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
             f"{what} is no rotation{'' if about_z else ' of the plane'}; it must be {needed}"
         )
     return R
+
+
+# ---- the question that arguments pose
 
 
 def question_of(

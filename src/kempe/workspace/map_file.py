@@ -1,4 +1,8 @@
-"""Answers to rows on disk: a Zarr group that fills up chunk by chunk, with a checksum of each."""
+"""The verb `map_file`: a verb applied to all rows of a large file, with the answers on disk.
+
+Answers form a Zarr group that fills up chunk by chunk, each with a checksum; a run that was
+interrupted goes on where it ended.
+"""
 
 from __future__ import annotations
 
@@ -61,11 +65,10 @@ from kempe.workspace.store import (
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- row verbs
 
-# Verbs over rows of numbers: what a row is to each of them, and what they answer, as arrays with
-# named axes.
+# ---- verbs over rows
 
+# What a row is to each verb, and what the verb answers, as arrays with named axes.
 
 Arrays = dict[str, Any]
 
@@ -334,6 +337,8 @@ def job_of(
     assert set(job.layout) <= set(AXES)
     return job
 
+
+# ---- the store of answers
 
 FORMAT = "kempe rows 1"
 ROWS = "rows.zarr"
@@ -618,11 +623,7 @@ class RowStore(PartLog):
         self.clear()
 
 
-# ---- file map
-
-# Verbs over files larger than memory: rows in, answers out as Zarr, gone on with after any
-# interruption.
-
+# ---- the answer and the verb
 
 USUAL = Usual("map_file", rng=0, threads=None, time_limit=None, progress=None)
 CHUNK_BYTES = 2**23

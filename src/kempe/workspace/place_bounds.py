@@ -1,9 +1,6 @@
-"""What lengths and limits leave of space: places outside of it are proven not to be reached.
+"""Bounds of the places of a frame: points outside of them are proven not to be reached.
 
-A chain cannot be longer than its links and slides together, nor fold back further than its longest
-link leaves; and an interval is led through its joints, each anywhere within its limits. Loops and
-constraints only take away. Source of the intervals: Moore, Kearfott, Cloud, *Introduction to
-Interval Analysis*, 2009.
+They follow from the lengths and limits of a chain, or of each leg of a parallel mechanism.
 """
 
 from __future__ import annotations
@@ -34,13 +31,12 @@ if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
     from kempe.model.model import Model
 
-# ---- legs
 
-# The legs of a parallel mechanism: chains from the ground to a frame that share only the bodies at
-# their ends.
-#
-# Where the frame's pose is given, the legs do not know of each other: it is reached if and only if
-# each leg reaches it.
+# ---- legs of parallel mechanisms
+
+# Legs are chains from the ground to a frame that share only the bodies at their ends. Where the
+# frame's pose is given, the legs do not know of each other: it is reached if and only if each leg
+# reaches it.
 
 
 @kept
@@ -100,6 +96,13 @@ def _trimmed(m: Mechanism, names: list[str], ends: set[str]) -> list[str]:
             return names
         names = [n for n in names if not {m.joints[n].parent, m.joints[n].child} & loose]
 
+
+# ---- bounds
+
+# A chain cannot be longer than its links and slides together, nor fold back further than its
+# longest link leaves; and an interval is led through its joints, each anywhere within its limits.
+# Loops and constraints only take away. Source of the intervals: Moore, Kearfott, Cloud,
+# *Introduction to Interval Analysis*, 2009.
 
 ROUNDING = 1e-9
 MISSED = 1e-6

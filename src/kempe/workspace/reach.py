@@ -1,4 +1,4 @@
-"""Which of a list of poses a frame reaches, how well, and what blocks the others."""
+"""Poses of a list that a frame reaches: how well it reaches them, and what blocks the others."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
     from kempe.model.model import FrameLike, Model
 
-# ---- map slices
 
-# Maps made slice by slice, which say how far they are, and keep what was done where they are
-# broken off.
+# ---- work in slices
 
+# A slice at a time, it is said how far the work is, and what was done is kept where it is broken
+# off.
 
 SLICE = 2048
 LOOP_SLICE = 128
@@ -86,6 +86,8 @@ def sliced(
         np.concatenate([x, np.full((count - len(x), *x.shape[1:]), np.nan)]) for x in out
     ], broken
 
+
+# ---- the answer and the verb
 
 USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=CLOCK_LONG, progress=None)
 UNKNOWN = -1

@@ -152,7 +152,7 @@ def _steps(n: int, step: int) -> list[int]:
     return [*range(0, n, step), n]
 
 
-# ---- the formats
+# ---- formats
 
 
 def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:

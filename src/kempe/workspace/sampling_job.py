@@ -1,5 +1,6 @@
-"""What a map is made of, and the counts of any range of its samples: pure, and the same wherever it
-is done.
+"""Random samples of a workspace, counted in cells: on disk, in threads, or on a cluster.
+
+The counts of any range of samples follow from the recipe alone, wherever they are made.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ from kempe.workspace.store import DonePart, PartLog, write_whole
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-# ---- sample parts
 
-# Counts of ranges of samples on disk while a map is made: a file for each part.
+# ---- partial counts on disk
 
+# A file for each range of samples, while a map is made.
 
 BLOCK = 2**18
 """Counts that are converted at once."""
@@ -127,6 +128,8 @@ class SampleParts(PartLog):
             out += counts
         return out
 
+
+# ---- the recipe
 
 PIECE = 2**20
 SLOW_PIECE = 1024
@@ -295,7 +298,7 @@ def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
     return counts
 
 
-# ---- what is drawn
+# ---- samples of the recipe
 
 
 def is_plain_chain(system: Model) -> bool:
@@ -464,10 +467,9 @@ def unlimited(system: Model, frame: str) -> list[str]:
     ]
 
 
-# ---- counting runs
+# ---- counting in threads
 
-# Ranges of samples counted in threads, and stopped without loss.
-
+# A run can be stopped without loss.
 
 SHARED_BYTES = 256 * 2**20
 """Memory for the counts of all threads together; where each cannot have its own, they share."""
@@ -544,14 +546,11 @@ class Threads:
                 self.changed.notify()
 
 
-# ---- on cluster
+# ---- counting on a cluster
 
-# Ranges of samples counted by the workers of a Dask cluster, and added up there in a tree.
-#
-# Each task is a pure function of the recipe and its range: it can be done twice, or anywhere, and a
-# worker that is lost costs its tasks only. Nothing is added into storage; counts come here once a
-# part.
-
+# The workers of a Dask cluster count ranges of samples, and add them up in a tree. Each task is a
+# pure function of the recipe and its range: it can be done twice, or anywhere, and a worker that is
+# lost costs its tasks only. Nothing is added into storage; counts come here once a part.
 
 FAN = 8
 """Counts that one task adds up."""

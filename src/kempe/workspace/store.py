@@ -1,10 +1,6 @@
-"""What is done of long work, on disk: parts with checksums, found again after any end of the
-process.
+"""Results of long work on disk: parts with checksums, which a later process finds again.
 
-A folder beside what is made holds a list: a line that says what the work is, and one for each part
-that is done, each with a checksum of its own. Lines are added whole; other files are written under
-another name first and then renamed. A line that is cut off counts as not written, and a part that
-is not what was written is made again.
+Results are also stored as folders of Zarr.
 """
 
 from __future__ import annotations
@@ -23,6 +19,14 @@ from kempe.errors import UNREADABLE, DiskError, InputError, KempeError, MissingE
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
+
+
+# ---- parts with checksums
+
+# A folder beside what is made holds a list: a line that says what the work is, and one for each
+# part that is done, each with a checksum of its own. Lines are added whole; other files are written
+# under another name first and then renamed. A line that is cut off counts as not written, and a
+# part that is not what was written is made again.
 
 LIST = "parts.jsonl"
 
@@ -204,9 +208,9 @@ def refuse_other(
         raise InputError(f"{where} belongs to another map: {why}; take another path, or remove it")
 
 
-# ---- zarr folders
+# ---- Zarr folders
 
-# Results as folders of Zarr (version 3) with named axes, which xarray opens: there whole or not at
+# Version 3 of the format, with named axes, which xarray opens; a folder is there whole or not at
 # all.
 
 

@@ -1,5 +1,6 @@
-"""What is written and measured in drawings of the plane: bodies, angles, dimensions, arrows of
-motion.
+"""What is written and measured in drawings: names, angles, lengths and arrows of motion.
+
+The plane comes first, then space.
 """
 
 from __future__ import annotations
@@ -152,7 +153,7 @@ def _way_to(sheet: Sheet, subject: Subject, frame: str) -> None:
     arc(sheet, c, link, link + beta, r"$\beta$", "angle:beta", ARC + 5.4, MOTION)
 
 
-# ---- dimensions
+# ---- lengths of links
 
 
 def _dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
@@ -213,7 +214,7 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
     sheet.labels.append((text, 0.5 * (p + q), 0.5 * r, look))
 
 
-# ---- motion
+# ---- arrows of motion
 
 
 def freedoms(sheet: Sheet, joint: SeenJoint) -> None:
@@ -267,11 +268,7 @@ def _both_ways(sheet: Sheet, line: Array, gid: str) -> None:
     sheet.obstacles.line(line, 0.8 * sheet.r)
 
 
-# ---- measured
-
-# What is written and measured in drawings of systems in space: bodies, angles, lengths, names of
-# axes.
-
+# ---- drawings in space
 
 Text = tuple[Array, str, dict[str, Any]]
 """A point (3,), what is written beside it, and its look."""

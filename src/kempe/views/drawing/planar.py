@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
     from kempe.views.drawing.scene import SeenMark
 
-# ---- touches
 
-# What touches, rolls or does not slip in the plane: wheels on an axle, a wheel or ball on a line.
+# ---- wheels and contacts
 
+# Wheels on an axle, or a wheel or ball on a line, that touch, roll or do not slip.
 
 AXLE = 0.22
 """Half of an axle without a length of its own, as part of the whole drawing."""
@@ -96,6 +96,8 @@ def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
         sheet.obstacles.segment(end - 2.4 * r * along, end + 2.4 * r * along, r)
     return c + half + 1.2 * r * across
 
+
+# ---- the diagram
 
 PIN_OF_SIZE = 0.020
 PIN_OF_LINK = 0.15

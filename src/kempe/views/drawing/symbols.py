@@ -1,6 +1,4 @@
-"""Solids for the parts of a system in space: links, ground marks, and one oriented symbol for each
-joint type.
-"""
+"""Solids for a system in space: links, ground marks, and a symbol for each joint type."""
 
 from __future__ import annotations
 
@@ -278,6 +276,9 @@ def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         solids.face(name, corners, normal / np.linalg.norm(normal), fill, edge=GROUND)
     solids.plate(name, base + 2.4 * r * square, style.mix(GROUND, style.PAPER, 0.2), 0.45, GROUND)
+
+
+# ---- joints
 
 
 def _tone(link: int) -> str:

@@ -1,6 +1,6 @@
-"""`system.show()`: a page on this machine in which a system is seen and moved, served by viser.
+"""The page of `system.show()`, on which a system is seen and moved; it is served by viser.
 
-Importing it needs the extra [view]. Errors: `MissingExtraError` without viser or trimesh.
+Needs the extra [view]. Errors: `MissingExtraError` without viser or trimesh.
 """
 
 from __future__ import annotations
@@ -35,11 +35,10 @@ from kempe.views.viewer.session import KINDS, Session, Slider, possible
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-# ---- beside
 
-# What is computed beside a page, which goes on meanwhile: searches, and what is laid over a
-# system.
+# ---- work beside the page
 
+# Searches and overlays are computed in a thread, while the page goes on.
 
 DEFECTS = (
     ArithmeticError,
@@ -152,10 +151,9 @@ class Beside:
         return lambda: None if job.dropped else action()
 
 
-# ---- player
+# ---- the player of motions
 
-# The slider and the button of a page with which a motion is played, and the buttons that find one.
-
+# The slider and the button with which a motion is played, and the buttons that find one.
 
 FRAMES = 30.0
 """Frames a second of a motion that is played."""
@@ -237,11 +235,9 @@ class Player:
             self.play.label = "play"
 
 
-# ---- live page
+# ---- the page
 
-# One page in a browser: the panel, the gizmo and the ghosts of a session, by viser. It only passes
-# on.
-
+# The panel, the gizmo and the ghosts of a session, by viser. It only passes on.
 
 STEPS = 2000
 """Places of a slider."""
@@ -663,6 +659,8 @@ def _step(slider: Slider) -> float:
     wide = max(slider.high - slider.low, 1e-9)
     return float(10.0 ** np.floor(np.log10(wide / STEPS)))
 
+
+# ---- showing and serving
 
 PORT = 8080
 """The first port that is tried; of those that follow, the first that is free is taken."""

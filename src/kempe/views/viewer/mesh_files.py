@@ -1,9 +1,6 @@
-"""Meshes that a model names for its bodies, read where they exist inside the model's folders;
-others are left out.
+"""Meshes that a model names for its bodies, read where they lie in the model's folders.
 
-Files of meshes are not trusted: archives and XML unpack to a thousand times their size, and readers
-raise and run out of memory in their own ways. They are read in a process with limits, which hands
-back triangles as GLB.
+Files of meshes are not trusted: they are read in a process with limits, which hands back GLB.
 """
 
 from __future__ import annotations
@@ -32,9 +29,10 @@ if TYPE_CHECKING:
     from kempe.description.xml import XmlElement
     from kempe.model.model import Model
 
-# ---- meshes
 
-# Where the meshes of a model lie. Their paths come from a file that is not trusted.
+# ---- paths of meshes
+
+# They come from a file that is not trusted.
 
 
 def resolve_mesh(path: str, roots: Iterable[str | Path]) -> Path:
@@ -79,6 +77,11 @@ def resolve_mesh(path: str, roots: Iterable[str | Path]) -> Path:
     looked = ", ".join(repr(str(f)) for f in folders) or "no folder: declare some by package_dirs"
     raise InputError(f"{subject}: there is no such file; looked in {looked}")
 
+
+# ---- meshes of bodies
+
+# Archives and XML unpack to a thousand times their size, and readers raise and run out of memory in
+# their own ways: hence the limits.
 
 LARGEST = 200_000_000
 """Bytes of a mesh: of its file, of what an archive unpacks to, and of its triangles, at most."""
@@ -218,7 +221,7 @@ def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
             yield _placed(trimesh.creation.cylinder(radius, length, 24), X)
 
 
-# ---- files
+# ---- reading in a process of its own
 
 
 def read_meshes(paths: Iterable[Path]) -> dict[Path, Any]:
@@ -297,7 +300,7 @@ def _handed_back(folder: Path, k: int) -> Any:
     return mesh
 
 
-# ---- geometry
+# ---- shapes and numbers in <visual>
 
 
 def _placed(mesh: Any, X: Array) -> Any:

@@ -1,8 +1,6 @@
-"""What a page lays over a system: curves, workspaces, capability maps, singular configurations, in
-ever finer rounds.
+"""Overlays of a page: curves, workspaces, capability maps and singular configurations.
 
-Each is a generator of `Overlay`s of a session as it was, which is run beside the page and may be
-left at any round.
+Each is a generator of ever finer `Overlay`s, which runs beside the page and may be left any time.
 """
 
 from __future__ import annotations
@@ -106,7 +104,7 @@ def _curve(session: Session) -> Iterator[Overlay]:
     yield Overlay(f"{frame}: {motion.status}", lines=_pairs(fk(system, motion.q, frame)[:, :3, 3]))
 
 
-# ---- what is reached
+# ---- workspaces and capability maps
 
 
 def _workspace(session: Session) -> Iterator[Overlay]:

@@ -1,5 +1,6 @@
-"""A system in a scene of viser: nodes for the links with what is drawn of them, ghosts, and one
-update for a frame.
+"""A system in a scene of viser: nodes for links and ghosts, and one update for a frame.
+
+The pictures are cut into parts that move as one, so that an update is a few poses.
 """
 
 from __future__ import annotations
@@ -28,17 +29,14 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
     from kempe.views.viewer.overlays import Overlay
 
-# ---- rigid parts
 
-# What is drawn of a system, cut into parts that move as one: triangles with colours, each on the
-# link that carries it.
-#
-# The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link
-# between the two is carried by that link, and rods by their two ends. What reaches from one half of
-# a sliding joint to the other is carried by both, and is as long as the joint. So a new
-# configuration
-# is a few poses and lengths, and no drawing.
+# ---- parts that move as one
 
+# Triangles with colours, each on the link that carries it. The pictures of `kempe.views.drawing`
+# are recorded at two configurations. What moved with a link between the two is carried by that
+# link, and rods by their two ends. What reaches from one half of a sliding joint to the other is
+# carried by both, and is as long as the joint. So a new configuration is a few poses and lengths,
+# and no drawing.
 
 NEAR_PART = 1e-6
 """How far a corner may be from where a link brings it, as a part of the drawing."""
@@ -549,6 +547,9 @@ try:
     import trimesh
 except ImportError:
     raise MissingExtraError("trimesh", "view") from None
+
+
+# ---- nodes of a scene
 
 SAID = 3
 """Meshes that could not be shown that are named in one sentence."""

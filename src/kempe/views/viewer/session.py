@@ -1,5 +1,6 @@
-"""What a page shows of a system and what its sliders, targets and buttons do: everything but the
-browser.
+"""The session behind a page: what is shown, and what sliders, targets and buttons do.
+
+It has all but the browser.
 """
 
 from __future__ import annotations
@@ -27,11 +28,10 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
+
 # ---- motions
 
-# Motions that a page plays: one that is given, and those that can be found from where the system
-# is.
-
+# One that is given, and those that can be found from where the system is.
 
 SLOW = 4.0
 """Seconds in which a motion is played that has no times of its own."""
@@ -145,6 +145,8 @@ def found(session: Session, name: str) -> tuple[Played | None, str]:
     answer = MOTIONS[name](session)
     return (motion_from(session.system, answer) if len(answer.q) > 1 else None), answer.status
 
+
+# ---- the session
 
 LEAD = 0.1
 """Longest step of a slider that leads closed loops, in radians or parts of the drawing's size."""

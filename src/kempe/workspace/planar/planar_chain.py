@@ -1,12 +1,6 @@
-"""Planar chains of turns and slides: curves on which their workspace can end, and which points are
-reached.
+"""Regions of planar chains of turns and slides: their boundary curves, and the points reached.
 
-The workspace ends where joints are at limits, or the others cannot move the point across a
-direction: their axes and the point are on a line, to which slides are at right angles. There the
-first of them leads the point along an arc or a segment. Sources: Litvin, "Application of theorem of
-implicit function system existence for analysis and synthesis of linkages", Mechanism and Machine
-Theory 15 (1980); Haug, Luh, Adkins, Wang, "Numerical algorithms for mapping boundaries of
-manipulator workspaces", J. Mechanical Design 118 (1996).
+Regions of several legs, and of one or all orientations, are made of those of chains.
 """
 
 from __future__ import annotations
@@ -29,6 +23,15 @@ from kempe.workspace.planar.plane_curves import (
     RegionOfArcs,
     merged,
 )
+
+# ---- chains
+
+# The workspace ends where joints are at limits, or the others cannot move the point across a
+# direction: their axes and the point are on a line, to which slides are at right angles. There the
+# first of them leads the point along an arc or a segment. Sources: Litvin, "Application of theorem
+# of implicit function system existence for analysis and synthesis of linkages", Mechanism and
+# Machine Theory 15 (1980); Haug, Luh, Adkins, Wang, "Numerical algorithms for mapping boundaries of
+# manipulator workspaces", J. Mechanical Design 118 (1996).
 
 
 @dataclass(frozen=True)
@@ -273,16 +276,13 @@ def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
     )
 
 
-# ---- planar parts
+# ---- regions of legs and of orientations
 
-# Planar regions made of others: where several hold, and where a circle about the point lies in
-# one.
-#
-# So are places in one orientation, in several and in all of them, and those of parallel mechanisms:
-# each leg leaves a region of its own. Sources: Gosselin, Angeles, "The optimum kinematic design of
-# a
-# planar three-degree-of-freedom parallel manipulator", J. Mechanisms 110 (1988); Merlet, Gosselin,
-# Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998).
+# Several regions hold, or a circle about the point lies in one. So are places in one orientation,
+# in several and in all of them, and those of parallel mechanisms: each leg leaves a region of its
+# own. Sources: Gosselin, Angeles, "The optimum kinematic design of a planar three-degree-of-freedom
+# parallel manipulator", J. Mechanisms 110 (1988); Merlet, Gosselin, Mouly, "Workspaces of planar
+# parallel manipulators", Mechanism and Machine Theory 33 (1998).
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,6 @@
-"""Places of a platform whose legs end with joints that turn without limits: in some orientation
-each leg holds.
+"""Places of a planar platform on legs: where all legs hold it in some orientation.
 
-At a place p, with the platform turned by the unit number u, its point b is at p + u b. So a leg
-with the region W holds at the angles at which a circle about p is inside W, and p is reached if the
-legs hold at a common angle. The workspace ends where such intervals shrink to nothing: where the
-circle leaves W, beside its boundary or at a corner, and where two legs hold on different sides of
-one angle, so that their points are on boundaries and p on a coupler curve. Source: Merlet,
-Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33
-(1998).
+The last joint of each leg turns without limits. The workspace ends on circles and coupler curves.
 """
 
 from __future__ import annotations
@@ -35,12 +28,9 @@ from kempe.workspace.planar.plane_curves import (
 
 # ---- coupler curves
 
-# Curves that points of a body describe while two others of its points move on arcs or segments:
-# coupler curves.
-#
-# Source: Wunderlich, "Ebene Kinematik", Bibliographisches Institut (1970): of order six, with arcs
-# for both points.
-
+# Points of a body describe them while two others of its points move on arcs or segments. Source:
+# Wunderlich, "Ebene Kinematik", Bibliographisches Institut (1970): of order six, with arcs for both
+# points.
 
 SAMPLES = 257
 """Points of a curve between which its roots and meetings are looked for."""
@@ -483,6 +473,16 @@ class CouplerCurve(PlaneCurve):
             )
         return x[met]
 
+
+# ---- regions of platforms
+
+# At a place p, with the platform turned by the unit number u, its point b is at p + u b. So a leg
+# with the region W holds at the angles at which a circle about p is inside W, and p is reached if
+# the legs hold at a common angle. The workspace ends where such intervals shrink to nothing: where
+# the circle leaves W, beside its boundary or at a corner, and where two legs hold on different
+# sides of one angle, so that their points are on boundaries and p on a coupler curve. Source:
+# Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine
+# Theory 33 (1998).
 
 CHUNK = 2048
 """Points that are decided at a time."""

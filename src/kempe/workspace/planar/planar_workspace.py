@@ -1,5 +1,6 @@
-"""The workspace of a planar chain or mechanism, exactly: its boundary, area, voids, and how many
-solutions.
+"""The exact workspace of a planar chain or mechanism: boundary, area, voids, numbers of solutions.
+
+The region of a frame of a system is found here, too, from its chain or from its legs.
 """
 
 from __future__ import annotations
@@ -48,10 +49,8 @@ if TYPE_CHECKING:
 
     from kempe.model.model import FrameLike, Model
 
-# ---- planar of systems
 
-# The planar region in which a frame of a system is, from its chain or from its legs.
-
+# ---- the region of a frame
 
 AT_ORIGIN = 1e3 * NOTHING
 """Distance, in sizes of a chain, from which on points are different."""
@@ -237,6 +236,8 @@ def planar_chain(system: Model, frame: str) -> PlanarChain:
         )
     return PlanarChain(tuple(joints), tip)
 
+
+# ---- the answer and the verb
 
 MEET = 1e-7
 """How far ends of pieces may be apart, in sizes of the chain, to be the same corner."""

@@ -1,6 +1,4 @@
-"""Arcs of circles and segments in the plane, as complex numbers: where they meet, and areas that
-they enclose.
-"""
+"""Arcs and segments in the plane, as complex numbers, and regions that such curves bound."""
 
 from __future__ import annotations
 
@@ -17,6 +15,9 @@ TOUCH = 1e-13
 """Square of half the chord that circles share, in squares of the radius, below which they touch."""
 ENDS = 1e-9
 """Part of a curve by which it is taken as longer, so that curves that end on others meet these."""
+
+
+# ---- curves
 
 
 class PlaneCurve:
@@ -301,11 +302,9 @@ def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return out
 
 
-# ---- planar region
+# ---- regions
 
-# Regions of the plane that are bounded by pieces of curves: of candidates those with the region on
-# one side only.
-
+# Of the curves on which a region can end, those bound it that have the region on one side only.
 
 NOTHING = 1e-12
 SAME = 1e-10

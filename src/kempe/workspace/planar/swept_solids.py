@@ -1,10 +1,6 @@
-"""Solids that planar regions sweep in space: moved along their normal by a slide, or turned about
-an axis.
+"""Solids that planar regions sweep in space: moved along their normal, or turned about an axis.
 
-They are the places that chains reach whose other joints move a frame in a plane. About an axis in
-the plane or parallel to it, a point of the plane at x beside the axis describes a circle whose
-radius is the root of x^2 + d^2, with the distance d of the plane from the axis; so places at x and
--x are one. The volume is that of Pappus (about 340).
+They are the places that chains reach whose other joints move a frame in a plane.
 """
 
 from __future__ import annotations
@@ -35,6 +31,13 @@ from kempe.workspace.planar.plane_curves import (
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
+
+
+# ---- solids
+
+# About an axis in the plane or parallel to it, a point of the plane at x beside the axis describes
+# a circle whose radius is the root of x^2 + d^2, with the distance d of the plane from the axis; so
+# places at x and -x are one. The volume is that of Pappus (about 340).
 
 FINE = 0.003
 """Angle between the points of an arc from which the nearest of it is looked for."""
@@ -368,11 +371,7 @@ def _integral(piece: PlanePiece, of: Callable[[Array], Array], bent: Iterable[fl
     return total
 
 
-# ---- solids of systems
-
-# The solids that chains in space reach whose joints move a frame in a plane, but for a slide or a
-# first turn.
-
+# ---- the solid of a chain
 
 PARALLEL = 1e-9
 """Sine of an angle below which directions are parallel, and cosine below which they are at right
