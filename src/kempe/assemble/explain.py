@@ -101,12 +101,9 @@ def _left(bound: Assembler, q: Array) -> str:
     count = system.nv - len(bound.held) - len(closure_rows.row_names(system))
     who = "by the count"
     sure = count >= 0 or 0 <= bound.freedoms < left
-    if (
-        count < 0
+    if count < 0:
         # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey
-        # their
-        # group
-    ):
+        # their group
         somewhere = random(system, np.random.default_rng(0))
         count = closure_rows.freedoms_left(system, somewhere, bound.held)
         who = "in general"

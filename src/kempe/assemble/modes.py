@@ -569,7 +569,7 @@ def must_be_even(s: ModesSearch) -> bool:
     """Whether the number of modes is even for sure, all found being regular solutions of as many
     equations as unknowns.
 
-    See the module. Limits do not count, and modes that are one only as to some frames are not
+    See the comment above. Limits do not count, and modes that are one only as to some frames are not
     looked at. Rods that spin between balls act on all configurations, open ones too, and change no
     equation: what is counted are their orbits.
     """
