@@ -132,7 +132,7 @@ def test_a_traced_motion(tmp_path, where):
     distances are made.
     """
     out = tmp_path / "path.csv"
-    points = () if "motion" in where else ("--points", 30_000)
+    points = () if ".trace." in where else ("--points", 30_000)
     done = run(
         command("trace", "four_bar", *points, "-o", out, before=at_call(where, 5 if points else 2))
     )

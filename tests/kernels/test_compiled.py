@@ -136,12 +136,12 @@ def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
 def test_each_change_of_the_sources_is_seen(tmp_path, change):
     package = copied(tmp_path)
     assert printed(BLOCKED + SLIDER, package) == "0.5"
-    some = package / "kernels" / "closed_form" / "quartic.py"
+    some = package / "kernels" / "closed_form" / "subproblems.py"
     if change == "new file":
         some.with_name("more.py").write_text("")
     else:
-        some.rename(some.with_name("quartics.py")) if change == "renamed" else some.unlink()
-    name = {"new file": "more.py", "renamed": "quartic.py", "removed": "quartic.py"}[change]
+        some.rename(some.with_name("renamed.py")) if change == "renamed" else some.unlink()
+    name = {"new file": "more.py", "renamed": "renamed.py", "removed": "subproblems.py"}[change]
     assert (
         f"edited after they were compiled (closed_form/{name})"
         in run(BLOCKED + SLIDER, package).stderr

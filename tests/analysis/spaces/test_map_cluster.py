@@ -77,7 +77,7 @@ def kill(cluster, rng):
     Only workers that have joined are ended: where one ends as it starts, its nanny ends, too.
     """
     nannies = [nanny for nanny in cluster.workers.values() if nanny.status.name == "running"]
-    joined = [nanny.pid for nanny in nannies if nanny.worker_address in cluster.scheduler.workers]
+    joined = [n.pid for n in nannies if n.worker_address in cluster.scheduler.workers and n.pid]
     for pid in rng.permutation(joined).tolist():
         try:
             os.kill(pid, signal.SIGKILL)
