@@ -406,7 +406,7 @@ class Wrenches:
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
                 joint = of.name in m.joints
-                M: Array = (
+                M: Any = (
                     of.X_CM.evaluate(m.parameters)
                     if joint
                     else of.frames(m.parameters, self.system.dim)[1]  # type: ignore[union-attr]
