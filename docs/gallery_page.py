@@ -63,9 +63,8 @@ def draw(folder: Path = PICTURES) -> list[Path]:
             continue
         system = kempe.load(name)
         held = system.structure.closures or system.mechanism.constraints
-        axes = (
-            () if system.nq else "all"
-        )  # what has nothing that moves may have nothing else to show
+        # what has nothing that moves may have nothing else to show
+        axes = () if system.nq else "all"
         figure = system.plot(None if held else system.mid, labels=(), axes=axes).figure
         figure.set_size_inches(2.4, 2.4 * figure.get_figheight() / figure.get_figwidth())
         figure.savefig(path, dpi=75)

@@ -81,9 +81,8 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
     yield f"static PyObject *enter_{name}(PyObject *self, PyObject *const *a, Py_ssize_t n) {{"
     yield f"    const Called *called = &called_{name}; Given g[{len(arrays)}]; (void)self;"
     yield f"    if (n != {len(takes)}) return wrong_count(called, n);"
-    for i, taken in enumerate(
-        takes
-    ):  # first of all: to read a number may run code that changes arrays
+    # first of all: to read a number may run code that changes arrays
+    for i, taken in enumerate(takes):
         if not is_array(taken):
             yield f"    {NUMBERS[taken['entry']].format(i)}"
     handed = ["&result", "&error"]

@@ -343,9 +343,8 @@ def build(folder: Path) -> Path:
         fresh = folder / f"{library_name()}.{os.getpid()}"
         try:
             shutil.copyfile(linked, fresh)
-            os.replace(
-                fresh, folder / library_name()
-            )  # a process that has the old one open keeps it
+            # a process that has the old one open keeps it
+            os.replace(fresh, folder / library_name())
         finally:
             fresh.unlink(missing_ok=True)
     say(f"kernels: {len(kernels)} in {size / 1e6:.2f} MB, {spent:.0f} s")

@@ -402,9 +402,8 @@ def newton(
             damping[live, None] * np.minimum(1.0, cost)[:, None] + 1e-15
         )
         step = np.linalg.solve(A, np.swapaxes(J, 1, 2) @ r[..., None])[..., 0]
-        turn = np.abs(step[:, model.kinds == TURN]).max(
-            1, initial=1e-300
-        )  # a slide may go far at once
+        # a slide may go far at once
+        turn = np.abs(step[:, model.kinds == TURN]).max(1, initial=1e-300)
         step *= np.minimum(1.0, 1.0 / turn)[:, None]
         trial = theta[live] + step * scale
         R2, p2, h2, o2 = model._sweep(trial)

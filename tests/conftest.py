@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 from kempe import arguments
 
 os.environ.setdefault("KEMPE_QUIET", "1")
-os.environ.setdefault(
-    "OPENBLAS_NUM_THREADS", "1"
-)  # read when NumPy is loaded: the suite runs a process for each core
+# read when NumPy is loaded: the suite runs a process for each core
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import hunts
 import numpy as np

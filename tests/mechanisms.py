@@ -212,11 +212,12 @@ def _crossed_faces(pair: str, lengths: dict[str, float]) -> Motion:
     """
     one, two = pair
     third = next(x for x in "abc" if x not in pair)
+    # direction of the bar, then the two places in its name
     axes = {
         "a": "ijk",
         "b": "jik",
         "c": "kij",
-    }  # direction of the bar, then the two places in its name
+    }
 
     def coordinates(s: float, t: float) -> dict[str, float]:
         def direction(bar: str) -> Angles:

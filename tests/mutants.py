@@ -211,9 +211,8 @@ class Recorder:
         from kempe._hits import HITS  # type: ignore
 
         file = item.location[0]
-        if (
-            not self.tests
-        ):  # the first of its file: modules that were imported since have caches, too
+        # the first of its file: modules that were imported since have caches, too
+        if not self.tests:
             folders = ("kempe.", *(p.stem for p in TESTS.rglob("*.py")))
             found = (x for x in gc.get_objects() if isinstance(x, _lru_cache_wrapper))
             self.caches = [x for x in found if str(x.__module__).startswith(folders)]
@@ -470,9 +469,8 @@ class Runner(Judge):
             if self.sound.get(killer):
                 return self.write(run, "killed", killer)
             return self.start({**run, "test": killer, "again": run["alone"]}, alone=False)
-        if killer is None and (
-            run["alone"] or code < 0
-        ):  # ended by a signal, or it cannot even be imported
+        # ended by a signal, or it cannot even be imported
+        if killer is None and (run["alone"] or code < 0):
             return self.write(
                 run, "killed", "no end" if -code in (signal.SIGPROF, signal.SIGALRM) else "crash"
             )

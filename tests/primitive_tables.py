@@ -57,9 +57,8 @@ class Table:
     nq: int
     nv: int
     is_chain: bool = False
-    quaternions: list[tuple[int, int]] = field(
-        default_factory=list
-    )  # (iq, iv) of each ball coordinate
+    # (iq, iv) of each ball coordinate
+    quaternions: list[tuple[int, int]] = field(default_factory=list)
 
     def pack(self):
         ints = [len(self.rows), len(self.outputs), self.nq, self.nv, int(self.is_chain)]
@@ -206,9 +205,8 @@ def random_table(
         )
         for _ in range(n_out)
     ]
-    return Table(
-        rows, outputs, nq + 2, nv + 1, chain, quaternions
-    )  # coordinates that nothing reads
+    # coordinates that nothing reads
+    return Table(rows, outputs, nq + 2, nv + 1, chain, quaternions)
 
 
 def all_forms():

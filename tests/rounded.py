@@ -49,9 +49,8 @@ def rounded(
             return place(tuple(x[:2]), angle=x[5])
         turn = float(np.round(xyz_rpy_from_pose(inverse)[5], digits))
         rest = np.eye(4)
-        rest[:3, :3] = old[
-            :3, :3
-        ]  # the axis of a slide is in the plane: only what turns it there is rounded
+        # the axis of a slide is in the plane: only what turns it there is rounded
+        rest[:3, :3] = old[:3, :3]
         return place(tuple(x[:2]), angle=turn) @ placement_of_pose(rest)
 
     for name, j in m.joints.items():

@@ -409,9 +409,8 @@ def says(answer: Any) -> bool:
     if not late and not np.any(np.asarray(getattr(answer, "code", 0)) == kempe.Status.OUT_OF_TIME):
         return False
     text = f"{answer} {np.asarray(answer.status).ravel()[-1]}"
-    assert "time limit" in text or "stopped early" in text or "were requested" in text, (
-        text
-    )  # of samples
+    # of samples
+    assert "time limit" in text or "stopped early" in text or "were requested" in text, text
     return True
 
 

@@ -82,9 +82,8 @@ def answered(call: wrong_calls.Call) -> None:
     assert all(same(a, b) for a, b in zip(given, before, strict=True)), (
         f"{call} has changed what it was given"
     )
-    wrong = [
-        w for w in warned if w.category not in (RoundedWarning, DeprecationWarning)
-    ]  # of numpy, say
+    # of numpy, say
+    wrong = [w for w in warned if w.category not in (RoundedWarning, DeprecationWarning)]
     assert not wrong, f"{call}: {wrong[0].category.__name__} {wrong[0].message}"
 
 

@@ -116,9 +116,8 @@ def test_a_puma_has_eight():
     )
     table = result.table()
     assert result.code == 0 and len(table) == 8
-    assert [row[1] for row in table] == sorted(
-        (row[1] for row in table), reverse=True
-    )  # "yes" before "no"
+    # "yes" before "no"
+    assert [row[1] for row in table] == sorted((row[1] for row in table), reverse=True)
     robot = kempe.load("puma560")
     q = np.radians([[float(x) for x in row[3:]] for row in table])
     X = robot.fk(q, "tool")

@@ -281,9 +281,8 @@ def hunted(shape: Closed, rng: np.random.Generator) -> None:
         s = shape.system(frozenset(n for n in names if rng.random() < 0.4))
         got = s.assemble(known, start=at)
         if own_tree(s).structure.closures != plain.structure.closures:
-            left = {*plain.structure.closures} - {
-                *s.structure.closures
-            }  # in its tree are joints that hold nothing
+            # in its tree are joints that hold nothing
+            left = {*plain.structure.closures} - {*s.structure.closures}
             assert any(
                 link.kind.constraints(shape.dim) <= 0 for link in shape.links if link.name in left
             )

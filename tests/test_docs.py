@@ -203,9 +203,8 @@ def test_links_lead_somewhere(path):
     for target in (t for t in links if "://" not in t and not t.startswith("mailto:")):
         file, _, heading = target.partition("#")
         to = (path.parent / file).resolve() if file else path
-        drawn = (
-            to.parent.name == "gallery" and to.stem in library.names()
-        )  # when the docs are built
+        # when the docs are built
+        drawn = to.parent.name == "gallery" and to.stem in library.names()
         assert to.exists() or drawn, f"{path.name} links to {target}"
         if heading:
             assert heading in headings(to), f"{path.name} links to {target}"

@@ -47,10 +47,11 @@ def test_pinocchio(page):
     np.testing.assert_allclose(J @ rate, robot.jacobian(q, "leg") @ v, rtol=0, atol=1e-14)
     np.testing.assert_allclose(own @ rate, robot.jacobian(q, "leg", "body") @ v, rtol=0, atol=1e-14)
     walk = robot.configuration_space.integrate
+    # a screw, and a straight line: the same to first order
     for h, same in (
         (1e-4, True),
         (0.3, False),
-    ):  # a screw, and a straight line: the same to first order
+    ):
         there = pin.integrate(model, at, h * rate)
         assert (np.abs(there[:3] - walk(q, h * v)[:3]).max() < 10 * h**2) and (
             np.allclose(there[:3], walk(q, h * v)[:3], rtol=0, atol=1e-6) is same

@@ -498,9 +498,8 @@ def wrong_ones(verb: str, place: str, good: Any) -> dict[str, Any]:
     }
     if verb == "with_limits":
         del cases["None inside"]  # no limit
-    return (
-        {} if verb in ("plan", "ik_plan") and place == "fixed" else cases
-    )  # of what is held only the names count
+    # of what is held only the names count
+    return {} if verb in ("plan", "ik_plan") and place == "fixed" else cases
 
 
 def numeric(name: str, function: Callable[..., Any], system: kempe.System) -> list[str]:

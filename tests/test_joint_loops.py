@@ -309,9 +309,8 @@ def test_the_slotted_lever_is_placed(s):
     step = s.ik_step(
         start, tasks.Pose("tip", s.fk(s.assemble({"A": 0.91}, start=start).q, "tip")), dt=0.01
     )
-    assert step.velocity[s.structure.velocity_names.index("A")] == pytest.approx(
-        1.0, abs=0.05
-    )  # it is damped
+    # it is damped
+    assert step.velocity[s.structure.velocity_names.index("A")] == pytest.approx(1.0, abs=0.05)
 
 
 @each_cut

@@ -446,9 +446,10 @@ def test_integrate_and_difference_are_inverse(case, seed):
     v = system.configuration_space.difference(q0, q1)
     end = system.configuration_space.integrate(q0, v)
     np.testing.assert_allclose(system.fk(end, "M"), system.fk(q1, "M"), rtol=0, atol=1e-13)
+    # antisymmetric
     np.testing.assert_allclose(
         system.configuration_space.difference(q1, q0), -v, rtol=0, atol=1e-12
-    )  # antisymmetric
+    )
     small = rng.uniform(-1.0, 1.0, system.nv)
     np.testing.assert_allclose(
         system.configuration_space.difference(q0, system.configuration_space.integrate(q0, small)),

@@ -61,9 +61,8 @@ def test_a_prismatic_joint_leaves_one_dof_and_imposes_five_constraints():
     assert system.nq == 1, "one parameter specifies the position of B5 relative to B0"
     moved = system.fk([[0.0], [0.1], [-0.7]], "B5")
     np.testing.assert_array_equal(moved[:, :3, :3], np.tile(np.eye(3), (3, 1, 1)))
-    np.testing.assert_array_equal(
-        moved[:, :3, 3], [[0, 0, 0], [0.1, 0, 0], [-0.7, 0, 0]]
-    )  # along one fixed axis
+    # along one fixed axis
+    np.testing.assert_array_equal(moved[:, :3, 3], [[0, 0, 0], [0.1, 0, 0], [-0.7, 0, 0]])
 
 
 def test_an_unconstrained_rigid_body_has_six_dof():
@@ -189,9 +188,8 @@ def test_two_ways_to_give_a_configuration():
         )
     pairs = m.build()
     assert pairs.structure.closures == system.joint_names
-    space = (
-        pairs.configuration_space
-    )  # the joints' own coordinates are part of it, as of every configuration
+    # the joints' own coordinates are part of it, as of every configuration
+    space = pairs.configuration_space
     assert space.ambient_dimension - 7 == 7 * 6 == space.constraints and space.dimension == 7
     values = system.q_dict(q)
     for body, X in zip(system.body_names[1:], system.fk(q)[1:], strict=True):
@@ -484,9 +482,8 @@ def test_igm_without_a_solution():
     assert closed_form(*p, *system.structure.parameters.values()) == []
     s = system.ik(p, "e")
     assert not s.success and s.status.startswith("outside the workspace by at least 0.1 m")
-    np.testing.assert_allclose(
-        system.fk(s.q, "e")[:2, 3], 0.9 * p, rtol=0, atol=1e-6
-    )  # stretched towards p
+    # stretched towards p
+    np.testing.assert_allclose(system.fk(s.q, "e")[:2, 3], 0.9 * p, rtol=0, atol=1e-6)
 
 
 def test_more_task_constraints_than_dof():
@@ -718,9 +715,8 @@ def test_the_page_prints_what_it_says(page, tmp_path, monkeypatch):
     pytest.importorskip("sympy")
     pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)
-    if (
-        page == "lecture"
-    ):  # section by section, as the tour shows them; its pictures are drawn in test_tour
+    # section by section, as the tour shows them; its pictures are drawn in test_tour
+    if page == "lecture":
         text = "\n".join(
             text for x in lecture.sections() for kind, text in lecture.walk(x) if kind == "output"
         )

@@ -231,9 +231,8 @@ def test_nothing_else_moves_through_singular_postures(case: Case):
     system = kempe.load(case.name)
     least = 100 if len(motions) > 4 else 12
     hits: set[int] = set()
-    for i, q in enumerate(
-        kicked(case, 0.1, 4 * least)
-    ):  # which are hit first depends on the basis of the null space
+    # which are hit first depends on the basis of the null space
+    for i, q in enumerate(kicked(case, 0.1, 4 * least)):
         if i >= least and len(hits) == len(motions):
             break
         distances = [from_motion(system, q, *motion) for motion in motions]

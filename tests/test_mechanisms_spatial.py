@@ -118,9 +118,8 @@ def test_what_is_idle_moves_when_the_motors_hold(row: Spatial):
     assert len(motors) == row.dof - row.idle
     A = joint_constraints(system, system.q("closed"), motors)
     left = A.shape[1] - singular_values(A)[1]
-    assert (
-        left - row.idle == row.rank - row.dof
-    )  # what is neither driven nor idle: of a singular posture only
+    # what is neither driven nor idle: of a singular posture only
+    assert left - row.idle == row.rank - row.dof
 
 
 @every_mechanism
@@ -143,9 +142,8 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
             q = system.configuration_space.integrate(
                 q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0]
             )
-        assert (
-            np.abs(residual(system, q)).max() < 5e-13
-        )  # rounding, whatever the order of sums on this processor
+        # rounding, whatever the order of sums on this processor
+        assert np.abs(residual(system, q)).max() < 5e-13
         ends.append(system.configuration_space.difference(q0, q) / step - v)
     if row.dof == row.rank:
         assert np.abs(ends).max() < 30 * step
@@ -231,10 +229,11 @@ def test_the_paradox_does_not_depend_on_the_numbers(name, parameters):
     before = kempe.load(name)
     system = before.with_parameters(**parameters)
     opened = np.abs(system.loops.closure_error(before.q("closed"))).max()
+    # one length only: the angles are the same in every size
     if name in (
         "bricard_rectangular",
         "schatz",
-    ):  # one length only: the angles are the same in every size
+    ):
         assert opened < 1e-14
     else:
         assert opened > 1e-3

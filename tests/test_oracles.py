@@ -135,9 +135,8 @@ def test_poses_are_mujocos(path):
     model = mujoco.MjModel.from_xml_string(mujoco_text(path))
     data = mujoco.MjData(model)
     names = [model.body(i).name for i in range(1, model.nbody)]
-    assert {*names, s.body_names[0]} == set(
-        s.body_names
-    )  # MuJoCo may melt the root link into its world
+    # MuJoCo may melt the root link into its world
+    assert {*names, s.body_names[0]} == set(s.body_names)
     for q in configurations(s, np.random.default_rng(2)):
         values = joint_values(s, path, q)
         for j in range(model.njnt):

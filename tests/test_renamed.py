@@ -217,9 +217,8 @@ def judged(name: str, rng: np.random.Generator, starts: int) -> None:
     want = one.assemble(start=at)
     got = other.assemble(start=carried(one, other, new, at))
     assert np.array_equal(want.success, got.success)
-    good = want.success & (
-        want.starts == 1
-    )  # later starts are drawn at random, coordinate after coordinate
+    # later starts are drawn at random, coordinate after coordinate
+    good = want.success & (want.starts == 1)
     np.testing.assert_allclose(
         got.q[good], carried(one, other, new, want.q)[good], rtol=0, atol=tolerance
     )

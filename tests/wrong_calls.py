@@ -283,11 +283,12 @@ def call_of(
 
     def bad(p: inspect.Parameter) -> Any:
         value = wrong[rng.integers(len(wrong))]
+        # whose errors are the caller's
         return (
             nothing
             if callable(value) and re.search("Callable|Progress", str(p.annotation))
             else value
-        )  # whose errors are the caller's
+        )
 
     args = []
     options = {}

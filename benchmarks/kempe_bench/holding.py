@@ -79,9 +79,8 @@ def _symbols(n: int) -> tuple[int, ...]:
     speed = sp.Integer(1)
     rate_before = sp.Integer(0)
     rate_turn = sp.Integer(1)
-    for a in (
-        hitches
-    ):  # the axle of a trailer, one metre behind its hitch on the axle before, does not slip
+    # the axle of a trailer, one metre behind its hitch on the axle before, does not slip
+    for a in hitches:
         rate = -speed * sp.sin(a)
         ahead.append(rate - rate_before)
         turn.append(-rate_turn)

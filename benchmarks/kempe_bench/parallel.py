@@ -231,9 +231,8 @@ def _robot(table: Grid, bench: Bench, tree: Tree, what: str) -> None:
     success[MANY] = share(opening, solver.tolerance)
     if system.name == "stewart":
         lengths, times[FORMULA] = _batch(lambda: legs(tree, goals.X), len(q))
-        own = np.abs(
-            q[:, [tree.columns[f"leg{i}"] for i in range(1, 7)]]
-        )  # a leg turned round has a negative one
+        # a leg turned round has a negative one
+        own = np.abs(q[:, [tree.columns[f"leg{i}"] for i in range(1, 7)]])
         success[FORMULA] = share(np.abs(lengths - own).max(axis=-1), solver.tolerance)
     for library in (ONE, MANY, *(x for x in solvers if x != ONE), FORMULA):
         if library in success:

@@ -55,9 +55,8 @@ def test_cases_take_turns(quick):
         r.value > 0 for r in rows
     )
     turns = "".join(name for name, _ in itertools.groupby(order))
-    assert (
-        turns == "ab" + "ab" * timing.ROUNDS
-    )  # one for finding the number of repetitions, then the rounds
+    # one for finding the number of repetitions, then the rounds
+    assert turns == "ab" + "ab" * timing.ROUNDS
 
 
 def test_table():

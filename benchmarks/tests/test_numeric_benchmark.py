@@ -212,9 +212,8 @@ def test_a_share_of_the_time_is_kept(arm_of, tmp_path):
     numeric_worker.work("kempe", case)
     answer = numeric_worker._read("kempe", case, "")
     assert answer.q.shape == (FEWEST, 10) and len(answer.nanoseconds) == FEWEST
-    assert (
-        len(numeric_worker._read("kempe", case, "signal 6").q) == FEWEST + 1
-    )  # the target that it ended on
+    # the target that it ended on
+    assert len(numeric_worker._read("kempe", case, "signal 6").q) == FEWEST + 1
 
 
 @pytest.mark.slow

@@ -297,9 +297,8 @@ def test_peers_hold_platforms(platform, made):
         pytest.importorskip("mujoco")
     goals, q = platform
     peer = made(goals)
-    held = super(parallel.Holding, peer).ready(
-        q
-    )  # Kempe's configurations in the library's coordinates
+    # Kempe's configurations in the library's coordinates
+    held = super(parallel.Holding, peer).ready(q)
     for x, goal in zip(held, peer.ready(q), strict=True):
         peer.goal = goal
         assert np.abs(peer.equations(x)[0]).max() < 1e-8

@@ -107,9 +107,8 @@ def median(values: Iterable[float]) -> float:
     """The middle of numbers, at least one: the mean of the two in the middle where their count is
     even.
     """
-    x = sorted(
-        map(float, values)
-    )  # numpy's own imports masked arrays, a sixth of the time to a first answer
+    # numpy's own imports masked arrays, a sixth of the time to a first answer
+    x = sorted(map(float, values))
     return 0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2])
 
 
@@ -255,9 +254,8 @@ def _trouble(x: Any) -> str:
     """Why a value is not accepted as numbers although numpy could convert it; '' where it is
     accepted.
     """
-    if "numpy.ma" in sys.modules and isinstance(
-        x, np.ma.MaskedArray
-    ):  # asking numpy for it would import it
+    # asking numpy for it would import it
+    if "numpy.ma" in sys.modules and isinstance(x, np.ma.MaskedArray):
         return "is a masked array, whose mask would be lost"
     kind: str = type(x).__name__
     if isinstance(x, Mapping):

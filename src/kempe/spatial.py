@@ -32,9 +32,8 @@ def unit(v: ArrayLike) -> Array:
     v = numbers(v, "v")
     if v.ndim == 0:
         raise InputError("v is a single number; it must be a vector (..., n)")
-    scaled = v / np.max(
-        np.abs(v), axis=-1, keepdims=True, initial=0.0
-    )  # or squares would overflow or vanish
+    # or squares would overflow or vanish
+    scaled = v / np.max(np.abs(v), axis=-1, keepdims=True, initial=0.0)
     return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
 
 

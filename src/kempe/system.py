@@ -344,9 +344,8 @@ class System(Model, Pictured):
             if frame.__class__ is str and form is dtype is relative_to is None
             else None
         )
-        if (
-            query is not None and q.__class__ is np.ndarray
-        ):  # the import below alone would double the time
+        # the import below alone would double the time
+        if query is not None and q.__class__ is np.ndarray:
             return query(None, q, out, threads)
         from kempe.forward.fk import fk
 

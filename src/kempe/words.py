@@ -104,9 +104,10 @@ def by_topic(
 
 def _escaped(text: str) -> str:
     """Text as HTML shows it as it is."""
+    # sentences are made at start-up, and need no HTML; so with JSON and images below
     from html import (
         escape,
-    )  # sentences are made at start-up, and need no HTML; so with JSON and images below
+    )
 
     return escape(text)
 

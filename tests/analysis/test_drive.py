@@ -72,9 +72,8 @@ def test_no_flip_through_change_points_at_any_number_of_steps(first, n):
         D = 2 * math.atan2(math.sin(first), math.cos(first) - 2.0) - math.pi
         cases.append((four_bar(1, 1, 2, 2), "A", [first, -1.0, D, 0.0], kite_error))
     for system, name, start, error in cases:
-        toward = (
-            {"S": 1.0} if "S" in system.coordinate_names else {}
-        )  # else the branch at rest, if it starts there
+        # else the branch at rest, if it starts there
+        toward = {"S": 1.0} if "S" in system.coordinate_names else {}
         motion = drive(system, {name: inputs}, start=start, toward=toward)
         assert motion.success and not motion.held.any() and len(motion) == n + 1, (
             system.name,
@@ -110,12 +109,10 @@ def test_at_a_toggle_the_last_pose_is_held_and_it_goes_on_when_the_input_comes_b
     assert inputs[toggle.last + 1] < limit < inputs[toggle.last]
     assert toggle.inputs["A"] == pytest.approx(limit, abs=1e-12)
     np.testing.assert_array_equal(motion.q[motion.held], np.tile(toggle.q, (motion.held.sum(), 1)))
-    np.testing.assert_allclose(
-        motion.q[::-1][~motion.held], motion.q[~motion.held], atol=1e-9
-    )  # the same way back
-    assert (
-        abs(math.remainder(motion.system.q_dict(toggle.q)["C"], math.pi)) < 1e-6
-    )  # coupler and rocker in line
+    # the same way back
+    np.testing.assert_allclose(motion.q[::-1][~motion.held], motion.q[~motion.held], atol=1e-9)
+    # coupler and rocker in line
+    assert abs(math.remainder(motion.system.q_dict(toggle.q)["C"], math.pi)) < 1e-6
 
 
 def test_the_toggle_itself_is_reached():

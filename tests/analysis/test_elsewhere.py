@@ -34,9 +34,8 @@ def hunted(rng: np.random.Generator, count: int) -> tuple[int, int]:
             continue  # it does not close, or it is near the border
         path = four_bar(*lengths).trace("A")
         two = bool(2 * (least + most) < lengths.sum())
-        A = path.values(
-            "A"
-        )  # the other branch is the mirror image, which may have none of these angles
+        # the other branch is the mirror image, which may have none of these angles
+        A = path.values("A")
         two &= any(A.min() <= 2 * np.pi * k - A[0] <= A.max() for k in (-1, 0, 1))
         assert len(path.elsewhere) == two, (lengths.tolist(), str(path))
         assert bool(path.hint) == two == ("not on this curve" in str(path))

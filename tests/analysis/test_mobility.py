@@ -96,9 +96,8 @@ def test_the_lectures_example():
 
 def test_each_loop_has_its_group_of_motions():
     solid = mobility(kempe.load("four_bar_spatial"), local=False)
-    assert [(x.freedoms, x.equations, x.count) for x in solid.loops] == [
-        (4, 3, 1)
-    ]  # three parallel freedoms
+    # three parallel freedoms
+    assert [(x.freedoms, x.equations, x.count) for x in solid.loops] == [(4, 3, 1)]
     assert [(x.freedoms, x.equations, x.count) for x in mobility(kempe.load("bennett")).loops] == [
         (4, 6, -2)
     ]
@@ -342,9 +341,8 @@ def test_releases_remove_what_is_redundant_and_nothing_else(name):
     assert rank_of(full) == 6 * (len(system.body_names) - 1) - m.rank_dof
     assert name == "slotted" or rank_of(full) == rank_of(joint_constraints(system, m.q))
     stressed = dict(m.redundancy.stressed)
-    for joint in (
-        system.structure.joints
-    ):  # a direction carries self-stress if it can be left out without a new freedom
+    # a direction carries self-stress if it can be left out without a new freedom
+    for joint in system.structure.joints:
         for reaction in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
             less = held_rows(system, m.q, {joint: (reaction,)})
             if len(less) < len(full):
@@ -419,9 +417,8 @@ def test_a_sarrus_linkage_with_its_repair_has_no_redundancy():
     (release,) = mobility(system).redundancy.releases
     m = system.mechanism
     j = m.joints[release.joint]  # turns about z; the repaired one about z and about x or y besides
-    to_x = (
-        ("ry", (math.pi / 2,)),
-    )  # the x axis of the universal joint is the old z, its y the released direction
+    # the x axis of the universal joint is the old z, its y the released direction
+    to_x = (("ry", (math.pi / 2,)),)
     turn = Placement(to_x if release.reactions == ("My",) else (("rz", (math.pi / 2,)), *to_x))
     q = system.q("closed")
     angle = float(q[system.coordinate_names.index(j.name)])

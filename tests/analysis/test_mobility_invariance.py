@@ -88,9 +88,8 @@ def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
     want, got = (mobility(s, s.neutral, local=False) for s in (passive, other))
     reported = facts(want)
     seen = facts(got, change.prefix)
-    if any(
-        change.ground in f.bodies for f in want.idle_freedoms
-    ):  # what spins about the ground is a swing
+    # what spins about the ground is a swing
+    if any(change.ground in f.bodies for f in want.idle_freedoms):
         assert reported.pop("idle") - seen.pop("idle") in (0, 1)
     assert got.closed and seen == reported
     if name != "delta_uu":  # what the original says, motors aside
@@ -202,12 +201,13 @@ def test_three_loops_of_any_generic_dimension(seed, extra):
     rng = np.random.default_rng(seed)
     m = Mechanism("three loops")
     hub = m.body("hub")
+    # links between ground and hub; joints are one more: 22 in all, 3 loops take 18
     chains = [
         4,
         4,
         5,
         5,
-    ]  # links between ground and hub; joints are one more: 22 in all, 3 loops take 18
+    ]
     total = extra
     pose = lambda: placement_of_pose(exp_se3(rng.uniform(-1, 1, 6)))  # noqa: E731
     world = {"hub": exp_se3(rng.uniform(-1, 1, 6))}

@@ -115,12 +115,10 @@ def test_peaucellier_draws_a_straight_line():
     path = trace(system, "Q", np.zeros(system.nq))
     assert path.closed
     D = path.curve("D*")
-    assert (
-        np.abs(D[:, 0] - (3.0**2 - 1.6**2) / 2.0).max() < 1e-11
-    )  # closed to 1e-12, where the cell is stretched
-    assert np.ptp(D[:, 1]) == pytest.approx(
-        2.0 * math.sqrt(4.6**2 - 3.22**2), abs=1e-9
-    )  # as far as the cell reaches
+    # closed to 1e-12, where the cell is stretched
+    assert np.abs(D[:, 0] - (3.0**2 - 1.6**2) / 2.0).max() < 1e-11
+    # as far as the cell reaches
+    assert np.ptp(D[:, 1]) == pytest.approx(2.0 * math.sqrt(4.6**2 - 3.22**2), abs=1e-9)
 
 
 def test_jansen_foot_by_chained_circles():
@@ -129,14 +127,12 @@ def test_jansen_foot_by_chained_circles():
     assert path.closed and path.turns["O"] == 1 and not path.singular_points
     exact = jansen_points(path.values("O"))
     for name in "XYZWVF":
-        assert np.abs(path.curve(f"{name}*")[:, :2] - exact[name]).max() < 1e-11, (
-            name
-        )  # lengths are about 50
+        # lengths are about 50
+        assert np.abs(path.curve(f"{name}*")[:, :2] - exact[name]).max() < 1e-11, name
     foot = path.resample(400).curve("F*")
     low = foot[foot[:, 1] < foot[:, 1].min() + 1.5]
-    assert (
-        np.ptp(low[:, 0]) > 0.6 * np.ptp(foot[:, 0]) > 40.0
-    )  # it walks: most of the step is near the ground
+    # it walks: most of the step is near the ground
+    assert np.ptp(low[:, 0]) > 0.6 * np.ptp(foot[:, 0]) > 40.0
     assert JANSEN["m"] == 15
 
 
@@ -171,9 +167,8 @@ def test_chebyshev_linkage_is_on_its_line_three_times():
     assert path.closed
     P = path.curve("P")
     between = P[(P[:, 0] > 0.0) & (P[:, 0] < 4.0) & (np.abs(P[:, 1] - 4.0) < 0.2)]
-    assert (
-        len(between) > 20 and 0.005 < np.abs(between[:, 1] - 4.0).max() < 0.02
-    )  # nearly straight, but not quite
+    # nearly straight, but not quite
+    assert len(between) > 20 and 0.005 < np.abs(between[:, 1] - 4.0).max() < 0.02
     system = path.system
     for A, D, point in [
         (math.pi / 2, math.atan2(3, -4), (0, 4)),
@@ -299,9 +294,8 @@ def test_branches_of_the_parallelogram():
     A = crossed.values("A")
     D = crossed.values("D")
     product = np.sin(A / 2) * np.cos(D / 2), np.cos(A / 2) * np.sin(D / 2)
-    ratio = np.linalg.lstsq(product[0][:, None], product[1], rcond=None)[0][
-        0
-    ]  # tan(D/2) / tan(A/2) is constant
+    # tan(D/2) / tan(A/2) is constant
+    ratio = np.linalg.lstsq(product[0][:, None], product[1], rcond=None)[0][0]
     assert np.abs(product[1] - ratio * product[0]).max() < 1e-9 and abs(ratio - 1) > 0.5
     assert crossed.closed and len(crossed.singular_points) == 2
 
@@ -556,9 +550,8 @@ def test_points_near_a_change_point_are_on_the_branch():
 def test_paths_depend_neither_on_start_step_nor_unit(lengths, place, step, scale):
     a, b, c, d = lengths
     grashof = [a + b - c - d, a + c - b - d, a + d - b - c]
-    assume(
-        min(map(abs, grashof)) >= 0.02
-    )  # near a change point the branch is long and bent: tested elsewhere
+    # near a change point the branch is long and bent: tested elsewhere
+    assume(min(map(abs, grashof)) >= 0.02)
     assume(2 * max(lengths) < sum(lengths))  # it can be closed
     path = trace(four_bar(a, b, c, d), "A")
     assert path and path.closed

@@ -200,9 +200,8 @@ def test_a_car_that_rolls_stops_at_a_wall():
         and "'wall' meets its bound" in r.status
         and r.q[-1, 1] == pytest.approx(0.0, abs=1e-9)
     )
-    assert r.t[-1] == pytest.approx(
-        math.acos(1 - 0.8) / 0.8, abs=1e-9
-    )  # y = 1 - (1 - cos 0.8 t) / 0.8
+    # y = 1 - (1 - cos 0.8 t) / 0.8
+    assert r.t[-1] == pytest.approx(math.acos(1 - 0.8) / 0.8, abs=1e-9)
     with pytest.raises(InputError, match="violates 'wall' by 0.5"):
         system.simulate(1.0, [0.0, -0.5, 0.0], inputs={"body.vx": 1.0, "pose.rz": 0.0})
     path = system.manoeuvre([0, 0, 0], [0, 1, 0], radius=1.0)
@@ -443,9 +442,8 @@ def test_a_floor_that_rises_evenly_is_a_floor_at_rest_seen_from_itself(hunt):
         e = rng.uniform(0.1, 0.6)
         r = above(f"{u!r}*t").simulate(3.0, {"at.y": h}, velocity=[0.7, v], restitution=e)
         still = above("0").simulate(3.0, {"at.y": h}, velocity=[0.7, v - u], restitution=e)
-        large = 1e-4 * abs(
-            still.events[0].before
-        )  # on planes that move, lower hops count as the rest of the series
+        # on planes that move, lower hops count as the rest of the series
+        large = 1e-4 * abs(still.events[0].before)
         count = sum(abs(b.before) > large for b in still.events)
         assert sum(abs(a.before) > large for a in r.events) == count
         for a, b in zip(r.events[:count], still.events, strict=False):

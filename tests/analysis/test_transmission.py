@@ -73,9 +73,8 @@ def test_four_bar_rates_are_freudensteins():
     coupler = q[:, 0] + q[:, 1]
     exact = 1.0 * np.sin(coupler - crank) / (2.0 * np.sin(coupler - rocker))
     np.testing.assert_allclose(J.matrix[:, 0, 0], exact, rtol=1e-12, atol=1e-13)
-    own = (
-        -1.0 * np.sin(crank - rocker) / (2.5 * np.sin(coupler - rocker)) - 1.0
-    )  # of B, which counts from the crank
+    # of B, which counts from the crank
+    own = -1.0 * np.sin(crank - rocker) / (2.5 * np.sin(coupler - rocker)) - 1.0
     np.testing.assert_allclose(J.matrix[:, 1, 0], own, rtol=1e-12, atol=1e-13)
 
 
@@ -97,9 +96,8 @@ def test_two_inputs_and_a_long_linkage_by_differences():
     leg = jansen()
     x = trace(leg, "O", np.zeros(leg.nq)).at(2.0)
     J = loop_jacobian(leg, x, ["O"], ["F*"])
-    np.testing.assert_allclose(
-        J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5
-    )  # lengths are about 50
+    # lengths are about 50
+    np.testing.assert_allclose(J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5)
 
 
 @pytest.mark.slow
@@ -114,9 +112,8 @@ def test_space_and_quaternions_by_differences():
     m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
     system = m.build()
     path = trace(system, "D", {"A": 0.3})
-    x = path.q[
-        np.argmax(np.abs(np.gradient(path.values("D"), path.s)))
-    ]  # far from the dead points of D
+    # far from the dead points of D
+    x = path.q[np.argmax(np.abs(np.gradient(path.values("D"), path.s)))]
     J = loop_jacobian(system, x, ["D"], ["rod", "A"])
     np.testing.assert_allclose(J.matrix[:6], differences(system, x, ["D"], "rod"), atol=1e-6)
     # an idle spin of the rod does not matter to what does not spin

@@ -104,9 +104,8 @@ def test_declared_and_as_tasks(name, dim, bounds, hunt):
     held = m.build()
     assert held.mobility().dof == free.nv, "one-sided rows take no freedom"
     moved = 0
-    for k in range(
-        max(hunt.cases(6), 2)
-    ):  # from where the kind holds without bounds, and from far away
+    # from where the kind holds without bounds, and from far away
+    for k in range(max(hunt.cases(6), 2)):
         q = free.random(rng) if k % 2 else free.ik(EXAMPLES[name](dim), start=free.random(rng)).q
         q = free.configuration_space.integrate(
             q, rng.uniform(-1.0, 1.0, free.nv) * (6.0 if k % 2 else 0.05)

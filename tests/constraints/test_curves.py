@@ -152,9 +152,8 @@ def test_series_by_values_along_a_line(dim):
     kernel.tape_series(ints, floats, order, given, found)
     later = judged(t, p + h * way)
     off = np.abs(found @ h ** np.arange(order + 1) - later).max(axis=1)
-    assert (
-        np.median(off) < 1e-12 and np.mean(off < 1e-8) > 0.8
-    )  # some lines cross into another piece
+    # some lines cross into another piece
+    assert np.median(off) < 1e-12 and np.mean(off < 1e-8) > 0.8
 
 
 @pytest.mark.parametrize(

@@ -54,10 +54,11 @@ def test_each_kind(name, dim, hunt):
     )
     if rows and len(equal) == len(rows):
         rows_ = apart(system, q)
+        # the kernels' rows are the chord between directions
         if made.kind in (
             "pointing",
             "look_at",
-        ):  # the kernels' rows are the chord between directions
+        ):
             rows_[..., 1] = 2.0 * np.arcsin(np.minimum(rows_[..., 1] / 2.0, 1.0))
         np.testing.assert_allclose(there.errors, rows_, atol=1e-7)
         assert not there.holds.any()

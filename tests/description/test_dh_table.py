@@ -129,9 +129,8 @@ def test_a_table_of_radians_may_have_several_angles_beyond_a_turn():
         {"a": 0.3, "alpha": x, "theta": y, "type": "fixed"}
         for x, y in zip(alpha, theta, strict=True)
     ]
-    with pytest.raises(
-        InputError, match="row 1: theta is 13.4, .* deg=True"
-    ):  # three of six, as in degrees
+    # three of six, as in degrees
+    with pytest.raises(InputError, match="row 1: theta is 13.4, .* deg=True"):
         from_dh([{"theta": y} for y in theta])
     here = from_dh([*rows, {}]).build()
     same = from_dh(
@@ -315,17 +314,17 @@ flipped."""
 
 
 def test_a_flipped_joint_of_a_jaco():
-    s = from_dh(
-        JACO, deg=True, columns=("a", "alpha", "d", "offset")
-    )  # without the flip: another arm
+    # without the flip: another arm
+    s = from_dh(JACO, deg=True, columns=("a", "alpha", "d", "offset"))
     rows = [dict(zip(("a", "alpha", "d", "offset"), row, strict=True)) for row in JACO]
     flipped = from_dh([{**rows[0], "flip": True}, *rows[1:]], deg=True)
     q = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
+    # by fkine of roboticstoolbox 1.5
     found = [
         [0.423625328060017, 0.903127810034392, 0.070012428671816, 0.054170590947179],
         [-0.895135056808621, 0.429213901738362, -0.120451885110858, 0.029493172328686],
         [-0.138833754895093, -0.011644109970921, 0.990247243472414, 0.354292170054356],
-    ]  # by fkine of roboticstoolbox 1.5
+    ]
     np.testing.assert_allclose(flipped.build().fk(q, "tool")[:3], found, rtol=0, atol=1e-14)
     assert np.abs(s.build().fk(q, "tool")[:3] - found).max() > 0.1
     assert from_dh(rows, deg=True) == s

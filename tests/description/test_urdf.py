@@ -438,9 +438,8 @@ def test_lenient_limits_are_those_of_mujoco(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         lower, upper = rng.choice([0.0, -1.0, 1.0, 0.5, -2.5], 2, replace=False).tolist()
-        given = (
-            {"lower": lower, "upper": upper} if rng.random() < 0.7 else {}
-        )  # of one bound it makes no limit
+        # of one bound it makes no limit
+        given = {"lower": lower, "upper": upper} if rng.random() < 0.7 else {}
         said = "".join(f' {k}="{x}"' for k, x in given.items())
         text = for_mujoco(
             joint("j", f'<limit effort="1" velocity="1"{said}/>'),

@@ -299,6 +299,7 @@ def mutate(rng: np.random.Generator, root: ET.Element) -> str:
         for p in root.iter()
         if p is not holder and p.tag not in ("robot", "origin") and p is not element
     ]
+    # inside another joint it is that one's
     if element.tag in (
         "origin",
         "parent",
@@ -306,7 +307,7 @@ def mutate(rng: np.random.Generator, root: ET.Element) -> str:
         "axis",
         "limit",
         "mimic",
-    ):  # inside another joint it is that one's
+    ):
         places = [p for p in places if p.tag != "joint"]
     if element.tag == "origin":  # a visual has an origin, too
         places = [p for p in places if p.tag not in ("visual", "collision", "inertial", "sensor")]

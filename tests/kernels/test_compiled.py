@@ -332,9 +332,8 @@ def test_lengths_that_differ_are_refused_and_named(name):
             with pytest.raises(ValueError, match=r"axis \d of \w+ has length") as caught:
                 entry(*given)
             judge = uses[place] in written and written.index(uses[place]) == place
-            assert judge or argument in str(
-                caught.value
-            )  # where the others are measured by it, they are named
+            # where the others are measured by it, they are named
+            assert judge or argument in str(caught.value)
 
 
 @native

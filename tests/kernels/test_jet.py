@@ -43,9 +43,8 @@ def complex_poses(table, q, v):
             R = np.array(table.motion(r, q), dtype=complex)[:3, :3]
             turn = expm(cross(v[r.iv : r.iv + 3]))
             M = pose().astype(complex)
-            M[:3, :3] = (
-                R @ turn if r.multiplier > 0 else turn.T @ R
-            )  # of a reversed ball `motion` is the inverse
+            # of a reversed ball `motion` is the inverse
+            M[:3, :3] = R @ turn if r.multiplier > 0 else turn.T @ R
         else:
             x = r.multiplier * (q[r.iq] + v[r.iv])
             M = pose().astype(complex)
@@ -216,18 +215,16 @@ def test_several_curves_do_not_disturb_each_other():
             all_[i], run(table, ties, packed, m, q3[i : i + 1], v3[i : i + 1])[1][0]
         )
     signs = (-1.0) ** np.arange(ORDER + 1)
-    rest = (
-        all_[2] - all_[0] * signs[:, None]
-    )  # v(t) -> -v is not t -> -t: that changes odd orders of v only
+    # v(t) -> -v is not t -> -t: that changes odd orders of v only
+    rest = all_[2] - all_[0] * signs[:, None]
     assert np.abs(rest[1:]).max() > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_values_and_jacobian_are_orders_0_and_1(seed):
     table, held, numbers, relation, q, _ = random_case(seed)
-    for k, (_, turns) in enumerate(
-        held
-    ):  # a particle has no axes to be in, and no orientation to be held
+    # a particle has no axes to be in, and no orientation to be held
+    for k, (_, turns) in enumerate(held):
         flags = (
             seed % 2 == 1 and turns == DISTANCE,
             seed % 2 == 1 and turns in (DISTANCE, NO_TURN),

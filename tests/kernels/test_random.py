@@ -22,9 +22,8 @@ def test_published_sequence():
 def test_uniform_and_inside_the_unit_interval():
     x = np.array([unit.py_func(b) for b in numbers(0, 4000)])
     assert x.min() >= 0.0 and x.max() < 1.0
-    assert np.abs(np.sort(x) - np.linspace(0, 1, 4000)).max() < 1.63 / np.sqrt(
-        4000
-    )  # Kolmogorov and Smirnov, 1 %
+    # Kolmogorov and Smirnov, 1 %
+    assert np.abs(np.sort(x) - np.linspace(0, 1, 4000)).max() < 1.63 / np.sqrt(4000)
     assert unit.py_func(np.uint64(2**64 - 1)) < 1.0
 
 

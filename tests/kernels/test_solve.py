@@ -112,9 +112,8 @@ def test_nearest_of_three_slides_is_the_nearest_corner_of_the_box(mask):
     targets = points(wanted)
     targets[:, :3, :3] = chain.forward(np.zeros(3))[:3, :3]
     answers = solve(chain, targets, mask)
-    axes = np.array(
-        [chain.forward(x)[:3, 3] for x in np.eye(3)]
-    )  # each slide moves along one axis of the ground
+    # each slide moves along one axis of the ground
+    axes = np.array([chain.forward(x)[:3, 3] for x in np.eye(3)])
     best = np.clip(wanted, *np.sort([-axes.sum(axis=0), 2 * axes.sum(axis=0)], axis=0))
     assert np.allclose(
         answers.residual[:, 0], np.linalg.norm(wanted - best, axis=1), rtol=0, atol=1e-12
@@ -260,9 +259,8 @@ def test_seeds_outside_the_limits_are_brought_inside():
 def test_later_seeds_are_tried_when_the_first_fails():
     arm = planar_arm(0.5, 0.3)
     target = points(arm.forward(np.array([0.4, 0.9]))[:3, 3])
-    singular = np.arctan2(
-        target[0, 1, 3], target[0, 0, 3]
-    )  # stretched towards the target: no step leads out
+    # stretched towards the target: no step leads out
+    singular = np.arctan2(target[0, 1, 3], target[0, 0, 3])
     answers = solve(arm, target, POSITION, seeds=[[[singular, 0.0], [0.4, 0.9]]])
     assert answers.starts[0] == 2 and np.allclose(answers.q, [[0.4, 0.9]])
 

@@ -93,9 +93,8 @@ def test_a_circle_meets_a_line_twice(theta, direction, size):
     for c, s in ((c0, s0), (c1, s1)):
         assert a * c + b * s == pytest.approx(k, abs=4e-15 * size)
         assert c * c + s * s == pytest.approx(1.0, abs=1e-15)
-    assert (
-        min(gap(math.atan2(s0, c0), theta), gap(math.atan2(s1, c1), theta)) < 1e-7
-    )  # a double root: half the digits
+    # a double root: half the digits
+    assert min(gap(math.atan2(s0, c0), theta), gap(math.atan2(s1, c1), theta)) < 1e-7
 
 
 def test_a_line_that_misses_the_circle_gives_the_nearest_point():

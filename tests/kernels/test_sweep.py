@@ -123,9 +123,8 @@ def poisoned(table, row, value):
 def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
     rng = np.random.default_rng(4)
     table = random_table(rng, 14, n_out=20, particles=True)
-    rows = [
-        k for k in range(14) if value != 0.0 or table.rows[k].kind == BALL
-    ]  # a zero is bad for a ball only
+    # a zero is bad for a ball only
+    rows = [k for k in range(14) if value != 0.0 or table.rows[k].kind == BALL]
     assert rows
     for row in rows:
         q, hit = poisoned(table, row, value)

@@ -442,9 +442,8 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
             X_PF, X_CM = graph.ends(e)
             X_WM = poses[e.parent] @ np.asarray(X_PF @ graph.joint_pose(e, values), dtype=float)
             turn = np.eye(4)
-            if (
-                e.kind == "prismatic" and graph.dim == 2
-            ):  # there M is turned so that its z is the axis of the slider
+            # there M is turned so that its z is the axis of the slider
+            if e.kind == "prismatic" and graph.dim == 2:
                 turn[:3, :3] = spatial.align_z([0.6, -0.8, 0.0])
             X_WM = X_WM @ turn
             there = poses[e.child] @ X_CM.astype(float) @ turn

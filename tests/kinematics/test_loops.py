@@ -212,9 +212,8 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
     judge = closures.closure_of(s, "J", own=implicit_form(joint.type, dim, particle) is None)
     J = closure_of(s, "J").jacobian(s, q)
     K = judge.jacobian(s, q)
-    assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [
-        len(J)
-    ]  # none too many
+    # none too many
+    assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]
 
 
 def test_own_coordinates_of_two_branches():

@@ -206,9 +206,8 @@ def compare(s: System, q: np.ndarray) -> None:
     moving = twists(s, q_max) @ null_space(J)
     assert np.abs(K @ moving).max(initial=0.0) < 1e-6
     singular = np.linalg.svd(K, compute_uv=False) if min(K.shape) else np.zeros(0)
-    if not np.any(
-        (singular > 1e-9) & (singular < 1e-4)
-    ):  # else a random configuration is near a singular one
+    # else a random configuration is near a singular one
+    if not np.any((singular > 1e-9) & (singular < 1e-4)):
         free = K.shape[1] - int((singular > 1e-6).sum())
         assert np.linalg.matrix_rank(moving, tol=1e-6) == free if moving.size else free == 0
     minimal = closure_rows.jacobian(s, q)
@@ -320,9 +319,8 @@ def test_followers_tell_the_turns_of_their_driver():
     m.gear("b", "a", 0.5, 0.1)
     m.gear("c", "a", -1 / 3)
     s = m.build()
-    q = np.array(
-        [4.5 * 2 * math.pi]
-    )  # a third of c's turns, and half of b's: known up to six turns of a
+    # a third of c's turns, and half of b's: known up to six turns of a
+    q = np.array([4.5 * 2 * math.pi])
     X = to_maximal(s, q)
     found = from_maximal(s, X)
     np.testing.assert_allclose(to_maximal(s, found), X, atol=1e-12)
@@ -340,9 +338,8 @@ def test_relations_are_checked():
         m.revolute(name, m.ground, m.body(f"wheel {name}"))
     m.couple("c", {"a": 0.5, "b": 0.5})
     s = m.build()
-    q = s.q(
-        {"a": 2.0, "b": 1.0, "c": 1.5 + 4 * math.pi}
-    )  # c turned twice more: the poses cannot tell
+    # c turned twice more: the poses cannot tell
+    q = s.q({"a": 2.0, "b": 1.0, "c": 1.5 + 4 * math.pi})
     X = to_maximal(s, q)
     np.testing.assert_allclose(from_maximal(s, X), [2.0, 1.0, 1.5], atol=1e-12)
     with pytest.raises(InputError, match="'c'.*by 0.5 rad"):
@@ -437,9 +434,8 @@ def test_redundant_equations_are_no_obstacle():
             reached += 1
             q = convert.from_maximal(s, X)
             assert np.abs(s.loops.closure_error(q)).max() < 1e-9
-            assert (
-                convert.maximal(s).mobility(maximal_q(s, q)).dof == 1
-            )  # 20 equations for 18 unknowns, and still it moves
+            # 20 equations for 18 unknowns, and still it moves
+            assert convert.maximal(s).mobility(maximal_q(s, q)).dof == 1
     assert reached >= 15
     found = convert.maximal(s).mobility(maximal_q(s, q)).counting
     assert (found.free, found.taken) == (18, 20)

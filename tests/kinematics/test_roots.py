@@ -51,9 +51,8 @@ def test_ends_and_no_change():
     assert sign_change(lambda x: x * x + 1.0, -1.0, 1.0) is None
     for nan in (lambda x: math.nan, lambda x: math.nan if x > 0.5 else -1.0):
         assert sign_change(nan, 0.0, 1.0) is None
-    assert (
-        sign_change(lambda x: math.nan if 0.3 < x < 0.7 else x - 0.5, 0.0, 1.0) is not None
-    )  # ends all the same
+    # ends all the same
+    assert sign_change(lambda x: math.nan if 0.3 < x < 0.7 else x - 0.5, 0.0, 1.0) is not None
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=5, unique=True))

@@ -109,9 +109,8 @@ def test_a_joint_turned_over_counts_backwards():
     m = Mechanism("backwards")
     m.revolute("A", m.ground, m.body("a"))
     m.revolute("B", "a", m.body("b"), at=(1, 0, 0), axis=(0, 0, -1))
-    m.revolute(
-        "C", m.body("c"), "b", child_at=(2, 0, 0)
-    )  # the tree walks it from its child to its parent
+    # the tree walks it from its child to its parent
+    m.revolute("C", m.body("c"), "b", child_at=(2, 0, 0))
     T = m.build().symbolic.fk("c")
     assert str(T[0, 3]) == "cos(A) + 2*cos(A - B)" and str(T[0, 0]) == "cos(-A + B + C)"
 

@@ -96,9 +96,8 @@ def test_the_lectures_arm_to_the_letter():
     )
     assert list(J[5, :]) == [1, 1]
     det = sympy.trigsimp(ARM.symbolic.jacobian("e")[:2, :].det())
-    assert (
-        sympy.simplify(det - l1 * l2 * sympy.sin(q2)) == 0
-    )  # singular where the arm is straight or folded
+    # singular where the arm is straight or folded
+    assert sympy.simplify(det - l1 * l2 * sympy.sin(q2)) == 0
 
 
 def test_latex_says_both_frames_at_the_left():

@@ -123,9 +123,8 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
         solver.loops = form
         answer = solver({}, start=start)
         assert answer.success
-        assert (
-            np.abs(full.residual(system, answer.q)).max(initial=0.0) < 1e-9
-        )  # coordinates of the joint included
+        # coordinates of the joint included
+        assert np.abs(full.residual(system, answer.q)).max(initial=0.0) < 1e-9
         assert np.abs(evaluated(system, small, answer.q[None])[0]).max(initial=0.0) < 1e-9
 
 

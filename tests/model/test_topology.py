@@ -178,9 +178,8 @@ def test_on_every_loop_a_joint_of_the_least_wanted_grade_is_cut(graph):
     t = system.structure.topology
     holds = dict(zip(t.bodies[1:], t.parent_joints, strict=True))
     for name, loop in loops_of(system).items():
-        if (
-            edges[name].child in graph.particles
-        ):  # the choice is only which of its joints holds the particle
+        # the choice is only which of its joints holds the particle
+        if edges[name].child in graph.particles:
             loop = {holds[edges[name].child]}
         assert all(grade(j) <= grade(name) for j in loop), (name, loop)
 
@@ -248,9 +247,8 @@ def seven_bodies(loop: bool = False) -> Mechanism:
 def test_the_lectures_connectivity_vector():
     s = seven_bodies().build()
     assert s.parent == (0, 1, 2, 1, 4, 4, 2)
-    assert s.structure.parent_joints == tuple(
-        f"J{i}" for i in range(1, 8)
-    )  # joint i is the parent joint of body i
+    # joint i is the parent joint of body i
+    assert s.structure.parent_joints == tuple(f"J{i}" for i in range(1, 8))
     assert s.body_names == tuple(f"B{i}" for i in range(8)) and s.structure.closures == ()
     assert s.structure.topology.reversed_ == (False,) * 7
 

@@ -132,9 +132,8 @@ def test_a_tractor_with_a_trailer_moves_as_its_differential_equation():
     def rates(_, x):
         heading = x[2]
         angle = x[3]
-        sideways = (
-            -math.sin(angle) * v + math.cos(angle) * -hitch * w
-        )  # of the hitch, in the frame of the trailer
+        # of the hitch, in the frame of the trailer
+        sideways = -math.sin(angle) * v + math.cos(angle) * -hitch * w
         return [v * math.cos(heading), v * math.sin(heading), w, sideways / trailer - w]
 
     expected = solve_ivp(rates, (0, 6), [0, 0, 0, 0.2], rtol=1e-11, atol=1e-12).y[:, -1]

@@ -157,9 +157,8 @@ def test_offsets_of_mimics_and_mimics_of_mimics_count(order):
         b = 0.3 - 2 * a
         expected = turn("z", a) @ at(1, 0, 0) @ turn("z", b) @ at(1, 0, 0) @ turn("z", b / 2 - 0.1)
         np.testing.assert_allclose(s.fk({"a": a}, "l3"), expected, atol=1e-12)
-    np.testing.assert_allclose(
-        [s.lower[0], s.upper[0]], [-1.35, 1.65]
-    )  # b = 0.3 - 2a is between -3 and 3
+    # b = 0.3 - 2a is between -3 and 3
+    np.testing.assert_allclose([s.lower[0], s.upper[0]], [-1.35, 1.65])
     answer = s.ik(s.fk([0.8], "l3"), "l3")
     assert answer and abs(answer.q[0] - 0.8) < 1e-6
 

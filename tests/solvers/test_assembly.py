@@ -200,9 +200,8 @@ def test_equations_have_exact_derivatives(graph, seed):
         else J
     )
     angles = np.array([k.startswith("r") for _, k in closure_rows.row_names(s)], dtype=bool)
-    near_pi = (
-        np.abs(closure_rows.residual(s, q))[angles].max(initial=0.0) > 2.9
-    )  # where the rotation vector jumps
+    # where the rotation vector jumps
+    near_pi = np.abs(closure_rows.residual(s, q))[angles].max(initial=0.0) > 2.9
     if not near_pi:
         np.testing.assert_allclose(J, numeric, atol=2e-6 * (1 + np.abs(J).max(initial=0.0)))
 
@@ -220,9 +219,8 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
         assert (
             np.linalg.norm(mine) == pytest.approx(0.0, abs=1e-9) or np.linalg.norm(error[k]) > 1e-10
         )
-        if (
-            len(mine) == 6
-        ):  # the rotation vector is the same, the position is taken without the screw's pitch
+        # the rotation vector is the same, the position is taken without the screw's pitch
+        if len(mine) == 6:
             np.testing.assert_allclose(mine[3:], error[k][3:], atol=1e-9)
 
 
@@ -514,9 +512,8 @@ def test_a_branch_by_its_signs():
     posture = s.assemble({"A": 1.5}, branch="closed")
     assert posture and s.q_dict(posture.q)["D"] > 0
     open_ = four_bar(a=0.3, b=0.2, c=0.2, d=0.4).assemble({"A": 2.0}, branch="+")
-    assert (
-        not open_ and open_.status and open_.starts == 1
-    )  # the closed form is where it starts, once
+    # the closed form is where it starts, once
+    assert not open_ and open_.status and open_.starts == 1
 
 
 def test_further_constraints():

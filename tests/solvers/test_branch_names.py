@@ -84,9 +84,8 @@ def test_elbows_of_a_scara_are_those_of_the_plane(slide, axis):
         assert sorted(a.names) == ["elbow-down", "elbow-up"]
         for row, name in zip(a.q, a.names, strict=True):
             p = system.fk(row, turns)[:, :3, 3]
-            left = (
-                up @ np.cross(p[2] - p[0], p[1] - p[0]) > 0
-            )  # of the way from the first axis to the third
+            # of the way from the first axis to the third
+            left = up @ np.cross(p[2] - p[0], p[1] - p[0]) > 0
             assert name == ("elbow-up" if left else "elbow-down")
 
 

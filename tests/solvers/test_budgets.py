@@ -330,11 +330,12 @@ def test_hard_targets_do_not_take_the_time_of_easy_ones(threads, looks):
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(3, 700), "tool")
     far = np.tile(np.diag([1.0, 1.0, 1.0, 1.0]), (700, 1, 1))
+    # inside the reach of the lengths, but not with this orientation
     far[:, :3, 3] = (
         0.0,
         0.0,
         -0.6718,
-    )  # inside the reach of the lengths, but not with this orientation
+    )
     mixed = np.stack([far, X], axis=1).reshape(-1, 4, 4)
     looks(300)
     answer = robot.ik(
@@ -506,9 +507,8 @@ def test_a_function_that_cannot_hold_ends_the_search(monkeypatch):
         if never:
             assert answer.code is Status.NOT_FOUND and not answer.late
             assert "20 calls of functions found nothing" in answer.status and calls[0] < 60_000
-    beyond = tasks.Function(
-        lambda q: q[8] - 50.0
-    )  # there is an answer without limits, not for the function inside them
+    # there is an answer without limits, not for the function inside them
+    beyond = tasks.Function(lambda q: q[8] - 50.0)
     answer = s.ik([tasks.Pose("left", L), beyond])
     assert (
         answer.code is Status.NOT_FOUND and "20 calls of functions found nothing" in answer.status

@@ -120,9 +120,8 @@ def test_hunt_folded_cells(hunt):
         starts = [system.fk(q, f"{x}{i + 1}")[:, 3] for i in range(n - 1) for x in "ab"]
         assert max(np.abs(a - b).max() for a, b in zip(ends[::2], starts[1::2], strict=True)) < 1e-9
         closed = any(np.linalg.norm(ends[2 * i] - ends[2 * i + 1]) < 1e-7 for i in range(n - 1))
-        first = (
-            np.linalg.norm(system.fk(q, "slider")[:3, 3]) < 1e-7
-        )  # the pins on the ground, where they coincide
+        # the pins on the ground, where they coincide
+        first = np.linalg.norm(system.fk(q, "slider")[:3, 3]) < 1e-7
         warned = "folded or singular" in answer.status
         left = int(answer.status.rpartition("; ")[2].split()[0]) if not warned else 2
         assert warned == ((closed or first) and "1 freedom left" not in answer.status), (

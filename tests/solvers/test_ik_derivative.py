@@ -103,9 +103,8 @@ def test_tasks_that_ask_for_less(panda, task):
         np.testing.assert_allclose(D[:, k], difference(panda, X, q, e, **options), atol=1e-3)
     a = X[:3, :3] @ np.array(axis) / np.linalg.norm(axis)
     if task == "direction":
-        np.testing.assert_allclose(
-            D @ [0, 0, 0, *a], 0.0, atol=1e-12
-        )  # a turn about the axis asks for nothing
+        # a turn about the axis asks for nothing
+        np.testing.assert_allclose(D @ [0, 0, 0, *a], 0.0, atol=1e-12)
 
 
 def test_it_is_that_of_all_solutions(six):

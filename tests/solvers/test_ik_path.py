@@ -55,9 +55,8 @@ def test_a_straight_line_with_a_turn_is_followed_on_target():
         axis=1,
     )
     ahead = np.linalg.solve(J, twist[..., None])[..., 0]
-    assert (
-        np.abs(np.diff(p.q, axis=0) - ahead).max() < 0.1 * np.abs(ahead).max()
-    )  # each step is its first order
+    # each step is its first order
+    assert np.abs(np.diff(p.q, axis=0) - ahead).max() < 0.1 * np.abs(ahead).max()
 
 
 def test_free_joints_turn_on_and_on():

@@ -134,9 +134,8 @@ def test_the_direction_is_kept_and_the_part_of_it_the_largest(panda):
             bounds=[*zip(low, high, strict=True), (0.0, 1.0)],
         )
         np.testing.assert_allclose(s.twist, s.fraction * twist, atol=1e-5)
-        assert (
-            0.95 * best.x[-1] - 1e-6 <= s.fraction <= best.x[-1] + 1e-6
-        )  # self-motions cost a little
+        # self-motions cost a little
+        assert 0.95 * best.x[-1] - 1e-6 <= s.fraction <= best.x[-1] + 1e-6
         met += 0.01 < s.fraction < 0.99
     assert met > 10
 

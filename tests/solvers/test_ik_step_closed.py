@@ -128,9 +128,8 @@ def test_the_part_of_a_direction_is_that_of_a_linear_program():
             keep_direction=True,
             weights=PLANE,
         )
-        assert (
-            0.9 * best.x[-1] - 1e-6 <= got.fraction <= best.x[-1] + 1e-6
-        )  # self-motions cost a little
+        # self-motions cost a little
+        assert 0.9 * best.x[-1] - 1e-6 <= got.fraction <= best.x[-1] + 1e-6
         np.testing.assert_allclose(got.twist[:2], got.fraction * twist, atol=1e-4)
         assert np.all(np.abs(s.configuration_space.difference(q, got.q)) <= fast * DT * (1 + 1e-9))
         met += got.fraction < 0.99
@@ -276,8 +275,7 @@ def test_bad_input_is_refused():
     for wanted, frame in ((np.zeros(6), "tip"), (tasks.Position("tip", p), None)):
         with pytest.raises(InputError, match="finite number"):
             s.ik_step(np.full(s.nq, np.nan), wanted, frame, DT)
-    still = s.ik_step(
-        q, np.array([0, 0, 1.0, 0, 0, 0]), "tip", DT, weights=[0, 0, 1, 0, 0, 0]
-    )  # across the plane
+    # across the plane
+    still = s.ik_step(q, np.array([0, 0, 1.0, 0, 0, 0]), "tip", DT, weights=[0, 0, 1, 0, 0, 0])
     assert not still.velocity.any() and still.fraction == 0.0
     assert isinstance(s.ik_step(q, spatial.pose(p=[*p, 0.0]), "tip", DT).velocity, np.ndarray)

@@ -570,10 +570,11 @@ def straight_way_of_a_case(s: System, rng: np.random.Generator) -> tuple:
         Q.append(s.ik_step(Q[-1], X, frame, dt, velocity_limits=1.0, keep_direction=True).q)
     case = (s.name, kind, dt, q.tolist())
     assert turns_at_speed(np.array(Q), dt, 1.0) == 0, case
+    # some creep, and are there already
     assert np.abs(Q[-1] - Q[-25]).max() < 1e-2 * dt * 25, (
         "does not rest",
         case,
-    )  # some creep, and are there already
+    )
     assert rests_nearest(s, frame, X, Q[-1]), ("not the nearest", case)
     return case
 

@@ -86,9 +86,8 @@ def test_unreachable_points_say_how_far_outside_they_are(p, distance):
     s = two_link().ik(p, "tip")
     assert s.success is False and s.code == Status.OUT_OF_REACH and not s
     assert f"outside the workspace by at least {distance:g} m" in s.status
-    np.testing.assert_allclose(
-        s.position_error, distance, atol=1e-6
-    )  # the nearest configuration is the true one
+    # the nearest configuration is the true one
+    np.testing.assert_allclose(s.position_error, distance, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(tip(s.q) - p), distance, atol=1e-6)
     with pytest.raises(NoSolutionError, match="outside the workspace"):
         two_link().ik(p, "tip").expect()

@@ -270,9 +270,8 @@ def test_levels_of_a_gantry_are_those_of_linear_algebra(hunt):
             levels.append((A, b))
         answer = solve(s, wanted)
         (x, leasts) = lexicographic(levels, count)
-        if (
-            np.abs(x).max() > 20.0
-        ):  # some rows nearly depend on others: which rank they have is a matter of digits
+        # some rows nearly depend on others: which rank they have is a matter of digits
+        if np.abs(x).max() > 20.0:
             continue
         compared += 1
         for priority, least in enumerate(leasts):

@@ -29,9 +29,8 @@ def poses_of(
         arms = np.einsum("nij,mj->nmi", R, top)
         d = arms + p[:, None] - base
         error = 0.5 * (np.sum(d * d, axis=-1) - lengths**2)
-        J = np.concatenate(
-            [d, np.cross(arms, d)], axis=-1
-        )  # the platform turns about its own point, in the ground
+        # the platform turns about its own point, in the ground
+        J = np.concatenate([d, np.cross(arms, d)], axis=-1)
         JT = np.swapaxes(J, 1, 2)
         damped = J @ JT + (1e-6 * np.abs(error).max(axis=1))[:, None, None] * np.eye(len(top))
         step = -(JT @ np.linalg.solve(damped, error[..., None]))[..., 0]

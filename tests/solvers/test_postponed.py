@@ -26,9 +26,8 @@ def descents(monkeypatch):
     class Counted:
         @staticmethod
         def approach(*given):
-            requested.append(
-                int(np.sum(given[-1][:, -3] == Status.NOT_FOUND))
-            )  # those that are not found
+            # those that are not found
+            requested.append(int(np.sum(given[-1][:, -3] == Status.NOT_FOUND)))
             return fallback.approach(*given)
 
     monkeypatch.setattr("kempe.kernels.compiled.fallback", Counted)

@@ -266,9 +266,8 @@ def test_stretched_arm_and_wrist_above_the_shoulder():
         for row, mask, value in zip(at.q, at.mask, at.value, strict=True):
             assert np.abs(wrapped(arm_angle(system, row[mask], "tool") - value)).max() < 1e-5
     stretched = system.fk([0.3, 0.7, 0.2, 0.0, -0.4, 0.9, 0.1], "tool")
-    assert (
-        len(ik_sweep(system, stretched, "tool").at(0.5)) == 4
-    )  # both ways to bend the elbow have merged
+    # both ways to bend the elbow have merged
+    assert len(ik_sweep(system, stretched, "tool").at(0.5)) == 4
 
 
 def test_the_arm_angle_of_a_stretched_arm_is_a_limit():

@@ -251,9 +251,8 @@ def test_a_motion_that_rolls_along():
     assert np.ptp(np.hypot(motion.q[:, 0], motion.q[:, 1] - 0.5)) < 1e-9
     curve = {"pose.x": 0.5 * np.sin(2 * t), "pose.y": 0.5 - 0.5 * np.cos(2 * t), "pose.rz": 2 * t}
     rolled = system.drive(curve, t, np.zeros(4))
-    assert rolled and rolled.q[-1, 3] == pytest.approx(
-        2 * math.pi, rel=1e-3
-    )  # of the chords of 80 samples
+    # of the chords of 80 samples
+    assert rolled and rolled.q[-1, 3] == pytest.approx(2 * math.pi, rel=1e-3)
     functions = {"roll": lambda t: 2 * t, "pose.rz": lambda t: 2 * t + math.sin(t)}
     driven = system.drive(functions, t, np.zeros(4))
     same = system.simulate(

@@ -74,9 +74,8 @@ def arm(rng, kinds, wrist):
         Q = np.linalg.qr(np.column_stack([np.cos(a) * out + [0, 0, np.sin(a)], Q[:, :2]]))[0]
     bend = rng.uniform(-np.pi, np.pi) if rng.random() < 0.5 else 0.0
     axes = [Q[:, 0], Q[:, 1], np.cos(bend) * Q[:, 0] + np.sin(bend) * Q[:, 2]][: 7 - k]
-    shift = np.array(
-        [rng.uniform(-0.2, 0.2) * a for a in axes]
-    )  # joints stand anywhere on their axes
+    # joints stand anywhere on their axes
+    shift = np.array([rng.uniform(-0.2, 0.2) * a for a in axes])
     before = np.zeros(3)
     for i, (a, s) in enumerate(zip(axes, shift, strict=True), k):
         m.revolute(

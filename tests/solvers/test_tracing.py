@@ -105,9 +105,8 @@ def test_a_helix_among_dependent_equations(hunt):
         np.testing.assert_allclose(
             x[:, :2], np.stack([np.cos(x[:, 2]), np.sin(x[:, 2])], axis=1), atol=1e-12
         )
-        np.testing.assert_allclose(
-            [n.t[2] for n in nodes], math.sqrt(0.5), atol=1e-12
-        )  # pitch 1, radius 1
+        # pitch 1, radius 1
+        np.testing.assert_allclose([n.t[2] for n in nodes], math.sqrt(0.5), atol=1e-12)
         assert np.diff(x[:, 2])[5:] == pytest.approx(0.1 * math.sqrt(0.5), rel=5e-3)
 
 
@@ -125,9 +124,8 @@ def test_the_walk_ends_where_a_curve_is_not_smooth():
     """y^2 = x^3 has a cusp at the origin: the walk ends where rounding says so, and does not turn
     round.
     """
-    near = curves.CLOSED ** (
-        1.0 / 3.0
-    )  # points at which less is missing count as points of the curve
+    # points at which less is missing count as points of the curve
+    near = curves.CLOSED ** (1.0 / 3.0)
     curve = Implicit(
         2, lambda x: (np.array([x[1] ** 2 - x[0] ** 3]), np.array([[-3.0 * x[0] ** 2, 2.0 * x[1]]]))
     )
@@ -155,9 +153,8 @@ def test_points_between_and_points_that_are_not_there():
     b = step(curve, a, 0.2)
     c = inside(curve, a, b, 0.1)
     np.testing.assert_allclose(c.x, [math.sqrt(0.99), 0.1], atol=1e-13)
-    assert (
-        correct(curve, np.array([1.0, 1.5]), np.array([0.0, 1.0])) is None
-    )  # no point of the circle is at y = 1.5
+    # no point of the circle is at y = 1.5
+    assert correct(curve, np.array([1.0, 1.5]), np.array([0.0, 1.0])) is None
 
 
 @pytest.mark.parametrize("limit", [0.123, 0.5, 0.99])

@@ -105,9 +105,8 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
     session = Session(system, q)
     before = session.pose.copy()
     count = session.solve()
-    assert (
-        count == 7 and session.task == "pose"
-    )  # eight in general position (Williams and others), one is this
+    # eight in general position (Williams and others), one is this
+    assert count == 7 and session.task == "pose"
     assert np.allclose(system.fk(session.solutions, "tool"), before, atol=1e-6)
     chosen = session.solutions[3].copy()
     session.choose(3)

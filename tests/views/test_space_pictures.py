@@ -398,9 +398,8 @@ def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dya
         np.repeat(p, ok.sum(axis=1), axis=0)
     )
     off = np.abs(np.sin(0.5 * (back - q[mask][:, None]))).max(axis=-1)
-    assert (
-        np.where(ok, off, 1.0).min(axis=1).max() < 1e-6
-    )  # the one that it came from is among them
+    # the one that it came from is among them
+    assert np.where(ok, off, 1.0).min(axis=1).max() < 1e-6
 
 
 def test_slides_as_drives_are_the_axes():
@@ -415,9 +414,8 @@ def test_slides_as_drives_are_the_axes():
     assert left.get_xlabel() == "s1 [m]" and left.get_ylabel() == "s2 [m]"
     s, modes = shades(left)
     clear = np.abs(s.sum(axis=-1) - 0.8) > 1e-9
-    assert np.array_equal(
-        modes[clear], 2 * (s.sum(axis=-1) > 0.8)[clear]
-    )  # the triangle with the base of 0.8 m closes
+    # the triangle with the base of 0.8 m closes
+    assert np.array_equal(modes[clear], 2 * (s.sum(axis=-1) > 0.8)[clear])
     p, ways = shades(right)
     legs = np.stack([np.linalg.norm(p - x, axis=-1) for x in ([0.0, 0.0], [0.8, 0.0])])
     assert np.array_equal(ways, ((legs > 0.3) & (legs < 1.0)).all(axis=0))

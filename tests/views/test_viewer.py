@@ -333,9 +333,8 @@ class Seen:
         assert self.until(lambda: viewer.pages and next(iter(viewer.pages.values())).spent)
         self.page = next(iter(viewer.pages.values()))
         self.tab.get_by_text("random", exact=True).wait_for()
-        self.tab.add_style_tag(
-            content=".mantine-Notification-root {display: none}"
-        )  # drawn without a graphics card
+        # drawn without a graphics card
+        self.tab.add_style_tag(content=".mantine-Notification-root {display: none}")
         self.tab.wait_for_timeout(500)
 
     def until(self, what, soon: float = SOON) -> bool:
@@ -630,9 +629,8 @@ def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
 def test_motions_are_found_by_a_button_and_played(browser, name, motion):
     """All configurations that are passed are those of the motion, and hold what the system holds."""
     system = kempe.load(name)
-    q = (
-        system.neutral + 0.5 * np.eye(system.nq)[2] if name == "ball" else None
-    )  # it lies on the ground at first
+    # it lies on the ground at first
+    q = system.neutral + 0.5 * np.eye(system.nq)[2] if name == "ball" else None
     with system.show(q, port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         if name == "car":

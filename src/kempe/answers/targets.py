@@ -252,9 +252,8 @@ def parse_targets(
             and array[3].tolist() == [0.0, 0.0, 0.0, 1.0]
         ):
             return out, lead, False  # the usual case, without the cost of arrays
-        bad = np.any(
-            out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1
-        )  # a transposed pose would pass for another one
+        # a transposed pose would pass for another one
+        bad = np.any(out[:, 3] != [0.0, 0.0, 0.0, 1.0], axis=-1)
         if bad.any():
             out = out.copy()
             out[bad, :3] = math.nan
@@ -283,9 +282,8 @@ def parse_targets(
 
 def check_particle(targets: Array, name: str) -> None:
     """Refuse, with an `InputError`, poses that turn a particle."""
-    turned = (
-        np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED
-    )  # a NaN stays one
+    # a NaN stays one
+    turned = np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED
     if turned.any():
         raise InputError(
             f"{name!r} is a particle, which has no orientation; give a position (..., 3) as target"

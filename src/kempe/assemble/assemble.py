@@ -71,9 +71,8 @@ def assemble(
     largest residual of a success.
     """
     given: Mapping[str, Any] = {} if known is None else known
-    if given.__class__ is not dict and not isinstance(
-        given, Mapping
-    ):  # asking what a dict is takes long
+    # asking what a dict is takes long
+    if given.__class__ is not dict and not isinstance(given, Mapping):
         raise InputError(
             f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame "
             "name"

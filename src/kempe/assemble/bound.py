@@ -175,9 +175,8 @@ class OneSidedAssembly:
         strengths = np.ones((ties, 3))
         strengths[:, 1:] = self.tolerance
 
-        stop = (
-            clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
-        )  # each start is short, else
+        # each start is short, else
+        stop = clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
 
         def work(i: int, j: int) -> int:
             left = task_search.solve(
@@ -808,9 +807,8 @@ class Assembler:
             if code == BAD_INPUT:
                 refuse_far(self.system, base[0], "start")
                 raise InputError(NOT_FINITE)
-            if (
-                self.limited and limits
-            ):  # in Python: for a few numbers an array costs as much as the assembly
+            # in Python: for a few numbers an array costs as much as the assembly
+            if self.limited and limits:
                 known = base[0, self.places].tolist()
                 if any(
                     x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)
@@ -896,9 +894,8 @@ class Assembler:
         row = base[0]
         for name, place in self.named_places:
             x = given.get(name)
-            if x.__class__ not in PLAIN_NUMBERS or not isfinite(
-                row[place]
-            ):  # a start is read whole
+            # a start is read whole
+            if x.__class__ not in PLAIN_NUMBERS or not isfinite(row[place]):
                 return None
             if x.__class__ is int and not is_real(x):
                 return None
@@ -942,9 +939,8 @@ class Assembler:
         for k, column in enumerate(columns):
             value = column if self.plain else (column - self.offsets[k]) * self.factors[k]
             at = starts[..., self.places[k]]
-            starts[..., self.places[k]] = np.where(
-                np.isfinite(at), value, np.nan
-            )  # a start is read whole
+            # a start is read whole
+            starts[..., self.places[k]] = np.where(np.isfinite(at), value, np.nan)
         return starts.reshape(math.prod(lead), system.nq), lead
 
     def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:

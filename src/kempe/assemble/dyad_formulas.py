@@ -419,9 +419,8 @@ class _Writing:
         g1, still, start, d1 = self._slid(rail, near)
         before = self.places
         own = self._cluster(near)
-        self.places = {
-            b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()
-        }  # as at zero
+        # as at zero
+        self.places = {b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()}
         g2, _, tip, d2 = self._slid(middle, far)
         self.places = before
         to = minus(self._pin(pin, self.places), tip.of(self._pin(pin, self._cluster(far))))

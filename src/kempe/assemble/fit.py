@@ -355,9 +355,8 @@ class Dimensions:
         joints = [("joints", j.name) for j in m.joints.values() if not isinstance(j.type, Fixed)]
         declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
         every = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
-        places = [
-            place for place in every if not m.bodies[self.body(*place)].particle
-        ]  # which is its only point
+        # which is its only point
+        places = [place for place in every if not m.bodies[self.body(*place)].particle]
         self.places = {place: self._motions(*place) if m.dim == 2 else IN_SPACE for place in places}
         of = (x for motions in self.places.values() for x in motions)
         self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
@@ -786,16 +785,14 @@ def _fit(
         F, J = valley.equations(q)
         h = also.values(p) if also is not None else np.zeros(0)
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
-        if not left < 0.9 * before[-PATIENCE] or (
-            left <= EXACT and before[-1] <= EXACT
-        ):  # one more for the last digit
+        # one more for the last digit
+        if not left < 0.9 * before[-PATIENCE] or (left <= EXACT and before[-1] <= EXACT):
             return p, q, left
         if not np.isfinite(left) or np.abs(p * shape.unit).max() > 3.0 * most:
             return p, q, np.inf
         before.append(left)
-        if np.abs(p - at).max() > (
-            1e-6 if damped else 0.0
-        ):  # the last digits count where roots are nearly double
+        # the last digits count where roots are nearly double
+        if np.abs(p - at).max() > (1e-6 if damped else 0.0):
             P = shape.derivative(p, q)
             at = p
             H = also.derivative(p) if also is not None else H

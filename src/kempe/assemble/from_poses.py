@@ -224,9 +224,8 @@ def _three_angles(R: Array, angles: Array, near: Array) -> Array:
     a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
     rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ R
     c = np.where(locked, np.arctan2(rest[:, 2, 1], rest[:, 1, 1]), c)
-    ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(
-        1, 2
-    )  # (2, N, 3)
+    # (2, N, 3)
+    ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(1, 2)
     ways += FULL_TURN * np.round((near - ways) / FULL_TURN)
     one: Array = ways[0]
     other: Array = ways[1]

@@ -142,9 +142,8 @@ def nearby(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
     """
     if not rank.nullity:
         return []
-    found = _walk(
-        system, rank, rng, POINTS if rank.dependent else 1
-    )  # a point of full rank is generic itself
+    # a point of full rank is generic itself
+    found = _walk(system, rank, rng, POINTS if rank.dependent else 1)
     if rank.dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
         found += _walk(system, rank, rng, MORE)
     return found

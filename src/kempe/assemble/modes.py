@@ -178,9 +178,8 @@ def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array)
     H = np.swapaxes(points - middle, 0, 1) @ (image - place[:, None])
     dim = system.dim
     scale = np.linalg.norm(H, axis=(1, 2), keepdims=True)
-    old = np.swapaxes(
-        poses[:, :dim, :dim], 1, 2
-    )  # where the points leave a turn open it stays small
+    # where the points leave a turn open it stays small
+    old = np.swapaxes(poses[:, :dim, :dim], 1, 2)
     U, _, V = svd(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old)
     flip = np.linalg.det(U @ V)
     U[:, :, -1] *= flip[:, None]

@@ -590,9 +590,8 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
                 here = _relative(valley.at(at)[2], system.nv)
                 held = min(held, int(np.sum(here >= limit)))
                 out += [(r, at) for r in _ranks(here, top, limit, least)]
-    top = min(
-        system.nv, len(full(system, True).names)
-    )  # of this rank no equation is too many, or nothing moves
+    # of this rank no equation is too many, or nothing moves
+    top = min(system.nv, len(full(system, True).names))
     if held < top - 1:
         out += _beside(valley, home, held, top, limit, rng)
     return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)

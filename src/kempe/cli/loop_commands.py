@@ -173,9 +173,8 @@ def _under(system: System, equations: list[str]) -> System:
         return system
     mechanism = system.mechanism.copy()
     for text in dict.fromkeys(equations):
-        mechanism.equation(
-            text if "=" in text else f"{text} = 0", text
-        )  # 'A' alone would be called as the joint
+        # 'A' alone would be called as the joint
+        mechanism.equation(text if "=" in text else f"{text} = 0", text)
     return mechanism.build()
 
 

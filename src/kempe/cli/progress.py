@@ -174,10 +174,11 @@ def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None
 
         def said(done: int, total: int) -> None:
             nonlocal first
+            # what an earlier call did is not of this pace
             first = first or (
                 done,
                 time.monotonic(),
-            )  # what an earlier call did is not of this pace
+            )
             rate = (done - first[0]) / max(time.monotonic() - first[1], 1e-9)
             left = str(timedelta(seconds=round((total - done) / rate))) if rate > 0.0 else "?"
             bar.update(

@@ -170,9 +170,8 @@ def _gentle(piece: Array, left: int, what: str) -> list[Array]:
     if not left:
         raise InputError(f"{what} the curve has a cusp; it must have a direction everywhere")
     half = 0.5 ** np.arange(4)
-    moved = (
-        np.array([[1, 1, 1, 1], [0, 1, 2, 3], [0, 0, 1, 3], [0, 0, 0, 1]]) * half
-    )  # p((1 + u) / 2)
+    # p((1 + u) / 2)
+    moved = np.array([[1, 1, 1, 1], [0, 1, 2, 3], [0, 0, 1, 3], [0, 0, 0, 1]]) * half
     return _gentle(piece * half, left - 1, what) + _gentle(piece @ moved.T, left - 1, what)
 
 
@@ -180,9 +179,8 @@ def table_of(pieces: Array, closed: bool) -> tuple[float, ...]:
     """Pieces as kernels read them (`tape_layout`)."""
     b = pieces[..., 1]
     c = pieces[..., 2]
-    control = np.stack(
-        [b / 3.0, (2.0 * b + c) / 3.0, pieces[..., 1:].sum(axis=-1)]
-    )  # Bezier's points less the first
+    # Bezier's points less the first
+    control = np.stack([b / 3.0, (2.0 * b + c) / 3.0, pieces[..., 1:].sum(axis=-1)])
     radius = np.linalg.norm(control, axis=-1).max(axis=0)
     rows = np.concatenate([pieces.reshape(len(pieces), 12), radius[:, None]], axis=1)
     return (float(not closed), *rows.ravel().tolist())

@@ -426,9 +426,8 @@ def _compared(
         try:
             found, size = called(function, values, time, what)
         except InputError as error:
-            if isinstance(
-                error.__cause__, ArithmeticError
-            ):  # not defined there: the tape says NaN or infinity
+            # not defined there: the tape says NaN or infinity
+            if isinstance(error.__cause__, ArithmeticError):
                 continue
             raise
         known = (

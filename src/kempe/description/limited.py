@@ -110,9 +110,8 @@ def run_limited(
             except subprocess.TimeoutExpired:
                 ended = None
             finally:
-                if (
-                    process.poll() is None
-                ):  # an interrupt, too, ends it: it is in a session of its own
+                # an interrupt, too, ends it: it is in a session of its own
+                if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
         out.seek(0)

@@ -210,9 +210,8 @@ def expanded(path: str | Path) -> Path:
         raise InputError(f"{shown(text)} holds a zero byte, which no name of a file has")
     scheme = _SCHEME.match(text)
     if scheme:
-        url = shorten(
-            text if "://" in text else text.replace(":/", "://", 1), 200
-        )  # a Path keeps one slash
+        # a Path keeps one slash
+        url = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)
         advice = {
             "file": "give the path alone, without file://",
             "package": "give the path of the file",

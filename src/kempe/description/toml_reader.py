@@ -136,9 +136,8 @@ class _TomlReader:
                     self.mechanism.bodies[name] = checked
                 else:
                     self.mechanism.body(name, mass, center, visuals, where)
-        if (
-            isinstance(name, str) and name.strip()
-        ):  # so that joints to a wrong body are not called wrong, too
+        # so that joints to a wrong body are not called wrong, too
+        if isinstance(name, str) and name.strip():
             self.mechanism.bodies.setdefault(name, Body(name))
 
     def frame(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:

@@ -231,9 +231,8 @@ def _near(name: str, known: tuple[str, ...]) -> str | None:
     """The known name that this one is a slip of. A name that holds a known one among its words is
     no slip.
     """
-    swapped = [
-        k for k in known if sorted(k) == sorted(name)
-    ]  # 'xzy': too short to be like 'xyz' otherwise
+    # 'xzy': too short to be like 'xyz' otherwise
+    swapped = [k for k in known if sorted(k) == sorted(name)]
     if swapped:
         return swapped[0]
     mine = _words(name)

@@ -190,9 +190,8 @@ class Packed:
         at = 0
         for tie, pose in poses:
             top = out[..., at : at + 12].reshape(*lead, 3, 4)  # a view
-            fixed = (
-                tie.a is not GROUND and tie.a[0] < 0
-            )  # a frame that stands; kernels put the pin in its place
+            # a frame that stands; kernels put the pin in its place
+            fixed = tie.a is not GROUND and tie.a[0] < 0
             top[...] = (tie.a[1] @ pose if fixed else pose)[..., :3, :]
             if tie.a is GROUND:
                 top[..., 3] -= self.loops.origin

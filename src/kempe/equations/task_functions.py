@@ -104,9 +104,8 @@ def way_of(function: Callable[[Array], Any], layout: Layout, q: Array) -> str:
     real = differences(function, layout, q)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "error"
-            )  # numpy only warns where an imaginary part is thrown away
+            # numpy only warns where an imaginary part is thrown away
+            warnings.simplefilter("error")
             found = complex_steps(function, layout, q)
     except (TypeError, ValueError, AttributeError, ArithmeticError, Warning):
         return DIFFERENCES

@@ -366,9 +366,8 @@ def _moments(
     """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its
     part of a centre.
     """
-    names = list(
-        dict.fromkeys([*system.body_names, *(f for f, _, _ in points)])
-    )  # all bodies are quicker than some
+    # all bodies are quicker than some
+    names = list(dict.fromkeys([*system.body_names, *(f for f, _, _ in points)]))
     moments = np.zeros((len(names), 4))
     for f, p, mass in points:
         moments[names.index(f)] += *(mass * x for x in p), mass
@@ -401,9 +400,8 @@ class CoordinateTask(Task):
         given = named(self.of.q)
         if given is None:
             return as_q(system, self.of.q), items
-        q_from_dict(
-            system, dict.fromkeys(given, 0.0)
-        )  # refuses names that are none, or follow others
+        # refuses names that are none, or follow others
+        q_from_dict(system, dict.fromkeys(given, 0.0))
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         values = [numbers_of(x, f"{k!r} of {self.label}") for k, x in given.items()]
         out = np.empty((*np.broadcast_shapes(*(x.shape for x in values)), system.nq))

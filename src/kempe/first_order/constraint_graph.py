@@ -63,9 +63,8 @@ def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.nda
                 or length[best] > length[k]
             ):
                 break
-            if (
-                length[best] == length[k] and best > k
-            ):  # of two alike only one is replaced by the other
+            # of two alike only one is replaced by the other
+            if length[best] == length[k] and best > k:
                 break
             out[k] = shorter
     return out
@@ -399,11 +398,12 @@ def _loops(system: Model, edges: list[Edge]) -> list[Loop]:
             else:
                 to_a.append((up[a], 1.0 if edges[up[a]].child == a else -1.0))
                 a = parent[a]
+        # from the joint nearest to the ground, around and back
         path = (
             *reversed(to_a),
             (k, 1.0),
             *from_b,
-        )  # from the joint nearest to the ground, around and back
+        )
         out.append(Loop(k, path, rows_of(edges[k], system.dim)))
     return out
 

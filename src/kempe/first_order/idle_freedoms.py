@@ -704,9 +704,8 @@ def idle_freedoms(
             frames = [*system.mechanism.frames.values()] if frames is None else frames
             if not _moves_a_frame(system, frames, ranks[0], spin, group):
                 found.append((spin, group))
-    found.sort(
-        key=lambda f: len(f[1].bodies)
-    )  # small groups of bodies first: larger ones may move as their sums
+    # small groups of bodies first: larger ones may move as their sums
+    found.sort(key=lambda f: len(f[1].bodies))
     basis = np.zeros((system.nv, 0))
     out: list[IdleFreedom] = []
     for spin, group in found:

@@ -76,9 +76,8 @@ class Screws:
                 if row.op is Op.ROTATION
                 else turns[: COUNTS[row.op][dim]]
             )
-        if (
-            row.op is Op.LOOK
-        ):  # z of M keeps to -d: v / |d| + w x z across it; in the plane x of M is the normal
+        # z of M keeps to -d: v / |d| + w x z across it; in the plane x of M is the normal
+        if row.op is Op.LOOK:
             across = S[:, 2 - COUNTS[row.op][dim] : 2].T
             along = across * (self.length / (float(np.linalg.norm(d)) or 1.0))
             return np.hstack(

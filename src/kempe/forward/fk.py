@@ -227,9 +227,8 @@ def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any =
     if form is not None or dtype is not None:
         in_form(system, system.neutral, frame, None, 1, form, dtype)
     chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
-    bound_to: Any = MethodType(
-        _model(chain_of), chain_of
-    )  # a method, for it is pickled as an attribute of its object
+    # a method, for it is pickled as an attribute of its object
+    bound_to: Any = MethodType(_model(chain_of), chain_of)
     return bound_to
 
 

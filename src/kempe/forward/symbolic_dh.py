@@ -347,9 +347,8 @@ def _numbers(v: Any, system: Model) -> Array:
 def _pose(x: Any, z: Any, origin: Any, system: Model) -> Array:
     across = _numbers(x, system)
     along = _numbers(z, system)
-    across = across - along * (
-        along @ across
-    )  # of axes that are nearly parallel x is a rounded normal
+    # of axes that are nearly parallel x is a rounded normal
+    across = across - along * (along @ across)
     across = across / np.linalg.norm(across)
     axes = [across, np.cross(along, across), along]
     return spatial.pose(np.stack(axes, axis=1), _numbers(origin, system))

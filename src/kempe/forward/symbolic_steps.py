@@ -235,9 +235,8 @@ def short_form(system: Model, formula: Any) -> ShortForm:
     >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
     c1*l1 + c12*l2
     """
-    number: Any = getattr(
-        formula, "item", None
-    )  # one of numpy, which older versions of sympy do not read
+    # one of numpy, which older versions of sympy do not read
+    number: Any = getattr(formula, "item", None)
     given: Any = number() if callable(number) and np.ndim(formula) == 0 else formula
     try:
         read = sympy.sympify(given, strict=True)  # text would be evaluated

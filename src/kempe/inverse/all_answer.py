@@ -47,9 +47,8 @@ def codes(solutions: Solutions) -> np.ndarray:
     multiplicity = whole._code // int(A.MULTIPLICITY_UNIT)
     curves = (used & (multiplicity == 0)).any(axis=1)
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
-    complete = np.ravel(whole.complete) & np.ravel(
-        solutions.complete
-    )  # of the whole, and of what is left
+    # of the whole, and of what is left
+    complete = np.ravel(whole.complete) & np.ravel(solutions.complete)
     none = np.where(complete & ~curves, none, Status.NOT_FOUND)
     none = np.where(np.ravel(whole.late), Status.OUT_OF_TIME, none)
     none = np.where(whole._counts[:, 0] < 0, Status.BAD_INPUT, none)

@@ -49,14 +49,12 @@ def derivative(solution: Solution) -> Array:
     R = fk(system, q, task.frame)[..., :3, :3]
     if task.axis != Z_AXIS:
         R = R @ frame_of(np.array(task.axis))
-    S = np.zeros(
-        (*R.shape[:-2], 6, 6)
-    )  # from ground axes to those rows in the axes of the tip that count
+    # from ground axes to those rows in the axes of the tip that count
+    S = np.zeros((*R.shape[:-2], 6, 6))
     S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
     S *= np.array(task.mask, dtype=float)[:, None]
-    J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (
-        S @ J
-    )  # what has no room moves nothing
+    # what has no room moves nothing
+    J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (S @ J)
     x = np.full((*q.shape[:-1], system.nv), np.nan)
     v = system.structure.layout.vector_v
     x[..., v] = q[..., system.structure.layout.vector_q]

@@ -254,9 +254,8 @@ def most(plan: ChainPlan) -> int:
     """
     places = [i for i in range(len(plan.lines)) if i not in plan.locked]
     kinds = np.concatenate([plan.lines.kinds[places], plan.extra.kinds])
-    if len(places) == 1 or (
-        len(places) == 2 and plan.task == "pose"
-    ):  # else the joints would move as one
+    # else the joints would move as one
+    if len(places) == 1 or (len(places) == 2 and plan.task == "pose"):
         return 1
     bound = BY_SLIDES.get(int((kinds == SLIDE).sum()), 1) if len(kinds) <= 6 else BY_SLIDES[0]
     return bound if plan.way is None else min(bound, _Steps(plan, plan.way).most)
@@ -428,9 +427,8 @@ class _Steps:
     def most(self) -> int:
         """Largest number of configurations that reach a target."""
         outer = self.degrees[0] * self.degrees[1]
-        if (
-            self.roles[4] == A.REST
-        ):  # x and z alone move a point, or a direction: two circles meet in two points
+        # x and z alone move a point, or a direction: two circles meet in two points
+        if self.roles[4] == A.REST:
             outer = min(outer, 2)
         return outer * self.inner_ways
 

@@ -142,9 +142,8 @@ def _reasons(problem: Demands, q: Array) -> list[Any]:
         return [evidence("one-sided", violated=[v.text for v in over])]
     free = _solved(problem, q, hard, False)
     names = outside_limits(problem.system, free) if free is not None else []
-    if (
-        free is not None and not names and _solved(problem, free, hard) is None
-    ):  # where a task tells turns apart
+    # where a task tells turns apart
+    if free is not None and not names and _solved(problem, free, hard) is None:
         names = outside_limits(problem.system, free, turns=False)
     if names:
         return [

@@ -362,9 +362,8 @@ def meeting(a: JointLine, b: JointLine) -> Any:
     """The point (3,) in which two axes at right angles meet; None for others."""
     if not (a.turns and b.turns and upright(a.along, b.along)):
         return None
-    end = tidy(
-        a.point + a.along * (b.point - a.point).dot(a.along)
-    )  # where they would be nearest to each other
+    # where they would be nearest to each other
+    end = tidy(a.point + a.along * (b.point - a.point).dot(a.along))
     return end if is_on(end, b) else None
 
 
@@ -638,9 +637,8 @@ def _of_plane(
     flat = [PlaneJoint.of(j) for j in arm]
     steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
     found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
-    found |= {
-        j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts
-    }  # no other joint changes the height
+    # no other joint changes the height
+    found |= {j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts}
     for j, place in zip(joints, PLACES, strict=False):
         says = f"the {place} coordinate" + ", from the height" * _lifts(j)
         steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))

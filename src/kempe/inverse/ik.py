@@ -57,9 +57,8 @@ def bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> No
     system = question.system
     chain = question.chain
     key = (question.frame, task, len(shape))
-    point = question.name == "position" and (
-        task is not None or shape != (4, 4)
-    )  # a turned particle is an error
+    # a turned particle is an error
+    point = question.name == "position" and (task is not None or shape != (4, 4))
     plain = (
         shape in ((4, 4), (3,), (2,))
         if point
@@ -299,9 +298,8 @@ def _of_frame(
         time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
         solver, choice, method = _planned(time, system, name, requested, method, prefer is not None)
         options = {"end": time.end}
-    targets = (
-        targets.copy() if np.may_share_memory(targets, target) else targets
-    )  # the answer keeps them
+    # the answer keeps them
+    targets = targets.copy() if np.may_share_memory(targets, target) else targets
     problem = Problem(
         system,
         "one",

@@ -90,9 +90,8 @@ def _beyond(chain: Chain, q: Array) -> float:
     above = np.maximum(q - high, 0.0)
     below = np.maximum(low - q, 0.0)
     off = above + below
-    for v in np.flatnonzero(
-        (turns > 0.0) & (off > 0.0)
-    ):  # the nearest turns on both sides of the range
+    # the nearest turns on both sides of the range
+    for v in np.flatnonzero((turns > 0.0) & (off > 0.0)):
         x = off[v] % turns[v]
         room = high[v] - low[v]
         off[v] = max(min(x, turns[v] - x - room), 0.0)

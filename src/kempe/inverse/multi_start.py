@@ -130,9 +130,8 @@ def go_on(
     every = left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
     if not left.size:
         return 0
-    left, done = _up_to(
-        task, head, left, done, min(task.starts, FEW), out, threads
-    )  # before lengths are asked
+    # before lengths are asked
+    left, done = _up_to(task, head, left, done, min(task.starts, FEW), out, threads)
     left = left[outside(task, targets[left]) == 0.0]
     linear, angular = task.tolerance
     if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
@@ -353,7 +352,6 @@ def seeds_of(system: Model, chain: Chain, start: Any, lead: tuple[int, ...]) -> 
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.all(np.abs(base) < LARGEST):
         refuse_far(system, base, "start")
-    seeds = np.ascontiguousarray(
-        base[:, None, chain.q_index]
-    )  # the kernel brings them inside, circles by turns
+    # the kernel brings them inside, circles by turns
+    seeds = np.ascontiguousarray(base[:, None, chain.q_index])
     return inside(system, base), seeds

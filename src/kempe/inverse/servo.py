@@ -280,9 +280,8 @@ class Approach:
             z, curvature, way = newton(model, push, least, most)
             z[idle] = rest[idle]
             promise = 2.0 * float(push @ z) - float(z @ H @ z)
-            if promise <= BLIND * self.square and len(
-                weak
-            ):  # damping hides where the error itself curves down
+            # damping hides where the error itself curves down
+            if promise <= BLIND * self.square and len(weak):
                 curvature, way = newton(H, push, least, most)[1:]
             if promise <= BLIND * self.square and curvature < 0.0:
                 z = aside(z, way if push @ way >= 0.0 else -way, least, most)

@@ -140,9 +140,8 @@ def _used(rows: Array) -> np.ndarray:
 
 def _reached(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution inside the limits."""
-    code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(
-        np.int64
-    )  # by solutions: many times as fast
+    # by solutions: many times as fast
+    code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(np.int64)
     return np.any((code & (SIGN | int(A.INSIDE_BIT))) == int(A.INSIDE_BIT), axis=0)
 
 
@@ -696,9 +695,8 @@ def solve(
     decided = plan.locked == plan.fixed and not lines.span.wide
     if question.lead is None and not decided:
         code = float(out[0, 0, -A.INFO + A.CODE])
-        decided = (
-            code >= 0.0 and code % 2.0 == 1.0
-        )  # the first of rows in order is inside the limits
+        # the first of rows in order is inside the limits
+        decided = code >= 0.0 and code % 2.0 == 1.0
     if decided:
         _outside(plan, out)
         return Solutions(
@@ -714,9 +712,8 @@ def solve(
         )
 
     def at(some: Question, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
-        return solve_held(
-            some, plan, near, locked, threads, starts=False
-        )  # of which there are many for all values
+        # of which there are many for all values
+        return solve_held(some, plan, near, locked, threads, starts=False)
 
     held_at = look_further(question, plan, chain_near, first, out, counts, at, threads)
     _outside(plan, out)

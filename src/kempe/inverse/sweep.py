@@ -552,9 +552,8 @@ def ik_sweep(
     near = system.neutral[None] if given_near is None else given_near
     lines = chain_lines(system, name, Z_AXIS)
     base = inside(system, near.copy())[0]
-    base[lines.q_index] = near[
-        0, lines.q_index
-    ]  # which chooses among turns, also from outside the limits
+    # which chooses among turns, also from outside the limits
+    base[lines.q_index] = near[0, lines.q_index]
     if task != "position" and system.dim == 3:
         _refuse_no_rotation(targets[0, :3, :3])
     given = held(name, lines.names, fixed)

@@ -252,9 +252,8 @@ class _GrowingSpan:
         """
         sizes = np.linalg.norm(words, axis=0)
         real = sizes > ROUNDING * np.maximum(noise, self.least)
-        if (
-            not known and self.least <= EXACT
-        ):  # too short to count, and longer than its own rounding
+        # too short to count, and longer than its own rounding
+        if not known and self.least <= EXACT:
             self.doubtful |= bool(np.any(~real & (sizes > SEEN * noise) & (sizes > 0.0)))
         words = words[:, real] / sizes[real]
         noise = noise[real] / sizes[real]

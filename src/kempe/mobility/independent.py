@@ -205,9 +205,8 @@ class Chart(Report):
         code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
         bound = copy(answer.assembler)
         own = self.system.structure.velocity_names
-        bound.held |= {
-            own[i] for i in self._rows(given)
-        }  # rotation vectors are given, too: they leave nothing open
+        # rotation vectors are given, too: they leave nothing open
+        bound.held |= {own[i] for i in self._rows(given)}
         return replace(answer, success=plain(success), code=member(code), assembler=bound)
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
@@ -500,9 +499,8 @@ def _extend(
         rest = _without(rest, rest[row])
     while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
-        row = usable[
-            int(np.argmax(size.round(9)))
-        ]  # rounding does not decide between equals: the first is taken
+        # rounding does not decide between equals: the first is taken
+        row = usable[int(np.argmax(size.round(9)))]
         if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
             break
         rows.append(row)

@@ -686,9 +686,8 @@ def _found(
 ) -> LocalDimension:
     """The answer at a configuration whose coordinates are regular."""
     equations = _equations(system)
-    if (
-        time is not None
-    ):  # the equations are kept with the system, and other calls have other limits
+    # the equations are kept with the system, and other calls have other limits
+    if time is not None:
         equations = copy(equations)
         equations.time = time
     at = lyapunov_schmidt.split(equations, _closed(equations, q), tolerance)

@@ -216,9 +216,8 @@ def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator)
     tau = np.cos(np.pi * (np.arange(k + 1) + 0.5) / (k + 1))
     pick = np.linalg.inv(np.vander(tau, increasing=True))[1]
     d = unit_directions(rng, n, delta)
-    points = (
-        d[:, None, None, :] + tau[:, None] * np.eye(delta)[:, None, :]
-    )  # (n, delta, k + 1, delta)
+    # (n, delta, k + 1, delta)
+    points = d[:, None, None, :] + tau[:, None] * np.eye(delta)[:, None, :]
     flat = points.reshape(-1, delta)
     size = np.linalg.norm(flat, axis=1)
     g = _solve(equations, at, lines(flat / size[:, None], k), None)[0][:, k] * (size**k)[:, None]

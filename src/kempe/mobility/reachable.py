@@ -179,9 +179,8 @@ def reach(
         doubtful |= near.doubtful
     found = near.dimensions
     degree = found.index(least) + 1 if least in found else None
-    if (
-        doubtful and least < whole
-    ):  # what is decided is that so many are reached, not that no more are
+    # what is decided is that so many are reached, not that no more are
+    if doubtful and least < whole:
         degree = None
     found = found[:degree] + (least,) * (least < whole) if degree else found
     return Reach(

@@ -462,9 +462,8 @@ def _limits(
                         name,
                         follower is None,
                     )
-                lower[i] = upper[i] = (
-                    before[1] if low > before[1] else before[0]
-                )  # they touch, up to rounding
+                # they touch, up to rounding
+                lower[i] = upper[i] = before[1] if low > before[1] else before[0]
             if (lower[i], upper[i]) != before:
                 setter[i] = joint.name
     return lower, upper, speed
@@ -512,9 +511,8 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
         names = coordinate_names(mechanism, joint)
         for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = c.followers.get(names[p.coordinate])
-            if (
-                follower is not None and follower.source is not None
-            ):  # it must return after a full turn, too
+            # it must return after a full turn, too
+            if follower is not None and follower.source is not None:
                 back[number[follower.source]] &= _returns(p, follower.multiplier)
     for relation in c.relations:
         for name in (relation.of, *relation.sources):

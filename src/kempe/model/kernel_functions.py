@@ -74,14 +74,12 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
     if isinstance(lost.exc_value, KeyboardInterrupt):
         for function in _all:
             is_it = getattr(lost.object, "__self__", None) is function
-            if is_it or repr(function._call) in (
-                lost.err_msg or ""
-            ):  # from Python 3.13 on it is in the text
+            # from Python 3.13 on it is in the text
+            if is_it or repr(function._call) in (lost.err_msg or ""):
                 function.keep(lost.exc_value)
                 return
-    other = (
-        _others.pop() if _others else sys.__unraisablehook__
-    )  # none where the other hook calls this one
+    # none where the other hook calls this one
+    other = _others.pop() if _others else sys.__unraisablehook__
     try:
         other(lost)
     finally:

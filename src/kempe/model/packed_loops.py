@@ -404,9 +404,8 @@ def must_be_explicit(system: Model, known: Iterable[str] = ()) -> frozenset[str]
     """
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
     related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
-    related |= {
-        f.source for f in system.structure.couplings.values() if f.source is not None
-    }  # others move with them
+    # others move with them
+    related |= {f.source for f in system.structure.couplings.values() if f.source is not None}
     v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
     out: set[str] = set()
@@ -489,9 +488,8 @@ def pack(
         at["tie", k, 0] = tie.a
         at["tie", k, 1] = tie.b
     table = replace(table, at=at)
-    every = (
-        range(len(table.kind)) if any(t.centre for t in ties) else None
-    )  # a centre is moved by all that has mass
+    # a centre is moved by all that has mass
+    every = range(len(table.kind)) if any(t.centre for t in ties) else None
     ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
     plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).arrays()
     for tie in ties:

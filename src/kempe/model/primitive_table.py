@@ -78,9 +78,8 @@ class Table:
         Leading axes of a batch of designs stay on `floats`.
         """
         if rows is None:
-            needed = np.zeros(
-                len(self.kind) + 1, dtype=bool
-            )  # the last entry stands for the ground
+            # the last entry stands for the ground
+            needed = np.zeros(len(self.kind) + 1, dtype=bool)
             for name in names:
                 row = self.at[name][0]
                 while row >= 0 and not needed[row]:

@@ -72,9 +72,8 @@ def edges_left_out(
     """
     branches, out = _branches(ends, grade, order)
     if branches:
-        branches.sort(
-            key=lambda b: order[b.worst]
-        )  # from here on a branch's number is its preference
+        # from here on a branch's number is its preference
+        branches.sort(key=lambda b: order[b.worst])
         out |= _Search(branches, [grade[b.worst] for b in branches]).left_out()
     return out
 
@@ -166,9 +165,8 @@ class _Search:
         """Branches of a shortest loop through branch k; none where there is none within `REACH`
         (Dijkstra, 1959).
         """
-        start, goal = sorted(
-            self.branches[k].ends, key=lambda body: self.at[body]
-        )  # an end that numbers do not choose
+        # an end that numbers do not choose
+        start, goal = sorted(self.branches[k].ends, key=lambda body: self.at[body])
         came: dict[int, int] = {}
         front = [(0, k, start)]
         while front and len(came) < REACH:

@@ -153,9 +153,8 @@ def locate(
     found = _nullity(svd(equations.matrix(x), compute_uv=False))
     if found <= nullity:
         return x if found == nullity else None
-    better = locate(
-        equations, x, found, reach, tries
-    )  # more equations, which make it regular again
+    # more equations, which make it regular again
+    better = locate(equations, x, found, reach, tries)
     return x if better is None else better
 
 
@@ -187,9 +186,8 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
         return np.zeros((0, n)), True
     forms = forms / size
     found = _two(forms) if d == 2 else _many(forms, equations.budget)
-    least = [
-        svd(forms @ u, compute_uv=False)[d - 2] for u in found
-    ]  # rank d - 1 where a zero is simple
+    # rank d - 1 where a zero is simple
+    least = [svd(forms @ u, compute_uv=False)[d - 2] for u in found]
     return found @ null_space.T, min(least, default=1.0) < DOUBLE
 
 

@@ -154,9 +154,8 @@ class SegmentContext:
             same = stop.reached and not stuck.reached
             return state, stop if same else replace(stuck, reached=stop.reached), 0.0
         passed = len(self.singular)
-        back, entry = self.go(
-            there, last, k
-        )  # on the way that the inputs came: where did they come in again?
+        # on the way that the inputs came: where did they come in again?
+        back, entry = self.go(there, last, k)
         del self.singular[passed:]
         q = back.q if entry is None else entry.q
         return there, None, float(np.linalg.norm(self.closure.between(stuck.q, q)))
@@ -253,9 +252,8 @@ class SegmentContext:
         if spins is not None:
             spins.begin(state.q)
         way, here = self._way(state, direction)
-        loose = here.nullity > 1 or (
-            here.nullity == 1 and abs(here.t[-1]) < FORWARD
-        )  # what moves may be but a spin
+        # what moves may be but a spin
+        loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)
         if loose and spins is None and hold_spins(self.closure, state.q, self.index):
             way, here = self._way(state, direction)
         if here.nullity > 1 and hold_rank(
@@ -1011,9 +1009,8 @@ def _run(
                 parts = (
                     int(np.ceil(np.abs((end - last) / context.unit).max() / BETWEEN)) if k else 1
                 )
-                single = (
-                    len(names) == 1 or stuck is None
-                )  # a way back in several inputs is looked for once a sample
+                # a way back in several inputs is looked for once a sample
+                single = len(names) == 1 or stuck is None
                 for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
                     state, stuck, gap = context.follow(state, stuck, last, u, k)
                     last = u

@@ -92,9 +92,8 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
         for b in curves.walk(a, taken, longest, h):
             before = last[-1]
             last.append(b.x)
-            if (
-                b.sigma < min(HIDDEN, sigma) and b.lines is None
-            ):  # nearer to a point where rounding hides the curve
+            # nearer to a point where rounding hides the curve
+            if b.sigma < min(HIDDEN, sigma) and b.lines is None:
                 singular = passage(equations, last, known, periods)
                 way = equations.between(before, b.x if singular is None else singular.x)
                 along = float(way @ equations.between(before, b.x))
@@ -126,9 +125,8 @@ def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
     if not turned:
         return None if turned is None or _touches(equations, a, b) else [b]
     middle = crossing(equations, a, b)
-    if isinstance(
-        middle, SingularNode
-    ):  # the step may have led to another one of the branches that touch there
+    # the step may have led to another one of the branches that touch there
+    if isinstance(middle, SingularNode):
         return [middle, middle.germ.first(equations, middle.half)]
     return None if middle is None else [middle, b]
 

@@ -151,9 +151,8 @@ class Track:
             return np.repeat(self.q, len(s), axis=0)
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
         size = (self.s[k + 1] - self.s[k])[:, None]
-        u = (s - self.s[k])[:, None] / np.where(
-            size > 0.0, size, 1.0
-        )  # a cusp is two nodes at one place
+        # a cusp is two nodes at one place
+        u = (s - self.s[k])[:, None] / np.where(size > 0.0, size, 1.0)
         e = self.equations
         t = self.t
         y = e.between(self.q[k], self.q[k + 1])

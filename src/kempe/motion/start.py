@@ -127,9 +127,8 @@ def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure
         {n: v for n, v in start.items() if n not in hold} if is_mapping(start) else {}
     )
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
-    q = (
-        None if known else close(fixed, near)
-    )  # what is known may be far: then on the branch that `assemble` finds
+    # what is known may be far: then on the branch that `assemble` finds
+    q = None if known else close(fixed, near)
     if q is None:
         from kempe.assemble.assemble import assemble
         from kempe.assemble.bound import TOLERANCE, of_equations

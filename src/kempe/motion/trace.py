@@ -364,9 +364,8 @@ def _followed(
     for _ in range(AGAIN):
         if spins is None or path.late or path.interrupted or not spins.turned(path.q):
             break
-        first = (
-            first_node(equations, q, options.driver, toward) or first
-        )  # held otherwise, what spins turns less
+        # held otherwise, what spins turns less
+        first = first_node(equations, q, options.driver, toward) or first
         path = _trace(equations, first, options)
     if rank_held(equations):
         path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))

@@ -98,9 +98,8 @@ def over_chunks(
     thread that gets no processor holds nobody up for longer than a chunk. If one fails or is
     interrupted, no further chunk is begun.
     """
-    few = (
-        threads is None and chunk is not None and count < serial_below
-    )  # nobody needs to ask the system
+    # nobody needs to ask the system
+    few = threads is None and chunk is not None and count < serial_below
     most = 1 if few else thread_count(threads)
     if chunk is None:
         chunk = max(serial_below, -(-count // most))

@@ -388,9 +388,8 @@ class _CurveTracer:
             back, _ = self._walked(equations, start.reversed())
             way = [*(b.reversed() for b in back[:0:-1]), *way]
         rows = self._finer(equations, way)
-        if (
-            closed and self.problem.spins
-        ):  # what spins idly came back otherwise, and was in the way of the last point
+        # what spins idly came back otherwise, and was in the way of the last point
+        if closed and self.problem.spins:
             layout = self.problem.system.structure.layout
             at = layout.vector_q[self.circle[layout.vector_v]]
             rows[-1] = q
@@ -658,9 +657,8 @@ class Singularities(Report):
         rng = np.random.default_rng(SEED)
         nv = self.system.nv
         sizes = [far, 0.5 * far, *(far * CLOSER**k for k in range(1, ROUNDS))]
-        for k, size in enumerate(
-            sizes
-        ):  # limits cut the set off, and there may be several nearest points
+        # limits cut the set off, and there may be several nearest points
+        for k, size in enumerate(sizes):
             centre, many = (q, 5 * AROUND) if k < 2 else (best, AROUND)
             aside = np.zeros((many, nv))
             aside[:, self.questions.columns] = rng.normal(size=(many, len(self.questions.columns)))

@@ -258,9 +258,8 @@ def joint_rows() -> list[dict[str, Any]]:
     for name, kind in TYPES.items():
         joint = kind()
         plane = (joint.dof(2), joint.constraints(2)) if joint.planar else (None, None)
-        made = joint.decomposition.replace(
-            ", 0 q", ", pitch q"
-        )  # a screw without a pitch of its own
+        # a screw without a pitch of its own
+        made = joint.decomposition.replace(", 0 q", ", pitch q")
         out.append(
             {
                 "type": name,

@@ -115,9 +115,8 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
     if not chosen.side_by_side:
         ax = drawing.picture(subjects[0], chosen.ax)
         if len(given) == 1:
-            inside = (
-                {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}
-            )  # an own figure has no room above
+            # an own figure has no room above
+            inside = {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}
             ax.set_title(given[0], size=style.FONT + 1, color=style.INK, **inside)
         return ax
     return _side_by_side(drawing, subjects)

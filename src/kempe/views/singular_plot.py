@@ -61,9 +61,8 @@ def plot_singularities(
     `Singularities.plot`.
     """
     rows = [_picks(s) for s in found.sets]
-    shown = sorted((k, i) for i, own in enumerate(rows) for k in range(len(own)))[
-        :MOST
-    ]  # of each set first one
+    # of each set first one
+    shown = sorted((k, i) for i, own in enumerate(rows) for k in range(len(own)))[:MOST]
     picks = [rows[i][k] for i, k in sorted((i, k) for k, i in shown)]
     if not picks:
         raise InputError(f"{found.status}: there is nothing to draw")
@@ -76,9 +75,8 @@ def plot_singularities(
     if own is None and flat:
         own = np.ravel(np.array(page.new_figure(4.2 * count, 4.4).subplots(1, count), dtype=object))
     titles = [title for title, _, _ in picks]
-    marked = (
-        [found.frame] if found.frame in system.body_names else []
-    )  # frames of their own are drawn anyway
+    # frames of their own are drawn anyway
+    marked = [found.frame] if found.frame in system.body_names else []
     show: dict[str, Any] = {
         "labels": False,
         "side_by_side": True,

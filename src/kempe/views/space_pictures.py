@@ -204,9 +204,8 @@ def _singular_curves(space: TwoFreedoms) -> Any:
         raise TimeLimitError(USUAL.verb, space.clock.limit) from None
     if found.questions.frame_rank < 2:
         raise UnsupportedError(on_curve + hint)
-    if (
-        min((s.dimension for s in found.sets), default=0) > 1
-    ):  # where all is singular there are no lines
+    # where all is singular there are no lines
+    if min((s.dimension for s in found.sets), default=0) > 1:
         return ()
     curves = until_interrupt(found.curves, budget=Budget(time_limit=space.clock.left))
     if curves.broken is Status.INTERRUPTED:
@@ -361,9 +360,8 @@ def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
 def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     """Draw singular curves, and their images, in the line style of their kind."""
     for k, curve in enumerate(curves):
-        still = (
-            np.ptp(curve.q[:, space.columns], axis=0).max() < CLOSED
-        )  # a part turns while both are held
+        # a part turns while both are held
+        still = np.ptp(curve.q[:, space.columns], axis=0).max() < CLOSED
         _draw_line(
             space,
             left,
@@ -382,9 +380,8 @@ def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> No
     """Draw where the velocity of a chain's frame loses a direction, and the image of that."""
     size = _area(space, grid)
     scale = float(np.abs(size).max())
-    size = np.where(
-        np.abs(size) < 1e-9 * scale, 1e-9 * scale, size
-    )  # a line through nodes of the grid is one, too
+    # a line through nodes of the grid is one, too
+    size = np.where(np.abs(size) < 1e-9 * scale, 1e-9 * scale, size)
     lines = left.contour(
         grid[:, 0, 0],
         grid[0, :, 1],
@@ -462,9 +459,8 @@ def _draw_point(
             gid=f"distance:{k}",
             zorder=style.TEXT,
         )
-        side = (
-            -1 if target[0] > np.mean(right.get_xlim()) else 1
-        )  # towards the middle, below the number
+        # towards the middle, below the number
+        side = -1 if target[0] > np.mean(right.get_xlim()) else 1
         right.annotate(
             f"{said} away",
             target,

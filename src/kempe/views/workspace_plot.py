@@ -87,9 +87,8 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
             )
         name = grid.axes[cut]
         here = grid.centres(grid.axes[cut])[place[cut]]
-        here = (
-            here if abs(here) > 1e-6 * grid.size[cut] else 0.0
-        )  # what rounding leaves of a middle at zero
+        # what rounding leaves of a middle at zero
+        here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0
         one.set_title(
             f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11
         )
@@ -229,9 +228,8 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
-    marked = (
-        [study.frame] if study.frame in system.body_names else []
-    )  # frames of their own are drawn anyway
+    # frames of their own are drawn anyway
+    marked = [study.frame] if study.frame in system.body_names else []
     shown = study.q[int(np.argmax(best))] if study.reached.any() else None
     drawn: Any = plot(system, shown, ax=ax, frames=marked)
     marks = (

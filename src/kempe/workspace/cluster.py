@@ -41,9 +41,8 @@ def connected(client: Any) -> Any:
         such = "give one such as 'tcp://127.0.0.1:8786'"
         try:
             scheme, place = parse_address(client)
-            backend = get_backend(
-                scheme
-            )  # a client for what is no address waits long until it goes
+            # a client for what is no address waits long until it goes
+            backend = get_backend(scheme)
             if scheme in HOSTS:
                 parse_host_port(place)
         except ValueError as error:
@@ -127,9 +126,8 @@ class ClusterWorkers:
         tasks: Any = distributed
         self._look()
         try:
-            with (
-                self.client.as_current()
-            ):  # the function looks for a client, not for that of its tasks
+            # the function looks for a client, not for that of its tasks
+            with self.client.as_current():
                 return tasks.wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             return set()

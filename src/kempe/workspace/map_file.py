@@ -555,10 +555,11 @@ class RowStore(PartLog):
         if not path.exists():
             return []
         try:
+            # np.load leaves a damaged file open
             with (
                 path.open("rb") as opened,
                 np.load(opened) as file,
-            ):  # np.load leaves a damaged file open
+            ):
                 found = {name: file[name] for name in file.files}
             own = [str(found.pop(name)) for name in ("sum", "of")]
             count = len(found["code"])

@@ -184,10 +184,11 @@ def _turned(box: Array, low: float, high: float) -> Array:
     if not high - low < 2.0 * math.pi:
         low = 0.0
         high = 2.0 * math.pi
+    # the largest value is at `quarter`, the least opposite
     for axis, quarter in (
         (0, 0.0),
         (1, 0.5 * math.pi),
-    ):  # the largest value is at `quarter`, the least opposite
+    ):
         at = np.stack([r * np.cos(angle + low - quarter), r * np.cos(angle + high - quarter)])
         for k, side in ((1, 0.0), (0, math.pi)):
             passes = np.floor((angle + high - quarter - side) / (2.0 * math.pi)) >= np.ceil(

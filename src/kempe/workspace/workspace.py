@@ -201,9 +201,8 @@ class _Memory:
 
     def stored(self, n: int) -> Stored:
         """The map of what was added."""
-        return _stored(
-            self.recipe, self.counts, int(self.counts.sum())
-        )  # `done` may not yet have been added to
+        # `done` may not yet have been added to
+        return _stored(self.recipe, self.counts, int(self.counts.sum()))
 
     def finish(self, stored: Stored) -> None:
         """Keep nothing: the answer has it all."""

@@ -277,9 +277,8 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
 
 def test_a_file_that_is_not_taken_whole_is_said_to_be_so(tmp_path, monkeypatch):
     def short(stream, counts):
-        raise OSError(
-            "230146 requested and 51168 written"
-        )  # as numpy says it, without an error number
+        # as numpy says it, without an error number
+        raise OSError("230146 requested and 51168 written")
 
     monkeypatch.setattr(np, "save", short)
     with pytest.raises(

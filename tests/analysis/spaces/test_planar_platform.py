@@ -149,9 +149,8 @@ def test_three_legs_against_a_row_of_angles(name):
     inside = w.contains(points)
     assert np.array_equal(inside[clear], annuli(legs, tool, points[clear]))
     assert any(p.kind == "coupler curve" for p in w.boundary)
-    assert (
-        abs(sum(p.at(1.0) - p.at(0.0) for p in w.boundary)) < 1e-9 * w.region.size
-    )  # closed curves
+    # closed curves
+    assert abs(sum(p.at(1.0) - p.at(0.0) for p in w.boundary)) < 1e-9 * w.region.size
     many = np.random.default_rng(2).uniform(low, high, (200_000, 2))
     box = np.prod(high - low)
     share = w.contains(many).mean()
@@ -177,9 +176,8 @@ def test_it_moves_with_its_base_and_scales():
     after = planar_workspace(platform(moved, np.multiply(tool, scale)), "tool")
     assert after.area == pytest.approx(scale**2 * before.area, rel=1e-9)
     lengths = [sum(piece.length for piece in w.boundary) for w in (before, after)]
-    assert lengths[1] == pytest.approx(
-        scale * lengths[0], rel=1e-4
-    )  # those of coupler curves are sums of chords
+    # those of coupler curves are sums of chords
+    assert lengths[1] == pytest.approx(scale * lengths[0], rel=1e-4)
     assert len(after.voids) == len(before.voids)
     p = np.random.default_rng(3).uniform(*before.extent, (2000, 2))
     z = scale * (u * (p[:, 0] + 1j * p[:, 1]) + by)

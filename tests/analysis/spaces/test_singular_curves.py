@@ -100,9 +100,8 @@ def test_type_2_of_a_five_bar_is_a_coupler_curve():
         u = c.p[:, :2] - B
         v = c.p[:, :2] - C[:, :2]
         assert np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).max() < 1e-9
-    angle = np.linspace(
-        -np.pi, np.pi, 400
-    )  # of the first crank; the other crank's end is on two circles
+    # of the first crank; the other crank's end is on two circles
+    angle = np.linspace(-np.pi, np.pi, 400)
     B = a * np.column_stack([np.cos(angle), np.sin(angle)])
     to = np.array([d, 0.0]) - B
     far = np.linalg.norm(to, axis=1)

@@ -50,9 +50,8 @@ def test_the_three_of_the_puma(puma):
     assert abs(np.tan(elbow.values[0, 0])) == pytest.approx(D4 / A3, rel=1e-6)
     assert wrist.values.ravel() == pytest.approx([0.0], abs=1e-9)
     assert elbow.dimension == wrist.dimension == shoulder.dimension == 5
-    for q, still in zip(
-        wrist.q, wrist.self_motion, strict=True
-    ):  # axes 4 and 6 turn against each other
+    # axes 4 and 6 turn against each other
+    for q, still in zip(wrist.q, wrist.self_motion, strict=True):
         assert (
             np.abs(still[0, :3]).max() < 1e-6
             and abs(still[0, 4]) < 1e-6
@@ -456,9 +455,8 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
     found, second = system.singularities("platform", "position").sets
     assert found.kinds == ("type 1",) and found.dimension == 1
     assert second.kinds == ("type 2",) and second.dimension == 2 and len(second.q) >= 3
-    for q in (
-        second.q
-    ):  # forces along the legs, and along the axes of the turns, at the balls: Pluecker lines
+    # forces along the legs, and along the axes of the turns, at the balls: Pluecker lines
+    for q in second.q:
         lines = []
         for i in range(3):
             sleeve = system.fk(q, f"sleeve{i}")

@@ -180,9 +180,8 @@ def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
         assert (reached >= low - 1e-9).all() and (reached <= high + 1e-9).all()
         points = rng.uniform(low - 0.1, high + 0.1, (4000, 3))
         inside = solid.contains(points)
-        if isinstance(
-            solid, Turned
-        ):  # beside the boundary are those with a neighbour on its other side
+        # beside the boundary are those with a neighbour on its other side
+        if isinstance(solid, Turned):
             beside = 1e-4 * np.concatenate([np.eye(3), -np.eye(3)])
             around = solid.contains((points[:, None] + beside).reshape(-1, 3)).reshape(-1, 6)
             clear = (around == inside[:, None]).all(axis=1)

@@ -142,9 +142,8 @@ def test_an_arm_with_a_spherical_wrist_turns_everywhere_inside_its_shell():
     assert abs(whole.volume[0] - thin) < 1.5 * whole.volume[1]
     points = np.random.default_rng(3).uniform(-0.9, 0.9, (150, 3))
     far = np.linalg.norm(points, axis=1)
-    sure = (
-        np.abs(far[:, None] - [A + B - H, A - B + H]).min(axis=1) > 0.01
-    )  # between the orientations that are tried
+    # between the orientations that are tried
+    sure = np.abs(far[:, None] - [A + B - H, A - B + H]).min(axis=1) > 0.01
     assert np.array_equal(whole.contains(points, check=True)[sure], dexterous(points)[sure])
 
 
@@ -179,9 +178,8 @@ def test_orientations_in_space():
     m.revolute("q2", a, b, axis="y", limits=(0.0, math.pi))
     m.revolute("q3", b, c, axis="z")
     w = m.build().workspace("c", at=(0, 0, 0), cells=12)
-    assert (
-        abs(w.volume[0] - 4.0 * math.pi**2) < 1.5 * w.volume[1]
-    )  # azimuths from 0 to pi, of 8 pi^2 in all
+    # azimuths from 0 to pi, of 8 pi^2 in all
+    assert abs(w.volume[0] - 4.0 * math.pi**2) < 1.5 * w.volume[1]
     R = rotations_at(np.array([[0.5, 0.3, 1.0], [-0.5, 0.3, 1.0]]), 3)
     assert w.contains(R, check=True).tolist() == [True, False]
     assert list(w.map.axes) == ["azimuth", "height", "roll"] and w.map.unit == "rad"

@@ -138,9 +138,8 @@ def past_lengths(task: FrameProblem, targets: Array) -> Array:
     """How far (N, 2) in metres targets are past what the lengths of the links reach; see
     `length_bounds.by_lengths`.
     """
-    free = len(task.chain.v_index) >= (
-        3 if task.system.dim == 2 else sum(task.mask)
-    )  # else that is the reason
+    # else that is the reason
+    free = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))
     along = np.array(task.axis) if free and points_along(task.name) else None
     return by_lengths(
         task.chain.bounds, targets, task.tolerance, free and all(task.mask), along=along

@@ -163,9 +163,8 @@ def branch_names(
     for sign, (above, below, on) in zip(signs, kind.words, strict=True):
         side = np.where(sign > 0.0, above, below)
         columns.append(np.where(np.isnan(sign), "", np.where(np.abs(sign) > border, side, on)))
-    if (
-        bend is not None
-    ):  # with the wrist neither ahead nor behind, up and down cannot be distinguished
+    # with the wrist neither ahead nor behind, up and down cannot be distinguished
+    if bend is not None:
         unclear = (np.abs(signs[0]) <= border) & (np.abs(bend) > border)
         columns[1] = np.where(unclear, np.where(bend < 0.0, *NEITHER), columns[1])
     return np.array([", ".join(row) for row in zip(*columns, strict=True)], dtype=object)

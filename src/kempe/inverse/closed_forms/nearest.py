@@ -146,9 +146,8 @@ def _rotation_vector(D: Array) -> Array:
         [D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1
     )
     sine = np.sqrt((v * v).sum(axis=1))
-    if (
-        sine.max(initial=0.0) < SMALL_SINE and np.trace(D, axis1=1, axis2=2).min(initial=3.0) > 1.0
-    ):  # no half turns
+    # no half turns
+    if sine.max(initial=0.0) < SMALL_SINE and np.trace(D, axis1=1, axis2=2).min(initial=3.0) > 1.0:
         return v * np.where(sine < 1e-8, 1.0, np.arcsin(sine) / np.maximum(sine, 1e-300))[:, None]
     return spatial.log_so3(D)
 

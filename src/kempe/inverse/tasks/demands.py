@@ -238,9 +238,8 @@ class Demands:
                     info[i:j],
                 )
             error = clock().taken()
-            if error is not None and not isinstance(
-                error, EndReached
-            ):  # the time of a verb that asked
+            # the time of a verb that asked
+            if error is not None and not isinstance(error, EndReached):
                 raise error
             return left
 

@@ -61,9 +61,8 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
         goal = X @ goal
     axes = [i for i in range(3) if hold.mask >> i & 1]
     bounds, freedoms = _bounds(system, hold)
-    turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (
-        3 if system.dim == 2 else 6
-    )  # else that is the reason
+    # else that is the reason
+    turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (3 if system.dim == 2 else 6)
     return by_lengths(bounds, goal, problem.tolerance_of(task), turned, axes, system.dim)
 
 

@@ -648,9 +648,8 @@ def reach(problem: Problem) -> Reached:
         demands = replace(
             demands, iterations=step_count(spend.iterations), time_limit=limit, end=end
         )
-    if (
-        prefer == "manipulability" and demands.lead
-    ):  # it depends on the goal, of which each row has its own
+    # it depends on the goal, of which each row has its own
+    if prefer == "manipulability" and demands.lead:
         rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
         each = [
             solve(row, base[i : i + 1] if len(base) > 1 else base, search)

@@ -294,9 +294,8 @@ def texts(subject: Subject, mark: float) -> list[Text]:
         if "bodies" in options.words:
             text = subject.body_text(link)
             out.append((at, text, {"color": colour, "weight": "bold", "gid": f"label:body:{text}"}))
-        if (
-            options.dimensions and not link.ground and len(scene.points(link)) > 1
-        ):  # a handle has no length
+        # a handle has no length
+        if options.dimensions and not link.ground and len(scene.points(link)) > 1:
             known = lengths_by_name(subject.system, link.bodies)
             for k, line in enumerate(side for one in lines for side in _sides(one)):
                 text = length_name(known, float(np.linalg.norm(line[-1] - line[0])))

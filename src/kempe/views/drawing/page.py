@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.views.drawing import labels, shapes, style
+from kempe.views.drawing import labels, style
 from kempe.views.drawing.planar import Sheet
 from kempe.views.drawing.style import FAINT, FONT, INK, PAPER
 
@@ -251,16 +251,3 @@ def _scale_bar(sheet: Sheet) -> None:
         clip_on=False,
         gid="scale:text",
     )
-
-
-def mark_all(sheet: Sheet, points: Array, gid: str) -> None:
-    """Mark singular points (k, 2) of a curve by small rings."""
-    for k, p in enumerate(points):
-        sheet.patch(
-            shapes.circle(p, 0.8 * sheet.r),
-            f"{gid}:{k}",
-            style.ARROWS,
-            fc="none",
-            ec=style.OPEN,
-            lw=1.2,
-        )

@@ -224,9 +224,8 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
         X = next(iter(link.bodies.values()))
         sheet.patch(shapes.circle(flat(X), 1.1 * r), gid, style.POINTS, fc=colour, ec=INK)
         return
-    if (
-        len(p) == 1 and len(link.joints) == 1
-    ):  # nothing but its joint: its own origin is the other end
+    # nothing but its joint: its own origin is the other end
+    if len(p) == 1 and len(link.joints) == 1:
         p = distinct(np.concatenate([p, [flat(next(iter(link.bodies.values())))]]))
     if len(p) < 2:
         if any(scene.joints[j].kind == "prismatic" for j in link.joints) or any(

@@ -140,9 +140,8 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
         out.append(np.array([near, p]))
     least = 1e-9 * scene.size
     out = [line for line in out if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > least]
-    if (
-        not out and len(joints) == 1 and not link.particle
-    ):  # nothing but its joint: a handle along x shows it
+    # nothing but its joint: a handle along x shows it
+    if not out and len(joints) == 1 and not link.particle:
         X = next(iter(link.bodies.values()))
         out.append(np.stack([X[:3, 3], X[:3, 3] + HANDLE * radius(scene) * X[:3, 0]]))
     return out

@@ -368,9 +368,8 @@ class Page:
                 or abs(handle.value - slider.value) <= 1e-9
             ):
                 continue
-            if (
-                not handle.min <= slider.value <= handle.max
-            ):  # an angle without limits: the slider goes along
+            # an angle without limits: the slider goes along
+            if not handle.min <= slider.value <= handle.max:
                 handle.min = slider.low
                 handle.max = slider.high
             handle.value = slider.value

@@ -88,9 +88,8 @@ class SolidRecord(Solids):
         """
         (a, b, c) = (corners[1] - corners[0]).tolist()
         (d, e, f) = (corners[-1] - corners[0]).tolist()
-        turned = (
-            normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0
-        )  # of np.cross, which is slow
+        # of np.cross, which is slow
+        turned = normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0
         fan = _fan(len(corners))[:, :: -1 if turned else 1]
         both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
         self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))

@@ -578,9 +578,8 @@ class Session:
             size = np.linalg.svd(rows, compute_uv=False)
             least = size[min(len(rows), rows.shape[1]) - 1] / max(size[0], 1e-300)
             return f"{self.frame} is singular here" if least < SINGULAR else ""
-        with contextlib.suppress(
-            InputError
-        ):  # where loops are open, which `said` tells by the residual
+        # where loops are open, which `said` tells by the residual
+        with contextlib.suppress(InputError):
             quality = self.chart.condition(self.q)
             word = (
                 "singular"

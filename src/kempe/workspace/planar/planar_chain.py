@@ -221,9 +221,8 @@ class PlanarChain(RegionOfArcs):
         else:
             line = 1j * first.way if first.axis is None else a * joint.axis + b - first.axis
             if abs(line) < NOTHING * self.size:
-                return (
-                    [] if joint.limits or first.limits else [(a * t + b, a * u)]
-                )  # axes that coincide: one joint
+                # axes that coincide: one joint
+                return [] if joint.limits or first.limits else [(a * t + b, a * u)]
             turn = line / abs(line) / (a * u)
             values = joint.turned_to([turn, -turn])
         out: list[tuple[complex, complex]] = []

@@ -384,9 +384,8 @@ class CouplerCurve(PlaneCurve):
         )
         middle = middle[(y[middle] * y[middle - 1] > 0.0) & (y[middle] * y[middle + 1] > 0.0)]
         falls = np.maximum(np.abs(y[middle - 1] - y[middle]), np.abs(y[middle + 1] - y[middle]))
-        middle = middle[
-            np.abs(y[middle]) <= falls + touch
-        ]  # else it does not come to 0 between two samples
+        # else it does not come to 0 between two samples
+        middle = middle[np.abs(y[middle]) <= falls + touch]
         low = t[middle - 1]
         high = t[middle + 1]
         for _ in range(HALVINGS if len(middle) else 0):  # the least of |f|, by thirds
@@ -664,9 +663,8 @@ class RegionOfPlatform(PlanarRegion):
         legs = self.legs if self.curve is None else (self.curve,)
         found = [_angles(p, leg.b, end) for leg in legs for end in leg.ends]
         angles = np.sort(np.concatenate([np.full((len(p), 1), np.nan), *found], axis=1), axis=1)
-        if (
-            self.curve is None
-        ):  # the middles of intervals between which nothing changes, and an angle if there are none
+        # the middles of intervals between which nothing changes, and an angle if there are none
+        if self.curve is None:
             first = np.where(np.isfinite(angles[:, :1]), angles[:, :1], 0.0)
             angles = np.concatenate([angles, first + TURN], axis=1)
             angles = np.sort(np.where(np.isfinite(angles), angles, first + TURN), axis=1)
