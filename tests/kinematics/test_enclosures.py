@@ -7,7 +7,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 
-from kempe.numerics.intervals import constant, cos_sin, interval
+from kempe.numerics.enclosures import constant, cos_sin, interval
 
 
 def drawn(rng, depth, x, c, s):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kempe.numerics.newton import sign_change
+from kempe.numerics.roots import sign_change
 
 CASES = {
     "line": (lambda x: x - 0.3, -1.0, 2.0, 0.3),

@@ -405,11 +405,11 @@ class Wrenches:
         out: dict[str, tuple[str, float, Array]] = {}
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
-                joint = of.name in m.joints
-                M: Any = (
-                    of.X_CM.evaluate(m.parameters)
-                    if joint
-                    else of.frames(m.parameters, self.system.dim)[1]  # type: ignore[union-attr]
+                given: Any = of
+                M = (
+                    given.X_CM.evaluate(m.parameters)
+                    if of.name in m.joints
+                    else given.frames(m.parameters, self.system.dim)[1]
                 )
                 end = (of.child, 1.0) if of.child != ground else (of.parent, -1.0)
                 out[of.name] = *end, (self._poses[of.child] @ M)[:3, 3]

@@ -15,6 +15,7 @@ from kempe.answers.targets import Z_AXIS, not_a_pose, targets_of
 from kempe.answers.wording import immovable
 from kempe.arguments import quiet
 from kempe.inverse.all_answer import SolutionsRow
+from kempe.inverse.chain.length_bounds import by_lengths
 from kempe.inverse.chain.problem import MOST
 from kempe.inverse.chain.serial_chain import chain_of, slides_of
 from kempe.inverse.closed_forms.nearest import BEST, STARTS, Aim, descend, fixed_joints, limits_of
@@ -35,7 +36,6 @@ from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.numerics.length_bounds import by_lengths
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -42,7 +42,7 @@ from kempe.numerics.least_squares import (
     scaled,
     wish,
 )
-from kempe.numerics.rank import null
+from kempe.numerics.rank import null_space
 from kempe.poses import arrays, sound
 from kempe.report import by_code
 from kempe.singular_values import svd
@@ -545,9 +545,9 @@ class ConstrainedSteps:
             )
         between = self._between(q, dt)
         if not self.rolls:
-            return Left(null(C), np.zeros(self.system.nv), *between)
+            return Left(null_space(C), np.zeros(self.system.nv), *between)
         A, b = hard_rows(self.system, q, self.scale)
-        return Left(null(np.concatenate([C, A])), at_rest(C, A, b), *between)
+        return Left(null_space(np.concatenate([C, A])), at_rest(C, A, b), *between)
 
     def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
         """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
@@ -783,7 +783,7 @@ class ConstrainedSteps:
         """
         N = free.basis
         held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
-        own = null(np.concatenate([held, *(s.A @ N for s in stages[:-1])]))
+        own = null_space(np.concatenate([held, *(s.A @ N for s in stages[:-1])]))
         if not own.shape[1]:
             return None
         values, W = np.linalg.eigh(own.T @ model @ own)
@@ -1001,7 +1001,7 @@ class _Descent:
             self._bound(
                 G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
             )
-        self.free = free @ null(A @ free)
+        self.free = free @ null_space(A @ free)
 
     def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
         """y (k,) of the free velocities, shortened until limits of speed alone hold, then the

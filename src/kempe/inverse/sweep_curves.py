@@ -21,7 +21,8 @@ from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import ACROSS, BEND, Curve, Node, node, step, walk
-from kempe.numerics.newton import GaussNewtonEnd, gauss_newton_of_many, sign_change
+from kempe.numerics.newton import GaussNewtonEnd, gauss_newton_of_many
+from kempe.numerics.roots import sign_change
 from kempe.singular_values import svd
 from kempe.spatial import Array
 

@@ -60,7 +60,7 @@ def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
                 "not zero), so velocities are not proportional to those of inputs"
             )
         J = np.concatenate([J, A])
-    return null_space(J, RANK)
+    return null_space(J, RANK, size=0.0)
 
 
 # ---- relative motion

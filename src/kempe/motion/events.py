@@ -22,7 +22,8 @@ from kempe.motion.crossings import (
 )
 from kempe.numerics import curves
 from kempe.numerics.curves import BEND, Node, bend, flipped, inside, node, step
-from kempe.numerics.newton import LARGE, sign_change
+from kempe.numerics.newton import LARGE
+from kempe.numerics.roots import sign_change
 from kempe.spatial import Array
 from kempe.words import InWords
 

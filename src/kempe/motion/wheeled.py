@@ -216,7 +216,7 @@ class Wheeled:
         x, y = self.axle
         back = np.eye(A.shape[1])  # of the body's origin, in its axes, by those of the axle
         back[:3, :3] = [[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]]
-        return null_space(A @ back * unit, RANK) * unit[:, None]
+        return null_space(A @ back * unit, RANK, size=0.0) * unit[:, None]
 
     def follow(self, q: Array, forward: float, turning: float) -> Array | None:
         """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
@@ -446,7 +446,7 @@ def _normal(
         x = q.copy()
         if steering is not None and k:
             x[steering_q] = random(system, np.random.default_rng([SEED, k]))[steering_q]
-        N = null_space(_rows(pose, x)[:, own] * unit[own], RANK)
+        N = null_space(_rows(pose, x)[:, own] * unit[own], RANK, size=0.0)
         s = svd(N[:3], compute_uv=False)
         if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
             names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)

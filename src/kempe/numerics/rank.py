@@ -10,6 +10,10 @@ import numpy as np
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
+RANK_TOLERANCE = 1e-8
+"""Singular values below this fraction of the largest count as zero."""
+TINY = 1e-300
+"""Largest singular value below which a matrix is zero."""
 SPARSE = 100
 """Columns from which on a matrix of loop equations is decomposed as a sparse one: few entries of a
 row are not zero."""
@@ -20,12 +24,15 @@ ESTIMATES = 8
 """Inverse iterations that estimate the smallest singular value."""
 
 
-def null_space(A: Array, least: float) -> Array:
-    """Orthonormal basis (n, k) of what A (m, n) maps to zero; singular values to `least` of the
-    largest count as 0.
+def null_space(A: Array, least: float = RANK_TOLERANCE, size: float = 1.0) -> Array:
+    """Orthonormal basis (n, k) of what A (m, n) maps to zero.
+
+    Singular values to `least` of the largest one count as 0, or of `size`, if that is more.
     """
+    if not A.size:
+        return np.eye(A.shape[1])
     _, s, Vt = svd(A)
-    return Vt[int(np.sum(s > least * max(float(s.max(initial=0.0)), 1e-300))) :].T
+    return Vt[int(np.sum(s > least * max(float(s.max(initial=0.0)), size, TINY))) :].T
 
 
 def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | None:
@@ -38,7 +45,7 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     that of a column.
     """
     m, n = A.shape
-    others = np.setdiff1d(np.arange(n), np.array(columns, dtype=np.int64))
+    others = np.setdiff1d(np.arange(n, dtype=np.int64), np.array(columns, dtype=np.int64))
     if len(others) != m or len(columns) != n - m:
         return None
     import scipy.sparse  # only here: they take long
@@ -54,7 +61,7 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     place = number[column]
     inner = place >= 0
     try:
-        factors = library.linalg.splu(
+        factors: Any = library.linalg.splu(
             library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m))
         )
     except RuntimeError:  # it is singular
@@ -82,17 +89,3 @@ def column_space(A: Array, least: float, size: float) -> Array:
     """
     U, s, _ = svd(A, full_matrices=False)
     return U[:, s > least * max(float(s.max(initial=0.0)), size)]
-
-
-# ---- the null space at a fixed relative tolerance
-
-RANK_TOLERANCE = 1e-8
-"""Singular values below this fraction of the largest count as zero."""
-
-
-def null(J: Array) -> Array:
-    """Orthonormal basis (n, k) of the null space of J (m, n)."""
-    if not J.size:
-        return np.eye(J.shape[1])
-    _, s, Vt = svd(J, full_matrices=True)
-    return Vt[int((s > RANK_TOLERANCE * max(1.0, s.max(initial=0.0))).sum()) :].T

@@ -22,7 +22,7 @@ from kempe.joints import P, Q, R
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.model.configurations import circles, mid, q_dict
 from kempe.model.model import kept
-from kempe.numerics.intervals import UNIT, Enclosure, constant, cos_sin
+from kempe.numerics.enclosures import UNIT, Enclosure, constant, cos_sin
 from kempe.spaces.polygons import loop_of, pin, primitives_of
 from kempe.spatial import Array, inverse
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from kempe.model.model import kept
-from kempe.numerics.intervals import interval
+from kempe.numerics.enclosures import interval
 from kempe.spaces.branch_functions import (
     LIMIT,
     SOUND,

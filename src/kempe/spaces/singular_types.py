@@ -333,7 +333,11 @@ class RankQuestions:
     def _rank_of_frame(self, q: Array) -> int:
         """How many independent twists the frame has at a closed configuration (nq,)."""
         J = self.task_jacobians(q[None])[0]
-        N = null_space(self.closures(q[None])[0], ZERO) if self.loops else np.eye(self.system.nv)
+        N = (
+            null_space(self.closures(q[None])[0], ZERO, size=0.0)
+            if self.loops
+            else np.eye(self.system.nv)
+        )
         return _rank(J @ N, J)
 
     def closures(self, q: Array) -> Array:
@@ -389,7 +393,7 @@ class RankQuestions:
         kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = null_space(self.closures(q[None])[0], ZERO)
+            N = null_space(self.closures(q[None])[0], ZERO, size=0.0)
         none = np.zeros((0, 6))
         lost = none
         gained = none
@@ -399,7 +403,7 @@ class RankQuestions:
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
             B = (
-                null_space((self.twists.T @ self._axes(q))[None], ZERO)
+                null_space((self.twists.T @ self._axes(q))[None], ZERO, size=0.0)
                 if self.of_axis
                 else np.eye(len(J))
             )
@@ -409,7 +413,7 @@ class RankQuestions:
             still = (N @ Vt[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
         if self.loops and self.inputs is not None:
-            free = null_space(self._with_inputs(q[None])[0], ZERO)
+            free = null_space(self._with_inputs(q[None])[0], ZERO, size=0.0)
             if self.frame is not None:
                 W, s, _ = svd(J @ free, full_matrices=False)
                 gained = self.in_si(W[:, s > ZERO])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kempe.inverse.chain.length_bounds import ReachBound, reach_bounds
 from kempe.kernels.forward.table_layout import (
     COS_OFFSET,
     KIND,
@@ -24,7 +25,6 @@ from kempe.kernels.forward.table_layout import (
 )
 from kempe.model.model import kept
 from kempe.model.primitive_table import local_chain
-from kempe.numerics.length_bounds import ReachBound, reach_bounds
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

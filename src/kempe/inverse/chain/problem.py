@@ -10,8 +10,8 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import TASKS, Z_AXIS, frame_of, points_along
+from kempe.inverse.chain.length_bounds import by_lengths
 from kempe.inverse.chain.serial_chain import Chain
-from kempe.numerics.length_bounds import by_lengths
 from kempe.spatial import Array
 from kempe.status import Status
 

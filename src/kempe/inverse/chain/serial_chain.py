@@ -11,6 +11,7 @@ import numpy as np
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.equations.closure_rows import full
 from kempe.errors import UnsupportedError
+from kempe.inverse.chain.length_bounds import ReachBound, Span, reach_bounds, span_of
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -25,7 +26,6 @@ from kempe.kernels.forward.table_layout import (
 from kempe.model.gauge import regauge
 from kempe.model.model import kept
 from kempe.model.primitive_table import local_chain
-from kempe.numerics.length_bounds import ReachBound, Span, reach_bounds, span_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

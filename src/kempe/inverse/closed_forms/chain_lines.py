@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.errors import UnsupportedError
+from kempe.inverse.chain.length_bounds import Span, evened
 from kempe.inverse.chain.serial_chain import chain_of
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -26,7 +27,6 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
-from kempe.numerics.length_bounds import Span, evened
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.numerics.newton import damped_least_squares, gauss_newton
-from kempe.numerics.rank import RANK_TOLERANCE, null
+from kempe.numerics.rank import RANK_TOLERANCE, null_space
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -166,7 +166,7 @@ class Local:
         """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the
         rank of rounding.
         """
-        return self.spread(null(self._own(*self.equations(q))[1]))
+        return self.spread(null_space(self._own(*self.equations(q))[1]))
 
     @cached_property
     def left(self) -> Array:

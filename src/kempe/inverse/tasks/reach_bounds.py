@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.equations.tasks import Centred, Goals, PlacedTask, Task, TaskTie
+from kempe.inverse.chain.length_bounds import ReachBound, by_lengths, reach_bounds
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.gauge import regauge
 from kempe.model.own_tree import own_tree
 from kempe.model.primitive_table import local_chain
-from kempe.numerics.length_bounds import ReachBound, by_lengths, reach_bounds
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
