@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from kempe import Mechanism, System
 
 
@@ -61,3 +63,37 @@ def two_bars() -> Mechanism:
     m.revolute("B", upper, lower, at=(1.0, 0.0))
     m.frame("tip", lower, at=(1.0, 0.0))
     return m
+
+
+def place(x: float, y: float, scale: float, mirrored: bool) -> tuple[float, float]:
+    """A place in the plane, drawn at a scale and mirrored or not."""
+    return scale * x, -scale * y if mirrored else scale * y
+
+
+def double_watt(
+    second: float, turned: bool, scale: float = 1.0, mirrored: bool = False, cut: str = "m2"
+) -> tuple[System, np.ndarray]:
+    """Two of Watt's linkages with a bar between their middles; the second is `second` times as
+    large.
+    """
+    m = Mechanism("double Watt", dim=2)
+
+    def watt(k: int, x: float, way: float, size: float):
+        left, right, middle = (m.body(f"{n}{k}") for n in ("left", "right", "middle"))
+        half = place(0, 0.5 * size, scale, mirrored)
+        low = place(0, -0.5 * size, scale, mirrored)
+        m.revolute(f"o{k}", m.ground, left, at=place(x - way * size, 0.5 * size, scale, mirrored))
+        m.revolute(f"p{k}", m.ground, right, at=place(x + way * size, -0.5 * size, scale, mirrored))
+        m.revolute(
+            f"l{k}", left, middle, at=(scale * way * size, 0), child_at=half, cut=cut == f"l{k}"
+        )
+        m.revolute(f"r{k}", right, middle, at=(-scale * way * size, 0), child_at=low)
+        return middle
+
+    one = watt(1, 0.0, 1.0, 1.0)
+    two = watt(2, 1.0, -1.0 if turned else 1.0, second)
+    bar = m.body("bar")
+    m.revolute("m1", one, bar, cut=cut == "m1")
+    m.revolute("m2", bar, two, at=(scale, 0), cut=cut == "m2")
+    system = m.build()
+    return system, system.neutral

@@ -311,7 +311,7 @@ TIMED = {
 """Each verb with a time limit: a problem that takes it long, or for ever."""
 FIVE_Q = [FIVE.assemble().q, FIVE.assemble({"A": 1.0}).q]
 ELSEWHERE = {
-    "map_file": "tests/analysis/maps/test_file_map.py",
+    "map_file": "tests/workspace/test_file_map.py",
     "plot_spaces": "tests/views/test_space_pictures.py",
 }
 """Verbs whose answers at the end of their time are tested elsewhere, for they need files or

@@ -334,7 +334,7 @@ def test_claims_name_hunts():
     ("test", "kind"),
     [
         ("tests/test_claims.py::test_unknown_keys_of_files_are_errors", "hunt"),
-        ("tests/kinematics/test_forward.py::test_poses_of_random_systems", "property"),
+        ("tests/forward/test_forward.py::test_poses_of_random_systems", "property"),
         ("tests/test_bad_files.py::test_what_is_said", "battery"),
         ("tests/test_docs.py::test_claims_name_hunts", ""),
         ("tests/test_docs.py::test_that_is_not_there", ""),

@@ -11,6 +11,7 @@ import pytest
 from hunts import examples, some
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from linkages import double_watt
 from motion_linkages import (
     JANSEN,
     TURN,
@@ -27,7 +28,6 @@ from motion_linkages import (
     slider_crank,
     two_parallelograms,
 )
-from test_local import double_watt
 
 import kempe
 from kempe import Mechanism

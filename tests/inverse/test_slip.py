@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 import pytest
-from analysis import wheels
+import wheels
 
 import kempe
 from kempe import Mechanism, tasks

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from analysis import wheels
+import wheels
 from linkages import planar_arm
 from scipy.integrate import solve_ivp
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from analysis import wheels
+import wheels
 from scipy.integrate import solve_ivp
 
 import kempe

@@ -11,6 +11,7 @@ import pytest
 from hunts import examples, some
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from linkages import double_watt, place
 from literature import BENT, HEXAGON, look
 from mechanisms import PLANAR, SINGULAR, Case, branches
 from mechanisms_spatial import SPATIAL, Spatial
@@ -25,10 +26,6 @@ from kempe.mobility.local_dimension import LocalDimension, local_dimension, samp
 from kempe.mobility.local_equations import Equations
 
 # ---- small mechanisms, drawn at a scale, mirrored or not, cut anywhere
-
-
-def place(x: float, y: float, scale: float, mirrored: bool) -> tuple[float, float]:
-    return scale * x, -scale * y if mirrored else scale * y
 
 
 def chain(
@@ -85,35 +82,6 @@ def dead_centres_in_a_row(
     m.revolute("j5", c, k, at=(scale, 0), cut=cut == "j5")
     system = m.build()
     return system, system.q({"j4": -way * pi / 2, "j5": way * pi / 2})
-
-
-def double_watt(
-    second: float, turned: bool, scale: float = 1.0, mirrored: bool = False, cut: str = "m2"
-) -> tuple[System, np.ndarray]:
-    """Two of Watt's linkages with a bar between their middles; the second is `second` times as
-    large.
-    """
-    m = Mechanism("double Watt", dim=2)
-
-    def watt(k: int, x: float, way: float, size: float):
-        left, right, middle = (m.body(f"{n}{k}") for n in ("left", "right", "middle"))
-        half = place(0, 0.5 * size, scale, mirrored)
-        low = place(0, -0.5 * size, scale, mirrored)
-        m.revolute(f"o{k}", m.ground, left, at=place(x - way * size, 0.5 * size, scale, mirrored))
-        m.revolute(f"p{k}", m.ground, right, at=place(x + way * size, -0.5 * size, scale, mirrored))
-        m.revolute(
-            f"l{k}", left, middle, at=(scale * way * size, 0), child_at=half, cut=cut == f"l{k}"
-        )
-        m.revolute(f"r{k}", right, middle, at=(-scale * way * size, 0), child_at=low)
-        return middle
-
-    one = watt(1, 0.0, 1.0, 1.0)
-    two = watt(2, 1.0, -1.0 if turned else 1.0, second)
-    bar = m.body("bar")
-    m.revolute("m1", one, bar, cut=cut == "m1")
-    m.revolute("m2", bar, two, at=(scale, 0), cut=cut == "m2")
-    system = m.build()
-    return system, system.neutral
 
 
 def tripod(
