@@ -21,7 +21,7 @@ from kempe.budget import watched_by
 from kempe.errors import InputError, NoSolutionError
 from kempe.inverse import explain_tasks, multi_start, solve_all
 from kempe.inverse.chain import problem
-from kempe.inverse.closed_forms import held, question, start_search
+from kempe.inverse.closed_forms import question, solve, start_search
 from kempe.inverse.tasks import search as effort
 from kempe.inverse.tasks import search as ik_tasks
 from kempe.kernels.compiled import fallback
@@ -377,7 +377,7 @@ def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
     X = s.fk(s.random(3, 200), "tool")
     whole = s.ik_all(X, "tool")
     assert not whole.late.any() and whole.late.shape == (200,)
-    monkeypatch.setattr(held, "ELIMINATED", 64)
+    monkeypatch.setattr(solve, "ELIMINATED", 64)
     count_looks(monkeypatch, 2)
     part = s.ik_all(X, "tool", budget=kempe.Budget(time_limit=100.0))
     assert part.plan.method == "elimination"

@@ -15,7 +15,7 @@ from ik_all_checks import ask, same_sets
 import kempe
 from kempe import spatial
 from kempe.errors import InputError
-from kempe.inverse.closed_forms.held import solve_held
+from kempe.inverse.closed_forms.solve import solve_held
 from kempe.kernels.forward.table_layout import TURN
 
 ARMS = arms.arms()

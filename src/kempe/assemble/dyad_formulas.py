@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.assemble.dyad_decomposition import Dyad, alone, parts_of
-from kempe.errors import UnsupportedError
-from kempe.forward.formula_steps import (
+from kempe.answers.derivation import (
     Derivation,
     FormulaStep,
     Names,
@@ -28,6 +26,8 @@ from kempe.forward.formula_steps import (
     two_circles,
     two_lines,
 )
+from kempe.assemble.dyad_decomposition import Dyad, alone, parts_of
+from kempe.errors import UnsupportedError
 from kempe.forward.symbolic import SymbolLeaves, placement_steps, pose_of, sympy
 from kempe.joints import R
 from kempe.spatial import Array

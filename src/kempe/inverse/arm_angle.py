@@ -31,8 +31,7 @@ from kempe.answers.targets import Z_AXIS
 from kempe.arguments import explained
 from kempe.arrays import reals
 from kempe.errors import InputError, UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.closed_forms.held import chain_lines
+from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
 from kempe.inverse.closed_forms.structure import Axes, keeps_point, meeting
 from kempe.kernels.forward.table_layout import TURN
 from kempe.model.configurations import as_q

@@ -13,11 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, numbers
-from kempe.arrays import is_whole
-from kempe.equations.closure_rows import of_system
-from kempe.errors import InputError, UnsupportedError, shown
-from kempe.forward.formula_steps import (
+from kempe.answers.derivation import (
     Derivation,
     FormulaStep,
     Names,
@@ -32,6 +28,10 @@ from kempe.forward.formula_steps import (
     two_circles,
     two_lines,
 )
+from kempe.arguments import explained, numbers
+from kempe.arrays import is_whole
+from kempe.equations.closure_rows import of_system
+from kempe.errors import InputError, UnsupportedError, shown
 from kempe.forward.symbolic import SymbolLeaves, sympy
 from kempe.forward.symbolic_dh import JointLine, angle_about, joint_lines, tidy
 from kempe.spatial import Array

@@ -19,15 +19,15 @@ from kempe.budget import Usual
 from kempe.constraints.kinds import of_target
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
-from kempe.inverse import multi_start, refine
+from kempe.inverse import multi_start
 from kempe.inverse.answer import MOST_STARTS, IkHistory, Solution
 from kempe.inverse.chain import problem
 from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, look_closer, misses
 from kempe.inverse.chain.problem import TOLERANCE as PROBLEM_TOLERANCE
 from kempe.inverse.chain.serial_chain import chain_of, obstacle
-from kempe.inverse.closed_forms.held import TOLERANCE
-from kempe.inverse.closed_forms.plan import ChainPlan
+from kempe.inverse.closed_forms.plan import ChainPlan, plan_or_reason
 from kempe.inverse.closed_forms.question import Question, Watch
+from kempe.inverse.closed_forms.solve import TOLERANCE
 from kempe.inverse.multi_start import run, seeds_of
 from kempe.kernels.base.search_layout import SOLVED, STEPS
 from kempe.model.configurations import refuse_far
@@ -185,9 +185,7 @@ def _no_closed_form(
             f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
             "leave it out, or take one of the solutions of ik_all, which do"
         )
-    from kempe.inverse.refine import plan_of
-
-    plan = plan_of(system, frame, *task)
+    plan = plan_or_reason(system, frame, *task)
     return plan if isinstance(plan, str) else None
 
 
@@ -239,7 +237,7 @@ def _of_chain(problem: Problem) -> Solution:
     )
     plan = None
     if problem.method != "numeric":
-        found = refine.plan_of(system, name, *problem.task)
+        found = plan_or_reason(system, name, *problem.task)
         plan = None if isinstance(found, str) else found
     question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
     return _judged(question, base, q, residual, info, lead, seeds, spend.threads)

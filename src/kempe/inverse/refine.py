@@ -6,27 +6,23 @@ needs none; each column of the Jacobian is scaled to its size, so that small lev
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import frame_of, points_along
-from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.chain.problem import FrameProblem, misses
 from kempe.inverse.chain.serial_chain import moved_by
-from kempe.inverse.closed_forms.held import attainable, chain_lines, plan_for, solve_held
-from kempe.inverse.closed_forms.plan import ChainPlan
+from kempe.inverse.closed_forms.plan import ChainPlan, plan_or_reason
 from kempe.inverse.closed_forms.question import Question
+from kempe.inverse.closed_forms.solve import attainable, solve_held
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import tip_of
 from kempe.spatial import Array
-
-if TYPE_CHECKING:
-    from kempe.model.model import Model
 
 TRIES = 24
 """Starts that are sharpened."""
@@ -102,7 +98,7 @@ def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
     else q (N, n).
     """
 
-    plan = plan_of(task.system, task.frame, task.name, task.axis)
+    plan = plan_or_reason(task.system, task.frame, task.name, task.axis)
     return q if isinstance(plan, str) else kept(task, plan, targets, q)
 
 
@@ -165,24 +161,6 @@ def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
 
 
 # ---- solutions in closed form, where there is one
-
-
-def plan_of(
-    system: Model, frame: str, task: str, axis: tuple[float, float, float]
-) -> ChainPlan | str:
-    """The plan that answers a task of a frame, or why numbers have to."""
-    try:
-        plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
-    except UnsupportedError as error:
-        return str(error)
-    if plan.method != "search" and not plan.locked:
-        return plan
-    why = (
-        "has more joints than the task needs"
-        if plan.locked
-        else "has neither a closed form nor an elimination"
-    )
-    return f"the chain of {frame!r} {why}: method 'analytic' has no single answer for it"
 
 
 def kept(task: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:

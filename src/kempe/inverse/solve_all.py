@@ -22,10 +22,11 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.all_answer import Solutions, packed
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
 from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
-from kempe.inverse.closed_forms.held import TOLERANCE, attainable, chain_lines, plan_for, solve_held
+from kempe.inverse.closed_forms.chain_lines import chain_lines
 from kempe.inverse.closed_forms.nearest import Aim, descend, limits_of
-from kempe.inverse.closed_forms.plan import ChainPlan, side_by_side_of, within_domains
+from kempe.inverse.closed_forms.plan import ChainPlan, plan_for, side_by_side_of, within_domains
 from kempe.inverse.closed_forms.question import Question, Watch, held, near_of, within
+from kempe.inverse.closed_forms.solve import TOLERANCE, attainable, solve_held
 from kempe.inverse.closed_forms.start_search import frame_problem, places_in
 from kempe.inverse.multi_start import answered
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS

@@ -32,9 +32,8 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.forward.fk import fk
 from kempe.inverse.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
 from kempe.inverse.chain.serial_chain import inside
-from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.closed_forms.held import chain_lines, plan_for
-from kempe.inverse.closed_forms.plan import domains
+from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
+from kempe.inverse.closed_forms.plan import domains, plan_for
 from kempe.inverse.closed_forms.question import held, near_of
 from kempe.inverse.ik_all import ik_all
 from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, arcs_through

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -44,14 +44,15 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     times above `least` of a bound of the largest one, the root of the largest sum of a row times
     that of a column.
     """
-    m, n = A.shape
+    m = len(A)
+    n = A.shape[1]
     others = np.setdiff1d(np.arange(n, dtype=np.int64), np.array(columns, dtype=np.int64))
     if len(others) != m or len(columns) != n - m:
         return None
     import scipy.sparse  # only here: they take long
     import scipy.sparse.linalg
 
-    library: Any = scipy.sparse
+    library = cast(Any, scipy.sparse)
     row: np.ndarray
     column: np.ndarray
     row, column = np.nonzero(A)
@@ -61,7 +62,7 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     place = number[column]
     inner = place >= 0
     try:
-        factors: Any = library.linalg.splu(
+        factors = library.linalg.splu(
             library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m))
         )
     except RuntimeError:  # it is singular

@@ -32,7 +32,7 @@ from kempe.first_order.control import driven
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of
 from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.refine import plan_of
+from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.late import late
 from kempe.model.configurations import by_short_turns, circles, has_loops, one_finite, random
 from kempe.model.model import kept
@@ -87,7 +87,7 @@ def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
 @kept
 def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
     """The kind of arm and its lines, None where its branches have no names."""
-    plan = plan_of(system, frame, "pose", Z_AXIS)
+    plan = plan_or_reason(system, frame, "pose", Z_AXIS)
     if isinstance(plan, str):
         return None
     kind = kind_of(plan, system.dim == 2)

@@ -16,9 +16,9 @@ from kempe.answers.targets import Z_AXIS
 from kempe.arguments import known, numbers
 from kempe.budget import Budget
 from kempe.errors import InputError, shown
+from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
-from kempe.inverse.refine import plan_of
 from kempe.poses import EXACT, rotation_error
 from kempe.spatial import Array
 from kempe.workspace.place_bounds import legs_of, possible_places
@@ -121,7 +121,7 @@ def reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.nda
         for leg in legs:
             out[out] = reached(leg, X[out], frame, task, seed)
         return out
-    if not isinstance(plan_of(system, frame, task, Z_AXIS), str):
+    if not isinstance(plan_or_reason(system, frame, task, Z_AXIS), str):
         goals = X[:, : system.dim, 3] if task == "position" else X
         every: Any = ik_all(system, goals, frame, task=task, limits=True)
         out = np.asarray(every.mask.any(axis=-1))

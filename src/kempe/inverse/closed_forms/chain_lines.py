@@ -7,11 +7,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.errors import UnsupportedError
 from kempe.inverse.chain.length_bounds import Span, evened
 from kempe.inverse.chain.serial_chain import chain_of
@@ -27,6 +28,7 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
+from kempe.model.model import kept
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -219,3 +221,14 @@ def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
     if size < 1e-9:
         return float(np.linalg.norm(d - h * (h @ d)))
     return abs(float(n @ d)) / size
+
+
+@kept
+def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
+    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
+    lines = lines_of(system, frame)
+    if axis == Z_AXIS:
+        return lines
+    tip = lines.tip.copy()
+    tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
+    return replace(lines, tip=tip)

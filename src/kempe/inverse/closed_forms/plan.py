@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,13 +17,18 @@ from kempe import spatial
 from kempe.answers.targets import TASKS
 from kempe.budget import look
 from kempe.errors import UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
 from kempe.inverse.closed_forms.structure import Axes, Strategy, ways
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.model.model import kept
 from kempe.singular_values import svd
 from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
 
 TRIALS = 24
 """Random configurations that a plan must find again before it is used."""
@@ -722,3 +728,46 @@ def within_domains(lines: Lines, shares: Array) -> Array:
     """
     first, last = domains(lines)
     return first + shares * (last - first)
+
+
+# ---- the plan of a task
+
+
+def plan_for(
+    system: Model,
+    frame: str,
+    lines: Lines,
+    task: str,
+    axis: tuple[float, float, float],
+    fixed: tuple[str, ...],
+) -> ChainPlan:
+    """The plan for a task with these joints held; of redundant chains more are held, by choice."""
+    return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
+
+
+@kept
+def _plan(
+    system: Model, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
+) -> ChainPlan:
+    planar = system.dim == 2
+    return replace(
+        plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar
+    )
+
+
+def plan_or_reason(
+    system: Model, frame: str, task: str, axis: tuple[float, float, float]
+) -> ChainPlan | str:
+    """The plan that answers a task of a frame, or why numbers have to."""
+    try:
+        plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
+    except UnsupportedError as error:
+        return str(error)
+    if plan.method != "search" and not plan.locked:
+        return plan
+    why = (
+        "has more joints than the task needs"
+        if plan.locked
+        else "has neither a closed form nor an elimination"
+    )
+    return f"the chain of {frame!r} {why}: method 'analytic' has no single answer for it"

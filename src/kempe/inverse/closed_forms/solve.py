@@ -1,26 +1,20 @@
-"""The inverse geometric model, all of it: every configuration in which a frame reaches a target."""
+"""Every configuration in which a frame reaches a target, by the plan of its chain."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.budget import look
-from kempe.inverse.closed_forms.chain_lines import Lines, lines_of
-from kempe.inverse.closed_forms.plan import ChainPlan, kernel_of, plan_holding, side_by_side_of
+from kempe.inverse.closed_forms.chain_lines import Lines
+from kempe.inverse.closed_forms.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.inverse.closed_forms.question import Question
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.model.model import kept
 from kempe.numerics.pool import over_chunks
 from kempe.spatial import Array
-
-if TYPE_CHECKING:
-    from kempe.model.model import Model
 
 TOLERANCE = 1e-9
 """Largest position error [m] and rotation angle [rad] of a solution."""
@@ -53,39 +47,6 @@ def attainable(targets: Array, lines: Lines) -> float:
         16.0
         * EPSILON
         * (far + lines.length * (1.0 + max(abs(x) for x in lines.tip[:3, 3].tolist())))
-    )
-
-
-@kept
-def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
-    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
-    lines = lines_of(system, frame)
-    if axis == Z_AXIS:
-        return lines
-    tip = lines.tip.copy()
-    tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
-    return replace(lines, tip=tip)
-
-
-def plan_for(
-    system: Model,
-    frame: str,
-    lines: Lines,
-    task: str,
-    axis: tuple[float, float, float],
-    fixed: tuple[str, ...],
-) -> ChainPlan:
-    """The plan for a task with these joints held; of redundant chains more are held, by choice."""
-    return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
-
-
-@kept
-def _plan(
-    system: Model, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
-) -> ChainPlan:
-    planar = system.dim == 2
-    return replace(
-        plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar
     )
 
 

@@ -1,6 +1,6 @@
-"""Formulas in the steps of a derivation, and the triangle of three joints in the plane.
+"""An inverse model as formulas: steps of a derivation, and those of three joints in the plane.
 
-The triangle is closed by two circles, a line and a circle, or two lines. An arm that reaches a
+The triangle of three joints is closed by two circles, a line and a circle, or two lines. An arm that reaches a
 point or a pose, and a dyad between two links, make the same triangle (Assur, 1914).
 """
 
