@@ -186,6 +186,7 @@ def test_as_a_process(arm, tmp_path):
         ("the link, with root='an arm'", "the link, with --root an arm"),
         ("lenient_limits=True reads it so", "--lenient-limits reads it so"),
         ("load it with xacro=True (", "load it with --xacro ("),
+        ("give it by xacro={name: value};", "give it by --xacro-arg NAME=VALUE;"),
         ("is 0.1 away: project=True takes it", "is 0.1 away: --project takes it"),
         ("where tolerance=1e-05 lets it go on", "where --tolerance 1e-05 lets it go on"),
         ("tolerance=(1e-05, 0.002) accepts it", "--tolerance 1e-05,0.002 accepts it"),
@@ -227,6 +228,27 @@ def test_failures_name_the_option_that_helps(words: str, said: str, tmp_path):
         (tmp_path / f"{name}.urdf").write_text(robot)
     result = Result(*(str(tmp_path / f"{w}.urdf") if w in files else w for w in words.split()))
     assert result.code and said in result.out + result.err
+
+
+def test_arguments_of_xacro(tmp_path):
+    pytest.importorskip("xacrodoc")
+    path = tmp_path / "a.urdf.xacro"
+    path.write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="$(arg name)">'
+        '<xacro:arg name="end" default="a"/><link name="$(arg end)"/></robot>'
+    )
+    given = ("--xacro-arg", "name=left")
+    assert "left: 0 bodies" in Result("info", path, *given).out
+    assert "b" in Result("info", path, *given, "--xacro-arg", "end=b=c", "--json").out
+    assert json.loads(Result("check", path, *given, "--json").out)[0]["ok"]
+    for more, code, said in (
+        (("--xacro",), 2, "needs the argument 'name'; give it by --xacro-arg NAME=VALUE"),
+        ((*given, "--xacro-arg", "ent=b"), 2, "no xacro argument 'ent'; did you mean 'end'?"),
+        ((*given, *given), 2, "--xacro-arg gives name twice"),
+        (("--xacro-arg", "left"), 2, "--xacro-arg left: it must be NAME=VALUE"),
+    ):
+        result = Result("info", path, *more)
+        assert result.code == code and said in result.err
 
 
 @pytest.mark.parametrize(

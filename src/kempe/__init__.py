@@ -7,7 +7,7 @@ are the map.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +58,7 @@ def load(
     base: str | None = None,
     root: str | None = None,
     package_dirs: Iterable[str | Path] = (),
-    xacro: bool = False,
+    xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
 ) -> System:
     """The `System` of a file (path), of a text, or of a shipped model (bare name such as
@@ -67,9 +67,10 @@ def load(
     Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where
     `format` is None. `base="free"` lets the root link of a URDF move freely; `root` names the
     ground where a file has no root link; `package_dirs` are the only folders in which meshes may be
-    looked up; `xacro=True` expands xacro first; `lenient_limits=True` reads limits of a URDF that
-    hold no range (no bounds, or lower above upper) as none. Errors: `DescriptionError` with file,
-    line and what is allowed.
+    looked up; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
+    ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
+    bounds, or lower above upper) as none. Errors: `DescriptionError` with file, line and what is
+    allowed.
     """
     from kempe.description.source import collecting_later
 
@@ -92,7 +93,7 @@ def read(
     base: str | None = None,
     root: str | None = None,
     package_dirs: Iterable[str | Path] = (),
-    xacro: bool = False,
+    xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
 ) -> Mechanism:
     """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another

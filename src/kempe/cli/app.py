@@ -7,6 +7,8 @@ that cannot be read); 130 Ctrl-C, where files that were requested hold what was 
 
 from __future__ import annotations
 
+import functools
+import inspect
 import os
 import sys
 from collections.abc import Callable
@@ -84,6 +86,8 @@ Dirs = Annotated[
 Xacro = Annotated[
     bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)
 ]
+_ARGUMENT = "Value of a <xacro:arg> of FILE, which is then expanded; can be repeated."
+XacroArguments = Annotated[list[str] | None, option("--xacro-arg", _ARGUMENT, "NAME=VALUE", _READ)]
 _LENIENT = (
     f"Limits without a range (no bounds, or swapped) are none ({named(read_by('lenient_limits'))})."
 )
@@ -172,24 +176,62 @@ Page = Annotated[
 # ---- files and results
 
 
-def reading(
-    base: str | None,
-    root: str | None,
-    package_dir: list[Path] | None,
-    xacro: bool,
-    lenient_limits: bool,
-) -> dict[str, Any]:
-    """The reader's options, without those that were not given."""
-    given = {"base": base, "root": root, "package_dirs": package_dir, "xacro": xacro}
-    given["lenient_limits"] = lenient_limits
-    return {k: v for k, v in given.items() if v}
+class Reading(dict[str, Any]):
+    """The options with which `kempe.load` reads FILE, without those that were not given."""
 
 
-def load(file: str, *options: Any) -> System:
-    """The system of a file, read with the reader's options."""
+def _reading(
+    base: Base = None,
+    root: Root = None,
+    package_dir: Dirs = None,
+    xacro: Xacro = False,
+    xacro_arg: XacroArguments = None,
+    lenient_limits: Lenient = False,
+) -> Reading:
+    given = {
+        "base": base,
+        "root": root,
+        "package_dirs": package_dir,
+        "xacro": _values(xacro_arg, "--xacro-arg") if xacro_arg else xacro,
+        "lenient_limits": lenient_limits,
+    }
+    return Reading((name, value) for name, value in given.items() if value)
+
+
+def _values(given: list[str], flag: str) -> dict[str, str]:
+    """The values of an option that is repeated as NAME=VALUE. Errors: `UsageError`."""
+    values: dict[str, str] = {}
+    for text in given:
+        name, sign, value = text.partition("=")
+        if not sign or not name:
+            raise UsageError(f"{flag} {text}: it must be NAME=VALUE.")
+        if name in values:
+            raise UsageError(f"{flag} gives {name} twice.")
+        values[name] = value
+    return values
+
+
+def reads_file(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the options of how FILE is read in place of its parameter `reading`."""
+    shared = inspect.signature(_reading, eval_str=True).parameters
+    own = inspect.signature(command, eval_str=True).parameters
+    parameters = [*(p for name, p in own.items() if name != "reading"), *shared.values()]
+
+    @functools.wraps(command)
+    def run(**options: Any) -> None:
+        reading = _reading(**{name: options.pop(name) for name in shared})
+        command(reading=reading, **options)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    return run
+
+
+def load(file: str, reading: Reading) -> System:
+    """The system of a file."""
     import kempe
 
-    system = kempe.load(file, **reading(*options))
+    system = kempe.load(file, **reading)
     if still := immovable(system, unstated=True):
         remark(still)
     return system

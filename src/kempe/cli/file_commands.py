@@ -12,24 +12,21 @@ from kempe.arguments import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Axis,
-    Base,
     Deg,
-    Dirs,
     File,
     Json,
-    Lenient,
+    Reading,
     Rng,
-    Root,
     Scheduler,
     Seed,
     Task,
     Threads,
     TimeLimit,
     Tolerance,
-    Xacro,
     app,
     load,
     option,
+    reads_file,
 )
 from kempe.cli.terminal import guarded, leave, print_json, show
 from kempe.errors import InputError
@@ -37,9 +34,11 @@ from kempe.errors import InputError
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def map(
     verb: Annotated[str, typer.Argument(metavar="VERB", help="fk, ik, ik_all or assemble.")],
     file: File,
+    reading: Reading,
     rows: Annotated[
         Path,
         typer.Argument(
@@ -73,11 +72,6 @@ def map(
     time_limit: TimeLimit = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Answer each row of a file of any size, in chunks, so that it can be stopped and gone on with.
 
@@ -92,7 +86,7 @@ def map(
     from kempe.cli import table_files as read
     from kempe.cli.inverse_commands import task_argument
 
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     given: dict[str, Any] = {
         "form": form,
         "dtype": "float32" if float32 else None,

@@ -15,15 +15,12 @@ from kempe.cli.app import (
     OPEN,
     All,
     Axis,
-    Base,
     Deg,
-    Dirs,
     File,
     Film,
     FrameOrTasks,
     Hold,
     Json,
-    Lenient,
     Out,
     Page,
     PathTargets,
@@ -31,20 +28,20 @@ from kempe.cli.app import (
     Picture,
     PositionOnly,
     Prefer,
+    Reading,
     Rng,
-    Root,
     Seed,
     TargetOrTasks,
     Task,
     Tasks,
     TimeLimit,
     Tolerance,
-    Xacro,
     app,
     drawable,
     drawn,
     load,
     option,
+    reads_file,
     results,
     say_written,
 )
@@ -64,8 +61,10 @@ stopped."""
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def ik(
     file: File,
+    reading: Reading,
     frame: FrameOrTasks = None,
     target: TargetOrTasks = None,
     tasks: Tasks = None,
@@ -84,11 +83,6 @@ def ik(
     gif: Film = None,
     html: Page = None,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Find a configuration that brings a frame to a pose, or all of them, or one that holds several
     tasks.
@@ -114,7 +108,7 @@ def ik(
         raise InputError(
             "--prefer is for --tasks: it says what is made least in what they leave free"
         )
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import table_files
 
     results(out, target)
@@ -236,8 +230,10 @@ def _say_all(out: Path | None, pictures: list[Path]) -> None:
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def path(
     file: File,
+    reading: Reading,
     frame: FrameOrTasks = None,
     target: PathTargets = None,
     tasks: Tasks = None,
@@ -260,11 +256,6 @@ def path(
     gif: Film = None,
     html: Page = None,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Follow a sequence of targets without a jump, or say where and why that cannot be.
 
@@ -273,7 +264,7 @@ def path(
     Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
     """
     _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import as_json, ik_report, progress, table_files
 
     results(out, target)
@@ -397,8 +388,10 @@ def task_argument(task: str | None, axis: str | None) -> Any:
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def plan(
     file: File,
+    reading: Reading,
     frame: Annotated[str, option("--frame", "Body or frame that shall reach targets.", "NAME")],
     task: Task = None,
     axis: Axis = None,
@@ -407,17 +400,12 @@ def plan(
         option("--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]"),
     ] = None,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Say what a chain's axes have in common, and how all its configurations are found.
 
     Example: kempe plan panda.urdf --frame panda_hand_tcp
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import ik_report
     from kempe.inverse.describe import ik_plan
 

@@ -15,26 +15,23 @@ from kempe.arguments import until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     CLOSED,
-    Base,
     Deg,
-    Dirs,
     File,
     Film,
     InPlace,
     Json,
-    Lenient,
     Out,
     Page,
     Picture,
     Posture,
-    Root,
+    Reading,
     TimeLimit,
-    Xacro,
     app,
     drawable,
     drawn,
     load,
     option,
+    reads_file,
     remark,
     results,
     save_picture,
@@ -103,8 +100,10 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+@reads_file
 def dof(
     file: File,
+    reading: Reading,
     q: At = None,
     posture: Posture = None,
     actuated: Annotated[
@@ -120,18 +119,13 @@ def dof(
     html: Page = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Count the degrees of freedom: by formula, by rank and truly.
 
     Example: kempe dof bennett
     """
-    system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
+    system = _within(load(file, reading), tolerance)
     from kempe.cli import arguments, loop_report
 
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
@@ -180,8 +174,10 @@ def _under(system: System, equations: list[str]) -> System:
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+@reads_file
 def classify(
     file: File,
+    reading: Reading,
     q: At = None,
     posture: Posture = None,
     project: Annotated[
@@ -191,18 +187,13 @@ def classify(
     html: Page = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Say which kind each constraint is, and how far motions reach.
 
     Example: kempe classify car
     """
-    system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
+    system = _within(load(file, reading), tolerance)
     from kempe.cli import arguments, loop_report
 
     drawable(plot, None, html)
@@ -218,8 +209,10 @@ def classify(
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+@reads_file
 def assemble(
     file: File,
+    reading: Reading,
     known: Known = None,
     near: Near = None,
     where: Where = None,
@@ -244,11 +237,6 @@ def assemble(
     out: Out = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Close all loops: known coordinates in, all others out; with --where, under further equations.
@@ -261,9 +249,7 @@ def assemble(
         )
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = _under(
-        _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance), where or []
-    )
+    system = _under(_within(load(file, reading), tolerance), where or [])
     from kempe.cli import arguments, as_json, loop_report
 
     results(out, *known or ())
@@ -320,8 +306,10 @@ def assemble(
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+@reads_file
 def trace(
     file: File,
+    reading: Reading,
     driver: Annotated[
         str | None, option("--driver", "Coordinate that counts as the input.", "NAME")
     ] = None,
@@ -350,11 +338,6 @@ def trace(
     html: Page = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Follow a mechanism with one freedom through its whole motion.
@@ -366,7 +349,7 @@ def trace(
     """
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
-    system = _within(load(file, base, root, package_dir, xacro, lenient_limits), tolerance)
+    system = _within(load(file, reading), tolerance)
     from kempe.cli import arguments, loop_report, progress
 
     results(out)
@@ -410,8 +393,10 @@ def trace(
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+@reads_file
 def plot(
     file: File,
+    reading: Reading,
     out: Annotated[
         Path | None,
         typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE."),
@@ -440,18 +425,13 @@ def plot(
     ] = False,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Draw a system at a configuration, or its tree.
 
     Example: kempe plot two_link -o arm.png --q 30,50 --deg --axes all --angles --dimensions
     """
     out = written_to(out, output)
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import arguments
 
     names = [system.structure.frame_name(f) for f in frame or ()]

@@ -15,26 +15,23 @@ from kempe.arguments import until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     OPEN,
-    Base,
     Deg,
-    Dirs,
     File,
     Film,
     Json,
-    Lenient,
     Out,
     Page,
     Picture,
     PositionOnly,
+    Reading,
     Rng,
-    Root,
     TimeLimit,
-    Xacro,
     app,
     drawable,
     drawn,
     load,
     option,
+    reads_file,
     remark,
     results,
     save_picture,
@@ -85,8 +82,10 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def singularities(
     file: File,
+    reading: Reading,
     frame: Frame = None,
     task: FrameTask = None,
     inputs: Inputs = None,
@@ -101,11 +100,6 @@ def singularities(
     html: Page = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
 
@@ -117,7 +111,7 @@ def singularities(
     """
     from kempe.numerics.clock import TimeLimit
 
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     time = TimeLimit(time_limit)
     from kempe.cli import arguments, table_files
 
@@ -168,8 +162,10 @@ def singularities(
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def reach(
     file: File,
+    reading: Reading,
     poses: Poses,
     frame: Reaching,
     position_only: PositionOnly = False,
@@ -182,17 +178,12 @@ def reach(
     html: Page = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
     Example: kempe reach ur5 weld.csv --frame tool
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
     results(out, poses)
@@ -216,8 +207,10 @@ def reach(
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def place(
     file: File,
+    reading: Reading,
     poses: Poses,
     frame: Reaching,
     box: Ranges,
@@ -229,17 +222,12 @@ def place(
     plot: Picture = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Find where to put the base so that all poses of a list are reached.
 
     Example: kempe place ur5 weld.csv --frame tool --box x=-1,1 --box y=-1,1 --box z=0.2
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
     ranges = _box(box, deg)

@@ -122,6 +122,7 @@ def in_options(text: str) -> str:
         if found[3] in (None, "True", "(...)"):
             return flag
         value = "NAME=VALUE" if found[3] == "{name: value}" else found[3].strip("()'")
+        flag = "--xacro-arg" if flag == "--xacro" else flag
         return f"{flag} {value.replace(', ', ',')}"
 
     return _KEYWORD.sub(option, text) if "=" in text else text

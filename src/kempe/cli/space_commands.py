@@ -14,20 +14,17 @@ from kempe.arguments import until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     CLOSED,
-    Base,
-    Dirs,
     File,
     Json,
-    Lenient,
     Out,
     Picture,
-    Root,
+    Reading,
     TimeLimit,
-    Xacro,
     app,
     drawable,
     load,
     option,
+    reads_file,
     results,
     save_picture,
     say_written,
@@ -38,8 +35,10 @@ from kempe.errors import InputError
 
 @app.command(rich_help_panel=CLOSED)
 @guarded
+@reads_file
 def spaces(
     file: File,
+    reading: Reading,
     frame: Annotated[
         str | None, option("--frame", "Frame whose task space is wanted.", "NAME")
     ] = None,
@@ -61,11 +60,6 @@ def spaces(
     plot: Picture = None,
     out: Out = None,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Say what the configuration space is: dimension, components, samples; and the task space of a
     frame.
@@ -83,7 +77,7 @@ def spaces(
         raise InputError("--task says what --plot draws: give it a file")
     if position_only and frame is None:
         raise InputError("--position-only is about the task space of a frame: --frame names it")
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     results(out)
     drawable(plot)
     space = system.configuration_space

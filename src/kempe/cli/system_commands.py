@@ -10,28 +10,24 @@ import typer
 from kempe.cli.app import (
     DESCRIBE,
     OPEN,
-    Base,
     Deg,
-    Dirs,
     File,
     Film,
     FrameOrAll,
     InPlace,
     Json,
-    Lenient,
     Out,
     Page,
     Picture,
     Posture,
-    Root,
+    Reading,
     Values,
-    Xacro,
     app,
     drawable,
     drawn,
     load,
     option,
-    reading,
+    reads_file,
     remark,
     results,
     say_drawn,
@@ -46,8 +42,10 @@ from kempe.description.formats import endings_written, named, read_by
 
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
+@reads_file
 def info(
     file: File,
+    reading: Reading,
     tree: Annotated[
         bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")
     ] = False,
@@ -55,17 +53,12 @@ def info(
     html: Page = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
 
     Example: kempe info panda.urdf
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import as_json, report
 
     drawable(plot, None, html)
@@ -81,16 +74,13 @@ def info(
 
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
+@reads_file
 def check(
     files: Annotated[
         list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")
     ],
+    reading: Reading,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """List all problems of files, each with its line.
 
@@ -101,7 +91,7 @@ def check(
 
     found: list[dict[str, Any]] = []
     for file in files:
-        problems, notes = check_(file, **reading(base, root, package_dir, xacro, lenient_limits))
+        problems, notes = check_(file, **reading)
         found.append(
             {
                 "file": file,
@@ -122,19 +112,16 @@ def check(
 
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
+@reads_file
 def convert(
     file: File,
+    reading: Reading,
     out: Annotated[
         Path | None,
         typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE."),
     ] = None,
     output: InPlace = None,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Write a system in another format, which the ending of OUT names.
 
@@ -144,7 +131,7 @@ def convert(
     from kempe.description.read import write
 
     out = written_to(out, output)
-    mechanism = kempe.read(file, **reading(base, root, package_dir, xacro, lenient_limits))
+    mechanism = kempe.read(file, **reading)
     mechanism.build()
     write(mechanism, out)
     if json:
@@ -158,8 +145,10 @@ def convert(
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def fk(
     file: File,
+    reading: Reading,
     frame: FrameOrAll = None,
     q: Values = None,
     posture: Posture = None,
@@ -169,17 +158,12 @@ def fk(
     gif: Film = None,
     html: Page = None,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Say where a frame is, or all bodies are (forward model).
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import as_json, report, table_files
 
     if frame is not None:

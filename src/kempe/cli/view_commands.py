@@ -10,19 +10,16 @@ from typing import Annotated
 from kempe.cli.app import (
     DESCRIBE,
     MODELS,
-    Base,
     Deg,
-    Dirs,
     File,
     Json,
-    Lenient,
     Posture,
-    Root,
+    Reading,
     Values,
-    Xacro,
     app,
     load,
     option,
+    reads_file,
     remark,
     say_written,
 )
@@ -45,8 +42,10 @@ Html = Annotated[
 
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
+@reads_file
 def view(
     file: File,
+    reading: Reading,
     frame: Frame = None,
     q: Values = None,
     posture: Posture = None,
@@ -54,18 +53,13 @@ def view(
     html: Html = None,
     port: Port = None,
     no_browser: NoBrowser = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
     json: Json = False,
 ) -> None:
     """Show a system in the browser: sliders, targets to drag, all solutions. Ctrl-C ends it.
 
     Example: kempe view panda.urdf --frame panda_hand_tcp
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.cli import table_files
 
     if frame is not None:

@@ -13,22 +13,19 @@ import typer
 from kempe.arguments import until_interrupt
 from kempe.cli.app import (
     OPEN,
-    Base,
     Deg,
-    Dirs,
     File,
     Json,
-    Lenient,
     Picture,
-    Root,
+    Reading,
     Scheduler,
     Threads,
     TimeLimit,
-    Xacro,
     app,
     drawable,
     load,
     option,
+    reads_file,
     save_picture,
 )
 from kempe.cli.as_json import DEGREE
@@ -56,8 +53,10 @@ def _turned(text: str, what: str, deg: bool) -> Any:
 
 @app.command(rich_help_panel=OPEN)
 @guarded
+@reads_file
 def workspace(
     file: File,
+    reading: Reading,
     frame: Annotated[str, option("--frame", "Body or frame whose places are wanted.", "NAME")],
     n: Annotated[
         float | None, option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")
@@ -99,11 +98,6 @@ def workspace(
     time_limit: TimeLimit = None,
     deg: Deg = False,
     json: Json = False,
-    base: Base = None,
-    root: Root = None,
-    package_dir: Dirs = None,
-    xacro: Xacro = False,
-    lenient_limits: Lenient = False,
 ) -> None:
     """Show what a frame reaches, by any number of random configurations, or in one orientation or
     all of them.
@@ -113,7 +107,7 @@ def workspace(
 
     Example: kempe workspace panda --frame tool -n 1e8 -o map.zarr --plot map.png
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system = load(file, reading)
     from kempe.budget import Budget
     from kempe.cli import progress
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,7 +79,7 @@ def read(
     base: str | None = None,
     root: str | None = None,
     package_dirs: Iterable[str | Path] = (),
-    xacro: bool = False,
+    xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
 ) -> Mechanism:
     """Mechanism from a file (its path), from text, or from a model of the library (its name).
@@ -87,13 +87,15 @@ def read(
     `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None.
     ``base="free"``, `root` and `lenient_limits` are for URDF, see `read_urdf`. A path may begin
     with ``~``, the home folder. Meshes may lie in the file's folder and in `package_dirs`.
-    ``xacro=True`` expands a xacro file first, which is a program and must be trusted. Errors:
+    ``xacro=True`` expands a xacro file first, which is a program and must be trusted;
+    ``xacro={"name": "ur5e"}`` also gives values of its ``<xacro:arg>`` elements. Errors:
     `DescriptionError` with file, line, what is wrong and what is allowed.
     """
     allowed = [name for name, f in FORMATS.items() if f.read]
     if format is not None and format not in allowed:
         raise InputError(f"format is {format!r}; it must be {joined(map(repr, allowed))}")
     folders = folders_of(package_dirs)
+    arguments = _arguments(xacro)
     options = {
         "base": base,
         "root": root,
@@ -103,7 +105,7 @@ def read(
     given = {name: value for name, value in options.items() if value is not None}
     how = _How(None if format is None else FORMATS[format], given, folders)
     if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
-        if xacro:
+        if arguments is not None:
             raise InputError("xacro is expanded from a file, not from text; give its path")
         return _read_text(source, "<text>", how)
     if not isinstance(source, (str, Path)):
@@ -113,7 +115,7 @@ def read(
         return _read_text(
             library_path(source).read_bytes(), f"{source}.toml", how._replace(format=TOML)
         )
-    return _read_file(path, how, xacro)
+    return _read_file(path, how, arguments)
 
 
 def check(
@@ -123,7 +125,7 @@ def check(
     base: str | None = None,
     root: str | None = None,
     package_dirs: Iterable[str | Path] = (),
-    xacro: bool = False,
+    xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
 ) -> Check:
     """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
@@ -167,9 +169,18 @@ def _is_text(source: str) -> bool:
     return "\n" in source or not start or by_contents(start) is not None
 
 
-def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
+def _arguments(xacro: bool | Mapping[str, str | float]) -> dict[str, str] | None:
+    """The arguments of a xacro file; None where nothing is to be expanded."""
+    if xacro is False:
+        return None
+    from kempe.description.xacro import xacro_arguments
+
+    return xacro_arguments(xacro)
+
+
+def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mechanism:
     data = _bytes_of(path)
-    if path.suffix == ".xacro" and not xacro:
+    if path.suffix == ".xacro" and arguments is None:
         from kempe.description.xacro import XACRO_ADVICE
 
         raise fail(
@@ -177,10 +188,10 @@ def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
         )
     text = data
     name = str(path)
-    if xacro:
+    if arguments is not None:
         from kempe.description.xacro import expand_xacro
 
-        text = expand_xacro(path, package_dirs=how.folders)
+        text = expand_xacro(path, arguments=arguments, package_dirs=how.folders)
         name = f"{path} (expanded)"
         how = how._replace(format=URDF)
     how = how._replace(

@@ -5,14 +5,28 @@ request.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping
+from html import unescape
+from numbers import Real
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from kempe.description.formats import joined
 from kempe.description.limited import last_words, run_limited
-from kempe.description.source import SIZE_LIMIT, fail, folders_of
-from kempe.errors import DescriptionError, MissingExtraError, Where
+from kempe.description.source import SIZE_LIMIT, fail, folders_of, shorten
+from kempe.errors import (
+    DescriptionError,
+    InputError,
+    MissingExtraError,
+    UnknownNameError,
+    Where,
+    shown,
+)
 
 SECONDS = 20
 """Seconds that an expansion may take, of waiting and so of processor time, too; large robots take
@@ -27,13 +41,30 @@ XACRO_ADVICE = (
 )
 """What to do with a xacro file that was given in place of URDF."""
 
+GIVEN = "xacro={name: value}"
+"""How the arguments of a file are given, as messages say it."""
+
 ROS_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "ROS_ROOT")
 """Variables of the environment that name folders of packages."""
 
+Arguments = Mapping[str, "str | float"]
+"""Values of a file's ``<xacro:arg>`` elements by their names: texts, numbers, or True and False."""
+
 _PACKAGE = re.compile(r"PackageNotFoundError\W+(?:Package not found: )?([\w.-]+)")
+_NOT_GIVEN = re.compile(r"Undefined substitution argument\W+([\w.-]+)")
+_MENTIONS = (
+    r"""<!--.*?-->|<xacro:arg\s(?:[^>"']|"[^"]*"|'[^']*')*>"""
+    r"""|\$\(\s*arg\s[^)]*\)|\barg\(\s*['"][^'"]*['"]\s*\)"""
+)
+"""Text that may name an argument, and comments, which do not."""
+_USED = re.compile(r"""arg[\s('"]+([\w.-]+)""")
+_ATTRIBUTE = re.compile(r"""\s(name|default)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_FEW = 12
+"""Arguments of a file that are listed in messages."""
 
 _WORKER = """
 import os
+import re
 import xacrodoc
 os.chdir(os.path.dirname(s["path"]))
 if s["package_dirs"]:
@@ -51,45 +82,93 @@ for folder in [*folders, *s["package_dirs"]]:  # folders that are called like a 
             xacrodoc.packages.get_path(name)
         except xacrodoc.packages.PackageNotFoundError:
             xacrodoc.packages.update_package_cache({name: folder})
+opened = []
 roots = [os.path.realpath(d) + os.sep for d in [*s["roots"], sys.prefix, sys.base_prefix]]
 def guard(event, given):
     if event == "open" and isinstance(given[0], (str, bytes)):
         path = os.path.realpath(os.fsdecode(given[0]))
         if os.path.dirname(path) != s["beside"] and not any((path + os.sep).startswith(root) for root in roots):
             raise RuntimeError(f"{path} lies outside the folders of the robot")
+        opened.append(path)
     elif event.startswith(("subprocess.", "socket.", "os.exec", "os.fork", "os.posix_spawn", "os.system", "ctypes.")):
         raise RuntimeError(f"{event} is no part of a robot")
 sys.addaudithook(guard)
-document = xacrodoc.XacroDoc.from_file(s["path"], subargs=s["arguments"], resolve_packages=False)
+def mentions():
+    found = {}
+    for path in dict.fromkeys(opened):
+        if os.path.isfile(path) and not path.endswith((".py", ".pyc")):
+            with open(path, encoding="utf-8", errors="replace") as file:
+                found.update(dict.fromkeys(re.findall(s["mentions"], file.read(), re.DOTALL)))
+    return list(found)
+try:
+    document = xacrodoc.XacroDoc.from_file(s["path"], subargs=dict(s["arguments"]), resolve_packages=False)
+finally:
+    sys.stdout.buffer.write(json.dumps(mentions()).encode() + b"\\n")
 sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
 """
+
+
+def xacro_arguments(given: Any) -> dict[str, str] | None:
+    """The texts of the arguments that the option `xacro` gives: True is none, False and None are no
+    expansion.
+
+    Errors: `InputError` for names and values that xacro cannot have.
+    """
+    if given is None or isinstance(given, bool):
+        return {} if given else None
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"xacro is {shown(given)}; it must be True, or a dict with values of the file's "
+            "<xacro:arg> elements by their names"
+        )
+    values: Mapping[Any, Any] = given
+    return {_name(name): _text(name, value) for name, value in values.items()}
+
+
+def _name(name: object) -> str:
+    if not isinstance(name, str):
+        raise InputError(f"xacro has the key {shown(name)}; names of arguments are texts")
+    return name
+
+
+def _text(name: object, value: object) -> str:
+    """The value of an argument as xacro reads it: its true and false are written small."""
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, (str, Real)):
+        return str(value)
+    raise InputError(
+        f"xacro argument {name!r} is {shown(value)}; it must be a text, a number, True or False"
+    )
 
 
 def expand_xacro(
     path: str | Path,
     *,
-    arguments: Mapping[str, str] | None = None,
+    arguments: Arguments | None = None,
     package_dirs: Iterable[str | Path] = (),
     seconds: float = SECONDS,
 ) -> str:
-    """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
+    """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>`` elements.
 
     Only for files that you trust: xacro is a program. It runs in a process with little environment,
     bounded in time, memory and output, which opens files in `folders_to_read` only. `package_dirs`
     are searched by
     ``$(find package)``: for a package.xml with that name at any depth, then for a folder of that
     name in them or above the file.
-    Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own
-    message.
+    Errors: `MissingExtraError` without the extra [xacro], `UnknownNameError` for arguments that the
+    file does not have, `DescriptionError` with xacro's own message and the arguments of the file.
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
     where = Where(str(path))
     path = Path(path).resolve()
     package_dirs = folders_of(package_dirs)
+    values = xacro_arguments(arguments) or {}
     settings = {
         "path": str(path),
-        "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
+        "arguments": values,
+        "mentions": _MENTIONS,
         "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
         "roots": [str(d) for d in folders_to_read(path, package_dirs)],
         "beside": str(path.parent),
@@ -115,9 +194,29 @@ def expand_xacro(
             where,
             "look for a macro that calls itself",
         )
+    head, _, text = ended.output.partition(b"\n")
+    defaults = _declared(json.loads(head)) if head else {}
+    unknown = [name for name in values if name not in defaults]
     if ended.reason:
-        raise _failed(last_words(ended.said), where, package_dirs)
-    return ended.output.decode("utf-8", "replace")
+        listed = _listed(defaults, unknown)
+        raise _failed(last_words(ended.said), where, package_dirs, defaults, listed)
+    if unknown:
+        raise UnknownNameError("xacro argument", unknown[0], defaults, str(where))
+    return text.decode("utf-8", "replace")
+
+
+def _declared(mentions: Iterable[str]) -> dict[str, str | None]:
+    """The arguments of a file with their defaults, None where there is none, by what names them."""
+    defaults: dict[str, str | None] = {}
+    for text in mentions:
+        if text.startswith("<xacro:arg"):
+            found = {key: unescape(a or b) for key, a, b in _ATTRIBUTE.findall(text)}
+            name = found.get("name", "")
+            if defaults.get(name) is None:
+                defaults[name] = found.get("default")
+        elif (used := _USED.search(text)) and not text.startswith("<!--"):
+            defaults.setdefault(used[1])
+    return {name: defaults[name] for name in defaults if name}
 
 
 def folders_to_read(path: Path, package_dirs: Iterable[str | Path]) -> list[Path]:
@@ -143,16 +242,43 @@ def folders_to_read(path: Path, package_dirs: Iterable[str | Path]) -> list[Path
     return [*found, *whole]
 
 
-def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> DescriptionError:
-    """The error with what xacro says, or for a package that is not found where it was looked for."""
-    missing = _PACKAGE.search(said)
-    if missing is None:
+def _listed(defaults: Mapping[str, str | None], unknown: list[str]) -> str:
+    """The arguments of a file with plain defaults, and those given that were not met."""
+    listed = [
+        name if not default or "$" in default else f"{name} (default {shorten(default, 40)})"
+        for name, default in defaults.items()
+    ]
+    shown = ", ".join([*listed[:_FEW], "..."] if len(listed) > _FEW else listed)
+    return f"{shown or 'none'}{f'; not {joined(map(repr, unknown))}' if unknown else ''}"
+
+
+def _failed(
+    said: str,
+    where: Where,
+    package_dirs: tuple[str | Path, ...],
+    defaults: Mapping[str, str | None],
+    listed: str,
+) -> DescriptionError:
+    """The error with what xacro says: which argument it needs, or which package it does not find."""
+    if needed := _NOT_GIVEN.search(said):
+        late = defaults.get(needed[1]) is not None
         return fail(
-            f"xacro failed: {said}", where, "correct the file, or name its folders by package_dirs"
+            f"xacro needs the argument {needed[1]!r}"
+            + (", used before its <xacro:arg>" if late else ""),
+            where,
+            f"give it by {GIVEN}; arguments of this file: {listed}",
         )
-    looked = ", ".join(repr(str(d)) for d in package_dirs)
+    if missing := _PACKAGE.search(said):
+        looked = ", ".join(repr(str(d)) for d in package_dirs)
+        return fail(
+            f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),
+            where,
+            "name by package_dirs a folder that holds one of this name, with or without a "
+            "package.xml",
+        )
     return fail(
-        f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),
+        f"xacro failed: {said}",
         where,
-        "name by package_dirs a folder that holds one of this name, with or without a package.xml",
+        "correct the file, or name its folders by package_dirs"
+        + (f", or give its arguments by {GIVEN}: {listed}" if defaults else ""),
     )
