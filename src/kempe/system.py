@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from kempe.forward.parameter_batches import Designs
     from kempe.inverse.all_answer import Solutions
     from kempe.inverse.answer import Solution
+    from kempe.inverse.ik_step import IkStep
     from kempe.inverse.path import IkPath
-    from kempe.inverse.servo import IkStep
     from kempe.mobility.answer import Mobility
     from kempe.mobility.classify import Classification
     from kempe.mobility.independent import Chart
@@ -509,9 +509,9 @@ class System(Model, Pictured):
         weights: Any = None,
     ) -> IkStep:
         """Velocities for a frame's twist or for tasks, within all limits; see
-        `inverse.servo.ik_step`.
+        `inverse.ik_step.ik_step`.
         """
-        from kempe.inverse.servo import ik_step
+        from kempe.inverse.ik_step import ik_step
 
         return ik_step(
             self,

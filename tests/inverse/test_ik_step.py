@@ -12,7 +12,7 @@ from scipy.optimize import linprog, lsq_linear
 
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
-from kempe.inverse.servo import Servo
+from kempe.inverse.frame_step import Servo
 from kempe.numerics.least_squares import SHIFT, bounded
 
 HAND = "panda_link7"

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.inverse.chain.serial_chain import chain_of
-from kempe.inverse.servo import SLIDING, TURNING, speeds
+from kempe.inverse.ik_step import SLIDING, TURNING, speeds
 from kempe.model.characteristic_length import characteristic_length
 
 TIPS = {"panda": "panda_hand_tcp", "ur5": "tool", "iiwa14": "tool"}

@@ -177,6 +177,14 @@ class Packed:
         ]
         return sum(len(t.rows) - (t.turns in trivial) for t in ties)
 
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero
+        for equations.
+        """
+        low, high = self.loops.bounds[:, self.rows >= 0]
+        return low, high
+
     def pins(self, goals: Sequence[Goals], lead: tuple[int, ...] = ()) -> Array:
         """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
         given = [

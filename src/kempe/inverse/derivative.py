@@ -14,7 +14,6 @@ from kempe.equations.tasks import Goals
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached, Solution
-from kempe.inverse.servo import ends_of_rows
 from kempe.kernels.base.search_layout import AHEAD, NOTHING
 from kempe.singular_values import svd
 from kempe.spatial import Array
@@ -187,7 +186,7 @@ def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     """Which of the tasks' rows (m,) are held, which are lowered, and the roots of their weights."""
     packed = problem.packed
     error, _ = packed.evaluate(q, problem.pins)
-    low, high = ends_of_rows(packed)
+    low, high = packed.ends
     levels, strengths, *_ = problem.levels
     counts = [len(t.rows) for t in packed.loops.ties]
     own = packed.rows >= 0
@@ -208,7 +207,7 @@ def _rows(
     (held, soft, weight) = counts
     error, J = packed.evaluate(q, pins)
     closed, C = packed.evaluate(q, pins, closures=True)
-    low, high = ends_of_rows(packed)
+    low, high = packed.ends
     miss = (error - np.clip(error, low, high))[..., soft] * weight[soft]
     S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
     if problem.mode == AHEAD and problem.aim is not None:

@@ -1,0 +1,718 @@
+"""The step of a system whose constraints hold, for a frame or for several tasks in order.
+
+Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z,
+with an orthonormal basis N of their null space, in radians and characteristic lengths. What each
+stage reaches, the next ones keep: they act in the null space of its equations, its inequalities
+become bounds (Siciliano and Slotine, 1991; Escande, Mansard and Wieber, 2014). The step is of
+first order, so it opens the loops by the square of its size: they are closed again, within the
+same limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.assemble.nearest_exact import ideal_of
+from kempe.equations.closure_rows import evaluate, full
+from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.slip import at_rest, hard_rows, rolls
+from kempe.equations.velocity import row_names
+from kempe.errors import InputError
+from kempe.inverse.frame_step import (
+    ASIDE,
+    BLIND,
+    FLAT,
+    LARGEST,
+    SADDLE,
+    STILL,
+    TAKEN,
+    TRIALS,
+    led_on,
+)
+from kempe.numerics.least_squares import (
+    LEAST,
+    NEAR,
+    SHIFT,
+    Bend,
+    bounded,
+    damped,
+    part_within,
+    scaled,
+)
+from kempe.numerics.rank import null_space
+from kempe.singular_values import svd
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.tasks.demands import Demands
+    from kempe.model.model import Model
+
+
+OPEN = 1e-3
+"""By how much, in radians and characteristic lengths, loops may be open at first: more is no
+drift."""
+CLOSED = 1e-12
+"""By how much they may be open after the step."""
+CORRECTIONS = 8
+HALVINGS = 12
+"""Steps that close the loops again, and how often a step is halved after which that fails."""
+HALF = 0.5
+ENOUGH = 1e-13
+BUSY = 2.0
+"""Part of what is required that a step of first order may leave; what may be left in any case; and
+what earlier stages miss, as a multiple of the square of the step, to count as not arrived."""
+DIFFERENCE = 1e-5
+"""Step of the differences of Jacobians, in radians and characteristic lengths."""
+ROUNDING = 1e-14
+"""Length of what is missed that rounding makes."""
+PREVENTS = 1e-6
+"""Part of what is missed that a velocity constraint takes, where it is named as the reason."""
+EPSILON = 1e-15
+"""Part of a coordinate by which it is at a limit."""
+BEYOND = 1e-12
+"""By how much a bound may seem to be exceeded: rounding."""
+
+
+class Stage(NamedTuple):
+    """What is required at one level: A u = b as nearly as can be, and low <= I u <= high; u are
+    scaled velocities.
+    """
+
+    A: Array
+    b: Array
+    inequalities: Array
+    low: Array
+    high: Array
+    hard: bool = True
+
+    def beside(self, rest: Array) -> Stage:
+        """What is required of the velocities beside some that are there at rest (nv,)."""
+        if not rest.any():
+            return self
+        have = self.inequalities @ rest
+        return self._replace(b=self.b - self.A @ rest, low=self.low - have, high=self.high - have)
+
+    def missed(self, u: Array | None = None) -> float:
+        """The length of what velocities u (nv,) leave of what is required, or of all of it."""
+        left = self.b if u is None else self.b - self.A @ u
+        square = float(left @ left)
+        if len(self.low):
+            value = np.zeros(len(self.low)) if u is None else self.inequalities @ u
+            out = np.maximum(self.low - value, 0.0) + np.maximum(value - self.high, 0.0)
+            square += float(out @ out)
+        return math.sqrt(square)
+
+
+class Left(NamedTuple):
+    """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what
+    equations do, velocities (nv,) that these ask for at `rest`, and between what declared one-sided
+    `rows` (m, nv) of them stay for dt.
+    """
+
+    basis: Array
+    rest: Array
+    rows: Array
+    low: Array
+    high: Array
+
+
+class ConstrainedSteps:
+    """All of a system's steps under its constraints that does not depend on the configuration.
+
+    `closing` is the system whose loops stay closed: the ideal one of `system`, or itself.
+    """
+
+    def __init__(self, system: Model):
+        self.system = system
+        layout = system.structure.layout
+        self.closing = ideal_of(system)
+        loops = full(self.closing, True)
+        self.length = loops.length
+        self.names = loops.names
+        self.rolls = rolls(system)
+        self.scale: Array = loops.scale
+        self.at_v = layout.vector_v
+        self.at_q = layout.vector_q
+        self.lower = system.lower[self.at_v]
+        self.upper = system.upper[self.at_v]
+        self.bounds = one_sided_rows(self.closing)
+        self.upcoming: tuple[Any, Any] = None, None
+        """A step that was computed ahead, after what asks for it."""
+
+    def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
+        """Least and largest scaled velocities (nv,) for which limits of position and speed hold
+        after dt.
+
+        What is outside its limits comes back as fast as it may.
+        """
+        x = q[self.at_q]
+        low = -speed
+        high = speed.copy()
+        at = self.at_v
+        below = self.lower - x
+        above = self.upper - x
+        near = EPSILON * np.maximum(1.0, np.abs(x))
+        below[np.abs(below) <= near] = 0.0
+        above[np.abs(above) <= near] = 0.0
+        low[at] = np.minimum(np.maximum(low[at], below / dt), speed[at])
+        high[at] = np.maximum(np.minimum(high[at], above / dt), -speed[at])
+        return low / self.scale, high / self.scale
+
+    def twist(self, J: Array, twist: Array, weights: Array) -> Stage:
+        """The stage of a frame's twist, of its Jacobian (6, nv)."""
+        w = weights.copy()
+        w[:3] /= self.length
+        nothing = np.zeros(0)
+        return Stage(
+            w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing
+        )
+
+    def free(self, q: Array, dt: float) -> Left:
+        """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for
+        open loops.
+        """
+        error, C = evaluate(self.closing, q, True, True)
+        worst = int(np.argmax(np.abs(error))) if len(error) else -1
+        if len(error) and not abs(error[worst]) < OPEN:
+            raise InputError(
+                f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} "
+                "(radians, characteristic lengths); robot.assemble(start=q) closes them"
+            )
+        between = self._between(q, dt)
+        if not self.rolls:
+            return Left(null_space(C), np.zeros(self.system.nv), *between)
+        A, b = hard_rows(self.system, q, self.scale)
+        return Left(null_space(np.concatenate([C, A])), at_rest(C, A, b), *between)
+
+    def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
+        within dt.
+        """
+        rows = self.bounds
+        k = self.bounds.declared
+        if not k:
+            return np.zeros((0, self.system.nv)), np.zeros(0), np.zeros(0)
+        value, G = rows.rates(q, declared=True)
+        scale = rows.scale[:k] / dt
+        return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
+
+    def _missed(self, x: Array, before: Array) -> tuple[Array, Array]:
+        """What equations miss at x, and declared one-sided rows by more than `before`, with the
+        rates of both.
+        """
+        error, C = evaluate(self.closing, x, True, True)
+        if not self.bounds.declared:
+            return error, C
+        more, G = self.bounds.violated(x, before)
+        return np.concatenate([error, more]), np.concatenate([C, G])
+
+    def velocity(
+        self,
+        free: Left,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        damping: float,
+        *,
+        speeds: tuple[Array, Array] | None = None,
+        twist: Twist | None = None,
+        model: Array | None = None,
+    ) -> Array:
+        """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as
+        from there.
+
+        `speeds`, least and largest velocities within the box, shorten what a stage asks for, before
+        others take over. `twist` says that the stage is a twist, or has a direction that is kept.
+        `model` (k, k), where given, is the Hessian that counts for the last stage.
+        """
+        N, rest, rows, least, most = free
+        some = _Descent(N, speeds)
+        own = np.isfinite(low) | np.isfinite(high)
+        rows = np.concatenate([np.eye(len(low))[own], rows])
+        box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
+        some.take(box.beside(rest), 0.0)
+        for k, stage in enumerate(stages):
+            some.take(stage.beside(rest), damping, twist, model if k + 1 == len(stages) else None)
+        least, most = speeds or (low, high)
+        return np.minimum(np.maximum(rest + N @ some.z, least), most)
+
+    def blocking(
+        self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array
+    ) -> tuple[str, ...]:
+        """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their
+        multipliers.
+        """
+        pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
+        C = evaluate(self.closing, q, True, True)[1]
+        A = hard_rows(self.system, q, self.scale)[0]
+        bounds = np.eye(len(u))[(u <= low) | (u >= high)]
+        forces = np.linalg.lstsq(np.concatenate([A, C, bounds]).T, pull, rcond=1e-9)[0][: len(A)]
+        some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
+        return tuple(
+            dict.fromkeys(
+                name for (name, _), is_so in zip(row_names(self.system), some, strict=True) if is_so
+            )
+        )
+
+    def twisted(
+        self,
+        q: Array,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        damping: float,
+        direction: bool,
+        dt: float,
+        at: Callable[[Array], list[Stage]],
+        slow: float,
+    ) -> tuple[Array, Array, bool]:
+        """The configuration (nq,) after dt, the scaled velocities (nv,) of a twist, and whether the
+        motion is calm.
+        """
+        free = self.free(q, dt)
+        twist = Twist(dt, self.bend(q, free.basis, stages[0], at), direction)
+        return *self.after(
+            q, self.velocity(free, stages, low, high, damping, twist=twist), dt, low, high
+        ), False
+
+    def towards(
+        self,
+        q: Array,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        damping: float,
+        direction: bool,
+        dt: float,
+        at: Callable[[Array], list[Stage]],
+        slow: float,
+    ) -> tuple[Array, Array, bool]:
+        """The configuration (nq,) after dt, the scaled velocities (nv,) towards goals, and whether
+        the motion is calm.
+
+        Where a `direction` is kept the step is straight as long as that leads on. Otherwise the
+        first stage that a step of first order does not lower as promised takes one of second order,
+        which must do so, else a shorter one; stages after it do not count. Limits of speed shorten
+        these steps. `at` gives the stages at a configuration. The motion is calm where the step
+        arrives, and the next one makes good only what second derivatives have left: then no joint
+        turns back.
+        """
+        free = self.free(q, dt)
+        if direction:
+            after, u = self.straight(q, free, stages, low, high, dt, at)
+            if (share := led_on(stages[0].A, stages[0].b, u, low, high)) == 1.0:
+                return after, u, False
+            other = self.towards(q, stages, low, high, damping, False, dt, at, slow)[1]
+            return *self.after(q, share * u + (1.0 - share) * other, dt, low, high), False
+        wide = (low, high)
+        speeds = None
+        if not free.rest.any() and (low <= 0.0).all() and (high >= 0.0).all():
+            least, most = self.box(q, dt, np.full(len(low), math.inf))
+            wide = (np.maximum(least, -LARGEST / dt), np.minimum(most, LARGEST / dt))
+            speeds = (low, high)
+        u = self.velocity(free, stages, *wide, damping)
+        size = dt * float(u @ u)
+        requested = [s.missed() for s in stages]
+        still = size * dt <= ENOUGH**2
+        whole = speeds is None or part_within(u, low, high) == 1.0
+        left = [s.missed(u) for s in stages]
+        if not (whole or still):  # far away
+            left = [s.missed() for s in at(self.after(q, u, dt, *wide)[0])]
+        k = next(
+            (k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None
+        )
+        if (
+            k is None
+            or (k and max(requested[:k]) > BUSY * size)
+            or (k and requested[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
+            # earlier ones move it, by more than it disturbs them; or curvature is little beside
+            # what is gained
+        ):
+            if still:
+                u = np.minimum(np.maximum(0.0, low), high)
+            elif not whole:
+                u = self.velocity(free, stages, *wide, damping, speeds=speeds)
+            next_speed = size * math.sqrt(len(u)) / max(NEAR, damping)
+            calm = (
+                whole
+                and max(left, default=0.0) <= ENOUGH / dt
+                and damping >= NEAR
+                and next_speed <= slow
+            )
+            return *self.after(q, u, dt, low, high), calm
+        own = stages[: k + 1]
+        before = requested[k]
+        model = self.curvature(q, free.basis, own, u, *wide, dt, at)
+        more = 0.0
+        for _ in range(TRIALS):
+            convex = model + more * np.eye(len(model))
+            u = self.velocity(free, own, *wide, damping, model=convex)
+            promise = before**2 - own[k].missed(u) ** 2
+            if (
+                promise <= BLIND * before**2
+                and (way := self.aside(free, own, u, *wide, dt, model)) is not None
+            ):
+                u, promise = way
+                speeds = (low, high) if speeds is None else speeds
+                convex = None
+            if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
+                break
+            if promise > 0.0 and (
+                promise <= BLIND * before**2
+                or at(self.after(q, u, dt, *wide)[0])[k].missed() ** 2
+                <= before**2 - TAKEN * promise
+            ):
+                if convex is None:
+                    u = part_within(u, low, high) * u
+                elif speeds is not None:
+                    u = self.velocity(free, own, *wide, damping, speeds=speeds, model=convex)
+                return *self.after(q, u, dt, low, high), False
+            more = 4.0 * more if more else 1e-2 * float(np.abs(model).max())
+        u = self.velocity(free, stages[:k], *wide, damping, speeds=speeds)
+        return *self.after(q, u, dt, low, high), False
+
+    def straight(
+        self,
+        q: Array,
+        free: Left,
+        stages: list[Stage],
+        low: Array,
+        high: Array,
+        dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> tuple[Array, Array]:
+        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards a pose, its
+        direction kept.
+
+        The step is halved until it lowers what is missed by half of what it promises; if it never
+        does, there is none.
+        """
+        twist = Twist(dt, self.bend(q, free.basis, stages[0], at), True)
+        before = stages[0].missed()
+        u = self.velocity(free, stages, low, high, 0.0, twist=twist)
+        for _ in range(HALVINGS if before > ENOUGH / dt else 0):
+            promise = before**2 - stages[0].missed(u) ** 2
+            if promise <= STILL * before**2:
+                break
+            found = self.after(q, u, dt, low, high)
+            if at(found[0])[0].missed() ** 2 <= before**2 - HALF * promise:
+                return found
+            u = 0.5 * u
+        return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
+
+    def aside(
+        self,
+        free: Left,
+        stages: list[Stage],
+        u: Array,
+        low: Array,
+        high: Array,
+        dt: float,
+        model: Array,
+    ) -> tuple[Array, float] | None:
+        """Velocities (nv,) that leave a saddle point of what the last stage misses, and the
+        decrease that they promise.
+
+        Their direction is that of the least curvature, where it is negative, among those that
+        earlier stages and bounds leave; None where there is no such direction.
+        """
+        N = free.basis
+        held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
+        own = null_space(np.concatenate([held, *(s.A @ N for s in stages[:-1])]))
+        if not own.shape[1]:
+            return None
+        values, W = np.linalg.eigh(own.T @ model @ own)
+        if values[0] >= -SADDLE * float(np.abs(model).max()):
+            return None
+        way = N @ (own @ W[:, 0])
+        way = way if float(way @ (stages[-1].A.T @ stages[-1].b)) >= 0.0 else -way
+        rows = [np.eye(len(u)), free.rows]
+        ends = [(low, high), (free.low, free.high)]
+        for s in stages:
+            kept = (s.low <= 0.0) & (s.high >= 0.0)
+            rows.append(s.inequalities[kept])
+            ends.append((s.low[kept], s.high[kept]))
+        least, most = (np.concatenate(x) for x in zip(*ends, strict=True))
+        step = ASIDE / dt * way
+        step = part_within(np.concatenate(rows) @ step, least, most) * step
+        return step, -float(values[0]) * float(step @ step)
+
+    def bend(self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]) -> Bend:
+        """Derivatives (k, m, n) of a stage's equations over the free velocities N along directions
+        (k, n) of these.
+
+        Loops stay closed to second order.
+        """
+
+        def along(ways: Array) -> Array:
+            size = np.abs(ways).max(axis=1)
+            moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
+            ends = self.system.structure.layout.integrate(
+                q, np.concatenate([moves, -moves]) * self.scale
+            )
+            per = (size / (2.0 * DIFFERENCE))[:, None, None]
+            k = len(ways)
+            A = at(ends)[0].A
+            C = evaluate(self.closing, ends, True, True)[1]
+            A = (A[:k] - A[k:]) * per
+            C = (C[:k] - C[k:]) * per
+            if C.shape[-2]:
+                A = (
+                    A
+                    - stage.A
+                    @ np.linalg.pinv(evaluate(self.closing, q, True, True)[1], rcond=1e-8)
+                    @ C
+                )
+            return A @ N
+
+        return along
+
+    def curvature(
+        self,
+        q: Array,
+        N: Array,
+        stages: list[Stage],
+        u: Array,
+        low: Array,
+        high: Array,
+        dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> Array:
+        """The Hessian (k, k), in the free velocities, of half the square of what the last stage
+        misses, where loops and earlier stages stay as they are: that of the Lagrangian, by
+        differences.
+        """
+
+        def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
+            """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at
+            configurations.
+            """
+            C = evaluate(self.closing, x, True, True)[1]
+            s = requested[-1]
+            out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
+            pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum(
+                "...i,...ij->...j", out, s.inequalities
+            )
+            return dt * pull, np.concatenate([C, *(t.A for t in requested[:-1])], axis=-2)
+
+        pull, rows = push(q, stages)
+        at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
+        rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
+        held = np.concatenate([rows, rolling, at_bound])
+        forces = (
+            np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
+        )
+        moves = DIFFERENCE * N.T * self.scale
+        ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]))
+        pulled, kept = push(ends, at(ends)[: len(stages)])
+        pulled = pulled - np.einsum("i,...ij->...j", forces, kept)
+        H = (pulled[len(moves) :] - pulled[: len(moves)]) @ N / (2.0 * DIFFERENCE)
+        return 0.5 * (H + H.T)
+
+    def after(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> tuple[Array, Array]:
+        """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where
+        that has to be.
+        """
+        for k in range(HALVINGS):
+            part = 0.5**k
+            found = self.closed(q, part * u, dt, low, high)
+            if found is not None:
+                return found, part * u
+        return q.copy(), 0.0 * u
+
+    def closed(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> Array | None:
+        """The closed configuration (nq,) next to q + u dt, None where limits or a singularity are
+        in the way.
+
+        By the smallest corrections (Newton), bounded where these would leave the box.
+        """
+        system = self.system
+        x = self.system.structure.layout.integrate(
+            q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt
+        )
+        before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
+        for _ in range(CORRECTIONS):
+            error, C = self._missed(x, before)
+            if np.abs(error).max(initial=0.0) <= CLOSED:
+                return self._inside(q, x)
+            moved = system.structure.layout.difference(q, x) / self.scale
+            least = np.minimum(low * dt - moved, 0.0)
+            most = np.maximum(high * dt - moved, 0.0)
+            more = -np.linalg.pinv(C, rcond=1e-8) @ error
+            if (more < least).any() or (more > most).any():
+                A = np.concatenate([C, LEAST * np.eye(len(more))])
+                more = bounded(A, np.concatenate([-error, np.zeros(len(more))]), least, most, more)
+            x = system.structure.layout.integrate(x, more * self.scale)
+        return None
+
+    def bent(self, q: Array, u: Array, dt: float) -> Array:
+        """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to
+        second order.
+        """
+        A, b = hard_rows(
+            self.system,
+            self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale),
+            self.scale,
+        )
+        return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
+
+    def _inside(self, q: Array, x: Array) -> Array:
+        """x, its limits kept to the last bit where q kept them."""
+        now = q[self.at_q]
+        x[self.at_q] = np.clip(
+            x[self.at_q], np.minimum(self.lower, now), np.maximum(self.upper, now)
+        )
+        return x
+
+
+class Twist(NamedTuple):
+    """What a twist needs beside its equations: the time of the step, their derivatives, and whether
+    it is kept.
+    """
+
+    dt: float
+    bend: Bend
+    kept: bool
+
+
+class _Descent:
+    """Velocities N z, lowered stage by stage: what earlier stages reached stays."""
+
+    def __init__(self, N: Array, speeds: tuple[Array, Array] | None = None):
+        self.N = N
+        self.z = np.zeros(N.shape[1])
+        self.free = np.eye(N.shape[1])
+        self.G = np.zeros((0, N.shape[1]))
+        self.low = np.zeros(0)
+        self.high = np.zeros(0)
+        self.speeds = speeds
+
+    def take(
+        self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None
+    ) -> None:
+        """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts
+        for it.
+        """
+        A = stage.A @ self.N
+        b = stage.b
+        G = stage.inequalities @ self.N
+        value = G @ self.z
+        slack = BEYOND * np.maximum(1.0, np.abs(value))
+        out = (value < stage.low - slack) | (value > stage.high + slack)
+        if stage.hard:
+            self._bound(G[~out], stage.low[~out], stage.high[~out])
+        free = self.free
+        equations = np.concatenate([A, G[out]]) @ free
+        wish = np.concatenate(
+            [b - A @ self.z, (np.clip(value, stage.low, stage.high) - value)[out]]
+        )
+        low = self.low - self.G @ self.z
+        high = self.high - self.G @ self.z
+        # rounding
+        low = np.minimum(low, 0.0)
+        high = np.maximum(high, 0.0)
+        if len(wish) and free.shape[1]:
+            if twist is not None and twist.kept:
+                y = scaled(equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None)
+            elif twist is not None:
+                y = damped(
+                    equations, wish, low, high, damping, self.G @ free, None, twist.bend, SHIFT
+                )
+            else:
+                if model is not None:
+                    pull = free.T @ (
+                        A.T @ b
+                        + G[out].T @ np.clip(value, stage.low, stage.high)[out]
+                        - model @ self.z
+                    )
+                    equations, wish = convex(free.T @ model @ free, pull, equations, damping)
+                    damping = 0.0
+                y = damped(equations, wish, low, high, damping, self.G @ free, None)
+            self.z = self.z + free @ (
+                y if self.speeds is None else self._slowed(y, equations, low, high)
+            )
+        if stage.hard and out.any():
+            value = G[out] @ self.z
+            self._bound(
+                G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
+            )
+        self.free = free @ null_space(A @ free)
+
+    def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
+        """y (k,) of the free velocities, shortened until limits of speed alone hold, then the
+        nearest that is left.
+        """
+        assert self.speeds is not None
+        rows = self.N @ self.free
+        (least, most) = self.speeds
+        now = self.N @ self.z
+        y = part_within(rows @ y, least, most) * y
+        value = rows @ y
+        least = np.minimum(least - now, 0.0)
+        most = np.maximum(most - now, 0.0)
+        if (value >= least).all() and (value <= most).all():
+            return y
+        G = np.concatenate([rows, self.G @ self.free])
+        low = np.append(least, low)
+        high = np.append(most, high)
+        weak = SHIFT * NEAR * (float(np.linalg.norm(equations, 2)) or 1.0)
+        metric = np.concatenate([equations, weak * np.eye(len(y))])
+        return bounded(metric, metric @ y, low, high, np.zeros(len(y)), G)
+
+    def _bound(self, G: Array, low: Array, high: Array) -> None:
+        self.G = np.concatenate([self.G, G])
+        self.low = np.concatenate([self.low, low])
+        self.high = np.concatenate([self.high, high])
+
+
+def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
+    """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a
+    pull stand for.
+
+    What damping the equations J would have is added.
+    """
+    _, s, Vt = svd(J, full_matrices=True)
+    s = np.concatenate([s, np.zeros(len(Vt) - len(s))]) / max(float(s.max(initial=0.0)), 1e-300)
+    weak = damping * np.sqrt(np.maximum(1.0 - (s / NEAR) ** 2, 0.0)) * float(np.linalg.norm(J, 2))
+    values, V = np.linalg.eigh(H + (Vt.T * weak**2) @ Vt)
+    size = np.abs(values)
+    size[size <= FLAT * size.max()] = max(float(size.max()), 1e-300)
+    return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
+
+
+def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
+    """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone
+    after dt.
+    """
+    packed = problem.packed
+    loops = problem.packed.loops
+    error, J = packed.evaluate(q, problem.pins)
+    levels, strengths, *_ = problem.levels
+    counts = np.array([len(t.rows) for t in loops.ties])
+    own = packed.rows >= 0
+    level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
+    weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
+    low, high = packed.ends
+    equal = low == high
+    J = weight[:, None] * J
+    low = weight * (low - error) / dt
+    high = weight * (high - error) / dt
+    out: list[Stage] = []
+    for s in range(1, int(level.max(initial=0)) + 1):
+        same = (level == s) & equal
+        between = (level == s) & ~equal
+        ends = low[..., between], high[..., between]
+        out.append(
+            Stage(
+                J[..., same, :],
+                low[..., same],
+                J[..., between, :],
+                *ends,
+                bool(hard[level == s][0]),
+            )
+        )
+    return out

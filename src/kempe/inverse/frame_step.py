@@ -1,0 +1,548 @@
+"""The step of a frame that its own chain moves, for a twist or towards a pose.
+
+A step is of second order wherever the first order does not halve the error. A step of least
+squares takes what is missing for something that the joints can make good. Where they cannot, at
+the border of the workspace, at limits or by far, the error stays, and with it the second
+derivative of the chain that such a step lacks: it overshoots, and the next one shoots back. So
+there the error's own Hessian counts (Newton), in the box of what the limits allow, and a step is
+taken where it lowers the error as promised. What cannot be had is then left by speeds that go to
+zero, at a local minimum of the error. It is measured as `ik` does, in radians and characteristic
+lengths.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.forward.fk import query
+from kempe.inverse.chain.serial_chain import chain_of
+from kempe.model.characteristic_length import characteristic_length
+from kempe.numerics.least_squares import (
+    NEAR,
+    NOISE,
+    SHIFT,
+    Bend,
+    damped,
+    least_in_box,
+    part_within,
+    scaled,
+    wish,
+)
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+
+SLOW = 0.0499
+"""Part of its speed above which no joint turns back from one cycle to the next."""
+
+
+ENOUGH = 1e-26
+"""Square of the error that counts as zero: 1e-13 of a length."""
+RESIDUAL = 0.5
+"""Damping as a part of the error (Levenberg and Marquardt; Sugihara, 2011)."""
+ENOUGH_GAIN = 0.75
+LITTLE_GAIN = 0.25
+"""Decreases of the error, as parts of what a straight way would give, from which a step of first
+order counts alone, and up to which one of second order does; between them they are mixed."""
+DIFFERENCE = 1e-5
+"""Step of the differences of the Jacobian, in radians and characteristic lengths."""
+LARGEST = 0.5
+ASIDE = 0.05
+"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is
+left."""
+FLAT = 1e-10
+SADDLE = 1e-6
+"""Parts of the largest curvature: up to the first it counts as none, below minus the second as
+negative."""
+TAKEN = 0.1
+STRICT = 0.5
+"""Part of the promised decrease that must be had; more than half of it where a direction is
+kept."""
+STILL = 1e-20
+BLIND = 1e-13
+"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides
+the true one."""
+ROUNDING = 1e-28
+"""Promised decrease below which one rests, however small the error is."""
+LITTLE = 0.01
+LEADS = 0.05
+"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept,
+from the second on it alone counts; between them the straight step and the one towards the nearest
+pose are mixed."""
+LITTLE_USE = 0.1
+MUCH_USE = 0.5
+"""The same for the part of the speed, or of the rest of the way, that a straight step makes use
+of."""
+TRIALS = 16
+HALVINGS = 6
+"""Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction
+that is kept."""
+
+
+def pose_error(goal: Array, pose: Array) -> Array:
+    """What is missing (6,) of a pose: [position; rotation vector] in ground axes."""
+    out = np.empty(6)
+    out[:3] = goal[:3, 3] - pose[:3, 3]
+    R = goal[:3, :3] @ pose[:3, :3].T
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    x = 0.5 * (h - f)
+    y = 0.5 * (c - g)
+    z = 0.5 * (d - b)
+    cosine = 0.5 * (a + e + i - 1.0)
+    if not cosine > -0.9:  # the antisymmetric part fades
+        out[3:] = spatial.log_so3(R)
+        return out
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = math.atan2(sine, cosine) / sine if sine > 1e-8 else 1.0
+    out[3] = factor * x
+    out[4] = factor * y
+    out[5] = factor * z
+    return out
+
+
+# ---- towards a pose
+
+
+class Approach:
+    """One step towards a pose, from a configuration q (nq,): `velocity` (n,) of the chain, and `q`
+    after it.
+    """
+
+    def __init__(
+        self,
+        servo: Servo,
+        q: Array,
+        goal: Array,
+        pose: Array,
+        J: Array,
+        dt: float,
+        weights: Array | None,
+        slow: float,
+    ):
+        self.servo = servo
+        self.before = q
+        self.goal = goal
+        self.dt = dt
+        self.slow = slow
+        self.calm = False
+        """A speed that no joint exceeds in the next cycle, where it is `calm`."""
+        self.e = pose_error(goal, pose)
+        self.J = J
+        self.metric = servo.metric if weights is None else servo.metric * weights
+        self.missing = self.metric * self.e
+        self.even = weights is None or weights[3] == weights[4] == weights[5]
+        """Whether the logarithm's own derivative leaves the gradient alone."""
+        self.A = self.metric[:, None] * (J if self.even else turned(self.e[3:], J)) * servo.unit
+        self.square = float(self.missing @ self.missing)
+
+    def go(
+        self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool
+    ) -> Array:
+        """Velocities (n,) in the box from `low` to `high`: straight ahead as long as that leads on,
+        where a `direction` is kept, and then towards the nearest pose.
+        """
+        rest = np.minimum(np.maximum(0.0, low), high)
+        if self.square <= ENOUGH or not len(low):
+            return rest
+        twist = self.e / self.dt
+        A, b = (self.J, twist) if weights is None else (weights[:, None] * self.J, weights * twist)
+        if not direction:
+            return self.nearer(A, b, low, high, rest, damping, weights)
+        bend = self.servo.bend(self.before, weights)
+        straight = self.shortened(scaled(A, b, low, high, self.dt, bend, near=self.servo.near))
+        unit = self.servo.unit
+        share = led_on(self.A, self.missing / self.dt, straight / unit, low / unit, high / unit)
+        if share == 1.0:
+            return straight
+        return share * straight + (1.0 - share) * self.nearer(
+            A, b, low, high, rest, damping, weights
+        )
+
+    def nearer(
+        self,
+        A: Array,
+        b: Array,
+        low: Array,
+        high: Array,
+        rest: Array,
+        damping: float,
+        weights: Array | None,
+    ) -> Array:
+        """Velocities (n,) in the box towards the nearest pose, by any way that the error goes down.
+
+        Limits of speed shorten the step that limits of position leave: so all joints arrive
+        together.
+        """
+        near = self.servo.near
+        wished = wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
+        x = wished.x
+        least, most = self.servo.box(self.before, self.dt, self.servo.unbounded)
+        if whole := bool((x >= least).all() and (x <= most).all()):
+            part = part_within(x, low, high)
+        else:
+            x = damped(A, b, least, most, damping, near=near, shift=SHIFT, wished=wished)
+            part = 0.0 if rest.any() else part_within(x, low, high)
+        part = min(part, LARGEST / max(float(np.abs(x * self.dt / self.servo.unit).max()), 1e-300))
+        left = self.left(part * x) if part else self.square
+        gain = (1.0 - math.sqrt(left / self.square)) / part if part else 0.0
+        if gain >= ENOUGH_GAIN:
+            self.calm = whole and part == 1.0 and self.arrived(left, wished.s[-1], weights)
+            return part * x
+        y = self.second_order(least, most, wished.rows)
+        if rest.any():
+            return np.minimum(np.maximum(y, low), high)
+        y = part_within(y, low, high) * y
+        share = max(0.0, (gain - LITTLE_GAIN) / (ENOUGH_GAIN - LITTLE_GAIN))
+        return share * part * x + (1.0 - share) * y
+
+    def arrived(self, left: float, smallest: float, weights: Array | None) -> bool:
+        """Whether the square of the error that is left is so small that the next velocities are,
+        too.
+        """
+        servo = self.servo
+        if weights is not None or smallest < servo.near:
+            return False
+        return (
+            2.0 * math.sqrt(left) * max(1.0, 1.0 / servo.metric[0])
+            <= smallest * self.dt * self.slow
+        )
+
+    def left(self, velocity: Array) -> float:
+        """Square of the error after velocities (n,)."""
+        servo = self.servo
+        pose = servo.query(servo.after(self.before, servo.spread(velocity), self.dt))
+        missing = self.metric * pose_error(self.goal, pose)
+        return float(missing @ missing)
+
+    def shortened(self, velocity: Array) -> Array:
+        """The velocities (n,), halved until they lower the error by at least half of what they
+        promise.
+
+        Zero where that is next to nothing for what the joints move: there the direction leads no
+        farther.
+        """
+        velocity = np.where(np.abs(velocity) > NOISE * np.abs(velocity).max(), velocity, 0.0)
+        z = velocity * self.dt / self.servo.unit
+        slope = 2.0 * float(self.missing @ (self.A @ z))
+        if slope <= 2.0 * LITTLE * math.sqrt(self.square * float(z @ z)) + ROUNDING:
+            return 0.0 * velocity
+        for _ in range(HALVINGS):
+            if self.left(velocity) <= self.square - STRICT * slope:
+                return velocity
+            velocity = 0.5 * velocity
+            slope = 0.5 * slope
+        return 0.0 * velocity
+
+    def second_order(self, low: Array, high: Array, damping: Array) -> Array:
+        """The velocities (n,) in the box that make the error's second order least, if they lower
+        the error itself.
+        """
+        unit = self.servo.unit
+        dt = self.dt
+        least = np.maximum(low * dt / unit, -LARGEST)
+        most = np.minimum(high * dt / unit, LARGEST)
+        rest = np.minimum(np.maximum(0.0, least), most)
+        push = self.A.T @ self.missing
+        H = self.hessian()
+        strength = np.abs(H).max(axis=1)
+        idle = strength <= FLAT * strength.max()
+        weak = damping * unit
+        model = H + weak.T @ weak if len(weak) else H
+        more = 0.0
+        for _ in range(TRIALS):
+            z, curvature, way = newton_step(model, push, least, most)
+            z[idle] = rest[idle]
+            promise = 2.0 * float(push @ z) - float(z @ H @ z)
+            # damping hides where the error itself curves down
+            if promise <= BLIND * self.square and len(weak):
+                curvature, way = newton_step(H, push, least, most)[1:]
+            if promise <= BLIND * self.square and curvature < 0.0:
+                z = aside(z, way if push @ way >= 0.0 else -way, least, most)
+                promise = 2.0 * float(push @ z) - float(z @ H @ z)
+            if rest.any():  # what is outside its limits comes back
+                return unit * z / dt
+            if 0.0 <= promise <= STILL * self.square + ROUNDING:
+                break
+            if (
+                0.0 < promise <= BLIND * self.square
+                or self.left(unit * z / dt) <= self.square - TAKEN * promise
+            ):
+                return unit * z / dt
+            more = max(4.0 * more, 1e-3 * float(np.abs(model).max()))
+            model = model + more * np.eye(len(z))
+        return rest
+
+    def hessian(self) -> Array:
+        """The Hessian (n, n) of half the square of the error, in radians and characteristic
+        lengths.
+
+        Of the chain's second derivatives by differences of its Jacobian, of the logarithm by its
+        own derivative (Bullo and Murray, 1995).
+        """
+        servo = self.servo
+        w = self.metric
+        if not self.even:
+            return self.by_differences()
+        J = servo.query.pose_and_jacobian(servo.beside(self.before, DIFFERENCE * servo.unit))[1]
+        ahead = J[: len(servo.v)]
+        behind = J[len(servo.v) :]
+        rate = w[:, None] * turned(self.e[3:], self.J) * servo.unit
+        forces = ((w * self.missing) @ (ahead - behind))[:, servo.v] * servo.unit
+        H = self.A.T @ rate - forces / (2.0 * DIFFERENCE)
+        return 0.5 * (H + H.T)
+
+    def by_differences(self) -> Array:
+        """The Hessian (n, n) where turns about the axes of the ground count unequally: differences
+        of the gradient.
+        """
+        servo = self.servo
+        w = self.metric
+        pushes: list[Array] = []
+        for q in servo.beside(self.before, DIFFERENCE * servo.unit):
+            pose, J = servo.query.pose_and_jacobian(q)
+            e = pose_error(self.goal, pose)
+            pushes.append((w * e) @ (w[:, None] * turned(e[3:], J[:, servo.v]) * servo.unit))
+        ahead, behind = np.reshape(pushes, (2, len(servo.v), len(servo.v)))
+        H = (behind - ahead) / (2.0 * DIFFERENCE)
+        return 0.5 * (H + H.T)
+
+
+def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
+    """How far straight velocities x (n,) in a box lead on, from 0 to 1.
+
+    By the decrease of what is missed for what the joints move, and by how much of the room that the
+    box and the rest of the way leave is used: close to a singular configuration it is little.
+    """
+    wish = math.sqrt(float(b @ b))
+    size = math.sqrt(float(x @ x))
+    had = float(b @ (A @ x))
+    if not had > 0.0:
+        return 0.0
+    gain = had / (wish * size)
+    room = np.where(x > 0.0, high, -low)
+    used = max(had / wish**2, float(np.max(np.abs(x) / np.maximum(room, 1e-300))))
+    return min(
+        1.0,
+        max(0.0, (gain - LITTLE) / (LEADS - LITTLE)),
+        max(0.0, (used - LITTLE_USE) / (MUCH_USE - LITTLE_USE)),
+    )
+
+
+def turned(r: Array, J: Array) -> Array:
+    """A Jacobian (6, n) whose angular rows are the rates of what is missing, the rotation vector r,
+    not of turns.
+    """
+    angle = math.sqrt(float(r @ r))
+    gamma = 0.5 * angle / math.tan(0.5 * angle) if angle > 1e-3 else 1.0 - angle * angle / 12.0
+    rest = (1.0 - gamma) / (angle * angle) if angle > 1e-3 else 1.0 / 12.0
+    x, y, z = (0.5 * r).tolist()
+    M = 4.0 * rest * np.array([[x * x, x * y, x * z], [x * y, y * y, y * z], [x * z, y * z, z * z]])
+    M += np.array([[gamma, -z, y], [z, gamma, -x], [-y, x, gamma]])
+    out = J.copy()
+    out[3:] = M @ J[3:]
+    return out
+
+
+def newton_step(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, float, Array]:
+    """The z (n,) in a box that makes z H z / 2 - push z least, H's curvatures made positive; also
+    the least curvature of what is free, where it is negative, and its direction (n,).
+    """
+    values, V = np.linalg.eigh(H)
+    most = max(float(-values[0]), float(values[-1]), 1e-300)
+    if values[0] > FLAT * most:
+        return least_in_box(H, push, low, high)[0], 0.0, push
+    size = np.abs(values)
+    size[size <= FLAT * most] = most  # nothing is gained there
+    z, free = least_in_box((V * size) @ V.T, push, low, high)
+    own = free.nonzero()[0]
+    if values[0] >= -SADDLE * most or not len(own):
+        return z, 0.0, z
+    some, W = np.linalg.eigh(H[own[:, None], own])
+    if some[0] >= FLAT * most:  # convex in what is free: its own curvature, not one made larger
+        x = z.copy()
+        x[own] = np.linalg.solve(H[own[:, None], own], push[own] - H[own] @ np.where(free, 0.0, z))
+        x = np.minimum(np.maximum(x, low), high)
+        return x if 2.0 * push @ x - x @ H @ x > 2.0 * push @ z - z @ H @ z else z, 0.0, z
+    way = np.zeros(len(z))
+    way[own] = W[:, 0]
+    return z, min(float(some[0]) + SADDLE * most, 0.0), way
+
+
+def aside(z: Array, way: Array, low: Array, high: Array) -> Array:
+    """z (n,) moved along a way, as far as the box and a small step let it."""
+    moves = np.abs(way) > 1e-12
+    room = np.where(way > 0.0, high - z, z - low)[moves] / np.abs(way[moves])
+    return np.minimum(np.maximum(z + min(ASIDE, float(room.min(initial=ASIDE))) * way, low), high)
+
+
+# ---- the step at a configuration
+
+
+class Move(NamedTuple):
+    """Velocities (n,) of a chain at a configuration, their box, the Jacobian (6, n), and the twist
+    that is wanted.
+
+    `calm` says that no joint turns back after the step, by a bound on second derivatives.
+    """
+
+    velocity: Array
+    low: Array
+    high: Array
+    J: Array
+    twist: Array
+    calm: bool
+
+
+class Servo:
+    """All of a frame's steps that does not depend on the configuration, looked up once."""
+
+    def __init__(self, system: Model, frame: str):
+        self.system = system
+        self.frame = frame
+        self.query = query(system, frame)
+        chain = chain_of(system, frame)
+        self.v = chain.v_index
+        reach = min((b.largest for b in chain.bounds), default=math.inf)
+        self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
+        """Singular values to be damped: metres, so less where the whole chain is shorter than
+        one."""
+        layout = system.structure.layout
+        place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
+        limited = [(k, place[v]) for k, v in enumerate(self.v.tolist()) if v in place]
+        self.at_v = np.array([k for k, _ in limited], dtype=np.int64)
+        self.at_q = np.array([i for _, i in limited], dtype=np.int64)
+        own = self.v[self.at_v]
+        self.lower = system.lower[own]
+        self.upper = system.upper[own]
+        self.speed = system.structure.velocity_limits[self.v]
+        self.upcoming: tuple[Any, Any] = None, None
+        """A move that was computed ahead, after what asks for it: the next cycle mostly does."""
+        self.unbounded = np.full(len(self.v), math.inf)
+        self.plain = len(limited) == len(self.v)
+        self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
+        self.names = [system.structure.velocity_names[int(i)] for i in self.v]
+        length = characteristic_length(system)
+        slides = ~system.structure.coordinates.turning[self.v]
+        slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
+        self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
+        """What weighs the error of a pose as `ik` does."""
+        self.unit = np.where(slides, length, 1.0)
+
+    def move(
+        self,
+        q: Array,
+        x: Array,
+        dt: float,
+        fastest: Array,
+        damping: float,
+        direction: bool,
+        weights: Array | None,
+    ) -> Move:
+        """The velocities for a twist (6,) or towards a pose (4, 4), at a configuration (nq,)."""
+        pose, J = self.query.pose_and_jacobian(q)
+        J = J[:, self.v]
+        w = weights
+        low, high = self.box(q, dt, fastest)
+        if x.ndim == 2:
+            approach = Approach(
+                self, q, x, pose, J, dt, w, SLOW * float(fastest.min(initial=math.inf))
+            )
+            own = approach.go(low, high, damping, w, direction)
+            return Move(own, low, high, J, approach.e / dt, approach.calm)
+        A, b = (J, x) if w is None else (w[:, None] * J, w * x)
+        wished = wish(A, b, damping, self.near)
+        if (
+            len(wished.s)
+            and wished.s[-1] >= self.near
+            and (not direction or len(A) <= len(wished.s))
+        ):
+            own = wished.x  # regular
+            if (own >= low).all() and (own <= high).all():
+                bound = dt * math.sqrt(len(own)) * float(wished.s[0] * (own @ own) / wished.s[-1])
+                calm = bound <= SLOW * float(fastest.min()) and self.roomy(q, own, dt)
+                return Move(own, low, high, J, x, calm)
+        bend = self.bend(q, w)
+        if direction:
+            own = scaled(A, b, low, high, dt, bend, near=self.near)
+        else:
+            own = damped(
+                A, b, low, high, damping, near=self.near, bend=bend, shift=SHIFT, wished=wished
+            )
+        return Move(own, low, high, J, x, False)
+
+    def roomy(self, q: Array, velocity: Array, dt: float) -> bool:
+        """Whether no limit of position is met in two such steps."""
+        x = q[self.at_q] + 2.0 * dt * velocity[self.at_v]
+        return bool((x >= self.lower).all() and (x <= self.upper).all())
+
+    def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
+        """Least and largest velocities (n,) for which limits of position and speed hold after dt.
+
+        What is outside its limits comes back as fast as it may.
+        """
+        x = q[self.at_q]
+        low = -speed
+        high = speed.copy()
+        low[self.at_v] = np.minimum(
+            np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v]
+        )
+        high[self.at_v] = np.maximum(
+            np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v]
+        )
+        return low, high
+
+    def bend(self, q: Array, weights: Array | None) -> Bend:
+        """Derivatives (k, 6, n) of the Jacobian, its rows weighted, along directions (k, n), as
+        central differences.
+        """
+
+        def along(ways: Array) -> Array:
+            size = np.abs(ways / self.unit).max(axis=1)
+            steps = np.zeros((len(ways), self.system.nv))
+            steps[:, self.v] = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * ways
+            ends = self.system.structure.layout.integrate(q, np.concatenate([steps, -steps]))
+            J = self.query.pose_and_jacobian(ends)[1][:, :, self.v]
+            out = (J[: len(ways)] - J[len(ways) :]) * (size / (2.0 * DIFFERENCE))[:, None, None]
+            return out if weights is None else weights[:, None] * out
+
+        return along
+
+    def spread(self, velocity: Array) -> Array:
+        """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""
+        out = np.zeros(self.system.nv)
+        out[self.v] = velocity
+        return out
+
+    def beside(self, q: Array, step: Array) -> Array:
+        """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by
+        minus that.
+        """
+        n = len(self.v)
+        if self.plain:
+            out = np.broadcast_to(q, (2 * n, len(q))).copy()
+            out[self.ahead, self.at_q] += step
+            out[self.behind, self.at_q] -= step
+            return out
+        moves = np.zeros((2 * n, self.system.nv))
+        moves[range(n), self.v] = step
+        moves[range(n, 2 * n), self.v] = -step
+        return self.system.structure.layout.integrate(q, moves)
+
+    def after(self, q: Array, velocity: Array, dt: float) -> Array:
+        """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
+        if not self.plain:
+            out = self.system.structure.layout.integrate(q, velocity * dt)
+        else:
+            out = q.copy()
+            out[self.at_q] += velocity[self.v] * dt
+        x = q[self.at_q]
+        out[self.at_q] = np.minimum(
+            np.maximum(out[self.at_q], np.minimum(self.lower, x)), np.maximum(self.upper, x)
+        )
+        return out

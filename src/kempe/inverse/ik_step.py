@@ -1,0 +1,468 @@
+"""`ik_step`: velocities of one step that give a frame a twist or lead it to a pose, within limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.answers.answer import Answer
+from kempe.arguments import brief, explained, explained_methods
+from kempe.arrays import reals
+from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.slip import rolls
+from kempe.errors import InputError
+from kempe.forward.fk import query, refuse_bad
+from kempe.inverse.chain.serial_chain import obstacle
+from kempe.inverse.constrained_step import ConstrainedSteps, Stage, stages_of
+from kempe.inverse.frame_step import SLOW, Move, Servo, pose_error
+from kempe.kernels.forward.table_layout import BALL, TURN
+from kempe.model.configurations import as_q
+from kempe.model.model import kept
+from kempe.model.own_tree import own_tree
+from kempe.poses import arrays, sound
+from kempe.report import by_code
+from kempe.spatial import Array
+from kempe.status import Status
+
+if TYPE_CHECKING:
+    from kempe.inverse.tasks.demands import Demands
+    from kempe.model.model import FrameLike, Model
+
+
+WHOLE = 1.0 - 1e-3
+"""Fraction of what is wanted that counts as all of it: damping takes less than the rest far from
+singularities."""
+NONE = np.zeros(0)
+EYE = np.eye(3)
+TURNING = math.pi
+SLIDING = 1.0
+"""Largest speeds of joints that the description gives none, in rad/s and m/s."""
+SHORTER = 5
+"""Halvings of a step so that no joint turns back from one cycle to the next."""
+SKEW = 1e-5
+"""Sum of what a rotation's product with its transpose may miss."""
+BESIDE = 1e-12
+"""How near to a bound a velocity is at it, where it is a sum of others."""
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class IkStep(Answer):
+    """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they
+    give the frame.
+
+    For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and
+    characteristic lengths. `fraction` is the part of the wanted twist in that, 1 where it is had in
+    full; `saturated` names the coordinates that are at a limit of position or velocity,
+    `default_speed` those of them whose limit of velocity is the default one, since neither the
+    system nor the call has one. `blocked_by` names the velocity constraints, such as wheels that do
+    not slip sideways, that prevent the rest of the wanted motion.
+    """
+
+    __repr__ = brief
+
+    also = ("velocity", "twist", "fraction", "saturated", "blocked_by")
+
+    q: Array
+    velocity: Array
+    twist: Array
+    fraction: float
+    saturated: tuple[str, ...]
+    system: Model = field(repr=False)
+    default_speed: tuple[str, ...] = ()
+    blocked_by: tuple[str, ...] = ()
+
+    success = by_code
+
+    @property
+    def code(self) -> Status:
+        """The outcome: `PARTLY` where limits or a singularity leave only a fraction of what was
+        wanted.
+        """
+        return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        if self.success:
+            text = "The wanted motion in full"
+            default = ()
+        else:
+            none = "Nothing of the wanted motion" if self.velocity.any() else "No motion"
+            text = f"{self.fraction:.3g} of the wanted motion" if self.fraction > 0.0 else none
+            default = self.default_speed
+        declared = self.system._mechanism.constraints
+        why = [declared[name].of.prevents.format(name=name) for name in self.blocked_by]
+        if limited := [name for name in self.saturated if name not in self.default_speed]:
+            why.append(f"at a limit: {', '.join(map(repr, limited))}")
+        if default:
+            why.append(
+                f"at the default speed (pi rad/s, {SLIDING:.3g} m/s): "
+                f"{', '.join(map(repr, default))}"
+            )
+        return f"{text}: {'; '.join(why)}" if why else text
+
+    def _claimed(self) -> np.ndarray:
+        return np.array(False)  # a step is of first order: how far it leads away is its residual
+
+
+@explained
+def ik_step(
+    system: Model,
+    q: Any,
+    wanted: Any,
+    frame: FrameLike | None = None,
+    dt: float = 0.0,
+    *,
+    velocity_limits: Any = None,
+    damping: float = 0.05,
+    keep_direction: bool = False,
+    weights: Any = None,
+) -> IkStep:
+    """The step that gives a frame the wanted twist for the time dt [s], as nearly as limits allow.
+
+    `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4,
+    4) to be reached in dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or
+    soft and in strict priorities. The velocities make the squared error of the twist least
+    (`weights` (6,) of its rows, zero where a row does not count) and, among those that do, their
+    own size; near singularities the directions that are hard to move in are damped, by at most
+    `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
+    default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate
+    turns or slides; `math.inf` lifts them), and no coordinate leaves its limits within dt. Where a
+    twist asks for more, other joints take over, and the velocities change gradually where they do:
+    so a little of the twist that a bounded least-squares problem would give is left. A singular
+    configuration from which a twist leads to second order only is left.
+
+    With `keep_direction` the twist is scaled instead of bent: what is had is the largest part of it
+    that the limits allow, from 0 to 1, but for a few percent that self-motions cost. Towards a
+    singular configuration the part falls to zero, and the motion comes to rest there: it never goes
+    back. Close to one, the direction is kept to 1 %. Towards a pose the frame goes straight, in
+    position and orientation together, as long as that leads on; where a limit or the border of the
+    workspace ends the straight way, the motion turns gradually towards the nearest pose.
+
+    A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits,
+    are approached: limits of speed shorten the step, so all joints arrive together. Where a step of
+    first order does not lower the error, its second order counts (Newton); saddle points of the
+    error are left. So cycles that ask for the same come to rest, at a local minimum of the error,
+    in radians and characteristic lengths as in `ik`, with `keep_direction`, too. Of a twist only
+    the caller knows where it leads.
+
+    In cycles that ask for the same, no joint turns back from one cycle to the next at more than a
+    twentieth of its limit of speed: the velocities of the next cycle are computed, too, and the
+    step is shortened where one changes its sign. What is asked for decides alone: no velocity of an
+    earlier call counts.
+
+    Loops and relations of several coordinates stay closed, those of the whole system for tasks and
+    for a frame that they move: to first order by the velocities, and then in `q`, which is closed
+    again (q may be open a little, as by drift). Velocity constraints hold: what rolls does not
+    slip, and the way to `q` obeys them to second order. Declared one-sided constraints hold as
+    limits do. There
+    sizes are measured in radians and characteristic lengths, and damping relative to the largest
+    singular value. Errors: `InputError`, also where the loops are open.
+    """
+    q = as_q(system, q)
+    if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
+        raise InputError(
+            f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one "
+            f"configuration ({system.nq},), a positive time and a number not negative"
+        )
+    speed = (
+        speeds(system)
+        if velocity_limits is None
+        else _numbers(velocity_limits, system.nv, "velocity_limits")
+    )
+    default = ~np.isfinite(system.structure.velocity_limits) if velocity_limits is None else None
+    w = _numbers(weights, 6, "weights", True) if weights is not None else None
+    if frame is None:
+        if keep_direction or w is not None:
+            raise InputError(
+                "keep_direction and weights are for the twist of a frame; tasks have weights of "
+                "their own"
+            )
+        return _held_step(system, q, wanted, None, dt, speed, default, damping, False, None)
+    name = system.structure.frame_name(frame)
+    if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
+        return _held_step(system, q, wanted, name, dt, speed, default, damping, keep_direction, w)
+    servo = _servo(system, name)
+    x = _motion(wanted)
+    fastest = speed[servo.v]
+    case = (
+        x.tobytes(),
+        dt,
+        fastest.tobytes(),
+        damping,
+        keep_direction,
+        None if w is None else w.tobytes(),
+    )
+
+    def law(q: Array) -> Move:
+        if servo.upcoming[0] == (case, q.tobytes()):
+            return servo.upcoming[1]
+        return servo.move(q, x, dt, fastest, damping, keep_direction, w)
+
+    def after(part: float) -> Array:
+        there = servo.after(q, servo.spread(part * own), dt)
+        move = law(there)
+        servo.upcoming = (case, there.tobytes()), move
+        return move.velocity
+
+    own, low, high, J, twist, calm = law(q)
+    if not calm:
+        own = own * steady(after, own, fastest)
+    velocity = servo.spread(own)
+    had = J @ own
+    part = _part(had, twist) if w is None else _part(w * had, w * twist)
+    at = ((own <= low) | (own >= high)).nonzero()[0]
+    names = tuple(servo.names[int(i)] for i in at)
+    return IkStep(
+        servo.after(q, velocity, dt),
+        velocity,
+        had,
+        part,
+        names,
+        system,
+        _at_default(system, names, velocity, speed, default),
+    )
+
+
+def _at_default(
+    system: Model,
+    saturated: tuple[str, ...],
+    velocity: Array,
+    speed: Array,
+    default: np.ndarray | None,
+) -> tuple[str, ...]:
+    """Those of the saturated coordinates that move at a default speed (nv,)."""
+    if not saturated or default is None:
+        return ()
+    fast: list[bool] = np.logical_and(default, np.abs(velocity) >= speed * (1.0 - BESIDE)).tolist()
+    return tuple(
+        name
+        for name, is_so in zip(system.structure.velocity_names, fast, strict=True)
+        if is_so and name in saturated
+    )
+
+
+def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
+    """The part of the step by which no joint turns back at once, at more than `SLOW` of its speed
+    (n,).
+
+    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
+    shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
+    across.
+    """
+    least = SLOW * fastest
+    part = 1.0
+    for _ in range(SHORTER):
+        moved = part * velocity
+        big = np.abs(moved) > least
+        if not big.any():
+            break
+        then = after(part)
+        if not (big & (np.abs(then) > least) & (moved * then < 0.0)).any():
+            break
+        part *= 0.5
+    else:
+        big = np.abs(velocity) > least
+        part = float((least[big] / np.abs(velocity[big])).min(initial=1.0))
+    return part
+
+
+@kept
+def _servo(system: Model, frame: str) -> Servo:
+    return Servo(system, frame)
+
+
+def _held_step(
+    system: Model,
+    q: Array,
+    wanted: Any,
+    frame: str | None,
+    dt: float,
+    speed: Array,
+    default: np.ndarray | None,
+    damping: float,
+    direction: bool,
+    weights: Array | None,
+) -> IkStep:
+    """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
+    if not np.isfinite(q).all():
+        refuse_bad(system, q)
+    closed = _closed(system)
+    at, J, asked = _wanted(
+        system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights
+    )
+    low, high = closed.box(q, dt, speed)
+    slow = SLOW * float((speed / closed.scale).min(initial=math.inf))
+    law = closed.twisted if frame is not None and np.ndim(wanted) == 1 else closed.towards
+
+    case = (
+        asked,
+        dt,
+        speed.tobytes(),
+        damping,
+        direction,
+        None if weights is None else weights.tobytes(),
+    )
+
+    def step(x: Array) -> tuple[Array, Array, bool]:
+        if closed.upcoming[0] == (case, x.tobytes()):
+            return closed.upcoming[1]
+        return law(x, at(x), *closed.box(x, dt, speed), damping, direction, dt, at, slow)
+
+    def then(part: float) -> Array:
+        there = after if part == 1.0 else closed.after(q, part * u, dt, low, high)[0]
+        found = step(there)
+        closed.upcoming = (case, there.tobytes()), found
+        return found[1]
+
+    stages = at(q)
+    (after, u, calm) = step(q)
+    if not calm and (part := steady(then, u, speed / closed.scale)) < 1.0:
+        after, u = closed.after(q, part * u, dt, low, high)
+    velocity = u * closed.scale
+    near = BESIDE * np.maximum(1.0, np.abs(u))
+    at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
+    requested = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
+    had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
+    twist = had if frame is None else J @ velocity
+    names = tuple(system.structure.velocity_names[int(i)] for i in at)
+    part = _part(had, requested)
+    blocked = closed.blocking(q, stages, u, low, high) if part < WHOLE and closed.rolls else ()
+    return IkStep(
+        after,
+        velocity,
+        twist,
+        part,
+        names,
+        system,
+        _at_default(system, names, velocity, speed, default),
+        blocked,
+    )
+
+
+def _wanted(
+    system: Model,
+    closed: ConstrainedSteps,
+    q: Array,
+    wanted: Any,
+    frame: str | None,
+    dt: float,
+    weights: Array,
+) -> tuple[Callable[[Array], list[Stage]], Array, tuple[Any, ...]]:
+    """What is required at configurations (..., nq), as a function of them; the Jacobian (6, nv) of
+    the frame, if any; and all that the function depends on, for comparisons.
+    """
+
+    if frame is None:
+        problem = posed(system, wanted, q)
+        levels, strengths, *_ = problem.levels
+        asked = (
+            problem.packed,
+            problem.pins.tobytes(),
+            np.asarray(levels).tobytes(),
+            np.asarray(strengths).tobytes(),
+        )
+        return lambda x: stages_of(problem, x, dt), NONE, asked
+    goal = _motion(wanted)
+    pose_of = query(system, frame)
+
+    def at(x: Array) -> list[Stage]:
+        pose, J = pose_of.pose_and_jacobian(x)
+        if goal.ndim == 1:
+            return [closed.twist(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
+        missing = np.array([pose_error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(
+            *x.shape[:-1], 6
+        )
+        return [closed.twist(J, missing / dt, weights)]
+
+    return at, pose_of.jacobian(q), (frame, goal.tobytes())
+
+
+def posed(system: Model, wanted: Any, q: Array) -> Demands:
+    """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals
+    that are none.
+    """
+    from kempe.equations.packed_tasks import refuse
+    from kempe.inverse.tasks.search import pose_problem
+
+    problem, _ = pose_problem(system, wanted, q)
+    if problem.lead:
+        raise InputError(
+            f"the goals have the leading shape {problem.lead}; one step has one goal for each task"
+        )
+    for task, goals in zip(problem.tasks, problem.goals, strict=True):
+        refuse(goals, task.label)
+    return problem
+
+
+@kept
+def _closed(system: Model) -> Any:
+
+    return ConstrainedSteps(system)
+
+
+def _part(had: Array, requested: Array) -> float:
+    """Which part of what is required is had."""
+    square = float(requested @ requested)
+    return float(requested @ had) / square if square else 1.0
+
+
+def _motion(wanted: Any) -> Array:
+    """The twist (6,) or pose (4, 4) that is wanted, checked."""
+    x = reals(
+        arrays(wanted, "the wanted motion"), "the wanted motion", "a twist (6,) or a pose (4, 4)"
+    )
+    good = x.shape == (6,) and math.isfinite(x.dot(x))
+    if x.shape == (4, 4) and not (good := _is_pose(x)):
+        x = sound(x, "the wanted motion")
+        good = _is_pose(x)
+    if not good:
+        raise InputError(
+            f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), "
+            "finite, the rotation of a pose orthonormal with determinant +1"
+        )
+    return x
+
+
+def _is_pose(x: Array) -> bool:
+    R = x[:3, :3]
+    off = math.fsum(np.abs((R @ R.T - EYE).ravel())) + abs(float(x[3, 3]) - 1.0)
+    return off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
+
+
+@kept
+def speeds(system: Model) -> Array:
+    """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else
+    `TURNING` and `SLIDING`.
+
+    The defaults hold for coupled joints too: a coordinate is so slow that none of its followers
+    exceeds them.
+    """
+    table = own_tree(system).structure.table
+    given = system.structure.velocity_limits
+    usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
+    usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
+    for kind, v, m in zip(
+        table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True
+    ):
+        if kind != BALL:
+            usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
+    return np.where(np.isfinite(given), given, usual)
+
+
+def _numbers(x: Any, n: int, what: str, finite: bool = False) -> Array:
+    try:
+        out = np.broadcast_to(reals(x, what, f"a number or ({n},) numbers"), (n,))
+    except InputError:
+        raise
+    except ValueError:
+        out = np.full(1, np.nan)
+    if not (out >= 0.0).all() or (finite and not np.isfinite(out).all()):
+        raise InputError(
+            f"{what} is {x!r}; it must be a number or ({n},) numbers, none "
+            f"negative{' or infinite' if finite else ''}"
+        )
+    return out
