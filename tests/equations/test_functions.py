@@ -90,6 +90,47 @@ def test_functions_of_poses_have_the_derivatives_of_what_they_compute(dim):
         np.testing.assert_allclose(J, signs[:, None] * rows, atol=1e-9)
 
 
+def counted(function):
+    """The function, and the list that grows by each call of it."""
+    calls: list[int] = []
+
+    def call(*args):
+        calls.append(1)
+        return function(*args)
+
+    return call, calls
+
+
+def test_functions_of_poses_are_called_no_more_often_than_those_of_q():
+    """One frame has six twists, which are fewer than seven coordinates; of seven frames all
+    coordinates count but those of the fingers.
+    """
+    s = kempe.load("panda")
+    q = s.random(6)
+    links = [f"panda_link{k}" for k in range(1, 8)]
+    far = np.array([0.45, 0.2, 0.3])
+    for frames, most in ((links[-1:], 12), (links, 14)):
+        of_poses, by_poses = counted(lambda *P: [np.linalg.norm(X[:3, 3] - far) for X in P])
+        of_q, by_q = counted(
+            lambda x, frames=frames: np.linalg.norm(s.fk(x, frames)[:, :3, 3] - far, axis=-1)
+        )
+        mine = check(c.Function(of_poses, frames=frames), s, q[None])
+        same = Whole(s, c.Function(of_q))
+        by_poses.clear()
+        by_q.clear()
+        np.testing.assert_allclose(mine.jacobian(q), same.jacobian(q), rtol=0, atol=1e-9)
+        assert len(by_poses) == most <= len(by_q)
+    X = np.eye(4)
+    X[:3, :3] = np.diag([1, -1, -1])
+    X[:3, 3] = 0.5, 0.1, 0.35
+    bounds = {"low": np.full(7, 0.15), "high": np.full(7, np.inf)}
+    by_poses.clear()
+    by_q.clear()
+    for apart in (c.Function(of_poses, frames=links, **bounds), c.Function(of_q, **bounds)):
+        assert s.ik([kempe.tasks.Pose("panda_hand_tcp", X), apart])
+    assert 0 < len(by_poses) <= len(by_q)
+
+
 def test_poses_in_assembly_and_in_ik():
     """A height that branches, in a loop; and a whole pose of a robot."""
     s = kempe.load("four_bar")

@@ -215,7 +215,8 @@ class Function(Constraint):
 
     With `frames` it is called with their poses (4, 4) in the ground, one after the other, in place
     of q. `derivative` gives its derivatives (m, nv) by the velocity coordinates, and is checked;
-    else they are by complex steps or differences. Its error is compared with the tolerance of
+    else they are by complex steps or differences, with one or two calls for each coordinate, and
+    with `frames` for each that moves one of them. Its error is compared with the tolerance of
     angles.
     """
 

@@ -23,7 +23,7 @@ from kempe.forward.fk import jacobian as frame_jacobian
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import random
 from kempe.model.coordinates import Layout
-from kempe.model.kernel_functions import STEP, WEIGHTS, Callback
+from kempe.model.kernel_functions import Callback
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -241,8 +241,10 @@ class Whole:
         return reals(found, f"the value of {self.label}").reshape(self.count)
 
     def jacobian(self, q: Array) -> Array:
-        """The derivatives (m, nv) at q: through poses by differences of the function alone, six for
-        each.
+        """The derivatives (m, nv) at q.
+
+        Those of a function of poses by differences along the motions of all frames together: two
+        calls for each coordinate that moves one of them, or for each twist where these are fewer.
         """
         shape = (self.count, self.system.nv)
         if self.how:
@@ -251,19 +253,24 @@ class Whole:
                 jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
                 f"the Jacobian of {self.label}",
             ).reshape(shape)
-        poses = self._inputs(q)
+        poses = np.stack(self._inputs(q))
+        columns = np.stack([frame_jacobian(self.system, q, f) for f in self.frames])
+        moving = np.flatnonzero(columns.any(axis=(0, 1)))
+        if len(moving) > 6 * len(self.frames):
+            scale = np.tile(np.repeat([characteristic_length(self.system), 1.0], 3), len(poses))
+            twists = np.diag(scale).reshape(-1, len(poses), 6)
+            return self._along(poses, twists) / scale @ columns.reshape(-1, self.system.nv)
         J = np.zeros(shape)
-        steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
-        for k, frame in enumerate(self.frames):
-            by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
-            for i, step in enumerate(steps):
-                ends = [(n * sign * step, w * sign) for n, w in WEIGHTS for sign in (1, -1)]
-                by[:, i] = (
-                    sum(w * self._checked(self.given(*_displaced(poses, k, i, x))) for x, w in ends)
-                    / step
-                )
-            J += by @ frame_jacobian(self.system, q, frame)
+        J[:, moving] = self._along(poses, np.moveaxis(columns[..., moving], -1, 0))
         return J
+
+    def _along(self, poses: Array, twists: Array) -> Array:
+        """Derivatives (m, n) of the function of poses (k, 4, 4) along world-aligned twists (n, k, 6)."""
+        out = np.empty((self.count, len(twists)))
+        for i, twist in enumerate(REAL_STEP * twists):
+            ahead, back = (self._checked(self.given(*_moved(poses, x))) for x in (twist, -twist))
+            out[:, i] = (ahead - back) / (2.0 * REAL_STEP)
+        return out
 
     def callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
         """Some of its numbers, as kernels call them."""
@@ -296,14 +303,12 @@ def _takes(function: Callable[..., Any], n: int) -> bool:
     return True
 
 
-def _displaced(poses: list[Array], k: int, axis: int, step: float) -> list[Array]:
-    """The poses, one of them moved along or turned about an axis of the ground through its origin."""
-    X = poses[k].copy()
-    if axis < 3:
-        X[axis, 3] += step
-    else:
-        X[:3, :3] = spatial.exp_so3(step * np.eye(3)[axis - 3]) @ X[:3, :3]
-    return [*poses[:k], X, *poses[k + 1 :]]
+def _moved(poses: Array, twists: Array) -> Array:
+    """The poses (k, 4, 4), moved along and turned about axes of the ground through their origins."""
+    out = poses.copy()
+    out[:, :3, :3] = spatial.exp_so3(twists[:, 3:]) @ poses[:, :3, :3]
+    out[:, :3, 3] += twists[:, :3]
+    return out
 
 
 @dataclass(frozen=True, eq=False)
