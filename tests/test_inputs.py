@@ -7,10 +7,12 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+from array import array
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -131,6 +133,8 @@ def tables(q: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
         "series and array": (many, [Series(many[0, ::-1], back), *many[1:]]),
         "records": (many, np.array([tuple(row[::-1]) for row in many], dtype=record)),
         "labels 0, 1, 2": (one, Series(one, range(len(names)))),
+        "message": (one, SimpleNamespace(name=back, position=array("d", one[::-1]), effort=[])),
+        "messages": (many, [SimpleNamespace(name=back, position=row[::-1]) for row in many]),
     }
     try:
         import pandas as pd
@@ -445,8 +449,9 @@ def test_rows_that_cannot_be_closed_are_named(robots):
         Series(np.zeros(6), ["elbow"] * 6),
         Frame(np.zeros((2, 6)), [1, 2, 3, 4, 5, 6]),
         Series(np.zeros(6), [0.0, 1.5, 2, 3, 4, 5]),
+        SimpleNamespace(name=["elbow", "shoulder_pan"], position=[0.0]),
     ],
-    ids=["other names", "other places", "twice", "from 1 on", "numbers"],
+    ids=["other names", "other places", "twice", "from 1 on", "numbers", "names without numbers"],
 )
 def test_labels_that_say_something_else_are_refused(table, robots):
     for ask in (lambda: robots["ur5"].fk(table, "tool"), lambda: robots["ur5"].fk([table], "tool")):

@@ -47,6 +47,14 @@ FORMS = {
     "ros transform": lambda X: SimpleNamespace(
         translation=_ros(X).position, rotation=_ros(X).orientation
     ),
+    "ros pose with a header": lambda X: SimpleNamespace(header=None, pose=_ros(X)),
+    "ros transform with a header": lambda X: SimpleNamespace(
+        header=None,
+        transform=SimpleNamespace(translation=_ros(X).position, rotation=_ros(X).orientation),
+    ),
+    "ros odometry": lambda X: SimpleNamespace(
+        header=None, pose=SimpleNamespace(pose=_ros(X), covariance=[0.0] * 36), twist=None
+    ),
     "pair": lambda X: (X[:3, 3], X[:3, :3]),
     "reversed pair": lambda X: [X[:3, :3].tolist(), X[:3, 3].tolist()],
     "pair with scipy": lambda X: (X[:3, 3], Rotation.from_matrix(X[:3, :3])),

@@ -168,9 +168,9 @@ def is_array(x: object) -> TypeGuard[NDArray[Any]]:
 def named(given: Any) -> Mapping[str, Any] | None:
     """What is labelled by names, as a mapping from these; None for what has no names.
 
-    A mapping, a record or an array of them, a series with an index, a table with columns. Labels 0,
-    1, 2, ... are the places that the values have anyway. Errors: `InputError` for labels that are
-    neither, or appear twice.
+    A mapping, a record or an array of them, a series with an index, a table with columns, a message
+    JointState. Labels 0, 1, 2, ... are the places that the values have anyway. Errors: `InputError`
+    for labels that are neither, or appear twice.
     """
     kind = given.__class__
     if kind is dict:
@@ -183,10 +183,11 @@ def named(given: Any) -> Mapping[str, Any] | None:
     if isinstance(given, tuple):
         names: Any = getattr(whole, "_fields", None)
         return None if names is None else dict(zip(names, whole, strict=True))
-    names = _labels(given)
+    kind = type(given).__name__
+    message = _of_joints(given)
+    names = _labels(given) if message is None else message[0]
     if names is None or names == list(range(len(names))):
         return None
-    kind = type(given).__name__
     if not all(isinstance(name, str) for name in names):
         raise InputError(
             f"the labels of the {kind} are {shown(names)}; they must be names, or 0, 1, 2, ..."
@@ -194,10 +195,25 @@ def named(given: Any) -> Mapping[str, Any] | None:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"the {kind} has {twice!r} twice")
+    if message is not None:
+        return dict(zip(*message, strict=True))
     table = (
         getattr(given, "ndim", 1) != 1 or isinstance(given, np.ndarray) or hasattr(given, "columns")
     )
     return {name: np.asarray(whole[name]) if table else whole[name] for name in names}
+
+
+def _of_joints(given: Any) -> tuple[list[Any], list[float]] | None:
+    """The names and positions of a message JointState; None for all else."""
+    names: Any = getattr(given, "name", None)
+    positions: Any = getattr(given, "position", None)
+    if not is_sequence(names) or positions is None:
+        return None
+    if len(names) != len(positions):
+        raise InputError(
+            f"the {type(given).__name__} has {len(names)} names and {len(positions)} positions"
+        )
+    return list(names), list(positions)
 
 
 def rows_of(given: Any) -> list[Any] | None:

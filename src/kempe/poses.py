@@ -48,6 +48,9 @@ PARTS = ("homogeneous", "A", "as_matrix", "GetAsMatrix4", "matrix")
 Drake, Sophus."""
 ROS = (("position", "orientation"), ("translation", "rotation"))
 """Parts of the messages Pose and Transform of ROS, whose quaternion is x y z w."""
+AROUND = ("pose", "transform")
+"""Where messages with a header or a covariance have theirs: PoseStamped, TransformStamped,
+PoseWithCovarianceStamped, Odometry."""
 WORDS = ("at", "rpy", "angle", "quat_wxyz", "quat_xyzw", "matrix")
 """What a pose in words can have: its place, and its orientation in one way."""
 
@@ -56,7 +59,8 @@ def arrays(x: Any, what: str, depth: int = 0) -> Any:
     """What can be read as an array of poses (..., 4, 4), in the plane (..., 3, 3), rotations, or
     positions.
 
-    Objects that have a matrix, pairs of a position and a rotation, poses in words,
+    Objects that have a matrix, messages of ROS (the header is not read: poses are in the ground),
+    pairs of a position and a rotation, poses in words,
     ``{"at": (1, 0, 0), "quat_xyzw": (0, 0, 0, 1)}``, and lists of these become arrays; all else is
     given back as it is. Errors: `InputError`.
     """
@@ -184,12 +188,11 @@ def _matrix(x: Any) -> Any:
     """The matrix that an object has, or the matrices; None where it has none."""
     if x.__class__ in PLAIN or isinstance(x, (str, np.ndarray)):
         return None
-    for position, orientation in ROS:
-        p = getattr(x, position, None)
-        q = getattr(x, orientation, None)
-        if all(hasattr(p, n) for n in "xyz") and all(hasattr(q, n) for n in "wxyz"):
-            R = spatial.quat_wxyz_to_matrix([getattr(q, n) for n in "wxyz"])
-            return spatial.pose(R, [getattr(p, n) for n in "xyz"])
+    inner = [part for name in AROUND if (part := getattr(x, name, None)) is not None]
+    inner += [part for part in (getattr(e, AROUND[0], None) for e in inner) if part is not None]
+    for message in (x, *inner):
+        if (found := _of_message(message)) is not None:
+            return found
     for name in PARTS:
         part = getattr(x, name, None)
         try:
@@ -198,6 +201,17 @@ def _matrix(x: Any) -> Any:
             continue
         if found.ndim >= 2 and found.shape[-2:] in ((3, 3), (4, 4)):
             return found
+    return None
+
+
+def _of_message(x: Any) -> Array | None:
+    """The pose that a message Pose or Transform says; None for all else."""
+    for position, orientation in ROS:
+        p = getattr(x, position, None)
+        q = getattr(x, orientation, None)
+        if all(hasattr(p, n) for n in "xyz") and all(hasattr(q, n) for n in "wxyz"):
+            R = spatial.quat_wxyz_to_matrix([getattr(q, n) for n in "wxyz"])
+            return spatial.pose(R, [getattr(p, n) for n in "xyz"])
     return None
 
 

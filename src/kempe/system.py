@@ -255,8 +255,9 @@ class System(Model, Pictured):
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
         """Configuration (..., nq) from values by coordinate name, or of a named posture.
 
-        Coordinates that are not named are neutral, or as in `base` (..., nq). Numbers are only
-        written down: no loop is closed (`assemble` closes them).
+        Coordinates that are not named are neutral, or as in `base` (..., nq); those that follow
+        others may be named, too, where they fit. A message JointState of ROS is taken as well.
+        Numbers are only written down: no loop is closed (`assemble` closes them).
         """
         return configurations.q_from_dict(self, coordinates, base)
 

@@ -559,8 +559,19 @@ def test_gears_and_offsets():
     assert (
         s.structure.couplings["b"].source == "a" and s.structure.couplings["b"].multiplier == -2.0
     )
-    with pytest.raises(InputError, match="coordinate 'b' is not part of q: it follows 'a'"):
-        s.q({"b": 1.0})
+    assert s.q({"b": 0.3 - 2.0 * 0.2}).tolist() == pytest.approx([0.2, 0.0])
+    assert s.q({"b": 0.3 - 2.0 * 0.2, "a": 0.2}).tolist() == [0.2, 0.0]
+    rows = s.q({"b": 0.3 - 2.0 * np.arange(3.0), "a": np.arange(3.0)})
+    np.testing.assert_array_equal(rows[:, 0], np.arange(3.0))
+    said = "coordinate 'b' is 1; it follows 'a', at 0.2, and must be -0.1"
+    with pytest.raises(InputError, match=said):
+        s.q({"b": 1.0, "a": 0.2})
+    with pytest.raises(InputError, match=r"coordinate 'b' is 1 \(row 1\); it follows 'a'"):
+        s.fk({"b": [0.3, 1.0], "a": [0.0, 0.0]}, "body_b")
+    with pytest.raises(InputError, match="leading shapes do not fit together: .*'b', .*'a'"):
+        s.q({"b": [0.3, 0.3], "a": [0.0, 0.0, 0.0]})
+    with pytest.raises(UnknownNameError, match="'d'"):
+        s.q({"b": 1.0, "d": 0.2})
 
 
 @pytest.mark.parametrize("order", [("b", "c"), ("c", "b")])
@@ -790,7 +801,8 @@ def test_locked_coordinates_leave_q():
     np.testing.assert_allclose(
         held.jacobian([0.3], "tip"), s.jacobian([0.4, 0.3], "tip")[:, 1:], rtol=0, atol=1e-15
     )
-    with pytest.raises(InputError, match="coordinate 'q1' is not part of q: it is held at 0.4"):
+    assert held.q({"q1": 0.4, "q2": 0.3}).tolist() == [0.3]
+    with pytest.raises(InputError, match="coordinate 'q1' is 0; it is held at 0.4"):
         held.q({"q1": 0.0})
     assert s.nq == 2, "locking makes a new system"
 

@@ -10,11 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.arguments import explained, generator, known, numbers, together
-from kempe.arrays import converted, is_plain, is_real, named, reals, rows_of, within_range
+from kempe.arrays import converted, is_plain, is_real, named, plain, reals, rows_of, within_range
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import P, R
 from kempe.late import late
-from kempe.model.coordinates import OF_BALL, PART_OF_BALL, coordinate_name, distinct, returning
+from kempe.model.coordinates import (
+    OF_BALL,
+    PART_OF_BALL,
+    Follower,
+    coordinate_name,
+    distinct,
+    returning,
+)
 from kempe.model.model import kept
 from kempe.model.structural_order import natural
 from kempe.spatial import Array
@@ -29,6 +36,9 @@ if TYPE_CHECKING:
 MOST_WOUND = 1e8
 """Largest angle in a motion, in radians: beyond it, floats are more than a hundred-millionth of a
 radian apart."""
+FIT = 1e-6
+"""How far a given follower may be from what follows from its leader, in radians or metres and
+relative to 1 and itself."""
 WANTED = "an array of real numbers or a dict by coordinate name"
 
 
@@ -117,7 +127,7 @@ def closed_from(system: Model, coordinates: Mapping[str, Any], start: Any = None
     q = q_from_dict(system, coordinates, start)  # refuses names and numbers
     if not has_loops(system):
         return q
-    given = named(coordinates) or {}
+    given = _own_values(system, named(coordinates) or {})
     if len(given) == system.nq:
         return q
     answer = late("assemble")(system, given, start)
@@ -152,39 +162,88 @@ def _posture(system: Model, name: str) -> dict[str, float]:
     }
 
 
+def _own_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Values of coordinates of `q` from values that may also be of their followers, which must fit.
+
+    A follower whose leader is not named gives the leader its value. Errors: `UnknownNameError`;
+    `InputError` for followers and locked coordinates that do not fit.
+    """
+    index = _places(system)
+    if index.keys() >= given.keys():
+        return given
+    for name in given:
+        if name not in index and name not in system.structure.couplings:
+            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
+    out = {name: x for name, x in given.items() if name in index}
+    for name, follower in system.structure.couplings.items():
+        if name not in given:
+            continue
+        x = reals(given[name], f"coordinate {name!r}", "a number, or an array of them")
+        source = follower.source
+        if source is not None and source not in out:
+            out[source] = plain((x - follower.offset) / follower.multiplier)
+            continue
+        leader = 0.0 if source is None else reals(out[source], f"coordinate {source!r}")
+        together({f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)})
+        refuse_misfit(name, follower, x, leader)
+    return out
+
+
+def refuse_misfit(
+    name: str,
+    follower: Follower,
+    x: Array,
+    leader: ArrayLike,
+    tolerance: float = FIT,
+    turn: float = 0.0,
+) -> None:
+    """Refuse, with an `InputError`, values (...) of a coordinate that do not follow from its leader's.
+
+    With `turn` they count as equal where they differ by a multiple of it.
+    """
+    x, leader = np.broadcast_arrays(x, leader)
+    wanted = follower.multiplier * leader + follower.offset
+    off = x - wanted
+    if turn:
+        off = off - turn * np.round(off / turn)
+    bad = ~(np.abs(off) <= tolerance * (1.0 + np.abs(x)))
+    if bad.any():
+        at = np.unravel_index(int(np.argmax(bad)), bad.shape)
+        row = f" (row {', '.join(map(str, at))})" if at else ""
+        if follower.source is None:
+            needed = f"is held at {follower.offset:.9g}"
+        else:
+            needed = (
+                f"follows {follower.source!r}, at {leader[at]:.9g}, and must be {wanted[at]:.9g}"
+            )
+        raise InputError(f"coordinate {name!r} is {x[at]:.9g}{row}; it {needed}")
+
+
 @explained
 def q_from_dict(
     system: Model, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None
 ) -> Array:
     """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
 
-    What is not named is neutral, or as in `base` (..., nq).
+    What is not named is neutral, or as in `base` (..., nq). A coordinate that follows another may be
+    named, too, with the value that it has then.
     """
     given = _posture(system, coordinates) if isinstance(coordinates, str) else named(coordinates)
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
+    given = _own_values(system, given)
     index = _places(system)
     single = True
     values: list[float | Array] = []
     for name, number in given.items():
-        if name not in index:
-            follower = system.structure.couplings.get(name)
-            if follower is not None:
-                follows = (
-                    f"it follows {follower.source!r}"
-                    if follower.source
-                    else f"it is held at {follower.offset:g}"
-                )
-                raise InputError(f"coordinate {name!r} is not part of q: {follows}")
-            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        plain = is_real(number)
+        one_number = is_real(number)
         values.append(
             number
-            if plain
+            if one_number
             else reals(number, f"coordinate {name!r}", "a number, or an array of them")
         )
-        single = single and plain
+        single = single and one_number
     start = system.neutral if base is None else as_q(system, base)
     if single:
         q = start.copy()
