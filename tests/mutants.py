@@ -56,7 +56,12 @@ AREAS = {
         "assemble/bound.py",
     ],
     "lowering": ["model/*"],
-    "analytic": ["inverse/closed_forms/*", "inverse/ik_all.py", "inverse/solve_all.py"],
+    "analytic": [
+        "inverse/closed_forms/*",
+        "inverse/ik_all.py",
+        "inverse/solve_all.py",
+        "inverse/spare_joints.py",
+    ],
     "mobility": ["first_order/*", "mobility/*"],
 }
 """Modules of each area, by patterns; the first area that has a module takes it."""

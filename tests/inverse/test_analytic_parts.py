@@ -15,10 +15,10 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 import kempe
-from kempe.inverse import families, solve_all
+from kempe.inverse import families, nearest, spare_joints
 from kempe.inverse.all_answer import Solutions
 from kempe.inverse.arm_angle import reference_plane
-from kempe.inverse.closed_forms import nearest
+from kempe.inverse.closed_forms import descent
 from kempe.inverse.closed_forms import plan as choice
 from kempe.inverse.closed_forms.plan import spread
 from kempe.inverse.explain_all import ROW
@@ -37,7 +37,7 @@ def test_rotation_vectors():
         [angle * np.array(axis) / np.linalg.norm(axis) for angle in ANGLES for axis in AXES]
     )
     found = np.concatenate(
-        [nearest._rotation_vector(R[None]) for R in Rotation.from_rotvec(v).as_matrix()]
+        [descent._rotation_vector(R[None]) for R in Rotation.from_rotvec(v).as_matrix()]
     )
     np.testing.assert_allclose(found, v, rtol=1e-11, atol=1e-15)
 
@@ -56,7 +56,7 @@ def test_a_descent_ends_in_the_least_squares_solution_however_badly_it_is_condit
     x = np.array([0.3, -0.2, 0.4])
     across = np.linalg.svd(A)[0][:, 3]
     free = np.full(3, math.inf)
-    found = nearest.descend(linear(A, A @ x + 0.01 * across), np.zeros((2, 3)), -free, free)
+    found = descent.descend(linear(A, A @ x + 0.01 * across), np.zeros((2, 3)), -free, free)
     np.testing.assert_allclose(found, [x, x], atol=1e-7)
 
 
@@ -70,7 +70,7 @@ def test_a_descent_leaves_joints_at_the_limits_on_which_they_press(sign):
     high = np.array([high, 1.0])
     expected = lsq_linear(A, b, (low, high), tol=1e-14).x
     assert expected[0] == pytest.approx(0.0, abs=1e-9)
-    found = nearest.descend(linear(A, b), np.zeros((1, 2)), low, high)
+    found = descent.descend(linear(A, b), np.zeros((1, 2)), low, high)
     np.testing.assert_allclose(found[0], expected, atol=1e-9)
 
 
@@ -81,7 +81,7 @@ def test_a_configuration_is_polished_onto_its_target():
     answer = arm.ik_all(arm.fk(q, "tool"), "tool")
     assert np.abs(answer.plan.lines.origin).max() > 0.1
     none: Any = None
-    target = solve_all._Targets(
+    target = spare_joints._Targets(
         answer.question, answer.plan, none, none, none, none, none, none, None
     )
     found, error = target._polished(0, q + 1e-3, True)
@@ -172,7 +172,7 @@ def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
 def test_nothing_is_left_out_where_there_was_room():
     arm = kempe.load("puma560")
     answer = arm.ik_all(arm.fk([0.3, -0.7, 0.4, 0.5, 0.0, -0.2], "tool"), "tool")
-    assert families._left_out(answer, 0, families.aim_of(answer, 0, spare=True)).shape == (0, 6)
+    assert families._left_out(answer, 0, nearest.aim_of(answer, 0, spare=True)).shape == (0, 6)
 
 
 def test_curves_cross_where_the_second_singular_value_vanishes():

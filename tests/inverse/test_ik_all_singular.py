@@ -16,8 +16,9 @@ from linkages import planar_arm
 
 import kempe
 from kempe.errors import InputError, UnknownNameError
-from kempe.inverse.explain_all import nearest, status
+from kempe.inverse.explain_all import status
 from kempe.inverse.families import families_of
+from kempe.inverse.nearest import nearest
 
 TURN = 2.0 * math.pi
 

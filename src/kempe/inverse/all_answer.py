@@ -339,7 +339,7 @@ class Solutions(ConfigurationList, Answer):
         the caller.
         """
         plan = self.plan
-        return tuple(plan.lines.names[i] for i in plan.locked if i not in plan.fixed)
+        return tuple(plan.lines.names[i] for i in plan.spare)
 
     @cached_property
     def held(self) -> dict[str, Any]:

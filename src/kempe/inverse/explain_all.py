@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe import spatial
 from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths
-from kempe.answers.problem import Choice, Problem
-from kempe.answers.targets import Z_AXIS, not_a_pose, targets_of
+from kempe.answers.problem import Choice
+from kempe.answers.targets import not_a_pose
 from kempe.answers.wording import immovable
-from kempe.arguments import quiet
 from kempe.inverse.all_answer import SolutionsRow
 from kempe.inverse.chain.length_bounds import by_lengths
 from kempe.inverse.chain.problem import MOST
 from kempe.inverse.chain.serial_chain import chain_of, slides_of
-from kempe.inverse.closed_forms.nearest import BEST, STARTS, Aim, descend, fixed_joints, limits_of
 from kempe.inverse.closed_forms.plan import ChainPlan, carried_lines, free_lines
 from kempe.inverse.closed_forms.plan import freedoms as rank_of
 from kempe.inverse.closed_forms.structure import Axes, Strategy
 from kempe.inverse.explain import rounded
-from kempe.inverse.families import (
-    CONSTANT,
-    Family,
-    aim_of,
-    families_of,
-    family_motion,
-    held_coordinates,
-)
-from kempe.inverse.numeric import chosen
+from kempe.inverse.families import Family, families_of
+from kempe.inverse.nearest import aim_of, held_coordinates, nearest
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
@@ -40,95 +31,6 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.inverse.all_answer import Solutions
-    from kempe.inverse.answer import Solution
-    from kempe.inverse.closed_forms.question import Question
-
-
-# ---- the nearest configuration
-
-
-@quiet
-def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
-    """The configuration (nq,) inside the limits that comes closest to target number `index`, and
-    what it misses.
-
-    The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task
-    does not ask for it. Position and orientation are weighed by the length of the chain. Poses and
-    positions are left to `ik`; other tasks, and chains with joints held, to descents from several
-    starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995). What is found is a local minimum:
-    seldom, another one is closer. NaN for targets that are no poses.
-    """
-    question = solutions.question
-    plan = solutions.plan
-    base = solutions._base[index if len(solutions._base) > 1 else 0]
-    target = question.targets[index]
-    if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
-        return np.full(question.system.nq, math.nan), math.nan, math.nan
-    if question.task in ("pose", "position") and not fixed_joints(plan):
-        answer = _by_numbers(question, target, base)
-        return answer.q, answer.position_error, answer.orientation_error
-    aim = aim_of(solutions, index, spare=True)
-    theta = _closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
-    q = base.copy()
-    q[plan.lines.q_index] = (theta - plan.lines.offset) / plan.lines.multiplier
-    R, p, _, _ = aim.sweep(theta[None])
-    e = aim.errors(R, p)[0]
-    return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
-
-
-def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
-    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
-    `start` (nq,).
-    """
-    system = question.system
-    task = (question.task, Z_AXIS)
-    goal = target if question.task == "pose" else target[:3, 3]
-    targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
-    solver, _ = chosen(system, question.frame, task, "numeric", False)
-    return solver.run(
-        Problem(
-            system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
-        )
-    )
-
-
-def _closest(aim: Aim, first: Array) -> Array:
-    """Variables (n,) inside the limits where the error is smallest."""
-    from scipy import optimize  # only here: most targets are reached
-
-    low, high = (x[aim.moves] for x in limits_of(aim.lines))
-    rng = np.random.default_rng(0)
-    k = len(aim.moves)
-    wide = np.where(aim.slides[aim.moves], 2.0, math.pi)
-    left = np.where(np.isfinite(low), low, -wide)
-    right = np.where(np.isfinite(high), high, wide)
-    theta = np.tile(first, (STARTS, 1))
-    theta[1:, aim.moves] = rng.uniform(
-        np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k)
-    )
-    theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
-    theta = descend(aim, theta, low, high)
-    e, _ = aim.at(theta)
-    order = np.argsort((e * e).sum(axis=1))
-    best = theta[order[0]]
-    least = math.inf
-    for start in theta[order[:BEST]]:
-
-        def energy(x: Array, start: Array = start) -> tuple[float, Array]:
-            full = start.copy()
-            full[aim.moves] = x
-            return aim.energy(full)
-
-        options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
-        bounds = list(zip(low, high, strict=True))
-        found = cast(Any, optimize).minimize(
-            energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options
-        )
-        if found.fun < least:
-            best = start.copy()
-            least = float(found.fun)
-            best[aim.moves] = found.x
-    return best
 
 
 # ---- the sentence of a target
@@ -175,7 +77,7 @@ def status(solutions: Solutions, index: int) -> str:
     _, position, angle = nearest(solutions, index)
     question = solutions.question
     plan = solutions.plan
-    spare = spare_joints(plan)
+    spare = plan.spare
     miss = math.hypot(position, angle)
     why: list[Any]
     why, proven = _reasons(solutions, index)
@@ -227,7 +129,7 @@ def held_sentence(solutions: Solutions) -> str:
 def _reached(solutions: Solutions, index: int) -> str:
     """What was found."""
     plan = solutions.plan
-    spare = spare_joints(plan)
+    spare = plan.spare
     deficient = bool(spare) and not more_than_enough(plan)
     none: list[Family] = []
     unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used.T), -1))
@@ -244,7 +146,7 @@ def _reached(solutions: Solutions, index: int) -> str:
         bool(spare),
         times[times > 1].tolist(),
         _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
-        [(f.dimension, family_motion(f)) for f in families],
+        [(f.dimension, f._in_words()) for f in families],
         _ground(plan),
     )
     if not spare or deficient and not len(code):
@@ -259,17 +161,12 @@ def _reached(solutions: Solutions, index: int) -> str:
     return f"{text}; {wording.to_spare(len(spare), f': {wording.held_at(now)}', first_values, tried, inside > 0)}"
 
 
-def spare_joints(plan: ChainPlan) -> list[int]:
-    """Joints that are locked only because the chain has more than the task needs."""
-    return [i for i in plan.locked if i not in fixed_joints(plan)]
-
-
 def more_than_enough(plan: ChainPlan) -> bool:
     """Whether the chain has more joints than the task has equations: else freedoms to spare come
     from its lengths.
     """
     free = free_lines(plan.lines, plan.task, plan.planar)
-    return len(plan.lines) - len(fixed_joints(plan)) + len(free.kinds) > (3 if plan.planar else 6)
+    return len(plan.lines) - len(plan.fixed) + len(free.kinds) > (3 if plan.planar else 6)
 
 
 def _held(solutions: Solutions, index: int, joints: list[int]) -> list[tuple[str, float]]:
@@ -304,6 +201,9 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
 
 # ---- targets without solutions
 
+CONSTANT = 1e-9
+"""Factor of an unknown below which an equation does not depend on it."""
+
 
 def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     """What is to be said of a target without solutions, and whether it holds wherever spare joints
@@ -324,9 +224,7 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
         far = lengths(system, off, slides=slides_of(system, question.frame))
     wide = plan.lines.span.wide
     failed = (
-        None
-        if wide or spare_joints(plan) or plan.method != "closed"
-        else _without_root(solutions, index)
+        None if wide or plan.spare or plan.method != "closed" else _without_root(solutions, index)
     )
     if far or failed:
         return [x for x in (far, failed) if x], far is not None
@@ -340,14 +238,14 @@ def _overdetermined(solutions: Solutions) -> Evidence | None:
     """Whether the task asks for more than the chain can do anywhere."""
     plan = solutions.plan
     planar = solutions.system.dim == 2
-    unknown = [i for i in range(len(plan.lines)) if i not in fixed_joints(plan)]
+    unknown = [i for i in range(len(plan.lines)) if i not in plan.fixed]
     free = free_lines(plan.lines, plan.task, planar)
     full = 3 if planar else 6
     rank = rank_of(plan.lines, free, unknown)
     others = len(free.kinds)
     if rank >= full:
         return None
-    held = bool(fixed_joints(plan))
+    held = bool(plan.fixed)
     return evidence(
         "joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others
     )

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.answers import wording
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of
 from kempe.arguments import explained_methods
 from kempe.arrays import reals
 from kempe.errors import InputError, UnknownNameError
-from kempe.inverse.closed_forms.nearest import Aim, fixed_joints
+from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import kernel_of
+from kempe.inverse.nearest import aim_of, held_coordinates
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.numerics.curves import NONE, Curve, Node, step, walk
 from kempe.numerics.newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many, least_squares
@@ -560,41 +560,6 @@ class TolerantMotion(Points, Curve):
         return None
 
 
-# ---- what a target asks of the chain
-
-
-def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
-    """What target number `index` asks; with `spare`, joints that were locked only since they are
-    spare may move.
-    """
-    question = solutions.question
-    plan = solutions.plan
-    target = np.array(question.targets[index])
-    if question.axis != Z_AXIS:
-        target[:3, :3] = target[:3, :3] @ frame_of(np.array(question.axis))
-    target[:3, 3] = (target[:3, 3] - plan.lines.origin) / plan.lines.length
-    held = fixed_joints(plan) if spare else plan.locked
-    moves = np.array([i for i in range(len(plan.lines)) if i not in held], dtype=np.int64)
-    return Aim(plan.lines, np.flatnonzero(TASKS[plan.task]), target, moves)
-
-
-def held_coordinates(solutions: Solutions, index: int) -> Array:
-    """Coordinates (n,) of the chain at `near`, joints that are locked at their values."""
-    lines = solutions.plan.lines
-    base = solutions._base[index if len(solutions._base) > 1 else 0]
-    q = base[lines.q_index].copy()
-    at = list(solutions.plan.locked)
-    if at:
-        locked = getattr(solutions, "_locked", None)
-        low, high = lines.limits[:, at]
-        q[at] = (
-            np.clip(q[at], low, high)
-            if locked is None
-            else locked[index if len(locked) > 1 else 0, at]
-        )
-    return q
-
-
 # ---- the families of a target
 
 ON = 1e-5
@@ -616,6 +581,15 @@ root."""
 EXACT = 1e-12
 """Largest error of the samples of a family that is exact [m, rad]; beyond, it holds within the
 tolerance only."""
+
+CONDITION = 1e-6
+PERTURBED = 0.1
+"""A joint that rests is a condition of a family if moving it by PERTURBED makes this singular value
+of the joints that move larger."""
+
+AT_ZERO = 1e-7
+"""Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of
+rounding."""
 
 
 @explained_methods
@@ -698,11 +672,47 @@ class Family(InWords):
 
     def describe(self) -> str:
         """What moves, and how: "q4 + q6 = 1.234 while q5 = 0: one freedom"."""
-
-        return family_sentence(self)
+        return f"{self._in_words()}: {in_words(self.dimension, 'freedom')}"
 
     def __str__(self) -> str:
         return self.describe()
+
+    def _in_words(self) -> str:
+        """What moves, and how."""
+        text = self._moving()
+        return text if self.residual <= EXACT else f"{text} (on target within {self.residual:.1g})"
+
+    def _moving(self) -> str:
+        names = list(self.joints)
+        if self.dimension > 1:
+            return f"{joined(names)} can move"
+        if self.equations is not None:
+            return wording.linear_motion(names, self.equations, self._conditions())
+        lines = self._motion.aim.lines
+        first = self.parameter or names[0]
+        x = self.q[:, lines.q_index[lines.names.index(first)]]
+        turns = self.parameter is not None and self.closed
+        return wording.curved_motion(names, first, turns, self.closed, (x.min(), x.max()))
+
+    def _conditions(self) -> list[tuple[str, float]]:
+        """Joints at rest that must be where they are, with their values."""
+        motion = self._motion
+        lines = motion.aim.lines
+        theta = self._theta[0]
+        names = lines.names
+        at = [names.index(n) for n in self.joints]
+        out: list[tuple[str, float]] = []
+        for i in motion.aim.moves.tolist():
+            if i in at:
+                continue
+            other = theta.copy()
+            other[i] += PERTURBED
+            J = motion.linear(other)[1][:, at]
+            if J.shape[0] >= len(at) and svd(J, compute_uv=False)[-1] > CONDITION:
+                x = float(self.q[0, lines.q_index[i]])
+                zero = abs(x) < AT_ZERO and not motion.aim.slides[i]
+                out.append((names[int(i)], 0.0 if zero else x))
+        return out
 
     @cached_property
     def equations(self) -> list[dict[str, float]] | None:
@@ -938,62 +948,3 @@ def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
         theta,
         base,
     )
-
-
-# ---- families in words
-
-CONSTANT = 1e-9
-"""Factor of an unknown below which an equation does not depend on it."""
-
-CONDITION = 1e-6
-PERTURBED = 0.1
-"""A joint that rests is a condition of a family if moving it by PERTURBED makes this singular value
-of the joints that move larger."""
-
-AT_ZERO = 1e-7
-"""Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of
-rounding."""
-
-
-def family_sentence(family: Family) -> str:
-    """What moves in a family, how, and with how many freedoms."""
-    return f"{family_motion(family)}: {in_words(family.dimension, 'freedom')}"
-
-
-def family_motion(family: Family) -> str:
-    """What moves in a family, and how."""
-    text = _moving(family)
-    return text if family.residual <= EXACT else f"{text} (on target within {family.residual:.1g})"
-
-
-def _moving(family: Family) -> str:
-    names = list(family.joints)
-    if family.dimension > 1:
-        return f"{joined(names)} can move"
-    if family.equations is not None:
-        return wording.linear_motion(names, family.equations, _conditions(family))
-    lines = family._motion.aim.lines
-    first = family.parameter or names[0]
-    x = family.q[:, lines.q_index[lines.names.index(first)]]
-    turns = family.parameter is not None and family.closed
-    return wording.curved_motion(names, first, turns, family.closed, (x.min(), x.max()))
-
-
-def _conditions(family: Family) -> list[tuple[str, float]]:
-    """Joints at rest that must be where they are, with their values."""
-    motion = family._motion
-    lines = family._motion.aim.lines
-    theta = family._theta[0]
-    names = lines.names
-    at = [names.index(n) for n in family.joints]
-    out: list[tuple[str, float]] = []
-    for i in motion.aim.moves.tolist():
-        if i in at:
-            continue
-        other = theta.copy()
-        other[i] += PERTURBED
-        J = motion.linear(other)[1][:, at]
-        if J.shape[0] >= len(at) and svd(J, compute_uv=False)[-1] > CONDITION:
-            x = float(family.q[0, lines.q_index[i]])
-            out.append((names[int(i)], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
-    return out

@@ -471,7 +471,7 @@ def distinct(lines: Lines, system: Model, q: Array, mask: np.ndarray) -> np.ndar
     out: list[int] = []
     period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
     for k in np.flatnonzero(mask):
-        d = q[out][:, lines.q_index] - q[k, lines.q_index]
+        d: Array = q[out][:, lines.q_index] - q[k, lines.q_index]
         with np.errstate(invalid="ignore"):
             d = np.where(np.isfinite(period), d - period * np.round(d / period), d)
         if not len(out) or np.abs(d).max(axis=-1).min() > SAME:

@@ -81,6 +81,11 @@ class ChainPlan:
     blurred: bool = False
 
     @property
+    def spare(self) -> list[int]:
+        """Joints that are locked only because the chain has more than the task needs."""
+        return [i for i in self.locked if i not in self.fixed]
+
+    @property
     def rests(self) -> bool:
         """Whether the chain has fewer joints than the task equations: lines that must stay at rest
         stand in.

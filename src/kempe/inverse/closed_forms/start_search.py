@@ -16,7 +16,7 @@ import numpy as np
 from kempe.answers.targets import TASKS, Z_AXIS, frame_of
 from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, rows_of
 from kempe.inverse.chain.serial_chain import chain_of
-from kempe.inverse.closed_forms.nearest import Aim
+from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import ChainPlan
 from kempe.inverse.closed_forms.question import Question
 from kempe.kernels.base.search_layout import ANSWER, SOLVED, STATUS

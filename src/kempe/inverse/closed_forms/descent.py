@@ -1,15 +1,16 @@
-"""The closest that a chain comes to a target, and the errors and Jacobians by which that is found."""
+"""Descents of a chain towards a target: errors, Jacobians, and the closest that they come."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
 from kempe import spatial
 from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.closed_forms.plan import ChainPlan
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.spatial import Array
 
@@ -120,13 +121,6 @@ class Aim:
         return 0.5 * float(e @ e), -(e @ J)
 
 
-def fixed_joints(plan: ChainPlan) -> tuple[int, ...]:
-    """Joints that the caller wants held; others may be locked because the chain has more than the
-    task needs.
-    """
-    return tuple(getattr(plan, "fixed", ()))
-
-
 def _cross(a: Array, b: Array) -> Array:
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
@@ -184,3 +178,42 @@ def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2
         J = np.where(better[:, None, None], J_new, J)
         damping = np.clip(np.where(better, 0.3 * damping, 5.0 * damping), 1e-12, 1e6)
     return theta
+
+
+def closest(aim: Aim, first: Array) -> Array:
+    """Variables (n,) inside the limits where the error is smallest."""
+    from scipy import optimize  # only here: most targets are reached
+
+    low, high = (x[aim.moves] for x in limits_of(aim.lines))
+    rng = np.random.default_rng(0)
+    k = len(aim.moves)
+    wide = np.where(aim.slides[aim.moves], 2.0, math.pi)
+    left = np.where(np.isfinite(low), low, -wide)
+    right = np.where(np.isfinite(high), high, wide)
+    theta = np.tile(first, (STARTS, 1))
+    theta[1:, aim.moves] = rng.uniform(
+        np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k)
+    )
+    theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
+    theta = descend(aim, theta, low, high)
+    e, _ = aim.at(theta)
+    order = np.argsort((e * e).sum(axis=1))
+    best = theta[order[0]]
+    least = math.inf
+    for start in theta[order[:BEST]]:
+
+        def energy(x: Array, start: Array = start) -> tuple[float, Array]:
+            full = start.copy()
+            full[aim.moves] = x
+            return aim.energy(full)
+
+        options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
+        bounds = list(zip(low, high, strict=True))
+        found = cast(Any, optimize).minimize(
+            energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        )
+        if found.fun < least:
+            best = start.copy()
+            least = float(found.fun)
+            best[aim.moves] = found.x
+    return best

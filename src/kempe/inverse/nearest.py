@@ -1,0 +1,98 @@
+"""The configuration that comes closest to a target of `ik_all`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.answers.problem import Problem
+from kempe.answers.targets import TASKS, Z_AXIS, frame_of, targets_of
+from kempe.arguments import quiet
+from kempe.inverse.closed_forms.descent import Aim, closest
+from kempe.inverse.numeric import chosen
+from kempe.kernels.base.search_layout import LARGEST
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.all_answer import Solutions
+    from kempe.inverse.answer import Solution
+    from kempe.inverse.closed_forms.question import Question
+
+
+def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
+    """What target number `index` asks; with `spare`, joints that were locked only since they are
+    spare may move.
+    """
+    question = solutions.question
+    plan = solutions.plan
+    target = np.array(question.targets[index])
+    if question.axis != Z_AXIS:
+        target[:3, :3] = target[:3, :3] @ frame_of(np.array(question.axis))
+    target[:3, 3] = (target[:3, 3] - plan.lines.origin) / plan.lines.length
+    held = plan.fixed if spare else plan.locked
+    moves = np.array([i for i in range(len(plan.lines)) if i not in held], dtype=np.int64)
+    return Aim(plan.lines, np.flatnonzero(TASKS[plan.task]), target, moves)
+
+
+def held_coordinates(solutions: Solutions, index: int) -> Array:
+    """Coordinates (n,) of the chain at `near`, joints that are locked at their values."""
+    lines = solutions.plan.lines
+    base = solutions._base[index if len(solutions._base) > 1 else 0]
+    q = base[lines.q_index].copy()
+    at = list(solutions.plan.locked)
+    if at:
+        locked = getattr(solutions, "_locked", None)
+        low, high = lines.limits[:, at]
+        q[at] = (
+            np.clip(q[at], low, high)
+            if locked is None
+            else locked[index if len(locked) > 1 else 0, at]
+        )
+    return q
+
+
+@quiet
+def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
+    """The configuration (nq,) inside the limits that comes closest to target number `index`, and
+    what it misses.
+
+    The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task
+    does not ask for it. Position and orientation are weighed by the length of the chain. Poses and
+    positions are left to `ik`; other tasks, and chains with joints held, to descents from several
+    starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995). What is found is a local minimum:
+    seldom, another one is closer. NaN for targets that are no poses.
+    """
+    question = solutions.question
+    plan = solutions.plan
+    base = solutions._base[index if len(solutions._base) > 1 else 0]
+    target = question.targets[index]
+    if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
+        return np.full(question.system.nq, math.nan), math.nan, math.nan
+    if question.task in ("pose", "position") and not plan.fixed:
+        answer = _by_numbers(question, target, base)
+        return answer.q, answer.position_error, answer.orientation_error
+    aim = aim_of(solutions, index, spare=True)
+    theta = closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
+    q = base.copy()
+    q[plan.lines.q_index] = (theta - plan.lines.offset) / plan.lines.multiplier
+    R, p, _, _ = aim.sweep(theta[None])
+    e = aim.errors(R, p)[0]
+    return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
+
+
+def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
+    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
+    `start` (nq,).
+    """
+    system = question.system
+    task = (question.task, Z_AXIS)
+    goal = target if question.task == "pose" else target[:3, 3]
+    targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
+    solver, _ = chosen(system, question.frame, task, "numeric", False)
+    return solver.run(
+        Problem(
+            system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
+        )
+    )

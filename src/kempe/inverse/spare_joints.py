@@ -1,0 +1,359 @@
+"""Search for values of the joints that a redundant chain has to spare, where a target has solutions.
+
+A target has solutions at some values of a spare joint only, near the boundary of the workspace and
+in the corners of the limits at hardly more than one. So a grid of values misses some. A numerical
+search finds a configuration wherever there is one; with the spare joints held where that has them,
+all the other solutions follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kempe.answers.targets import TASKS, Z_AXIS, frame_of
+from kempe.budget import look
+from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
+from kempe.inverse.closed_forms.descent import Aim, descend, limits_of
+from kempe.inverse.closed_forms.plan import ChainPlan, within_domains
+from kempe.inverse.closed_forms.question import Question
+from kempe.inverse.closed_forms.start_search import frame_problem, places_in
+from kempe.inverse.multi_start import answered
+from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
+from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.compiled import schedule
+from kempe.numerics.pool import over_chunks
+from kempe.spatial import Array
+
+VALUES = 64
+"""Values of the spare joints that are tried before it is said that there is no solution, the first
+among them."""
+
+LOOSE = 1e-6
+"""Tolerance of the last search, which is polished after."""
+
+POLISHES = 4
+BRISK = 1e-8
+"""Descents in a row that polish, at most, and the damping with which each begins."""
+
+SAME = 1e-4
+"""A solution nearer than this to the configuration of the search is that configuration."""
+
+ROOM = 512
+"""Targets times values that are solved at a time, unless there are more targets."""
+
+CHUNK = 256
+SERIAL_BELOW = 1024
+PIECE = 16
+"""Targets of a chunk, from how many on there are threads, and targets between two looks at the
+clock."""
+
+SIGN = -(2**63)
+"""The bit that codes of rows in use do not have."""
+
+Solve = Callable[[Question, Array, Array], tuple[Array, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class SpareJoints:
+    """Where the spare joints are: `locked` (1 or N, n) coordinates of which those count that are
+    held, and of each target how many values were `tried` (N,).
+    """
+
+    locked: Array
+    tried: np.ndarray
+
+
+def look_further(
+    question: Question,
+    plan: ChainPlan,
+    near: Array,
+    locked: Array,
+    rows: Array,
+    counts: np.ndarray,
+    solve: Solve,
+    threads: int | None,
+) -> SpareJoints:
+    """Where the spare joints are in the end, if there are some.
+
+    `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
+
+    near, locked: (1 or N, n). solve: rows and counts of a question, near and locked.
+    """
+    tried = np.ones(len(rows), dtype=np.int64)
+    left = np.flatnonzero((counts[:, 0] >= 0) & ~_reached(rows))
+    if not len(left):
+        return SpareJoints(locked, tried)
+    many = _Targets(
+        question,
+        plan,
+        near,
+        np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))),
+        rows,
+        counts,
+        tried,
+        solve,
+        threads,
+    )
+    left = many.searched(left, FEW, question.tolerance, True)
+    if len(left):
+        left = left[outside(frame_problem(question), question.targets[left]) == 0.0]
+    if not len(left):
+        return SpareJoints(many.locked, tried)
+    if plan.method != "search" and plan.spare:
+        left = many.stepped(left)
+    left = many.searched(left, MOST, question.tolerance, True)
+    left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
+    many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
+    return SpareJoints(many.locked, tried)
+
+
+def _used(rows: Array) -> np.ndarray:
+    """Which targets (N,) have a solution."""
+    return np.any(rows[..., -A.INFO + A.CODE] >= 0.0, axis=1)
+
+
+def _reached(rows: Array) -> np.ndarray:
+    """Which targets (N,) have a solution inside the limits."""
+    # by solutions: many times as fast
+    code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(np.int64)
+    return np.any((code & (SIGN | int(A.INSIDE_BIT))) == int(A.INSIDE_BIT), axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    """The targets of a closed-form problem with the best solutions so far, in arrays that are
+    written in place.
+    """
+
+    question: Question
+    plan: ChainPlan
+    near: Array
+    locked: Array
+    rows: Array
+    counts: np.ndarray
+    tried: np.ndarray
+    solve: Solve
+    threads: int | None
+
+    def solutions_at(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
+        """All solutions of the targets `which` (m indices) with the spare joints held at `locked`
+        (1 or m, n).
+
+        Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts
+        (m, 2).
+        """
+        lead = None if self.question.lead is None and len(which) == 1 else (len(which),)
+        some = self.question.of(which, lead)
+        near = self.near if len(self.near) == 1 else self.near[which]
+        return self.solve(some, near, locked)
+
+    def take(self, which: np.ndarray, locked: Array, rows: Array, counts: np.ndarray) -> None:
+        """Keep the answers that are better: they have a solution inside the limits, or have one at
+        all.
+        """
+        old = self.rows[which]
+        better = (_reached(rows) & ~_reached(old)) | (_used(rows) & ~_used(old))
+        at = which[better]
+        self.rows[at] = rows[better]
+        self.counts[at] = counts[better]
+        self.locked[at] = locked[better]
+
+    def stepped(self, left: np.ndarray) -> np.ndarray:
+        """The targets of `left` that have no solution inside the limits at any of VALUES values."""
+        values = spare_values(self.plan, self.plan.spare)
+        k = 0
+        while k < len(values) and len(left) and not self.question.stopped(left):
+            some = values[k : k + max(1, ROOM // len(left))]
+            which = np.repeat(left, len(some))
+            locked = self.locked[which]
+            locked[:, self.plan.spare] = np.tile(some, (len(left), 1))
+            same = len(some) == 1 and not np.ptp(locked, axis=0).any()
+            rows, counts = self.solutions_at(which, locked[:1] if same else locked)
+            grade = (2 * _reached(rows) + _used(rows)).reshape(len(left), len(some))
+            first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
+            self.take(left, locked[first], rows[first], counts[first])
+            self.tried[left] += np.where(
+                grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some)
+            )
+            left = left[~_reached(self.rows[left])]
+            k = k + len(some)
+        return left
+
+    def searched(
+        self, left: np.ndarray, starts: int, tolerance: float, limited: bool
+    ) -> np.ndarray:
+        """The targets of `left` for which no start found a configuration, inside the limits where
+        `limited`.
+
+        The others have all solutions with the spare joints where their configuration has them,
+        itself among them.
+        """
+        if not len(left) or self.question.stopped(left):
+            return left
+        q, error, found = self._configurations(left, starts, tolerance, limited)
+        which = left[found]
+        q = q[found]
+        error = error[found]
+        if len(which):
+            locked = self.locked[which]
+            locked[:, self.plan.spare] = q[:, self.plan.spare]
+            rows, counts = self.solutions_at(which, locked)
+            for i in np.flatnonzero(~(_reached(rows) if limited else _used(rows))):
+                _put(rows[i], counts[i], q[i], error[i], limited, self.question.lead is None)
+            self.tried[which] += 1
+            self.take(which, locked, rows, counts)
+        return left[~found]
+
+    def _configurations(
+        self, which: np.ndarray, starts: int, tolerance: float, limited: bool
+    ) -> tuple[Array, Array, np.ndarray]:
+        """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance
+        of the question.
+        """
+        lines = self.plan.lines
+        task = frame_problem(self.question)
+        m = len(which)
+        chain = task.chain
+        at = places_in(chain, lines)
+        goals = self.question.targets[which]
+        pins = list(self.plan.fixed)
+        if self.question.axis != Z_AXIS:
+            goals = goals.copy()
+            goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.question.axis))
+        pinned = self.locked[which][:, pins]
+        out = np.empty((m, len(lines) + ANSWER))
+        circular = chain.circular.copy()
+        circular[at[pins]] = 0
+        task = replace(
+            task,
+            chain=replace(chain, circular=circular),
+            starts=starts,
+            tolerance=(tolerance, min(tolerance, max(self.question.angular, LOOSE))),
+        )
+        wanted = rows_of(task)
+        limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
+        near = self.near if len(self.near) == 1 else self.near[which]
+        seeds = np.empty((len(near), 1, len(lines)))
+        seeds[:, 0, at] = near
+        if starts > FEW and limited:  # the few began at `near`: other starts, then
+            seeds = chain.no_seed
+
+        def pieces(i: int, j: int) -> int:
+            for k in range(i, j, PIECE):
+                look()
+                last = min(k + PIECE, j)
+                if self.question.stopped(which[k:last]):
+                    out[k:last] = np.nan
+                else:
+                    work(k, last)
+            return 0
+
+        def work(i: int, j: int) -> int:
+            if len(pins):
+                limits[:, at[pins]] = pinned[i]
+            first = seeds[i:j] if len(seeds) > 1 else seeds
+            if chain.span.wide:
+                return answered(task, self.question.targets[which[i:j]], first, limits, out[i:j])
+            return schedule.reach(
+                chain.ints,
+                chain.floats,
+                limits,
+                wanted,
+                goals[i:j],
+                first,
+                0,
+                0,
+                starts,
+                ITERATIONS,
+                *task.tolerance,
+                0.0,
+                out[i:j],
+            )
+
+        if len(pins) and np.ptp(pinned, axis=0).any():
+            for i in range(m):
+                pieces(i, i + 1)
+        else:
+            over_chunks(pieces, m, CHUNK, self.threads, SERIAL_BELOW)
+        n = len(lines)
+        q = out[:, at]
+        error = np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR])
+        found = out[:, n + STATUS] == SOLVED
+        for i in np.flatnonzero(found & (error > self.question.tolerance)):
+            q[i], error[i] = self._polished(which[i], q[i], limited)
+        within = (error <= self.question.tolerance) & (
+            out[:, n + ANGULAR] <= max(self.question.angular, LOOSE)
+        )
+        return q, error, found & within
+
+    def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
+        """A configuration (n,) on the target as nearly as can be, and its error."""
+        lines = self.plan.lines
+        X = self.question.targets[index].copy()
+        if self.question.axis != Z_AXIS:
+            X[:3, :3] = X[:3, :3] @ frame_of(np.array(self.question.axis))
+        X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
+        moves = np.array([i for i in range(len(lines)) if i not in self.plan.fixed], dtype=np.int64)
+        aim = Aim(lines, np.flatnonzero(TASKS[self.plan.task]), X, moves)
+        low, high = limits_of(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
+        theta = lines.theta(q)[None]
+        error = np.inf
+        for _ in range(POLISHES):  # where the chain is singular a step halves the way
+            theta = descend(aim, theta, low[moves], high[moves], BRISK)
+            R, p, _, _ = aim.sweep(theta)
+            e = aim.errors(R, p)[0]
+            error = float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
+            if error <= 0.1 * self.question.tolerance:
+                break
+        q = (theta[0] - lines.offset) / lines.multiplier
+        return np.clip(q, *lines.limits) if limited else q, error
+
+
+def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
+    """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the
+    space between.
+
+    The points of one joint are those of van der Corput (1935), of several those of a Kronecker
+    sequence.
+    """
+    lines = plan.lines
+    k = len(spare)
+    count = VALUES - 1
+    if k == 1:
+        number = np.arange(1, count - 1)
+        shares = sum(((number >> bit) & 1) / 2.0 ** (bit + 1) for bit in range(6))
+        shares = np.concatenate([np.reshape(shares, (-1, 1)), [[0.0], [1.0]]])
+    else:
+        root = 2.0
+        for _ in range(50):  # x^(k + 1) = x + 1
+            root = (1.0 + root) ** (1.0 / (k + 1))
+        shares = (0.5 + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, k + 1)) % 1.0
+    full = np.full((count, len(lines)), 0.5)
+    full[:, spare] = shares
+    return within_domains(lines, full)[:, spare]
+
+
+def _put(row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool) -> None:
+    """Make a configuration one of the rows (K, n + 2) of its target: in place of itself, else where
+    there is room.
+    """
+    n = len(q)
+    used = row[:, n + A.CODE] >= 0.0
+    off = np.where(used, np.abs(row[:, :n] - q).max(axis=1), np.inf)
+    at = (
+        int(np.argmin(off))
+        if off.min() < SAME
+        else int(np.argmin(used))
+        if not used.all()
+        else len(row) - 1
+    )
+    count[0] += int(not used[at])
+    count[1] = 1
+    own = np.concatenate([q, [error, A.MULTIPLICITY_UNIT + float(inside)]])
+    if first:
+        row[1 : at + 1] = row[:at].copy()
+        at = 0
+    row[at] = own
