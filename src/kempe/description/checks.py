@@ -17,7 +17,7 @@ from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint, shown
 from kempe.joints import JointType, P, Q, R, joint_type
 from kempe.poses import Placement
-from kempe.values import Expression, value
+from kempe.values import Expression, value, values
 from kempe.words import counted, verb
 
 SAME_DIRECTION = 1e-12
@@ -56,7 +56,6 @@ def body(
     particle: bool,
     mass: object,
     center: Any,
-    visuals: Iterable[str],
     where: Where | None,
 ) -> Body:
     """A `Body` with its name, mass (kg, not negative) and centre of mass (2 or 3 lengths) checked."""
@@ -78,7 +77,19 @@ def body(
                 "it must have 2 or 3",
             )
         center = (*lengths, 0.0)[:3]
-    return Body(given, particle, mass, center, tuple(visuals), where)  # type: ignore[arg-type]
+    return Body(given, particle, mass, center, where=where)  # type: ignore[arg-type]
+
+
+def color(given: object) -> tuple[float, float, float, float] | None:
+    """Red, green, blue and opacity from 0 to 1; without opacity it is 1. Errors: `InputError`."""
+    if given is None:
+        return None
+    found = values(given, (3, 4), "color")
+    if any(isinstance(x, Expression) or not 0.0 <= x <= 1.0 for x in found):
+        raise InputError(
+            f"color is {shown(given)}; it must be red, green, blue and opacity from 0 to 1"
+        )
+    return (*found, 1.0)[:4]  # type: ignore[return-value]
 
 
 def kind(

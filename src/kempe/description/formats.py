@@ -81,6 +81,7 @@ URDF = Format(
         "particles": "URDF has rigid bodies only",
         "constraints that are not joints": "URDF has joints only; a .toml file can hold it",
         "control characters in names": "rename it",
+        "ellipsoids": "give it as a mesh, or as a capsule",
     },
     loses=(
         "parameters (their values stay)",
@@ -91,6 +92,7 @@ URDF = Format(
         "notes",
         "which joints are actuated or cut",
         "the tolerance",
+        "shapes that are seen and collide (they become a visual and a collision)",
     ),
 )
 """The format of ROS; its links and joints form a tree."""

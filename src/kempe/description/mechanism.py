@@ -31,7 +31,8 @@ from kempe.constraints.base import (
 )
 from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
-from kempe.description.parts import Body, Coupling, Declared, Frame, Joint
+from kempe.description.parts import Body, Coupling, Declared, Frame, Joint, Shape
+from kempe.description.shapes import Geometry, geometry
 from kempe.description.source import collecting_later
 from kempe.errors import (
     DescriptionError,
@@ -558,19 +559,18 @@ class Mechanism(ConstraintMethods):
         name: str,
         mass: float | None = None,
         center: Iterable[float] | None = None,
-        visuals: Iterable[str] = (),
         where: Where | None = None,
     ) -> Body:
         """A new rigid body; `mass` in kg and `center` of mass (x, y, z) in the body's frame are
         optional.
         """
-        return self._add_body(checks.body(name, False, mass, center, visuals, where))
+        return self._add_body(checks.body(name, False, mass, center, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
         """A new particle: a point mass without orientation. Attach it by a prismatic, translation
         or free joint.
         """
-        return self._add_body(checks.body(name, True, mass, None, (), where))
+        return self._add_body(checks.body(name, True, mass, None, where))
 
     def _add_body(self, body: Body) -> Body:
         self._free_name(body.name, "body", body.where)
@@ -607,6 +607,98 @@ class Mechanism(ConstraintMethods):
             )
         self.frames[name] = Frame(name, on.name, X_BF, where)
         return self.frames[name]
+
+    def shape(
+        self,
+        body: BodyLike | Frame,
+        kind: str | Geometry,
+        *,
+        radius: Value | str | None = None,
+        length: Value | str | None = None,
+        size: Sequence[Value | str] | None = None,
+        radii: Sequence[Value | str] | None = None,
+        path: str | None = None,
+        scale: Value | Sequence[Value | str] | None = None,
+        at: object = (0.0, 0.0, 0.0),
+        roll: Value | str = 0.0,
+        pitch: Value | str = 0.0,
+        yaw: Value | str = 0.0,
+        visual: bool = True,
+        collision: bool = True,
+        color: Sequence[float] | None = None,
+        name: str = "",
+        where: Where | None = None,
+        **turn: Any,
+    ) -> Shape:
+        """A new shape of a body: what is seen of it, what it collides with, or both.
+
+        Parameters
+        ----------
+        body
+            The body, or a frame on it from which the place is measured.
+        kind
+            "sphere" (`radius`), "box" (`size`: x, y, z), "cylinder" and "capsule" (`radius`,
+            `length`; along z, and a capsule has a half ball beyond each end of its length),
+            "ellipsoid" (`radii` along x, y, z), "mesh" (`path` of the file, `scale`). Sizes are
+            metres, or expressions in parameters.
+        at
+            Where the centre of the shape is, or the origin of the mesh: as in `frame`, also the
+            name of a frame on the body.
+        roll, pitch, yaw
+            Turns about the fixed axes x, y and z of the body [rad]. `rpy`, `angle`, `axis`,
+            `quat_wxyz` and `matrix` are taken in their place, as in `frame`; `axis` is the
+            direction of the axis of a cylinder.
+        visual, collision
+            Whether it is drawn, and whether it is what collides.
+        color
+            Red, green, blue, and opacity, each from 0 to 1.
+        name
+            A name for the reader of a file; no two calls need different ones.
+
+        Returns
+        -------
+        Shape
+            The record, which `mechanism.bodies[...].shapes` now holds.
+
+        Raises
+        ------
+        DescriptionError
+            What is wrong, and what is allowed.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm")
+        >>> link = m.body("link")
+        >>> print(m.shape("link", "capsule", radius=0.04, length=0.4, at=(0.2, 0, 0), axis="x"))
+        capsule of radius 0.04 m and length 0.4 m
+        >>> m.shape("link", "box", size=(0.1, 0.1, 0.02), collision=False).visual
+        True
+        """
+        subject = f"shape {name!r}" if name else f"a shape of {str(body)!r}"
+        sizes = {"radius": radius, "length": length, "size": size, "radii": radii}
+        try:
+            made = geometry(kind, {**sizes, "path": path, "scale": scale})
+            self._known_parameters(made.names)
+            made.evaluate(self.parameters)
+            if any(x != 0.0 for x in (roll, pitch, yaw)):
+                if "rpy" in turn:
+                    raise InputError("orientation given twice, by rpy and roll, pitch, yaw")
+                turn = {**turn, "rpy": (roll, pitch, yaw)}
+            rgba = checks.color(color)
+        except (InputError, UnknownNameError) as error:
+            checks.refuse(subject, str(error), where)
+        end = _placed(self, (body, at, turn), subject, where)
+        on = self.bodies[end.body]
+        if on.particle:
+            checks.refuse(subject, f"{on.name!r} is a particle, which has no extent", where)
+        uses = flag(visual, f"visual of {subject}"), flag(collision, f"collision of {subject}")
+        if not any(uses):
+            checks.refuse(
+                subject, "it is neither visual nor collision", where, "one of them must be True"
+            )
+        shape = Shape(made, end.X, *uses, rgba, str(name), where)
+        self.bodies[on.name] = replace(on, shapes=(*on.shapes, shape))
+        return shape
 
     def parameter(self, name: str, number: float) -> Expression:
         """A named parameter (a length in metres, an angle in radians) for use in placements;
@@ -916,6 +1008,12 @@ class Mechanism(ConstraintMethods):
                 "names must be unique",
             )
 
+    def _known_parameters(self, names: Iterable[str]) -> None:
+        """Refuse names that are no parameters. Errors: `UnknownNameError`."""
+        for name in sorted(names):
+            if name not in self.parameters:
+                raise UnknownNameError("parameter", name, self.parameters, self.name)
+
     def _free_joint_name(self, name: str, subject: str, where: Where | None) -> None:
         taken = self.joints.get(name) or self.constraints.get(name)
         if taken is not None:
@@ -947,9 +1045,7 @@ class Mechanism(ConstraintMethods):
                     raise UnknownNameError("frame", str(at), names, f"body {on.name!r}")
                 at = frame.X_BF
             X = place(at, **turn)
-            for name in sorted(X.names):
-                if name not in self.parameters:
-                    raise UnknownNameError("parameter", name, self.parameters, self.name)
+            self._known_parameters(X.names)
         except (InputError, UnknownNameError) as error:
             checks.refuse(subject, str(error), where)
         return X

@@ -10,12 +10,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
+from kempe.description.shapes import Geometry
 from kempe.errors import Where
 from kempe.joints import Helical, JointType, P, R, Translation
 from kempe.poses import Placement
 from kempe.spatial import Array
 from kempe.values import Expression, Value
-from kempe.words import joined, paragraphs, verb
+from kempe.words import joined, listed, paragraphs, verb
 
 MOVES = {R: "turns about", P: "slides along"}
 """What elementary motions do to an axis."""
@@ -51,6 +52,46 @@ class InSentence:
         return paragraphs([self.sentence])
 
 
+SAID = 4
+"""Shapes of a body that its sentence names."""
+
+USES = {(True, True): "", (True, False): " (visual)", (False, True): " (collision)"}
+"""What a shape is for, in words, by `visual` and `collision`."""
+
+
+@dataclass(frozen=True)
+class Shape(InSentence):
+    """A shape on a body, placed by `X_BS`: what is seen of the body, what it collides with, or both.
+
+    `color` is red, green, blue and opacity, each from 0 to 1; None is the colour of drawings.
+    """
+
+    geometry: Geometry
+    X_BS: Placement = Placement()
+    visual: bool = True
+    collision: bool = True
+    color: tuple[float, float, float, float] | None = None
+    name: str = ""
+    where: Where | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind of shape."""
+        return self.geometry.kind
+
+    @property
+    def sentence(self) -> str:
+        """The shape in words: "capsule of radius 0.04 m and length 0.4 m (collision), placed by z =
+        0.2".
+        """
+        named = f"{self.name}: " if self.name else ""
+        placed = f", placed by {self.X_BS}" if self.X_BS.steps else ""
+        return f"{named}{self}{placed}"
+
+    def __str__(self) -> str:
+        return f"{self.geometry}{USES[self.visual, self.collision]}"
+
+
 @dataclass(frozen=True)
 class Body(InSentence):
     """A rigid body, or a particle: a body without orientation (3 degrees of freedom in space, 2 in
@@ -61,7 +102,7 @@ class Body(InSentence):
     particle: bool = False
     mass: float | None = None
     center: tuple[float, float, float] | None = None
-    visuals: tuple[str, ...] = ()
+    shapes: tuple[Shape, ...] = ()
     where: Where | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -74,8 +115,8 @@ class Body(InSentence):
             if self.center is None
             else f", centre of mass at ({', '.join(f'{x:.6g}' for x in self.center)}) m"
         )
-        meshes = f", drawn with {joined(self.visuals)}" if self.visuals else ""
-        return f"{self.name}: {kind}{mass}{at}{meshes}"
+        shapes = f"; its shapes: {listed(list(map(str, self.shapes)), SAID)}" if self.shapes else ""
+        return f"{self.name}: {kind}{mass}{at}{shapes}"
 
     def __str__(self) -> str:
         return self.name

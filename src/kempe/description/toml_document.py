@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from kempe import constraints
 from kempe.constraints.base import fields_of
+from kempe.description.shapes import SHAPES, sizes_of
 from kempe.description.source import Findings, Source, fail, shorten
 from kempe.errors import Where, hint
 from kempe.joints import TYPES, JointType
@@ -307,6 +308,7 @@ KEYS = {
         "body",
         "joint",
         "frame",
+        "shape",
         "constraint",
         "coupling",
         "postures",
@@ -329,6 +331,16 @@ KEYS = {
         "cut",
     ),
     "frame": ("name", "body", *PLACE),
+    "shape": (
+        "body",
+        "type",
+        *dict.fromkeys(size for kind in SHAPES.values() for size in sizes_of(kind)),
+        *PLACE,
+        "visual",
+        "collision",
+        "color",
+        "name",
+    ),
     "constraint": (
         "name",
         "type",
@@ -348,6 +360,7 @@ REQUIRED = {
     "body": ("name",),
     "joint": ("name", "type", "parent", "child"),
     "frame": ("name", "body"),
+    "shape": ("body", "type"),
     "constraint": ("name", "type"),
     "coupling": ("of", "sources"),
     "dh": ("rows",),
@@ -357,6 +370,8 @@ REQUIRED = {
 
 _VALUES: dict[str, tuple[type, str]] = {
     "particle": (bool, "true or false"),
+    "visual": (bool, "true or false"),
+    "collision": (bool, "true or false"),
     "actuated": (bool, "true or false"),
     "cut": (bool, "true or false"),
     "name": (str, "text in quotes"),

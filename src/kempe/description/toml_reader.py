@@ -18,6 +18,8 @@ from kempe.description.mechanism import BETWEEN, Mechanism, between
 from kempe.description.parts import Body
 from kempe.description.source import Source, decode, fail, folders_of, refuse_other_kinds, shorten
 from kempe.description.toml_document import PLACE, Document, Path, joint_options
+from kempe.description.urdf_shapes import USES, read_materials, read_shape
+from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES, joint_type
 from kempe.poses import Placement, place, steps_from_data
@@ -44,7 +46,7 @@ def read_toml(
     mechanism.tolerance = _tolerance(document)
     _TomlReader(document, mechanism).read()
     document.findings.finish()
-    mechanism.notes = [*head["notes"], *mechanism.notes]
+    mechanism.notes = [*head["notes"], *mechanism.notes, *document.findings.notes]
     mechanism.roots = tuple(map(str, folders_of(package_dirs)))
     return mechanism
 
@@ -82,6 +84,7 @@ class _TomlReader:
         steps = (
             ("body", self.body),
             ("frame", self.frame),
+            ("shape", self.shape),
             ("joint", self.joint),
             ("constraint", self.constraint),
             ("coupling", self.coupling),
@@ -130,15 +133,35 @@ class _TomlReader:
                     self.mechanism.particle(name, mass, where)
                 elif name == self.mechanism.ground.name and self.mechanism.ground.where is None:
                     # the ground exists already: another mechanism checks the values
-                    checked = Mechanism(ground=f"not {name}").body(
-                        name, mass, center, visuals, where
-                    )
+                    checked = Mechanism(ground=f"not {name}").body(name, mass, center, where)
                     self.mechanism.bodies[name] = checked
                 else:
-                    self.mechanism.body(name, mass, center, visuals, where)
+                    self.mechanism.body(name, mass, center, where)
+                for text in visuals:
+                    self.visual(name, text, subject)
         # so that joints to a wrong body are not called wrong, too
         if isinstance(name, str) and name.strip():
             self.mechanism.bodies.setdefault(name, Body(name))
+
+    def visual(self, name: str, text: str, subject: str) -> None:
+        """Read a <visual> element of URDF, which files of before [[shape]] hold as text."""
+        element = parse_xml(text, subject)
+        if element.tag not in USES:
+            raise InputError(f"a text of visuals is {shorten(text)}; it must be a <visual> element")
+        shape = read_shape(element, subject, read_materials(element, self.findings), self.findings)
+        if shape is not None:
+            on = self.mechanism.bodies[name]
+            self.mechanism.bodies[name] = replace(on, shapes=(*on.shapes, shape))
+
+    def shape(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
+        good &= self.known_body(table, "body", path, subject)
+        X_BS = self.placement(table, "", path, subject, table.get("body"))
+        if good and X_BS is not None:
+            given = {k: x for k, x in table.items() if k not in ("body", "type", *PLACE)}
+            with self.findings.guard(subject, self.where(*path)):
+                self.mechanism.shape(
+                    table["body"], table["type"], at=X_BS, where=self.where(*path), **given
+                )
 
     def frame(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
         good &= self.known_body(table, "body", path, subject)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from kempe.constraints.base import NUMBERS, End, expressions_in, fields_of, numb
 from kempe.constraints.tape import TEXT_LIMIT, Tape
 from kempe.description.formats import TOML
 from kempe.description.mechanism import BETWEEN, Mechanism
-from kempe.description.parts import Body, Declared, Frame, Joint
+from kempe.description.parts import Body, Declared, Frame, Joint, Shape
 from kempe.description.source import Findings
 from kempe.description.toml_document import FORMAT, NEWEST
 from kempe.errors import DescriptionError, Fault, InputError
@@ -49,7 +49,9 @@ def write_toml(mechanism: Mechanism) -> str:
     for c in m.constraints.values():
         with findings.guard(f"constraint {c.name!r}", c.where):
             constraints.append(_constraint(c, m.dim))
-    version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
+    shapes = [_shape(b.name, s, m.dim) for b in m.bodies.values() for s in b.shapes]
+    newer = shapes or any("parent" not in table for table in constraints)
+    version = NEWEST if newer else FORMAT
     head = {
         "format": version,
         "name": m.name,
@@ -62,7 +64,9 @@ def write_toml(mechanism: Mechanism) -> str:
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:
         blocks.append("[parameters]\n" + _lines(m.parameters))
-    blocks += [_block("body", _body(b)) for b in m.bodies.values() if b != Body(m.ground.name)]
+    plain = Body(m.ground.name)
+    bodies = (b for b in m.bodies.values() if replace(b, shapes=()) != plain)
+    blocks += [_block("body", _body(b)) for b in bodies]
     for joint in m.joints.values():
         if in_zoo(joint.type):
             blocks.append(_block("joint", _joint(joint, m.dim)))
@@ -71,6 +75,7 @@ def write_toml(mechanism: Mechanism) -> str:
         said = f"type {joint.type.type_name!r} is not in the table of joints"
         findings.add(said, f"joint {joint.name!r}", joint.where, allowed)
     blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
+    blocks += [_block("shape", table) for table in shapes]
     blocks += [_block("constraint", table) for table in constraints]
     for c in m.couplings.values():
         table = {"of": c.of, "sources": c.sources} | (
@@ -99,13 +104,25 @@ def _body(body: Body) -> dict[str, Any]:
         "particle": body.particle or None,
         "mass": body.mass,
         "center": body.center,
-        "visuals": list(body.visuals) or None,
     }
     return {k: v for k, v in given.items() if v is not None}
 
 
 def _frame(frame: Frame, dim: int) -> dict[str, Any]:
     return {"name": frame.name, "body": frame.body, **_placement(frame.X_BF, dim)}
+
+
+def _shape(body: str, shape: Shape, dim: int) -> dict[str, Any]:
+    out = {"body": body, "type": shape.kind} | ({"name": shape.name} if shape.name else {})
+    for f in fields(shape.geometry):
+        x = getattr(shape.geometry, f.name)
+        if x != f.default:
+            out[f.name] = x
+    out |= _placement(shape.X_BS, dim)
+    for key in ("visual", "collision"):
+        if not getattr(shape, key):
+            out[key] = False
+    return out | ({"color": shape.color} if shape.color else {})
 
 
 def _joint(joint: Joint, dim: int) -> dict[str, Any]:

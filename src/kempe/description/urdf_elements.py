@@ -543,7 +543,7 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
 
 
 def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
-    """Body of a <link>: its mass and centre of mass where given, its visuals as text."""
+    """Body of a <link>: its mass and centre of mass where given."""
     subject = f"link {name!r}"
     mass = None
     center = None
@@ -575,8 +575,7 @@ def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
         for part in inertial.of("origin")[:1]:
             if "xyz" in part.attributes:
                 center = numbers(part, "xyz", 3, findings, subject)
-    visuals = tuple(v.text for v in element.of("visual"))
-    return Body(name, False, mass, center, visuals, element.where)  # type: ignore[arg-type]
+    return Body(name, False, mass, center, where=element.where)  # type: ignore[arg-type]
 
 
 # ---- joints
@@ -600,17 +599,20 @@ def read_joint(
     subject = f"joint {name!r}"
     before = len(findings.problems)
     _check_joint(element, findings, subject)
-    out = _origin(element, findings, subject, quaternions)
+    out = read_origin(element, findings, subject, quaternions)
     out["axis"] = _axis(kind, element, findings, subject)
     out |= _limit(kind, element, findings, subject, lenient)
     return out if len(findings.problems) == before else None
 
 
-def _origin(
-    joint: XmlElement, findings: Findings, subject: str, quaternions: bool
+def read_origin(
+    element: XmlElement, findings: Findings, subject: str, quaternions: bool
 ) -> dict[str, Any]:
+    """The arguments of `place` that an element's <origin> gives, empty where it has none or a wrong
+    one.
+    """
     out: dict[str, Any] = {}
-    for origin in joint.of("origin")[:1]:
+    for origin in element.of("origin")[:1]:
         given = {
             k: numbers(origin, k, n, findings, subject)
             for k, n in (("xyz", 3), ("rpy", 3), ("quat_xyzw", 4))

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from kempe.description.formats import URDF, by_contents, joined
 from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body
 from kempe.description.source import Findings, fail, folders_of, shorten
 from kempe.description.urdf_elements import (
     ATTRIBUTES,
@@ -24,6 +25,7 @@ from kempe.description.urdf_elements import (
     read_link,
     strip_namespaces,
 )
+from kempe.description.urdf_shapes import read_materials, read_shapes
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
@@ -173,6 +175,11 @@ class _Urdf:
     joints: dict[str, XmlElement] = field(default_factory=dict[str, XmlElement])
     ends: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
     types: dict[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def quaternions(self) -> bool:
+        """Whether the file is of a version that has `quat_xyzw`."""
+        return has_quaternions(self.robot)
 
 
 def read_urdf(
@@ -420,7 +427,7 @@ def _end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
 def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
     """The mechanism with everything that is sound; what is not goes to the findings."""
     name = urdf.robot.attributes.get("name", "").strip() or "robot"
-    bodies = {n: read_link(n, e, urdf.findings) for n, e in urdf.links.items()}
+    bodies = _bodies(urdf)
     root = ground if ground is not None else next(iter(bodies), "ground")
     mechanism = Mechanism(name, ground=_fresh("world", bodies) if base else root)
     for link, body in bodies.items():
@@ -430,10 +437,9 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
             mechanism._add_body(body)
     if base:
         mechanism.free(_fresh("base", urdf.joints), mechanism.ground, root)
-    quaternions = has_quaternions(urdf.robot)
     for joint, element in urdf.joints.items():
         kind = urdf.types.get(joint, "fixed")
-        settings = read_joint(kind, joint, element, urdf.findings, quaternions, urdf.lenient)
+        settings = read_joint(kind, joint, element, urdf.findings, urdf.quaternions, urdf.lenient)
         if joint in urdf.ends and joint in urdf.types and settings is not None:
             unstated = settings.pop("unstated", False)
             with urdf.findings.guard(f"joint {joint!r}", element.where):
@@ -443,6 +449,16 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
                 mechanism.joints[joint] = replace(made, unstated=True) if unstated else made
     _mimics(urdf, mechanism)
     return mechanism
+
+
+def _bodies(urdf: _Urdf) -> dict[str, Body]:
+    """The bodies of all links, with their shapes."""
+    materials = read_materials(urdf.robot, urdf.findings)
+    out: dict[str, Body] = {}
+    for name, element in urdf.links.items():
+        shapes = read_shapes(element, name, materials, urdf.findings, urdf.quaternions)
+        out[name] = replace(read_link(name, element, urdf.findings), shapes=shapes)
+    return out
 
 
 def _fresh(name: str, taken: Mapping[str, object]) -> str:

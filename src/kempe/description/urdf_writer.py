@@ -13,12 +13,12 @@ import numpy as np
 from kempe import spatial
 from kempe.description.formats import URDF
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Joint
+from kempe.description.parts import Body, Joint, Shape
 from kempe.description.source import Findings
 from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
 from kempe.description.urdf_reader import reachable
-from kempe.description.xml import parse_xml
-from kempe.errors import DescriptionError
+from kempe.description.urdf_shapes import NEWER, shape_lines, writable
+from kempe.errors import InputError
 from kempe.joints import Q, R
 from kempe.poses import Placement
 from kempe.values import evaluate
@@ -88,7 +88,10 @@ class _Writer:
             origin = self.origin(frame.X_BF)
             self.fixed(fresh(f"{frame.name}_fixed", self.joints), frame.body, frame.name, origin)
         self.findings.finish()
-        head = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name={self.quoted(self.m.name)}>\n'
+        newer = any(s.kind in NEWER for body in self.m.bodies.values() for s in body.shapes)
+        version = ' version="1.1"' if newer else ""
+        name = self.quoted(self.m.name)
+        head = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name={name}{version}>\n'
         self.findings.finish()
         return head + "\n".join(self.lines) + "\n</robot>\n"
 
@@ -207,24 +210,21 @@ class _Writer:
             mass = f'<mass value="{(body.mass or 0.0)!r}"/>'
             inertia = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
             inside.append(f"<inertial>{center}{mass}{inertia}</inertial>")
-        for visual in body.visuals:
-            try:
-                if parse_xml(visual, subject).tag != "visual":
-                    self.findings.add(
-                        "a visual is not one <visual> element",
-                        subject,
-                        body.where,
-                        "correct its text",
-                    )
-            except DescriptionError as error:
-                self.findings.add(
-                    f"a visual is not XML ({error.problems[0].message})",
-                    subject,
-                    body.where,
-                    "correct its text",
-                )
-            inside.append(visual)
+        for shape in body.shapes:
+            inside += self.shape(shape, subject)
         self.link(body.name, inside)
+
+    def shape(self, shape: Shape, subject: str) -> list[str]:
+        if not writable(shape):
+            said = f"{shape.kind} does not exist in URDF as a shape"
+            self.findings.add(said, subject, shape.where, URDF.cannot["ellipsoids"])
+            return []
+        try:
+            origin = origin_element(self.origin(shape.X_BS)) if shape.X_BS.steps else ""
+            return list(shape_lines(shape, origin, self.m.parameters, self.quoted))
+        except (FloatingPointError, InputError) as error:
+            self.findings.add(str(error), subject, shape.where, "check its parameters")
+            return []
 
     # ---- joints
 
@@ -395,9 +395,7 @@ class _Writer:
         self.lines.append(
             f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>"
         )
-        self.lines.append(
-            f'    <origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>'
-        )
+        self.lines.append(f"    {origin_element(origin)}")
         if axis is not None and kind not in WITHOUT_AXIS:
             self.lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
         self.lines += [f"    {line}" for line in inside]
@@ -423,6 +421,11 @@ def fresh(name: str, taken: set[str]) -> str:
         out = f"{name}_{number}"
     taken.add(out)
     return out
+
+
+def origin_element(origin: _Origin) -> str:
+    """The element <origin>."""
+    return f'<origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>'
 
 
 def _numbers(numbers: Iterable[float]) -> str:

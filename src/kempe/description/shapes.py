@@ -1,0 +1,209 @@
+"""Kinds of shapes: what a body looks like, and what it collides with.
+
+A kind is a frozen dataclass that declares its sizes and how each is checked. A shape lies about its
+own origin: spheres, boxes, cylinders, capsules and ellipsoids are centred there, and cylinders and
+capsules have z as their axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, ClassVar
+
+from kempe.arrays import is_real
+from kempe.errors import InputError, UnknownNameError, shown
+from kempe.values import Expression, Value, evaluate, value, values
+
+Triple = tuple[Value, Value, Value]
+"""Three numbers, or expressions in parameters."""
+
+
+def _length(given: Any, what: str) -> Value:
+    """A length above zero."""
+    found = value(given, what)
+    if not isinstance(found, Expression) and not found > 0.0:
+        raise InputError(f"{what} is {found:g}; it must be above zero")
+    return found
+
+
+def _lengths(given: Any, what: str) -> tuple[Value, ...]:
+    """Three lengths above zero."""
+    found = values(given, 3, what)
+    if any(not isinstance(x, Expression) and not x > 0.0 for x in found):
+        raise InputError(f"{what} is {_said(found)}; its three lengths must be above zero")
+    return found
+
+
+def _scale(given: Any, what: str) -> tuple[Value, ...]:
+    """Three factors that are not zero; one number stands for three equal ones."""
+    alike = is_real(given) or isinstance(given, (str, Expression))
+    found = values((given, given, given) if alike else given, 3, what)
+    if any(x == 0.0 for x in found):
+        raise InputError(f"{what} is {_said(found)}; its three factors must not be zero")
+    return found
+
+
+def _path(given: Any, what: str) -> str:
+    """The path of a file, as text."""
+    if not isinstance(given, str) or not given.strip():
+        raise InputError(f"{what} is {shown(given)}; it must be text, not empty")
+    return given
+
+
+def _said(xs: Any) -> str:
+    """Numbers in words: '0.1 x 0.2 x 0.3', '0.1'."""
+    if isinstance(xs, tuple):
+        return " x ".join(map(_said, xs))  # type: ignore[arg-type]
+    return xs.text if isinstance(xs, Expression) else f"{xs:.6g}"
+
+
+def _checked_by(check: Callable[[Any, str], Any], **usual: Any) -> Any:
+    """A field with the function that checks its value."""
+    return field(metadata={"check": check}, **usual)
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Base of the kinds of shapes. Sizes are metres, or expressions in parameters."""
+
+    kind: ClassVar[str] = ""
+    """Its name in calls and files."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            what = f"{f.name} of a shape of kind {self.kind!r}"
+            checked = f.metadata["check"](getattr(self, f.name), what)
+            object.__setattr__(self, f.name, checked)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the parameters that its sizes use."""
+        return frozenset(n for x in self._expressions() for n in x.names)
+
+    def evaluate(self, parameters: Mapping[str, Any]) -> Any:
+        """The same shape with numbers in place of expressions. Errors: `InputError` for sizes that
+        are not above zero.
+        """
+        if not any(True for _ in self._expressions()):
+            return self
+        numbers: dict[str, Any] = {}
+        for f in fields(self):
+            x = getattr(self, f.name)
+            if isinstance(x, tuple):
+                numbers[f.name] = tuple(float(evaluate(v, parameters)) for v in x)  # type: ignore[arg-type]
+            elif isinstance(x, Expression):
+                numbers[f.name] = float(evaluate(x, parameters))
+        return replace(self, **numbers)
+
+    def _expressions(self) -> list[Expression]:
+        given: list[Any] = []
+        for f in fields(self):
+            x = getattr(self, f.name)
+            given += x if isinstance(x, tuple) else (x,)
+        return [x for x in given if isinstance(x, Expression)]
+
+    def __str__(self) -> str:
+        """The kind with its sizes: 'capsule of radius 0.04 m and length 0.4 m'."""
+        sizes = [f"{f.name} {_said(getattr(self, f.name))} m" for f in fields(self)]
+        return f"{self.kind} of {' and '.join(sizes)}"
+
+
+@dataclass(frozen=True)
+class Sphere(Geometry):
+    """A ball."""
+
+    kind: ClassVar[str] = "sphere"
+    radius: Value = _checked_by(_length)
+
+
+@dataclass(frozen=True)
+class Box(Geometry):
+    """A box; `size` holds its whole extents along x, y and z."""
+
+    kind: ClassVar[str] = "box"
+    size: Triple = _checked_by(_lengths)
+
+
+@dataclass(frozen=True)
+class Cylinder(Geometry):
+    """A cylinder along z; `length` is its whole height."""
+
+    kind: ClassVar[str] = "cylinder"
+    radius: Value = _checked_by(_length)
+    length: Value = _checked_by(_length)
+
+
+@dataclass(frozen=True)
+class Capsule(Geometry):
+    """A cylinder along z of this `length` with a half ball on each end: it is ``length + 2 *
+    radius`` long.
+    """
+
+    kind: ClassVar[str] = "capsule"
+    radius: Value = _checked_by(_length)
+    length: Value = _checked_by(_length)
+
+
+@dataclass(frozen=True)
+class Ellipsoid(Geometry):
+    """An ellipsoid with semi-axes `radii` along x, y and z."""
+
+    kind: ClassVar[str] = "ellipsoid"
+    radii: Triple = _checked_by(_lengths)
+
+
+@dataclass(frozen=True)
+class Mesh(Geometry):
+    """The triangles of a file, multiplied by `scale` along x, y and z.
+
+    The path is kept as text, and the file is read only where it is drawn.
+    """
+
+    kind: ClassVar[str] = "mesh"
+    path: str = _checked_by(_path)
+    scale: Triple = _checked_by(_scale, default=(1.0, 1.0, 1.0))
+
+    def __str__(self) -> str:
+        """The path, and the scale where it is not 1: 'mesh arm.stl scaled by 0.001 x 0.001 x
+        0.001'.
+        """
+        scaled = "" if self.scale == (1.0, 1.0, 1.0) else f" scaled by {_said(self.scale)}"
+        return f"mesh {self.path}{scaled}"
+
+
+SHAPES: dict[str, type[Geometry]] = {
+    cls.kind: cls for cls in (Sphere, Box, Cylinder, Capsule, Ellipsoid, Mesh)
+}
+"""The kinds of shapes by name."""
+
+
+def sizes_of(kind: type[Geometry]) -> tuple[str, ...]:
+    """Names of the sizes of a kind of shapes."""
+    return tuple(f.name for f in fields(kind))
+
+
+def geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
+    """The shape of a kind with these sizes; None stands for one that is not given.
+
+    Errors: `UnknownNameError` for the kind; `InputError` for sizes that are missing, wrong, or of
+    another kind.
+    """
+    sizes = {k: x for k, x in given.items() if x is not None}
+    if isinstance(kind, Geometry):
+        if sizes:
+            raise InputError(
+                f"{next(iter(sizes))} is given beside a shape that has its sizes: {kind}"
+            )
+        return kind
+    made = SHAPES.get(kind) if isinstance(kind, str) else None
+    if made is None:
+        raise UnknownNameError("kind of shape", kind, SHAPES)
+    takes = ", ".join(sizes_of(made))
+    for name in sizes:
+        if name not in sizes_of(made):
+            raise InputError(f"a shape of kind {kind!r} has no {name}; it takes {takes}")
+    for f in fields(made):
+        if f.name not in sizes and f.default is MISSING:
+            raise InputError(f"a shape of kind {kind!r} needs {f.name}; it takes {takes}")
+    return made(**sizes)

@@ -1,0 +1,240 @@
+"""Shapes in URDF: <visual> and <collision> elements, and materials, read and written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kempe.description.parts import Shape
+from kempe.description.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Geometry,
+    Mesh,
+    Sphere,
+    sizes_of,
+)
+from kempe.description.source import Findings, shorten
+from kempe.description.urdf_elements import numbers, read_origin
+from kempe.description.xml import XmlElement
+from kempe.poses import place
+
+Color = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Element:
+    """How URDF writes a kind of shape: for each size the attributes that hold it, with how many
+    numbers each has, 0 for text.
+    """
+
+    kind: type[Geometry]
+    sizes: Mapping[str, Mapping[str, int]]
+    optional: tuple[str, ...] = ()
+    standard: bool = True
+    """Whether it is written, too."""
+
+
+_TUBE = {"radius": {"radius": 1}, "length": {"length": 1}}
+_RADII = {"radii": {"a": 1, "b": 1, "c": 1}}
+
+ELEMENTS = {
+    "box": Element(Box, {"size": {"size": 3}}),
+    "sphere": Element(Sphere, {"radius": {"radius": 1}}),
+    "cylinder": Element(Cylinder, _TUBE),
+    "capsule": Element(Capsule, _TUBE),
+    "mesh": Element(Mesh, {"path": {"filename": 0}, "scale": {"scale": 3}}, ("scale",)),
+    "drake:capsule": Element(Capsule, _TUBE, standard=False),
+    "drake:ellipsoid": Element(Ellipsoid, _RADII, standard=False),
+}
+"""The elements inside <geometry>; capsules are of URDF 1.1, and the last two of Drake."""
+
+USES = {"visual": (True, False), "collision": (False, True)}
+"""Elements of a link that hold shapes, with `visual` and `collision` of `Shape`."""
+
+NEWER = (Capsule.kind,)
+"""Kinds that are of URDF 1.1."""
+
+
+# ---- reading
+
+
+def read_materials(robot: XmlElement, findings: Findings) -> dict[str, Color | None]:
+    """Colours by the names of materials: those of the robot, and those that visuals define."""
+    out: dict[str, Color | None] = {}
+    for element in robot.of("material"):
+        name = element.attributes.get("name", "")
+        out.setdefault(name, _color(element, f"material {name!r}", findings))
+    for link in robot.of("link"):
+        for visual in link.of("visual"):
+            for element in visual.of("material"):
+                name = element.attributes.get("name", "")
+                if name and element.children and name not in out:
+                    out[name] = _color(element, f"material {name!r}", Findings())
+    return out
+
+
+def read_shapes(
+    link: XmlElement,
+    name: str,
+    materials: Mapping[str, Color | None],
+    findings: Findings,
+    quaternions: bool = True,
+) -> tuple[Shape, ...]:
+    """The shapes of a <link> that is called `name`; what is wrong with them goes to the findings."""
+    found = (
+        read_shape(element, f"link {name!r}", materials, findings, quaternions)
+        for element in link.children
+        if element.tag in USES
+    )
+    return tuple(shape for shape in found if shape is not None)
+
+
+def read_shape(
+    element: XmlElement,
+    owner: str,
+    materials: Mapping[str, Color | None],
+    findings: Findings,
+    quaternions: bool = True,
+) -> Shape | None:
+    """The shape of a <visual> or <collision>, or None after recording why there is none.
+
+    Sizes that are missing, negative or no numbers are problems. What has no size, such as a sphere
+    of radius 0, and kinds of shapes that are not known, are left out with a note.
+    """
+    name = element.attributes.get("name", "")
+    subject = f"{element.tag}{f' {shorten(name)}' if name else ''} of {owner}"
+    before = len(findings.problems)
+    given = read_origin(element, findings, subject, quaternions)
+    geometry = _geometry(element, findings, subject)
+    color = None
+    for material in element.of("material")[:1]:
+        color = _color_of(material, subject, materials, findings)
+    if geometry is None or len(findings.problems) > before:
+        return None
+    visual, collision = USES[element.tag]
+    return Shape(geometry, place(**given), visual, collision, color, name, element.where)
+
+
+def _geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
+    """The shape itself. More than one in an element is a problem: readers differ in which they take."""
+    inside = [part for holder in element.of("geometry") for part in holder.children]
+    known = [part for part in inside if part.tag in ELEMENTS]
+    for part in inside:
+        if part.tag not in ELEMENTS:
+            said = f"the shape <{part.tag}> is not read; URDF has {', '.join(_STANDARD)}"
+            findings.note(said, subject, part.where)
+    if not inside:
+        findings.note("it has no <geometry> with a shape, and is left out", subject, element.where)
+    if len(known) > 1:
+        findings.add(
+            f"it has {len(known)} shapes",
+            subject,
+            known[1].where,
+            f"write one <{element.tag}> for each shape",
+        )
+    return _made(known[0], findings, subject) if len(known) == 1 else None
+
+
+def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
+    row = ELEMENTS[element.tag]
+    given: dict[str, Any] = {}
+    for name, attributes in row.sizes.items():
+        missing = [a for a in attributes if a not in element.attributes]
+        if missing and name in row.optional:
+            continue
+        if missing:
+            findings.add(
+                f"its <{element.tag}> has no {' and no '.join(missing)}",
+                subject,
+                element.where,
+                f"it needs {', '.join(a for s in row.sizes.values() for a in s)}",
+            )
+            return None
+        found: list[Any] = []
+        for attribute, count in attributes.items():
+            text = element.attributes[attribute]
+            read = numbers(element, attribute, count, findings, subject) if count else (text,)
+            if read is None:
+                return None
+            found += read
+        if any(x == 0.0 for x in found):
+            said = f"its {element.tag} has no extent ({' '.join(map(str, found))}), and is left out"
+            findings.note(said, subject, element.where)
+            return None
+        given[name] = found[0] if len(found) == 1 else tuple(found)
+    with findings.guard(subject, element.where):
+        return row.kind(**given)
+    return None
+
+
+def _color_of(
+    material: XmlElement, subject: str, materials: Mapping[str, Color | None], findings: Findings
+) -> Color | None:
+    """The colour of a <material> in a visual: its own, or that of its name."""
+    name = material.attributes.get("name", "")
+    if material.children:
+        return _color(material, subject, findings)
+    if name and name not in materials:
+        said = f"its material {shorten(name)} is not defined{findings.hint(name, materials)}"
+        findings.note(said, subject, material.where)
+    return materials.get(name)
+
+
+def _color(material: XmlElement, subject: str, findings: Findings) -> Color | None:
+    """Red, green, blue and opacity of a <material>; what is no colour is noted, and left out."""
+    for texture in material.of("texture"):
+        findings.note("its <texture> is not read", subject, texture.where)
+    for element in material.of("color")[:1]:
+        wrong = Findings()
+        text = element.attributes.setdefault("rgba", "")
+        found = numbers(element, "rgba", 4, wrong, subject)
+        if found is not None and all(0.0 <= x <= 1.0 for x in found):
+            return found  # type: ignore[return-value]
+        said = f"its color is {shorten(text)}, which is not 4 numbers from 0 to 1; it is not used"
+        findings.note(said, subject, element.where)
+    return None
+
+
+# ---- writing
+
+_STANDARD = {row.kind.kind: tag for tag, row in ELEMENTS.items() if row.standard}
+
+
+def writable(shape: Shape) -> bool:
+    """Whether URDF has the kind of shape."""
+    return shape.kind in _STANDARD
+
+
+def shape_lines(
+    shape: Shape, origin: str, parameters: Mapping[str, float], quoted: Any
+) -> Iterator[str]:
+    """A <visual>, a <collision>, or both. `origin` is the text of the element <origin>, and `quoted`
+    gives the text of an attribute.
+
+    Errors: `InputError` for sizes that are not above zero with these parameters.
+    """
+    tag = _STANDARD[shape.kind]
+    geometry = shape.geometry.evaluate(parameters)
+    said = ""
+    for name in sizes_of(type(geometry)):
+        (attribute,) = ELEMENTS[tag].sizes[name]
+        x: Any = getattr(geometry, name)
+        said += f" {attribute}={quoted(x if isinstance(x, str) else _text(x))}"
+    named = f" name={quoted(shape.name)}" if shape.name else ""
+    color = (
+        f'<material name="rgba {_text(shape.color)}"><color rgba="{_text(shape.color)}"/>'
+        if shape.color
+        else ""
+    )
+    for use, flag in (("visual", shape.visual), ("collision", shape.collision)):
+        material = f"{color}</material>" if color and use == "visual" else ""
+        if flag:
+            yield f"<{use}{named}>{origin}<geometry><{tag}{said}/></geometry>{material}</{use}>"
+
+
+def _text(x: float | Iterable[float]) -> str:
+    return repr(x) if isinstance(x, float) else " ".join(map(repr, x))
