@@ -92,7 +92,7 @@ URDF_CASES = [
             "</link>\n"
             '<link name="arm"/>\n<link name="hand"/>\n',
         ),
-        holds=lambda m: "../../../etc/passwd" in m.bodies["base"].visuals[0],
+        holds=lambda m: "../../../etc/passwd" in m.bodies["base"].shapes[0].geometry.path,
     ),
     Case(
         "not a number in an origin",

@@ -136,6 +136,10 @@ CASES: dict[tuple[str, str], tuple[Callable[[Mechanism], object], str]] = {
         lambda m: m.distance("rod", "a", "b", 1.0),
         "constraint 'rod'",
     ),
+    ("urdf", "ellipsoids"): (
+        lambda m: m.shape("a", "ellipsoid", radii=(1, 2, 3)),
+        "body 'a'",
+    ),
     ("urdf", "control characters in names"): (lambda m: setattr(m, "name", "\x01"), r"name '\x01'"),
     ("toml", "joints of types that are not in the table of joints"): (
         lambda m: m.joint("own", Unknown(), "a", m.body("x")),

@@ -12,6 +12,7 @@ from hypothesis import given
 from random_mechanisms import mechanisms
 
 from kempe.description.mechanism import Mechanism
+from kempe.description.shapes import Sphere
 from kempe.description.source import Source
 from kempe.description.toml_document import KEYS, Places
 from kempe.description.toml_reader import read_toml
@@ -153,9 +154,10 @@ def test_names_with_dots_need_no_quotes():
 
 def test_ground_can_have_mass():
     m = read_toml(
-        'format = 1\nground = "base"\n[[body]]\nname = "base"\nmass = 2\nvisuals = ["<visual/>"]\n'
+        'format = 1\nground = "base"\n[[body]]\nname = "base"\nmass = 2\n[[shape]]\nbody = "base"\n'
+        'type = "sphere"\nradius = 1\n'
     )
-    assert m.ground.mass == 2.0 and m.ground.visuals == ("<visual/>",)
+    assert m.ground.mass == 2.0 and m.ground.shapes[0].geometry == Sphere(1.0)
     assert read_toml(write_toml(m)) == m
 
 
@@ -250,7 +252,9 @@ def test_joint_types_from_outside_are_refused():
 def test_any_text_survives(name: str):
     m = Mechanism("a" + name)
     m.posture("p" + name, {})
-    m.body("b" + name, visuals=[name, "x\n" + name, name + "\n"])
+    m.body("b" + name)
+    for text in (name, "x\n" + name, name + "\n"):
+        m.shape("b" + name, "sphere", radius=1, name=text)
     assert read_toml(write_toml(m)) == m
     assert read_toml(write_toml(m).replace("\n", "\r\n").encode()) == m
 

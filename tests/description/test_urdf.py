@@ -10,6 +10,7 @@ from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from scipy.spatial.transform import Rotation
 
 import kempe
+from kempe.description.shapes import Mesh
 from kempe.description.urdf_reader import read_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 
@@ -316,15 +317,13 @@ def test_masses_and_visuals():
         'ixx="1"/></inertial>'
     )
     links = (
-        f'<link name="base">{inertial}{visual}<visual/></link><link '
+        f'<link name="base">{inertial}{visual}</link><link '
         'name="arm"><inertial/></link><link name="hand"/>\n'
     )
     m = read_urdf(robot(joint("j"), REST, links=links), package_dirs=["/models"])
-    assert (m.ground.mass, m.ground.center, m.ground.visuals) == (
-        4.5,
-        (1.0, 2.0, 3.0),
-        (visual, "<visual/>"),
-    )
+    (shape,) = m.ground.shapes
+    assert (m.ground.mass, m.ground.center) == (4.5, (1.0, 2.0, 3.0))
+    assert (shape.geometry, shape.name) == (Mesh("package://p/m.stl"), "v")
     assert (m.bodies["arm"].mass, m.bodies["arm"].center) == (None, (0.0, 0.0, 0.0))
     assert m.bodies["hand"].center is None and m.roots == ("/models",)
     with pytest.raises(DescriptionError, match="link 'base': mass is -1; it must not be negative"):

@@ -138,7 +138,8 @@ def test_planar_systems_turn_about_z():
 
 def test_names_masses_and_visuals():
     m = Mechanism('<&">')
-    m.body("a\tb'", mass=1.5, center=(1, 2, 3), visuals=["<visual>\n  <geometry/>\n</visual>"])
+    m.body("a\tb'", mass=1.5, center=(1, 2, 3))
+    m.shape("a\tb'", "mesh", path="a&b.stl", collision=False, name="<v>")
     m.revolute('"j"', m.ground, "a\tb'")
     m.frame("a frame", "a\tb'")
     again = read_urdf(write_urdf(m))
@@ -189,8 +190,11 @@ def test_all_that_urdf_cannot_say_is_listed():
     [
         (lambda m: m.body("lost"), "no joints lead from the ground to 'lost'"),
         (lambda m: m.fixed("f", m.body("b"), "a"), "a loop"),
-        (lambda m: m.body("x", visuals=["<visual>"]), "a visual is not XML"),
-        (lambda m: m.body("x", visuals=["<box/>"]), "a visual is not one <visual> element"),
+        (lambda m: m.shape("a", "ellipsoid", radii=(1, 1, 2)), "ellipsoid does not exist in URDF"),
+        (
+            lambda m: m.shape("a", "sphere", radius=1, at=("1/(l - 1)", 0, 0)),
+            "not a number with these parameters",
+        ),
         (lambda m: m.frame("\x01", "a"), "a character that XML forbids"),
         (lambda m: m.free("z", "a", m.body("b"), angles=True), "a free joint by angles"),
         (

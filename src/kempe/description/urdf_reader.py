@@ -25,7 +25,7 @@ from kempe.description.urdf_elements import (
     read_link,
     strip_namespaces,
 )
-from kempe.description.urdf_shapes import read_materials, read_shapes
+from kempe.description.urdf_shapes import note_textures, read_materials, read_shapes
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
@@ -454,6 +454,7 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
 def _bodies(urdf: _Urdf) -> dict[str, Body]:
     """The bodies of all links, with their shapes."""
     materials = read_materials(urdf.robot, urdf.findings)
+    note_textures(urdf.robot, urdf.findings)
     out: dict[str, Body] = {}
     for name, element in urdf.links.items():
         shapes = read_shapes(element, name, materials, urdf.findings, urdf.quaternions)

@@ -21,6 +21,7 @@ from kempe.description.source import Findings, shorten
 from kempe.description.urdf_elements import numbers, read_origin
 from kempe.description.xml import XmlElement
 from kempe.poses import place
+from kempe.words import counted
 
 Color = tuple[float, float, float, float]
 
@@ -77,6 +78,15 @@ def read_materials(robot: XmlElement, findings: Findings) -> dict[str, Color | N
     return out
 
 
+def note_textures(outer: XmlElement, findings: Findings) -> None:
+    """Note once that textures are not read, where there are some."""
+    if "<texture" in outer.source.text:
+        found = [element for element in outer.walk() if element.tag == "texture"]
+        for first in found[:1]:
+            many = counted(len(found), "texture")
+            findings.note(f"{many} not read: a shape has one colour", "", first.where)
+
+
 def read_shapes(
     link: XmlElement,
     name: str,
@@ -110,12 +120,12 @@ def read_shape(
     before = len(findings.problems)
     given = read_origin(element, findings, subject, quaternions)
     geometry = _geometry(element, findings, subject)
+    visual, collision = USES[element.tag]
     color = None
-    for material in element.of("material")[:1]:
+    for material in element.of("material")[:1] if visual else ():
         color = _color_of(material, subject, materials, findings)
     if geometry is None or len(findings.problems) > before:
         return None
-    visual, collision = USES[element.tag]
     return Shape(geometry, place(**given), visual, collision, color, name, element.where)
 
 
@@ -186,8 +196,6 @@ def _color_of(
 
 def _color(material: XmlElement, subject: str, findings: Findings) -> Color | None:
     """Red, green, blue and opacity of a <material>; what is no colour is noted, and left out."""
-    for texture in material.of("texture"):
-        findings.note("its <texture> is not read", subject, texture.where)
     for element in material.of("color")[:1]:
         wrong = Findings()
         text = element.attributes.setdefault("rgba", "")

@@ -11,22 +11,21 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe import spatial
 from kempe.description.limited import last_words, run_limited
+from kempe.description.parts import Shape
+from kempe.description.shapes import Mesh, sizes_of
 from kempe.description.source import shorten
-from kempe.description.xml import parse_xml
 from kempe.errors import InputError, KempeError, requirement, shown
 from kempe.spatial import Array
-from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.description.xml import XmlElement
+    from kempe.description.mechanism import Mechanism
     from kempe.model.model import Model
 
 
@@ -94,6 +93,8 @@ ALL = 120.0
 """Seconds of processor time for one mesh, and seconds for all of a model, at most."""
 FARTHEST = 1e9
 """Bound of the sizes, places and scales of shapes [m]: pages hold them with 32 bits."""
+ROUND = 24
+"""Sides of the polygon that is drawn for a circle."""
 TEXTURE = 2048
 """Pixels of a texture along an edge; larger ones are made smaller."""
 READERS = {
@@ -153,12 +154,12 @@ for k in range(s["first"], len(s["paths"])):
 
 
 class _File(NamedTuple):
-    """A mesh of a file, scaled by (3,) and then placed by (4, 4)."""
+    """A mesh of a file, scaled by (3,) and then placed by (4, 4), in a colour if it has none."""
 
-    name: str
     path: Path
     scale: Array
     X: Array
+    color: tuple[float, ...] | None
 
 
 def meshes_of(system: Model) -> tuple[dict[str, list[Any]], list[str]]:
@@ -169,10 +170,10 @@ def meshes_of(system: Model) -> tuple[dict[str, list[Any]], list[str]]:
     wanted: list[tuple[str, Any]] = []
     lost: list[str] = []
     for name, body in mechanism.bodies.items():
-        for text in body.visuals:
+        for shape in drawn(body.shapes):
             try:
-                wanted += [(name, one) for one in _of_visual(text, mechanism.roots)]
-            except (KempeError, ValueError) as error:
+                wanted.append((name, _wanted(shape, mechanism)))
+            except KempeError as error:
                 lost.append(f"{name}: {error}")
     read = read_meshes(one.path for _, one in wanted if isinstance(one, _File))
     found: dict[str, list[Any]] = {}
@@ -187,38 +188,67 @@ def meshes_of(system: Model) -> tuple[dict[str, list[Any]], list[str]]:
             if total > MOST:
                 mesh = f"the meshes of this model together have more than {MOST} bytes of triangles"
         if isinstance(mesh, str):
-            lost.append(f"{name}: mesh {one.name}: {mesh}")
+            lost.append(f"{name}: mesh {one.path.name}: {mesh}")
             continue
         made = mesh.copy()
         made.apply_scale(one.scale)
-        found.setdefault(name, []).append(_placed(made, one.X))
+        found.setdefault(name, []).append(_placed(made, one.X, one.color))
     return found, lost
 
 
-def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
-    """The meshes of one <visual> element, and the files of others. Errors: `KempeError`,
-    `ValueError`.
-    """
+def drawn(shapes: Iterable[Shape]) -> list[Shape]:
+    """The shapes of a body that are drawn: what is seen of it, else what it collides with."""
+    given = list(shapes)
+    return [s for s in given if s.visual] or given
+
+
+def _wanted(shape: Shape, mechanism: Mechanism) -> Any:
+    """The mesh of a shape, or the file that holds it. Errors: `KempeError`."""
+    geometry = shape.geometry.evaluate(mechanism.parameters)
+    X = shape.X_BS.evaluate(mechanism.parameters)
+    _refuse_far(geometry, X)
+    if isinstance(geometry, Mesh):
+        path = resolve_mesh(geometry.path, mechanism.roots)
+        return _File(path, np.array(geometry.scale), X, shape.color)
+    if shape.kind not in PRIMITIVES:
+        raise InputError(f"shapes of kind {shape.kind!r} are not drawn")
+    return _placed(PRIMITIVES[shape.kind](geometry), X, shape.color)
+
+
+def _creation(name: str, *sizes: Any) -> Any:
+    """A mesh of `trimesh.creation`."""
     import trimesh
 
-    visual = parse_xml(text, "visual")
-    X = _origin(next(iter(visual.of("origin")), None))
-    for geometry in visual.of("geometry"):
-        for mesh in geometry.of("mesh"):
-            path = resolve_mesh(mesh.attributes.get("filename", ""), roots)
-            yield _File(
-                path.name,
-                path,
-                _numbers(mesh.attributes.get("scale"), 3, 1.0, "the scale of a mesh"),
-                X,
+    return getattr(trimesh.creation, name)(*sizes)
+
+
+PRIMITIVES: dict[str, Callable[[Any], Any]] = {
+    "sphere": lambda s: _creation("icosphere", 2, s.radius),
+    "box": lambda s: _creation("box", s.size),
+    "cylinder": lambda s: _creation("cylinder", s.radius, s.length, ROUND),
+    "capsule": lambda s: _creation("capsule", s.length, s.radius, (ROUND, ROUND)),
+    "ellipsoid": lambda s: _creation("icosphere", 2, 1.0).apply_scale(s.radii),
+}
+"""The mesh of a shape with numbers for sizes, by its kind; files are read apart."""
+
+
+def _refuse_far(geometry: Any, X: Array) -> None:
+    """Refuse sizes, scales and places that a page cannot hold. Errors: `InputError`."""
+    given = {"place": X[:3, 3], **{k: getattr(geometry, k) for k in sizes_of(type(geometry))}}
+    for name, x in given.items():
+        if not isinstance(x, str) and not (np.abs(x) < FARTHEST).all():
+            raise InputError(
+                f"the {name} of a {geometry.kind} is {shown(x)}; it must be below {FARTHEST:g} in "
+                "size"
             )
-        for box in geometry.of("box"):
-            yield _placed(trimesh.creation.box(_sizes(box, "size", 3)), X)
-        for ball in geometry.of("sphere"):
-            yield _placed(trimesh.creation.icosphere(2, _sizes(ball, "radius")[0]), X)
-        for tube in geometry.of("cylinder"):
-            radius, length = (_sizes(tube, key)[0] for key in ("radius", "length"))
-            yield _placed(trimesh.creation.cylinder(radius, length, 24), X)
+
+
+def _placed(mesh: Any, X: Array, color: tuple[float, ...] | None) -> Any:
+    """The mesh, placed; in the colour where it has none of its own."""
+    mesh.apply_transform(X)
+    if color is not None and not mesh.visual.defined:
+        mesh.visual.vertex_colors = np.round(255.0 * np.array(color)).astype(np.uint8)
+    return mesh
 
 
 # ---- reading in a process of its own
@@ -298,45 +328,3 @@ def _handed_back(folder: Path, k: int) -> Any:
     mesh = trimesh.load_mesh(io.BytesIO(made.read_bytes()), file_type="glb", process=False)
     made.unlink()
     return mesh
-
-
-# ---- shapes and numbers in <visual>
-
-
-def _placed(mesh: Any, X: Array) -> Any:
-    mesh.apply_transform(X)
-    return mesh
-
-
-def _origin(element: XmlElement | None) -> Array:
-    X = np.eye(4)
-    if element is not None:
-        X[:3, 3] = _numbers(element.attributes.get("xyz"), 3, 0.0)
-        X[:3, :3] = spatial.rpy_to_matrix(_numbers(element.attributes.get("rpy"), 3, 0.0))
-    return X
-
-
-def _sizes(element: XmlElement, key: str, n: int = 1) -> Array:
-    """The lengths (n,) of a box, a sphere or a cylinder, in metres. Errors: ValueError."""
-    what = f"the {key} of a {element.tag}"
-    values = _numbers(element.attributes.get(key), n, None, what)
-    if not (values > 0.0).all():
-        raise ValueError(f"{what} is {shown(element.attributes[key])}; it must be positive")
-    return values
-
-
-def _numbers(
-    text: str | None, n: int, default: float | None = None, what: str = "a place"
-) -> Array:
-    """The numbers (n,) in a text. Errors: ValueError."""
-    if text is None and default is not None:
-        return np.full(n, default)
-    try:
-        values = np.array([float(x) for x in (text or "").split()])
-    except ValueError:
-        values = np.empty(0)
-    if len(values) != n or not (np.abs(values) < FARTHEST).all():
-        raise ValueError(
-            f"{what} is {shown(text)}; it must be {counted(n, 'number')} below {FARTHEST:g} in size"
-        )
-    return values

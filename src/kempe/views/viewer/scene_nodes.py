@@ -615,7 +615,7 @@ class Drawn:
             for X, mesh in own:
                 placed = mesh.copy()
                 placed.apply_transform(head @ X)
-                out.append(Shape(link.number, placed, 1.0))
+                out.append(Shape(link.number, placed, _opacity(placed)))
                 covered.add(link.number)
         bare = (
             p for p in self.rigid.parts if not covered.intersection(self.rigid.links(p.carrier))
@@ -680,6 +680,13 @@ class Drawn:
         camera.far = FAR * size
         camera.position = tuple(at + far * away)
         camera.look_at = tuple(at)
+
+
+def _opacity(mesh: Any) -> float:
+    """How much is seen of a mesh of one colour; 1 where it has several, or those of a file."""
+    colours = mesh.visual.vertex_colors if mesh.visual.kind == "vertex" else None
+    one = colours is not None and (colours == colours[0]).all()
+    return float(colours[0, 3]) / 255.0 if one else 1.0
 
 
 def _mesh(part: RigidPart) -> Any:
