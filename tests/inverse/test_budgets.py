@@ -25,9 +25,10 @@ from kempe.inverse.closed_forms import question, solve, start_search
 from kempe.inverse.tasks import search as effort
 from kempe.inverse.tasks import search as ik_tasks
 from kempe.kernels.compiled import fallback
-from kempe.numerics import clock, newton, pool
+from kempe.numerics import clock, newton
 from kempe.numerics.newton import least_squares_of_many
 from kempe.status import Status
+from kempe.workspace import workers
 
 ROUNDING = 1e-12
 HAND = "panda_link7"
@@ -706,9 +707,9 @@ def test_the_work_of_a_thread_that_was_told_to_stop_ends_at_the_next_piece():
     s = kempe.load("puma560")
     X = far_away(s, "tool", 1500)
     sign = threading.Event()
-    work = pool.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
+    work = workers.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
     assert np.isfinite(work().q).all()
     sign.set()
-    with pytest.raises(pool.Stopped):
+    with pytest.raises(workers.Stopped):
         work()
     assert s.ik(X[0], "tool")  # the sign was for that work alone

@@ -22,8 +22,7 @@ from kempe import Budget, Status, spatial
 from kempe.arguments import until_interrupt
 from kempe.budget import look
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
-from kempe.numerics import pool
-from kempe.workspace import map_file, row_sources, store
+from kempe.workspace import map_file, row_sources, store, workers
 
 zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra scale)")
@@ -32,7 +31,7 @@ PUMA = kempe.load("puma560")
 BAR = kempe.load("four_bar")
 TWO = kempe.load("two_link")
 N = 1000
-MODULES = (map_file, map_file, pool, store)
+MODULES = (map_file, map_file, workers, store)
 
 
 @pytest.fixture(autouse=True)
@@ -42,8 +41,8 @@ def small_chunks(monkeypatch):
     """
     monkeypatch.setattr(map_file, "CHUNK_BYTES", 2**13)
     monkeypatch.setattr(row_sources, "BLOCK_ROWS", 70)
-    monkeypatch.setattr(pool, "WAKE", 0.001)
-    monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=itertools.count().__next__))
+    monkeypatch.setattr(workers, "WAKE", 0.001)
+    monkeypatch.setattr(workers, "time", SimpleNamespace(monotonic=itertools.count().__next__))
 
 
 @pytest.fixture
@@ -503,21 +502,21 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
     def answers(job, rows):
         if len(rows):
             if len(answered) == most[0]:
-                workers[0].stop()
+                begun[0].stop()
             look()
             answered.append(len(rows))
         return before(job, rows)
 
-    workers = []
-    made = pool.ThreadWorkers.__init__
+    begun = []
+    made = workers.ThreadWorkers.__init__
     monkeypatch.setattr(map_file.RowJob, "answers", answers)
 
     def noted(self, *args, **more):
-        workers.insert(0, self)
+        begun.insert(0, self)
         made(self, *args, **more)
 
-    monkeypatch.setattr(pool.ThreadWorkers, "__init__", noted)
-    with pytest.raises(pool.Stopped):
+    monkeypatch.setattr(workers.ThreadWorkers, "__init__", noted)
+    with pytest.raises(workers.Stopped):
         kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
     assert answered == [8, 8, 8]
     (kept,) = path.with_name("out.zarr.parts").glob("begun_*.npz")
@@ -855,9 +854,7 @@ WRONG = [
 
 @pytest.mark.parametrize(("file", "more", "words"), WRONG, ids=[words for _, _, words in WRONG])
 def test_wrong_questions(tmp_path, monkeypatch, file, more, words):
-    from kempe.workspace import cluster
-
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(workers, "PATIENCE", 0.5)
     given = {"system": PUMA, "verb": "fk", "frame": "tool", **more}
     with pytest.raises((InputError, UnknownNameError), match=words):
         kempe.map_file(

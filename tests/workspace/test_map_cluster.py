@@ -20,8 +20,8 @@ import kempe
 from kempe import Budget
 from kempe.errors import InputError, KempeError, KernelsError
 from kempe.numerics import clock
-from kempe.workspace import cluster as maps_cluster
 from kempe.workspace import sampling_job
+from kempe.workspace import workers as maps_cluster
 
 dask = pytest.importorskip("dask", reason="dask is not installed (extra scale)")
 distributed = pytest.importorskip(

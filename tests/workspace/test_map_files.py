@@ -25,8 +25,8 @@ import kempe
 from kempe import Budget, Status
 from kempe.arguments import until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, KernelsError
-from kempe.numerics import pool as side_by_side
 from kempe.workspace import sampling_job, store
+from kempe.workspace import workers as side_by_side
 from kempe.workspace import workspace as mapping
 
 pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")

@@ -35,13 +35,13 @@ from kempe.workspace.kinds import (
     coordinates_of,
     read_rotations,
 )
-from kempe.workspace.map_files import Stored, read_map, write_map
 from kempe.workspace.place_bounds import place_bounds
 from kempe.workspace.planar.planar_workspace import PlanarWorkspace, planar_answer
 from kempe.workspace.planar.plane_curves import PlaneCurve
 from kempe.workspace.planar.swept_solids import SweptSolid, Turned, swept_solid
 from kempe.workspace.sampling_job import closed_configurations
 from kempe.workspace.store import description_of, refuse_other
+from kempe.workspace.stored_map import Stored, read_map, write_map
 
 if TYPE_CHECKING:
     from kempe.model.model import Model

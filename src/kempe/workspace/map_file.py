@@ -41,13 +41,12 @@ from kempe.inverse.ik_all import ik_all
 from kempe.kernels.compiled import VARIANT
 from kempe.model.configurations import as_q, as_start, has_loops, q_from_dict, units
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
-from kempe.numerics.pool import RETRIES, Pace, Stopped, ThreadWorkers, finished, thread_count
+from kempe.numerics.pool import thread_count
 from kempe.report import Cells, Report
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 from kempe.version import __version__
 from kempe.words import counted, jsonable
-from kempe.workspace.cluster import ClusterWorkers, connected, refuse_kernels
 from kempe.workspace.row_sources import RowSource, open_rows
 from kempe.workspace.store import (
     DonePart,
@@ -60,6 +59,16 @@ from kempe.workspace.store import (
     refuse_place,
     take_place,
     zarr_library,
+)
+from kempe.workspace.workers import (
+    RETRIES,
+    ClusterWorkers,
+    Pace,
+    Stopped,
+    ThreadWorkers,
+    connected,
+    finished,
+    refuse_kernels,
 )
 
 if TYPE_CHECKING:

@@ -27,14 +27,14 @@ from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import circles, has_loops, mid, random, sampling_box
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
-from kempe.numerics.pool import RETRIES, ThreadWorkers, finished, thread_count
+from kempe.numerics.pool import thread_count
 from kempe.spatial import Array
 from kempe.version import __version__
 from kempe.words import joined
 from kempe.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
-from kempe.workspace.cluster import ClusterWorkers, refuse_kernels
 from kempe.workspace.kinds import ORIENTATION, RANGES, TURNED, WorkspaceKind
 from kempe.workspace.store import DonePart, PartLog, write_whole
+from kempe.workspace.workers import RETRIES, ClusterWorkers, ThreadWorkers, finished, refuse_kernels
 
 if TYPE_CHECKING:
     from kempe.model.model import Model

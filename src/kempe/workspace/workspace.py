@@ -17,14 +17,13 @@ from kempe.budget import Budget, Usual
 from kempe.description.source import expanded
 from kempe.errors import DamagedError, InputError, shown
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, begun_within
-from kempe.numerics.pool import Pace
 from kempe.workspace.answer import Workspace, of_stored
 from kempe.workspace.cell_map import CellMap
-from kempe.workspace.cluster import connected
 from kempe.workspace.kinds import question_of
-from kempe.workspace.map_files import FORMAT, Stored, read_map, write_map
 from kempe.workspace.sampling_job import Recipe, SampleParts, Threads, recipe_of
 from kempe.workspace.store import description_of, refuse_other, refuse_place, zarr_library
+from kempe.workspace.stored_map import FORMAT, Stored, read_map, write_map
+from kempe.workspace.workers import Pace, connected
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model

@@ -1,5 +1,6 @@
-"""Maps as Zarr (version 3): counts with named axes, their middles in metres, and what made them.
-xarray opens them.
+"""Maps of workspaces on disk, as Zarr (version 3), which xarray opens.
+
+A map has counts with named axes, the middles of their cells in metres, and what made them.
 """
 
 from __future__ import annotations
