@@ -40,7 +40,7 @@ from kempe.workspace.planar.planar_workspace import PlanarWorkspace, planar_answ
 from kempe.workspace.planar.plane_curves import PlaneCurve
 from kempe.workspace.planar.swept_solids import SweptSolid, Turned, swept_solid
 from kempe.workspace.sampling_job import closed_configurations
-from kempe.workspace.store import description_of, refuse_other
+from kempe.workspace.store import refuse_other
 from kempe.workspace.stored_map import Stored, read_map, write_map
 
 if TYPE_CHECKING:
@@ -569,10 +569,8 @@ class Workspace(Report):
     def save(self, path: str | Path) -> Path:
         """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
         path = expanded(path)
-        toml = description_of(self.system)
-        write_map(
-            path, Stored(self.map, self.samples, self.outside, self.left_out, self.said, toml)
-        )
+        stored = Stored(self.map, self.samples, self.outside, self.left_out, self.said)
+        write_map(path, self.system, stored)
         return path
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:

@@ -10,7 +10,7 @@ import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,11 +20,15 @@ from kempe.workspace.sampling_job import checksum_of
 from kempe.workspace.store import (
     add_array,
     consolidate,
+    description_of,
     format_of,
     refuse_place,
     take_place,
     zarr_library,
 )
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
 
 FORMAT = "kempe workspace 1"
 CHUNK = 64
@@ -44,20 +48,22 @@ class Stored:
     outside: int
     left_out: int
     said: dict[str, Any]
-    toml: str | None
+    toml: str | None = None
+    """What a file that was read says; of what is to be written, it is worked out then."""
 
 
-def write_map(path: Path, stored: Stored) -> None:
-    """Write a map, which is then there whole or not at all. Errors: `DiskError`,
+def write_map(path: Path, system: Model, stored: Stored) -> None:
+    """Write a map of a system, which is then there whole or not at all. Errors: `DiskError`,
     `MissingExtraError`, `InputError`.
     """
     zarr = zarr_library()
     refuse_place(path, FORMAT)
+    toml = description_of(system)
     beside = path.with_name(path.name + ".new")
     try:
         shutil.rmtree(beside, ignore_errors=True)
         group = zarr.open_group(str(beside), mode="w", zarr_format=3)
-        group.attrs.update(_attributes(stored))
+        group.attrs.update(_attributes(stored, toml))
         axes = stored.map.axes
         counts = stored.map.counts
         chunks = tuple(min(CHUNK, k) for k in counts.shape)
@@ -93,9 +99,9 @@ def write_map(path: Path, stored: Stored) -> None:
         raise DiskError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def _attributes(stored: Stored) -> dict[str, Any]:
+def _attributes(stored: Stored, toml: str | None) -> dict[str, Any]:
     numbers = {"samples": stored.samples, "outside": stored.outside, "left_out": stored.left_out}
-    made = {**stored.said, **numbers, "toml": stored.toml}
+    made = {**stored.said, **numbers, "toml": toml}
     made["checksum"] = _checksum(stored.map.counts, made)
     return {
         "title": f"workspace of {stored.said['frame']}",

@@ -21,7 +21,7 @@ from kempe.workspace.answer import Workspace, of_stored
 from kempe.workspace.cell_map import CellMap
 from kempe.workspace.kinds import question_of
 from kempe.workspace.sampling_job import Recipe, SampleParts, Threads, recipe_of
-from kempe.workspace.store import description_of, refuse_other, refuse_place, zarr_library
+from kempe.workspace.store import refuse_other, refuse_place, zarr_library
 from kempe.workspace.stored_map import FORMAT, Stored, read_map, write_map
 from kempe.workspace.workers import Pace, connected
 
@@ -258,7 +258,7 @@ class _Disk:
 
     def finish(self, stored: Stored) -> None:
         """Write the map, and drop the parts."""
-        write_map(self.path, stored)
+        write_map(self.path, self.recipe.system, stored)
         self.parts.clear()
 
 
@@ -266,4 +266,4 @@ def _stored(recipe: Recipe, counts: np.ndarray, samples: int) -> Stored:
     grid = recipe.grid
     cells = CellMap(grid, counts[: grid.count].reshape(grid.shape))
     outside, left_out = (int(x) for x in counts[grid.count : grid.count + 2])
-    return Stored(cells, samples, outside, left_out, recipe.said(), description_of(recipe.system))
+    return Stored(cells, samples, outside, left_out, recipe.said())
