@@ -14,9 +14,8 @@ from kempe.assemble.bound import Assembler
 from kempe.equations import closure_rows as full
 from kempe.joints import TYPES, Free, Helical, JointType, P, Primitive, Q, R, Revolute, Spherical
 from kempe.kernels.compiled import closure_batch
-from kempe.model.constraint_program import PackedLoops
 from kempe.model.implicit_form import implicit_form, screw, slides_along_z
-from kempe.model.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, Helical(1.0), *(t() for t in OWN)]

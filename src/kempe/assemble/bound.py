@@ -30,10 +30,9 @@ from kempe.kernels.compiled import closure_batch, loop_closing, task_search
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.model.configurations import as_start, circles, home_of, refuse_far
-from kempe.model.constraint_program import PackedLoops
 from kempe.model.model import kept
 from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
 from kempe.numerics.clock import SHORT, TimeLimit, clock
 from kempe.numerics.pool import over_chunks
 from kempe.poses import refuse_no_poses

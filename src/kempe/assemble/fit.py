@@ -19,9 +19,8 @@ from kempe.description.mechanism import unused_name
 from kempe.equations.closure_rows import evaluate, full, scales
 from kempe.joints import Fixed, Revolute
 from kempe.model.characteristic_length import as_large_as, characteristic_length
-from kempe.model.constraint_program import PackedLoops
 from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import loops_of, plane_normal
+from kempe.model.packed_loops import PackedLoops, loops_of, plane_normal
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.newton import gauss_newton, gauss_newton_of_many
 from kempe.poses import Placement, place

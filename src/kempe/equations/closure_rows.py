@@ -19,9 +19,8 @@ from kempe.arguments import explained, flag
 from kempe.kernels.compiled import closure_batch
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q
-from kempe.model.constraint_program import PackedLoops
 from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
 from kempe.singular_values import svd
 from kempe.spatial import Array
 

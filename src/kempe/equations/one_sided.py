@@ -17,9 +17,8 @@ import numpy as np
 
 from kempe.equations.closure_rows import full
 from kempe.model.configurations import as_q
-from kempe.model.constraint_program import PackedLoops
 from kempe.model.model import kept
-from kempe.model.packed_loops import loops_of
+from kempe.model.packed_loops import PackedLoops, loops_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

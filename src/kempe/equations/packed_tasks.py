@@ -15,10 +15,10 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.tasks import GROUND, TILTS, Goals, Task, task_of
 from kempe.errors import InputError
 from kempe.model.configurations import as_q
-from kempe.model.constraint_program import PackedLoops, Tie
+from kempe.model.constraint_program import Tie
 from kempe.model.coordinates import distinct
 from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import pack
+from kempe.model.packed_loops import PackedLoops, pack
 from kempe.model.primitive_table import Table
 from kempe.poses import refuse_no_poses
 from kempe.spatial import Array

@@ -16,9 +16,10 @@ import numpy as np
 from kempe.description.parts import Declared, Joint
 from kempe.equations.closure_rows import full
 from kempe.joints import P, Primitive, Q
-from kempe.model.constraint_program import PackedLoops, Tie
+from kempe.model.constraint_program import Tie
 from kempe.model.coordinates import Relation
 from kempe.model.model import kept
+from kempe.model.packed_loops import PackedLoops
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

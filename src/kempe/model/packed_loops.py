@@ -7,7 +7,8 @@ place, or a linear relation of coordinates.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -15,12 +16,11 @@ import numpy as np
 from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.forward.table_layout import HEADER, OUTPUT_INTS, ROW_INTS
+from kempe.kernels.forward.table_layout import HEADER, NV, OUTPUT_INTS, ROW_INTS
 from kempe.model.characteristic_length import characteristic_length, moved, origin_of
 from kempe.model.constraint_program import (
     Centre,
     CompiledFunction,
-    PackedLoops,
     RecordedRows,
     Tie,
     declared_ties,
@@ -33,17 +33,102 @@ from kempe.model.primitive_table import End, Table, lower
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-__all__ = [
-    "Centre",
-    "CompiledFunction",
-    "PackedLoops",
-    "Tie",
-    "characteristic_length",
-    "loops_of",
-    "must_be_explicit",
-    "pack",
-    "plane_normal",
-]
+
+@dataclass(frozen=True, eq=False)
+class PackedLoops:
+    """The loop closures and constraints ("ties") of a system as arrays for the kernels.
+
+    A tie is a set of equations that hold a frame B in a frame A. `ints` and `floats` are the table
+    of primitives; the other arrays are as in `loop_layout`.
+    """
+
+    ties: tuple[Tie, ...]
+    names: tuple[tuple[str, str], ...]
+    """For each equation the name of its tie and what it is of it."""
+    ints: np.ndarray
+    floats: np.ndarray
+    plan: np.ndarray
+    weights: np.ndarray
+    unknown: np.ndarray
+    """Velocity coordinates (k,) that are solved for."""
+    length: float
+    origin: np.ndarray
+    """Where (3,) the origin of the table is in the ground: pins are placed from there."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What was pickled: functions have other addresses in this process."""
+        vars(self).update(state)
+        for k, tie in enumerate(self.ties):
+            if tie.function is not None:
+                place = int(self.plan[L.AT_TIES]) + L.TIE_INTS * k + L.DATA
+                self.plan[place] = tie.function.address
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each equation: "m", "rad", or that of an expression."""
+        return tuple(
+            "m" if i < n else "rad" if t.tape is None else t.tape.unit
+            for t, n in zip(self.ties, self.lengths, strict=True)
+            for i in range(len(t.rows))
+        )
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Low and high ends (2, m) of the equations, as scaled there; zero where they hold exactly."""
+        ends = np.zeros((len(self.names), 2))
+        first = int(self.plan[L.AT_BOUNDS])
+        at = 0
+        for k, tie in enumerate(self.ties):
+            n = len(tie.rows)
+            if tie.bounds:
+                place = first + int(self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND])
+                ends[at : at + n] = self.weights[place : place + 2 * n].reshape(n, 2)
+            at += n
+        return ends.T
+
+    @property
+    def read_coordinates(self) -> list[list[int]]:
+        """For each tie the unknown velocity coordinates that its equations depend on."""
+        unknown = set(self.unknown.tolist())
+        out = list[list[int]]()
+        for tie in self.plan[self.plan[L.AT_TIES] :][: L.TIE_INTS * len(self.ties)].reshape(
+            -1, L.TIE_INTS
+        ):
+            at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
+            out.append([v for v in self.plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
+        return out
+
+    @property
+    def lengths(self) -> list[int]:
+        """How many of the first equations of each tie are lengths."""
+        at = int(self.plan[L.AT_TIES]) + L.LENGTHS
+        return self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Unit (nv,) of each velocity coordinate in the kernels, in radians or metres; a view."""
+        return L.velocity_lists(self.weights, int(self.ints[NV]))[0]
+
+    @cached_property
+    def functions(self) -> tuple[CompiledFunction, ...]:
+        """The user's functions among the constraints, compiled."""
+        return tuple(t.function for t in self.ties if t.function is not None)
+
+    def check(self) -> None:
+        """Raise the error that a user's function raised while a kernel called it, if any."""
+        for f in self.functions:
+            if f.error is not None:
+                error = f.error
+                f.error = None
+                raise error
+
+    def columns(self, k: int) -> list[int]:
+        """Indices of the velocity coordinates that the equations of tie k (a loop closure or
+        constraint) depend on.
+        """
+        tie = self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k :]
+        at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
+        return self.plan[at : at + int(tie[L.LOCALS])].tolist()
 
 
 # ---- arrays for the kernels
