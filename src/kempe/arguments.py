@@ -31,9 +31,6 @@ FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, 
 CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
 """Names of arguments that are configurations."""
 
-FEW = 16
-"""Entries of an array, or of a tuple, that are shown."""
-
 
 # ---- errors that name the argument
 
@@ -360,26 +357,6 @@ def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
         else "(), for there is one answer"
     )
     raise InputError(f"index is {shown(places)}; it must be {needed}")
-
-
-# ---- answers on one line
-
-
-def brief(self: Any) -> str:
-    """The fields of an answer on one line, of large arrays only the shape."""
-    shows = [f for f in fields(self) if f.repr]
-    return f"{type(self).__name__}({', '.join(f'{f.name}={_brief(getattr(self, f.name))}' for f in shows)})"
-
-
-def _brief(x: Any) -> str:
-    given: Any = x
-    if is_array(x):
-        return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
-    if isinstance(x, dict):
-        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in given.items())}}}"
-    if isinstance(x, tuple) and len(given) > FEW:
-        return f"({', '.join(map(_brief, given[:2]))}, ... {len(given)} in all)"
-    return repr(given)
 
 
 # ---- starts, steps, time, seeds and tolerances

@@ -6,12 +6,13 @@ An answer is true where its question was answered.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from kempe.arguments import explained_methods
-from kempe.arrays import plain
+from kempe.arrays import is_array, plain
 from kempe.errors import KempeError
 from kempe.status import Status, named
 from kempe.words import (
@@ -231,3 +232,26 @@ class Worded(Report):
 
     def _data(self) -> dict[str, Any]:
         return self._words().data(self)
+
+
+# ---- answers on one line
+
+FEW = 16
+"""Entries of an array, or of a tuple, that are shown."""
+
+
+def brief(self: Any) -> str:
+    """The fields of an answer on one line, of large arrays only the shape."""
+    shows = [f for f in fields(self) if f.repr]
+    return f"{type(self).__name__}({', '.join(f'{f.name}={_brief(getattr(self, f.name))}' for f in shows)})"
+
+
+def _brief(x: Any) -> str:
+    given: Any = x
+    if is_array(x):
+        return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
+    if isinstance(x, dict):
+        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in given.items())}}}"
+    if isinstance(x, tuple) and len(given) > FEW:
+        return f"({', '.join(map(_brief, given[:2]))}, ... {len(given)} in all)"
+    return repr(given)

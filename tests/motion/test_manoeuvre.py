@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.motion.manoeuvre import length_of, ways
+from kempe.motion.reeds_shepp import length_of, ways
 
 
 def check(system, path, start, goal, frame: str) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from kempe.motion.manoeuvre import cusps_of, length_of, ways
+from kempe.motion.reeds_shepp import cusps_of, length_of, ways
 
 
 def follow(way) -> np.ndarray:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Answer
-from kempe.arguments import brief, explained_methods
+from kempe.arguments import explained_methods
+from kempe.report import brief
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

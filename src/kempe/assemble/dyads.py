@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Answer
 from kempe.answers.targets import Z_AXIS, place_of
-from kempe.arguments import brief, explained, explained_methods, listed
+from kempe.arguments import explained, explained_methods, listed
 from kempe.arrays import reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, parts_of
 from kempe.constraints.kinds import of_target
@@ -26,7 +26,7 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import as_q, as_start, refuse_far
 from kempe.model.model import kept
 from kempe.numerics.pool import over_chunks
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status, member
 from kempe.words import counted

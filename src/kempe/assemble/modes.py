@@ -17,7 +17,6 @@ import numpy as np
 from kempe.answers.answer import Configurations
 from kempe.answers.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.arguments import (
-    brief,
     explained,
     explained_methods,
     flag,
@@ -66,7 +65,7 @@ from kempe.numerics.clock import (
     time_limited,
     time_of,
 )
-from kempe.report import Cells
+from kempe.report import Cells, brief
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status

@@ -1,10 +1,10 @@
 """The rank of all loop equations at one closed configuration, decided by a gap between singular
-values.
+values, and the velocities that all constraints allow there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,8 +13,13 @@ import numpy as np
 
 from kempe.description.parts import Declared
 from kempe.equations import closure_rows
+from kempe.equations.closure import Closure
+from kempe.equations.slip import hard_rows, rolls
+from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, structure
 from kempe.first_order.screws import Screws, screws
+from kempe.numerics.curves import RANK
+from kempe.numerics.rank import SPARSE, null_space, null_space_from
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -279,3 +284,38 @@ def rows_of_loop(system: Model, s: ConstraintGraph, at: Screws, loop: int) -> Ar
         return at.point_rows(i, system.dim)
     whole = at.moved([i])[0]
     return whole if system.dim == 3 else whole[_PLANE]
+
+
+# ---- velocities that all constraints allow
+
+OPEN = 1e-8
+"""Residual, in radians and characteristic lengths, above which a configuration is not closed."""
+
+
+def allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
+    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a
+    closed q.
+
+    Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
+    """
+    if inputs and closure.n >= SPARSE and not rolls(closure.system):
+        F, J = closure.loops(q)
+        if float(np.abs(F).max(initial=0.0)) < OPEN:
+            free = null_space_from(J, inputs, RANK)
+            if free is not None:
+                return free
+    F, J = closure.both(q)
+    gap = float(np.abs(F).max(initial=0.0))
+    if not gap < OPEN:
+        raise InputError(
+            f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
+        )
+    if rolls(closure.system):
+        A, b = hard_rows(closure.system, q, closure.unit)
+        if b.any():
+            raise UnsupportedError(
+                f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
+                "not zero), so velocities are not proportional to those of inputs"
+            )
+        J = np.concatenate([J, A])
+    return null_space(J, RANK, size=0.0)

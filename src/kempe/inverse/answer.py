@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from kempe.answers.answer import Answer, Row
-from kempe.arguments import brief, explained_methods, place_in
+from kempe.arguments import explained_methods, place_in
 from kempe.arrays import plain
 from kempe.equations.slip import rolls
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.late import late
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
 from kempe.words import counted, cut

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Answer
-from kempe.arguments import brief, explained, explained_methods
+from kempe.arguments import explained, explained_methods
 from kempe.arrays import reals
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import rolls
@@ -24,7 +24,7 @@ from kempe.model.configurations import as_q
 from kempe.model.model import kept
 from kempe.model.own_tree import own_tree
 from kempe.poses import arrays, sound
-from kempe.report import by_code
+from kempe.report import brief, by_code
 from kempe.spatial import Array
 from kempe.status import Status
 

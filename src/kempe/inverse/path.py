@@ -16,7 +16,7 @@ from kempe.answers.answer import Configurations
 from kempe.answers.evidence import outside_limits
 from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.answers.targets import Z_AXIS, parse_targets
-from kempe.arguments import brief, explained, explained_methods, interruptible
+from kempe.arguments import explained, explained_methods, interruptible
 from kempe.arrays import reals
 from kempe.assemble.assemble import assemble
 from kempe.assemble.nearest_exact import decided_within
@@ -34,6 +34,7 @@ from kempe.model.configurations import random, refuse_far
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.numerics.newton import gauss_newton, least_squares
 from kempe.poses import arrays, refuse_no_poses, sound
+from kempe.report import brief
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status

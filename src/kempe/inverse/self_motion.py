@@ -13,7 +13,7 @@ from kempe.answers import wording
 from kempe.answers.answer import Configurations
 from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.answers.targets import axis_of, points_along, task_and_axis, task_of
-from kempe.arguments import brief, explained, explained_methods, interruptible
+from kempe.arguments import explained, explained_methods, interruptible
 from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint, numbers_of
@@ -28,6 +28,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import as_q
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within
 from kempe.numerics.curves import NONE, Node, walk
+from kempe.report import brief
 from kempe.spatial import Array, ArrayLike
 from kempe.words import counted, joined
 

@@ -23,7 +23,7 @@ from kempe.answers.targets import (
     task_and_axis,
 )
 from kempe.answers.targets import task_of as task_of_targets
-from kempe.arguments import brief, explained, explained_methods
+from kempe.arguments import explained, explained_methods
 from kempe.arrays import FARTHEST, is_whole, reals
 from kempe.budget import Budget, TimeUp, Usual, look
 from kempe.constraints.kinds import AXIS_TASKS, of_target
@@ -41,7 +41,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
 from kempe.numerics.intervals import Intervals, spelled, union
 from kempe.poses import arrays, refuse_no_poses
-from kempe.report import Cells, by_code
+from kempe.report import Cells, brief, by_code
 from kempe.spatial import Array, log_so3
 from kempe.status import Status, member
 from kempe.words import counted

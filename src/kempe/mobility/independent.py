@@ -1,16 +1,15 @@
-"""Independent coordinates of systems with loops, and ways to parametrize the configurations.
+"""Independent coordinates of systems with loops.
 
-A chart names coordinates that can be set, and computes the others from them. `parametrizations`
-compares how many numbers and constraints each description needs.
+A chart names coordinates that can be set, and computes the others from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,18 +22,15 @@ from kempe.assemble.nearest_exact import said, tolerant
 from kempe.budget import Budget
 from kempe.equations.closure_rows import RANK_TOLERANCE, evaluate, scales
 from kempe.errors import InputError, UnknownNameError
-from kempe.first_order.counting import counting
-from kempe.forward.maximal import to_maximal
 from kempe.mobility.idle_spins import Spin, idle_part, spins_of
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import as_q, has_loops, one_finite
+from kempe.model.configurations import as_q, one_finite
 from kempe.numerics.newton import gauss_newton
-from kempe.report import Cells, Report
+from kempe.report import Report
 from kempe.singular_values import svd
 from kempe.spatial import Array, skew
 from kempe.status import Status, member
 from kempe.words import counted, verb
-from kempe.words import listed as listed_words
 
 if TYPE_CHECKING:
     from kempe.assemble.nearest_exact import Idealised
@@ -69,7 +65,6 @@ def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array
     shaky = int(np.sum(sizes > VANISHES))
     if not 0 < shaky < null_space.shape[1]:
         return null_space
-    from kempe.mobility.mobility import mobility
 
     if mobility(system, q).dof != null_space.shape[1] - shaky:
         return null_space
@@ -514,142 +509,3 @@ def _without(N: Array, direction: Array) -> Array:
         return N
     u = direction / size
     return N - np.outer(N @ u, u)
-
-
-# ---- parametrizations
-
-# Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized positions
-# without any.
-
-SHOWN = 12
-"""Names that the table shows of one row."""
-
-
-class Parametrization(NamedTuple):
-    """A way to say where all bodies are: how many numbers, how many constraints on them, of which
-    `rank`.
-
-    `rank` is None where the loops cannot be closed. `dof` is what is left of the numbers, to first
-    order.
-    """
-
-    what: str
-    numbers: int
-    constraints: int
-    rank: int | None
-    names: tuple[str, ...]
-
-    @property
-    def dof(self) -> int | None:
-        """Numbers less rank: freedoms to first order."""
-        return None if self.rank is None else self.numbers - self.rank
-
-
-@explained_methods
-@dataclass(frozen=True, eq=False)
-class Parametrizations(Report):
-    """Ways to parametrize the configuration space of a system, as one table; ``print`` it.
-
-    `rows` are the pairs (r, R) of all bodies; with loops the coordinates of all joints; the
-    generalized positions, as many as freedoms. Constraints of velocity and one-sided ones take no
-    dimension, and are not counted.
-    """
-
-    system: Model = field(repr=False)
-    rows: tuple[Parametrization, ...]
-    n_b: int
-    """Number of bodies, the ground left out."""
-    n: int | None
-    """Degrees of freedom; None where they are not known."""
-    why: str = ""
-    """Why there are no generalized positions."""
-
-    @property
-    def m_c(self) -> int:
-        """Number of constraints on the pairs."""
-        return self.rows[0].constraints
-
-    def pairs(self, q: Any) -> tuple[Array, Array]:
-        """Positions r (..., n_b, 3) and orientations R (..., n_b, 3, 3) of all bodies at q (...,
-        nq).
-        """
-        X = to_maximal(self.system, q)
-        return X[..., :3, 3].copy(), X[..., :3, :3].copy()
-
-    @property
-    def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `UNDETERMINED` where the degrees of freedom are not known."""
-        return Status.UNDETERMINED if self.n is None else Status.SOLVED
-
-    @property
-    def status(self) -> str:
-        """The lecture's sentence: n_b pairs with m_c constraints, or n generalized positions."""
-        known = self.why or f"n = {counted(self.n or 0, 'generalized position')}"
-        pairs = (
-            f"n_b = {counted(self.n_b, 'pair')} (r, R) with m_c = {counted(self.m_c, 'constraint')}"
-        )
-        return f"{self.system.name}: {pairs}, or {known}"
-
-    def _cells(self) -> Cells:
-        rows = [
-            (
-                r.what,
-                *("?" if x is None else str(x) for x in (r.numbers, r.constraints, r.rank, r.dof)),
-                listed_words(r.names, SHOWN),
-            )
-            for r in self.rows
-        ]
-        return ("parameters", "numbers", "constraints", "rank", "left", "names"), rows
-
-    def _lines(self) -> list[str]:
-        heads, rows = self._cells()
-        widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads) - 1)]
-        padded = [
-            [
-                row[0].ljust(widths[0]),
-                *(x.rjust(w) for x, w in zip(row[1:-1], widths[1:], strict=True)),
-                row[-1],
-            ]
-            for row in (heads, *rows)
-        ]
-        return ["  ".join(row) for row in padded]
-
-    def _data(self) -> dict[str, Any]:
-        return {"n_b": self.n_b, "m_c": self.m_c, "n": self.n, "why": self.why} | {
-            "rows": [row._asdict() | {"dof": row.dof} for row in self.rows]
-        }
-
-
-@explained
-def parametrizations(system: Model, q: Any = None) -> Parametrizations:
-    """How many numbers say where all bodies are, in pairs with constraints and in generalized
-    positions.
-
-    `q` (nq,): where the rank is taken, default as in `mobility`. Errors: as `mobility`.
-    """
-    m = mobility(system, q)
-    count = counting(system)
-    bodies = system.body_names[1:]
-    rank = None if m.rank_dof is None else count.free - m.rank_dof
-    rows = [Parametrization("pairs (r, R)", count.free, count.taken, rank, bodies)]
-    if has_loops(system) and m.rank is not None:
-        names = system.structure.velocity_names
-        rows.append(
-            Parametrization(
-                "all joints", system.nv, count.taken - count.free + system.nv, m.rank.rank, names
-            )
-        )
-    why = "" if m.closed else "no generalized positions: the loops cannot be closed here"
-    if m.closed and m.dof is None:
-        why = "generalized positions, whose true number is not known"
-    if m.closed:
-        try:
-            chart = independent(system, m.q)
-            names = chart.independent
-            if m.dof in (None, len(names)):
-                rows.append(Parametrization("generalized positions", len(names), 0, 0, names))
-            else:
-                why = f"no generalized positions at this singular q, where n = {m.dof}"
-        except InputError as error:
-            why = f"no generalized positions here: {error}"
-    return Parametrizations(system, tuple(rows), len(bodies), m.dof, why)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,57 +12,18 @@ from kempe.arguments import explained
 from kempe.assemble.generic_configurations import nearby
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.equations.closure import Closure
-from kempe.equations.slip import hard_rows, rolls
 from kempe.errors import InputError, UnsupportedError
-from kempe.first_order.rank import rank_at
+from kempe.first_order.rank import allowed_velocities, rank_at
 from kempe.forward.fk import fk, jacobian
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q
-from kempe.numerics.curves import RANK
-from kempe.numerics.rank import SPARSE, column_space, null_space, null_space_from
+from kempe.numerics.rank import column_space
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
-
-# ---- velocities that all constraints allow
-
-OPEN = 1e-8
-"""Residual, in radians and characteristic lengths, above which a configuration is not closed."""
-
-
-def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
-    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a
-    closed q.
-
-    Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
-    """
-    if inputs and closure.n >= SPARSE and not rolls(closure.system):
-        F, J = closure.loops(q)
-        if float(np.abs(F).max(initial=0.0)) < OPEN:
-            free = null_space_from(J, inputs, RANK)
-            if free is not None:
-                return free
-    F, J = closure.both(q)
-    gap = float(np.abs(F).max(initial=0.0))
-    if not gap < OPEN:
-        raise InputError(
-            f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
-        )
-    if rolls(closure.system):
-        A, b = hard_rows(closure.system, q, closure.unit)
-        if b.any():
-            raise UnsupportedError(
-                f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
-                "not zero), so velocities are not proportional to those of inputs"
-            )
-        J = np.concatenate([J, A])
-    return null_space(J, RANK, size=0.0)
-
-
-# ---- relative motion
 
 ZERO = 1e-9
 """Velocities below this part of the largest, and singular values likewise, are zero."""
@@ -177,7 +137,7 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     is (3,).
     """
     system = closure.system
-    rates = closure.unit[:, None] * allowed(closure, q)
+    rates = closure.unit[:, None] * allowed_velocities(closure, q)
     moved, base = (jacobian(system, q, name) @ rates for name in names)
     X = fk(system, q, names[0])
     Y = fk(system, q, names[1])

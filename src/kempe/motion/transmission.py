@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import brief, explained, explained_methods, listed
+from kempe.arguments import explained, explained_methods, listed
 from kempe.arrays import reals
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.constraints.tape import TWIST
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.first_order.rank import allowed_velocities
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P, R
-from kempe.mobility.relative_motion import allowed
 from kempe.model.configurations import as_q
 from kempe.motion.path import Event, Path
 from kempe.motion.start import angle_or_slide
 from kempe.numerics.curves import RANK
-from kempe.report import Cells, Nearest, Report
+from kempe.report import Cells, Nearest, Report, brief
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status, member
@@ -149,7 +149,7 @@ def loop_jacobian(
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
     margin = np.zeros(lead)
     for i in np.ndindex(lead):
-        free = allowed(closure, q[i], index)
+        free = allowed_velocities(closure, q[i], index)
         motion = free * closure.unit[:, None]
         out = np.vstack(
             [
@@ -242,7 +242,7 @@ def mechanical_advantage(
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
     for k in np.ndindex(out.shape):
-        motion = allowed(closure, q[k]) * closure.unit[:, None]
+        motion = allowed_velocities(closure, q[k]) * closure.unit[:, None]
         if others:
             _, s, Vt = svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T

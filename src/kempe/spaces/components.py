@@ -12,7 +12,6 @@ import numpy as np
 
 from kempe.arguments import (
     DRAWN,
-    brief,
     explained,
     explained_methods,
     interruptible,
@@ -31,7 +30,7 @@ from kempe.model.configurations import has_loops, mid, random, winding_angles
 from kempe.motion.path import Event, Path
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.singular_values import svd
 from kempe.spaces.branch_sweep import CurveSweep, sweep_of
 from kempe.spaces.manifold import Manifold

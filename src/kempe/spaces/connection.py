@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Configurations
-from kempe.arguments import brief, explained, explained_methods, generator, interruptible
+from kempe.arguments import explained, explained_methods, generator, interruptible
 from kempe.arrays import is_real
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.judge import judge
@@ -20,6 +20,7 @@ from kempe.mobility.mobility import mobility
 from kempe.model.configurations import has_loops, one_finite, random
 from kempe.motion.trace import trace
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
+from kempe.report import brief
 from kempe.spaces.branch_sweep import sweep_of
 from kempe.spaces.components import SAME, Component
 from kempe.spaces.manifold import CLOSED, Manifold

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Configurations
-from kempe.arguments import brief, explained, explained_methods, generator, interruptible
+from kempe.arguments import explained, explained_methods, generator, interruptible
 from kempe.arrays import is_real
 from kempe.assemble.assemble import assemble
 from kempe.assemble.modes import assembly_modes
@@ -19,6 +19,7 @@ from kempe.errors import InputError, UnsupportedError, shown
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import circles, has_loops, random
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
+from kempe.report import brief
 from kempe.spaces.components import components
 from kempe.spaces.manifold import Frames, Manifold
 from kempe.spatial import Array

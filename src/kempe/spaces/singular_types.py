@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.targets import twist_rows
-from kempe.arguments import brief, explained_methods
+from kempe.arguments import explained_methods
 from kempe.assemble.assemble import assemble
 from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.equations import closure_rows
@@ -21,7 +21,7 @@ from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import random
 from kempe.numerics.rank import null_space
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.singular_values import svd
 from kempe.spaces.rank_loss import ZERO, Matrices, RankLoss, generic_rank
 from kempe.spatial import Array

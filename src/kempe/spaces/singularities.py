@@ -14,7 +14,6 @@ import numpy as np
 from kempe.answers.targets import Z_AXIS
 from kempe.arguments import (
     DRAWN,
-    brief,
     explained,
     explained_methods,
     flag,
@@ -39,7 +38,7 @@ from kempe.model.model import kept
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within, partial
 from kempe.numerics.curves import Curve, Node, node, step, walk
 from kempe.numerics.curves import inside as node_between
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spaces.rank_loss import Equations, RankLoss
 from kempe.spaces.singular_types import (
     CONSTRAINT,

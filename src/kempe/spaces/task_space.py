@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import DRAWN, brief, explained, explained_methods, generator, start_count
+from kempe.arguments import DRAWN, explained, explained_methods, generator, start_count
 from kempe.budget import Budget, TimeUp, Usual, look
 from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
@@ -22,7 +22,7 @@ from kempe.mobility.independent import tangent_space
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import has_loops, mid, one_finite, random
 from kempe.numerics.clock import SHORT, time_limited, time_of
-from kempe.report import Cells, Report
+from kempe.report import Cells, Report, brief
 from kempe.singular_values import svd
 from kempe.spaces.manifold import Manifold
 from kempe.spatial import Array

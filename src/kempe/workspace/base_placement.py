@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import brief, explained, explained_methods, interruptible, known, numbers
+from kempe.arguments import explained, explained_methods, interruptible, known, numbers
 from kempe.arrays import is_mapping, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError
 from kempe.late import late
 from kempe.numerics.clock import LONG, partial
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.targets import Z_AXIS, frame_of
-from kempe.arguments import brief, explained, explained_methods, interruptible, numbers
+from kempe.arguments import explained, explained_methods, interruptible, numbers
 from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.kinds import of_target
 from kempe.errors import InputError, TimeLimitError
 from kempe.late import late
 from kempe.numerics.clock import LONG, partial
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spaces.task_space import task_space
 from kempe.spatial import Array
 from kempe.status import Status

@@ -22,7 +22,6 @@ import numpy as np
 from kempe.answers.tables import PLACE, QUATERNION, poses_of_columns, said_columns
 from kempe.answers.targets import task_of
 from kempe.arguments import (
-    brief,
     explained,
     explained_methods,
     flag,
@@ -42,7 +41,7 @@ from kempe.kernels.compiled import VARIANT
 from kempe.model.configurations import as_q, as_start, has_loops, q_from_dict, units
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.pool import thread_count
-from kempe.report import Cells, Report
+from kempe.report import Cells, Report, brief
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 from kempe.version import __version__

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.targets import axis_for, task_and_axis, task_of, twist_rows
-from kempe.arguments import brief, explained, explained_methods, interruptible, numbers
+from kempe.arguments import explained, explained_methods, interruptible, numbers
 from kempe.arrays import within_range
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError
@@ -24,7 +24,7 @@ from kempe.model.configurations import has_loops
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.clock import LONG as CLOCK_LONG
 from kempe.poses import refuse_no_poses, sound
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import brief, explained, explained_methods, numbers
+from kempe.arguments import explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.chain.serial_chain import obstacle
 from kempe.late import late
 from kempe.model.primitive_table import local_chain
-from kempe.report import Report
+from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted, joined

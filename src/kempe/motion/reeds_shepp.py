@@ -1,0 +1,239 @@
+"""The shortest ways of Reeds and Shepp for a car that turns no tighter than a radius, and drives
+both ways.
+
+A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right, 0
+goes straight; a negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a car
+that goes both forwards and backwards*, Pacific J. Math. 145, 1990: one of their 48 words is
+shortest. Each way that a formula gives is followed to its end, and counts only where that is the
+goal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from kempe.numerics.newton import gauss_newton
+from kempe.spatial import Array
+
+Way = tuple[tuple[float, float], ...]
+"""(curvature, signed length) of each piece, for the radius 1."""
+L = 1.0
+S = 0.0
+R = -1.0
+QUARTER = 0.5 * math.pi
+MISS = 1e-6
+"""By how much a formula's way may miss the goal before it is corrected: more is another word's
+domain."""
+HIT = 1e-13
+"""By how much a way may miss the goal in the end, relative to the distances in it."""
+NOTHING = 1e-14
+"""Length of a piece that is left out."""
+
+
+def wrapped(angle: float) -> float:
+    """The angle in [-pi, pi]."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+def advance(
+    pose: tuple[float, float, float], curvature: float, length: float
+) -> tuple[float, float, float]:
+    """The pose (x, y, heading) after a piece of constant curvature and signed length."""
+    x, y, h = pose
+    half = 0.5 * curvature * length
+    chord = length * (math.sin(half) / half if half else 1.0)
+    return x + chord * math.cos(h + half), y + chord * math.sin(h + half), h + 2.0 * half
+
+
+def end_of(way: Way) -> tuple[float, float, float]:
+    """The pose that a way from (0, 0, 0) ends at."""
+    pose = (0.0, 0.0, 0.0)
+    for curvature, length in way:
+        pose = advance(pose, curvature, length)
+    return pose
+
+
+def length_of(way: Way) -> float:
+    """The length of a way, its reverse pieces counted like the others."""
+    return math.fsum(abs(length) for _, length in way)
+
+
+def cusps_of(way: Way) -> int:
+    """How often a way changes between forwards and reverse."""
+    signs = [length > 0.0 for _, length in way if length]
+    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
+
+
+def ways(x: float, y: float, heading: float) -> list[Way]:
+    """Ways from (0, 0, 0) to a pose, for the radius 1, the shortest first: one for each word that
+    leads there.
+    """
+    found: dict[tuple[tuple[float, bool], ...], Way] = {}
+    for way in _candidates(x, y, heading):
+        exact = _exact_way(way, x, y, heading)
+        if exact is not None:
+            word = tuple((c, length > 0.0) for c, length in exact)
+            if word not in found or length_of(exact) < length_of(found[word]):
+                found[word] = exact
+    return sorted(found.values(), key=length_of)
+
+
+def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
+    """The words of section 8, their mirror images, with time reversed, and from the goal backwards."""
+    c = math.cos(h)
+    s = math.sin(h)
+    for a, b, backwards in ((x, y, False), (x * c + y * s, x * s - y * c, True)):
+        for time in (1.0, -1.0):
+            for side in (1.0, -1.0):
+                for word in WORDS:
+                    for way in word(time * a, side * b, time * side * h):
+                        own = tuple((side * k, time * length) for k, length in way)
+                        yield own[::-1] if backwards else own
+
+
+def _exact_way(way: Way, x: float, y: float, h: float) -> Way | None:
+    """The way with its lengths corrected (Newton, smallest change), None where it does not lead to
+    the goal.
+    """
+    goal_size = 1.0 + math.hypot(x, y)
+    hit = HIT * goal_size
+    lengths, miss = _corrected(way, x, y, h, 3, hit, MISS * goal_size)
+    if not np.abs(miss).max() < hit:
+        return None
+    return tuple(
+        (k, length) for (k, _), length in zip(way, lengths, strict=True) if abs(length) > NOTHING
+    )
+
+
+def refined(way: Way, x: float, y: float, h: float) -> Way:
+    """A way that leads to a pose to the last digits: corrected as long as that brings it nearer."""
+    return _with(way, _corrected(way, x, y, h, 8)[0]) if way else way
+
+
+def _corrected(
+    way: Way, x: float, y: float, h: float, tries: int, met: float = 0.0, most: float = math.inf
+) -> tuple[list[float], Array]:
+    """The lengths of the pieces of a way that leads to a pose, and by what it misses; by more than
+    `most` it stays.
+    """
+
+    def both(lengths: Array) -> tuple[Array, Array]:
+        there = _with(way, lengths)
+        end = end_of(there)
+        miss = np.array([end[0] - x, end[1] - y, wrapped(end[2] - h)])
+        return (miss if np.abs(miss).max() < most else np.full(3, math.inf)), _slopes(there)
+
+    found = gauss_newton(both, np.array([length for _, length in way]), tries, cut=1e-6, met=met)
+    return found.x.tolist(), found.r
+
+
+def _with(way: Way, lengths: Array | list[float]) -> Way:
+    return tuple((k, float(length)) for (k, _), length in zip(way, lengths, strict=True))
+
+
+def _slopes(way: Way) -> Array:
+    """Derivatives (3, n) of the pose at the end by the lengths of the pieces."""
+    x, y, _ = end_of(way)
+    pose = (0.0, 0.0, 0.0)
+    columns: list[list[float]] = []
+    for k, length in way:
+        pose = advance(pose, k, length)
+        columns.append(
+            [math.cos(pose[2]) - k * (y - pose[1]), math.sin(pose[2]) + k * (x - pose[0]), k]
+        )
+    return np.array(columns).T
+
+
+def _csc(x: float, y: float, h: float) -> Iterator[Way]:
+    """(8.1), (8.2): an arc, a straight piece, an arc; to the same side, to the other one."""
+    a = x - math.sin(h)
+    b = y - 1.0 + math.cos(h)
+    t = math.atan2(b, a)
+    yield (L, t), (S, math.hypot(a, b)), (L, wrapped(h - t))
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
+    square = a * a + b * b - 4.0
+    if square >= 0.0:
+        u = math.sqrt(square)
+        t = wrapped(math.atan2(b, a) + math.atan2(2.0, u))
+        yield (L, t), (S, u), (R, wrapped(t - h))
+
+
+def _ccc(x: float, y: float, h: float) -> Iterator[Way]:
+    """(8.3) to (8.6): three arcs."""
+    a = x - math.sin(h)
+    b = y - 1.0 + math.cos(h)
+    rho = math.hypot(a, b)
+    if rho <= 4.0:
+        u = -2.0 * math.asin(0.25 * rho)
+        t = wrapped(math.atan2(b, a) + 0.5 * u + math.pi)
+        yield (L, t), (R, u), (L, wrapped(h - t + u))
+
+
+def _cccc(x: float, y: float, h: float) -> Iterator[Way]:
+    """(8.7), (8.8): four arcs, those in the middle equally long."""
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
+    rho = math.hypot(a, b)
+    inner = 0.25 * (2.0 + rho)
+    outer = (20.0 - rho * rho) / 16.0
+    if inner <= 1.0:
+        u = math.acos(inner)
+        t, v = _ends(u, -u, a, b, h)
+        yield (L, t), (R, u), (L, -u), (R, v)
+    if 0.0 <= outer <= 1.0:
+        u = -math.acos(outer)
+        t, v = _ends(u, u, a, b, h)
+        yield (L, t), (R, u), (L, u), (R, v)
+
+
+def _ends(u: float, v: float, a: float, b: float, h: float) -> tuple[float, float]:
+    """Lengths of the first and the last of four arcs, those in the middle being u and v."""
+    d = u - v
+    p = math.sin(u) - math.sin(d)
+    r = math.cos(u) - math.cos(d) - 1.0
+    t = math.atan2(b * p - a * r, a * p + b * r)
+    if 2.0 * (math.cos(d) - math.cos(v) - math.cos(u)) + 3.0 < 0.0:
+        t += math.pi
+    return wrapped(t), wrapped(t - u + v - h)
+
+
+def _ccsc(x: float, y: float, h: float) -> Iterator[Way]:
+    """(8.9), (8.10): an arc, a quarter circle back, a straight piece, an arc."""
+    a = x - math.sin(h)
+    b = y - 1.0 + math.cos(h)
+    rho = math.hypot(a, b)
+    if rho >= 2.0:
+        r = math.sqrt(rho * rho - 4.0)
+        t = wrapped(math.atan2(b, a) + math.atan2(r, -2.0))
+        yield (L, t), (R, -QUARTER), (S, 2.0 - r), (L, wrapped(h - QUARTER - t))
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
+    rho = math.hypot(a, b)
+    if rho >= 2.0:
+        t = math.atan2(a, -b)
+        yield (L, t), (R, -QUARTER), (S, 2.0 - rho), (R, wrapped(t + QUARTER - h))
+
+
+def _ccscc(x: float, y: float, h: float) -> Iterator[Way]:
+    """(8.11): an arc, a quarter circle back, a straight piece, a quarter circle, an arc forwards."""
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
+    rho = math.hypot(a, b)
+    if rho >= 2.0:
+        u = 4.0 - math.sqrt(rho * rho - 4.0)
+        t = wrapped(math.atan2((4.0 - u) * a - 2.0 * b, -2.0 * a + (u - 4.0) * b))
+        yield (L, t), (R, -QUARTER), (S, u), (L, -QUARTER), (R, wrapped(t - h))
+
+
+WORDS: tuple[Callable[[float, float, float], Iterator[Way]], ...] = (
+    _csc,
+    _ccc,
+    _cccc,
+    _ccsc,
+    _ccscc,
+)
+"""The kinds of words, each a function of the goal."""
