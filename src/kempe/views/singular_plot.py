@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from kempe.budget import Budget
-    from kempe.spaces.singularities import SingularCurves, Singularities
+    from kempe.spaces.singular_curves import SingularCurves
+    from kempe.spaces.singularities import Singularities
 
 LINES: dict[tuple[str, ...], Any] = {
     (TYPE_1,): "-",
