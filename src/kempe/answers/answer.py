@@ -4,7 +4,7 @@ says of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -15,7 +15,8 @@ from kempe.answers.tables import Tabular
 from kempe.arguments import explained_methods, place_in
 from kempe.arrays import is_whole, plain
 from kempe.equations.judge import Judgement, judge
-from kempe.errors import CallError, InputError, NoSolutionError, shown
+from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, shown
+from kempe.forward.fk import fk
 from kempe.late import late
 from kempe.numerics.clock import partial
 from kempe.report import MOST_JUDGED, Cells, Nearest, Result
@@ -25,6 +26,7 @@ from kempe.words import of_many
 
 if TYPE_CHECKING:
     from kempe.answers.problem import Choice
+    from kempe.model.model import FrameLike
 
 
 @dataclass(frozen=True)
@@ -332,3 +334,34 @@ class Configurations(ConfigurationList, Answer):
 
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
+
+
+@explained_methods
+class Motion(Configurations):
+    """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
+
+    is_motion = True
+
+    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
+        """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
+        X = fk(self.system, self.q, frame)
+        return X if poses else X[:, :3, 3].copy()
+
+    def values(self, coordinate: str) -> Array:
+        """Values (n,) of one coordinate along the motion."""
+        names = self.system.coordinate_names
+        if coordinate not in names:
+            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
+        return self.q[:, names.index(coordinate)].copy()
+
+    def _columns(
+        self, first: str, column: Array, frames: Iterable[FrameLike]
+    ) -> tuple[list[str], Array]:
+        """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
+        names = [first, *self.system.coordinate_names]
+        columns = [column[:, None], self.q]
+        axes = "xyz"[: self.system.dim]
+        for frame in [frames] if isinstance(frames, str) else frames:
+            names += [f"{self.system.structure.frame_name(frame)}.{axis}" for axis in axes]
+            columns.append(self.curve(frame)[:, : len(axes)])
+        return names, np.hstack(columns)

@@ -20,6 +20,7 @@ from kempe.description.toml_document import Document
 from kempe.equations.tasks import task_of
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.model.configurations import has_loops, units
+from kempe.poses import AXES
 from kempe.words import counted
 
 if TYPE_CHECKING:
@@ -222,6 +223,33 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
             f"branch {text!r} has {report.count(len(text), 'sign')}; {system.name} has {needs}"
         )
     return text
+
+
+# ---- axis and tolerance
+
+
+def axis(text: str) -> spatial.Array:
+    """The tool's axis (3,) from three numbers or a name such as '-z'. Errors: `InputError`."""
+    if text.strip().lower() in AXES:
+        return np.array(AXES[text.strip().lower()])
+    values = table_files.numbers(text, "axis")
+    if len(values) != 3:
+        raise InputError(
+            f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's "
+            "frame"
+        )
+    return np.array(values)
+
+
+def one_tolerance(text: str) -> float:
+    """The largest error of a solution, in metres and radians. Errors: `InputError`."""
+    values = table_files.numbers(text, "tolerance")
+    if len(values) != 1 or not values[0] > 0.0:
+        raise InputError(
+            f"tolerance is {text!r}; for --all it must be one positive number, for metres and "
+            "radians"
+        )
+    return values[0]
 
 
 # ---- tasks from a TOML file

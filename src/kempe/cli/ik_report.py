@@ -14,9 +14,7 @@ from rich.text import Text
 from kempe import spatial
 from kempe.answers.tables import write_table
 from kempe.cli import as_json, report, table_files
-from kempe.errors import InputError
 from kempe.model.configurations import units
-from kempe.poses import AXES
 from kempe.status import named
 from kempe.words import jsonable
 
@@ -32,33 +30,6 @@ column."""
 
 BLOCK = 8
 """Solutions beside each other, at most."""
-
-
-# ---- axis and tolerance as given
-
-
-def axis(text: str) -> spatial.Array:
-    """The tool's axis (3,) from three numbers or a name such as '-z'. Errors: `InputError`."""
-    if text.strip().lower() in AXES:
-        return np.array(AXES[text.strip().lower()])
-    values = table_files.numbers(text, "axis")
-    if len(values) != 3:
-        raise InputError(
-            f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's "
-            "frame"
-        )
-    return np.array(values)
-
-
-def tolerance(text: str) -> float:
-    """The largest error of a solution, in metres and radians. Errors: `InputError`."""
-    values = table_files.numbers(text, "tolerance")
-    if len(values) != 1 or not values[0] > 0.0:
-        raise InputError(
-            f"tolerance is {text!r}; for --all it must be one positive number, for metres and "
-            "radians"
-        )
-    return values[0]
 
 
 # ---- all solutions

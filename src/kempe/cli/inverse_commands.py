@@ -328,7 +328,7 @@ def _all(
 ) -> None:
     """Print, write or draw all solutions."""
     from kempe.assemble.modes import Modes
-    from kempe.cli import ik_report
+    from kempe.cli import arguments, ik_report
 
     answer = system.ik_all(
         X,
@@ -336,7 +336,7 @@ def _all(
         near,
         task=task_argument(task, axis),
         fixed=_held(system, hold, deg),
-        tolerance=None if tolerance is None else ik_report.tolerance(tolerance),
+        tolerance=None if tolerance is None else arguments.one_tolerance(tolerance),
     )
     pictures = draw(answer)
     if isinstance(answer, Modes):
@@ -377,13 +377,13 @@ def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
 
 def task_argument(task: str | None, axis: str | None) -> Any:
     """What of the target counts: a task, or a task with the axis of the tool that it points."""
-    from kempe.cli import ik_report
+    from kempe.cli import arguments
 
     if axis is None:
         return task
     if task not in ("direction", "position_axis"):
         raise InputError("--axis is for the tasks direction and position_axis")
-    return task, ik_report.axis(axis)
+    return task, arguments.axis(axis)
 
 
 @app.command(rich_help_panel=OPEN)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.answers.answer import Motion
 from kempe.answers.tables import write_table
 from kempe.arguments import explained, explained_methods, flag, interruptible, until_interrupt
 from kempe.arrays import is_mapping, reals, within_range
@@ -32,7 +33,7 @@ from kempe.model.time_coordinate import clocked, timed
 from kempe.motion.crossings import branch_lines, hold_rank, locate, singular_node
 from kempe.motion.events import AWKWARD, OneSidedEnds, checked, root
 from kempe.motion.held_spins import hold_spins, spins_held
-from kempe.motion.path import Event, Motion
+from kempe.motion.path import Event
 from kempe.motion.start import (
     angle_or_slide,
     begin,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.answers.answer import Motion
 from kempe.arguments import explained, explained_methods, listed, numbers
 from kempe.arrays import is_real, is_whole, named
 from kempe.budget import Budget, TimeUp, Usual
@@ -25,7 +26,6 @@ from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedEr
 from kempe.mobility.classify import classify
 from kempe.model.configurations import as_q, has_loops, q_from_dict, refuse_far
 from kempe.model.model import kept
-from kempe.motion.path import Motion
 from kempe.motion.reeds_shepp import QUARTER, refined, ways, wrapped
 from kempe.motion.rolling import slip
 from kempe.motion.wheeled import Wheeled, wheeled

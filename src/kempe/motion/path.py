@@ -1,7 +1,4 @@
-"""The answer of `trace`: a curve of configurations, with the special points on it.
-
-`Motion`, the base of all motions, stands here, too.
-"""
+"""The answer of `trace`: a curve of configurations, with the special points on it."""
 
 from __future__ import annotations
 
@@ -14,15 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.answer import Configurations
+from kempe.answers.answer import Motion
 from kempe.answers.tables import write_table
 from kempe.answers.wording import immovable
 from kempe.arguments import explained_methods, interruptible, numbers
 from kempe.arrays import is_whole
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
-from kempe.errors import InputError, UnknownNameError, shown
-from kempe.forward.fk import fk
+from kempe.errors import InputError, shown
 from kempe.model.configurations import q_dict
 from kempe.motion.crossings import SingularNode
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
@@ -171,37 +167,6 @@ class Track:
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
         x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x
-
-
-@explained_methods
-class Motion(Configurations):
-    """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
-
-    is_motion = True
-
-    def curve(self, frame: FrameLike, poses: bool = False) -> Array:
-        """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
-        X = fk(self.system, self.q, frame)
-        return X if poses else X[:, :3, 3].copy()
-
-    def values(self, coordinate: str) -> Array:
-        """Values (n,) of one coordinate along the motion."""
-        names = self.system.coordinate_names
-        if coordinate not in names:
-            raise UnknownNameError("coordinate", coordinate, names, self.system.name)
-        return self.q[:, names.index(coordinate)].copy()
-
-    def _columns(
-        self, first: str, column: Array, frames: Iterable[FrameLike]
-    ) -> tuple[list[str], Array]:
-        """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
-        names = [first, *self.system.coordinate_names]
-        columns = [column[:, None], self.q]
-        axes = "xyz"[: self.system.dim]
-        for frame in [frames] if isinstance(frames, str) else frames:
-            names += [f"{self.system.structure.frame_name(frame)}.{axis}" for axis in axes]
-            columns.append(self.curve(frame)[:, : len(axes)])
-        return names, np.hstack(columns)
 
 
 @explained_methods

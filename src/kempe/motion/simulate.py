@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.answers.answer import Motion
 from kempe.arguments import explained, explained_methods, interruptible, numbers
 from kempe.arrays import is_mapping, is_real, is_whole, named, reals
 from kempe.budget import Budget, TimeUp, Usual
@@ -25,7 +26,6 @@ from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import random
 from kempe.model.time_coordinate import clocked, timed
 from kempe.motion.bounces import MOST, TOUCH, Flight, MovingFlight, Plane
-from kempe.motion.path import Motion
 from kempe.motion.rolling import roll, slip
 from kempe.motion.start import start_of
 from kempe.motion.wheeled import binding

@@ -23,7 +23,7 @@ from kempe.kernels.dyads import dyads_layout as K
 from kempe.model.configurations import circles, mid, q_dict
 from kempe.model.model import kept
 from kempe.numerics.enclosures import UNIT, Enclosure, constant, cos_sin
-from kempe.spaces.polygons import loop_of, pin, primitives_of
+from kempe.spaces.only_loop import loop_of, pin, primitives_of
 from kempe.spatial import Array, inverse
 
 if TYPE_CHECKING:

@@ -1,4 +1,12 @@
-"""Planar loops of bars: the components of their configuration space, by theorem."""
+"""Planar loops of bars: the components of their configuration space, by theorem.
+
+The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
+only if there are three long bars, any two of which are longer together than half of all; then
+there are two components, mirror images of one another, and two long bars are never parallel: the
+side to which the second turns from the first tells them apart. Source: Kapovich, Millson, "On the
+moduli space of polygons in the Euclidean plane", J. Differential Geom. 42 (1995), theorem 1. With
+four bars it is Grashof's rule (1883).
+"""
 
 from __future__ import annotations
 
@@ -9,68 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.forward.fk import fk
-from kempe.joints import Primitive, R
+from kempe.joints import R
 from kempe.model.model import kept
+from kempe.spaces.only_loop import loop_of, pin, primitives_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
     from kempe.model.model import Model
-
-
-# ---- the only loop of a system
-
-
-@kept
-def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
-    """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
-    such loop.
-    """
-    s = system.structure
-    if len(s.closures) != 1:
-        return "it has more than one loop" if s.closures else "it has no loop"
-    if s.relations or s.couplings or system._mechanism.constraints:
-        return "coordinates are tied by more than its loop"
-    joints = s.joints
-    parent = dict(zip(system.body_names[1:], system.parent, strict=True))
-    up = dict(zip(system.body_names[1:], s.parent_joints, strict=True))
-
-    def root(body: str) -> list[str]:
-        out = [body]
-        while out[-1] in parent:
-            out.append(system.body_names[parent[out[-1]]])
-        return out
-
-    last = joints[s.closures[0]]
-    a = root(last.parent)
-    b = root(last.child)
-    top = next(body for body in a if body in b)
-    left = a[: a.index(top)]
-    right = b[: b.index(top)]
-    bodies = [top, *reversed(left), *right]
-    names = [*(up[x] for x in reversed(left)), last.name, *(up[x] for x in right)]
-    return tuple(bodies), tuple(names)
-
-
-def primitives_of(system: Model, joint: Joint) -> list[Primitive]:
-    """The turns and slides of a joint."""
-    return list(joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1])
-
-
-def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
-    """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
-    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system.mechanism.parameters)
-    return X[:3, 3], X
-
-
-# ---- polygons of bars
-
-# The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
-# only if there are three long bars, any two of which are longer together than half of all; then
-# there are two components, mirror images of one another, and two long bars are never parallel: the
-# side to which the second turns from the first tells them apart. Source: Kapovich, Millson, "On the
-# moduli space of polygons in the Euclidean plane", J. Differential Geom. 42 (1995), theorem 1. With
-# four bars it is Grashof's rule (1883).
 
 EQUAL = 1e-12
 """Part of the sum of all lengths up to which sums of lengths are equal."""

@@ -1,4 +1,4 @@
-"""What is written and measured in drawings: names, angles, lengths and arrows of motion.
+"""Annotations of drawings: names of bodies, angles, lengths and arrows of motion.
 
 The plane comes first, then space.
 """

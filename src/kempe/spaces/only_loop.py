@@ -1,0 +1,55 @@
+"""The only loop of a system: its bodies and joints in their order, and where they are pinned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kempe.joints import Primitive
+from kempe.model.model import kept
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.description.parts import Joint
+    from kempe.model.model import Model
+
+
+@kept
+def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
+    """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
+    such loop.
+    """
+    s = system.structure
+    if len(s.closures) != 1:
+        return "it has more than one loop" if s.closures else "it has no loop"
+    if s.relations or s.couplings or system._mechanism.constraints:
+        return "coordinates are tied by more than its loop"
+    joints = s.joints
+    parent = dict(zip(system.body_names[1:], system.parent, strict=True))
+    up = dict(zip(system.body_names[1:], s.parent_joints, strict=True))
+
+    def root(body: str) -> list[str]:
+        out = [body]
+        while out[-1] in parent:
+            out.append(system.body_names[parent[out[-1]]])
+        return out
+
+    last = joints[s.closures[0]]
+    a = root(last.parent)
+    b = root(last.child)
+    top = next(body for body in a if body in b)
+    left = a[: a.index(top)]
+    right = b[: b.index(top)]
+    bodies = [top, *reversed(left), *right]
+    names = [*(up[x] for x in reversed(left)), last.name, *(up[x] for x in right)]
+    return tuple(bodies), tuple(names)
+
+
+def primitives_of(system: Model, joint: Joint) -> list[Primitive]:
+    """The turns and slides of a joint."""
+    return list(joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1])
+
+
+def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
+    """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
+    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system.mechanism.parameters)
+    return X[:3, 3], X
