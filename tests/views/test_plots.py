@@ -20,7 +20,7 @@ from kempe.model.configurations import home_of
 
 pytest.importorskip("matplotlib")
 from kempe.views import plots
-from kempe.views.drawing import annotations, labels, page, shapes, symbols
+from kempe.views.drawing import callouts, labels, page, shapes, symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids, flat_hull
 
@@ -980,7 +980,7 @@ def test_an_arrow_for_each_freedom(name):
     scene = look(system, start(system))
     solids = Solids()
     (joint,) = scene.joints
-    lines = annotations.freedoms_in_space(solids, joint, 1.0)
+    lines = callouts.freedoms_in_space(solids, joint, 1.0)
     (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
     assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(
         lines

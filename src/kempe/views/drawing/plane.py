@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.views.drawing import annotations, page, planar, shapes, style
+from kempe.views.drawing import callouts, page, planar, shapes, style
 from kempe.views.drawing import planar as touches
 from kempe.views.drawing.planar import Sheet, flat
 from kempe.views.drawing.plot_request import Subject, subscript
@@ -98,7 +98,7 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         planar.mark(sheet, name, X, "frames" in options.words and not below)
         if name in subject.axes:
             _axis_names(sheet, name, X, below)
-    annotations.draw(sheet, subject)
+    callouts.draw(sheet, subject)
     if subject.missed is not None:
         ends = flat(subject.missed)
         sheet.line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.views.drawing import annotations, page, style, symbols
+from kempe.views.drawing import callouts, page, style, symbols
 from kempe.views.drawing.labels import Obstacles, extent, shortened
 from kempe.views.drawing.plot_request import Subject, subscript
 from kempe.views.drawing.scene import Scene
@@ -81,7 +81,7 @@ def picture(
     skeleton = symbols.build(solids, scene, radius, subject.way)
     if subject.options.motion:
         for joint in scene.joints:
-            skeleton += annotations.freedoms_in_space(solids, joint, radius)
+            skeleton += callouts.freedoms_in_space(solids, joint, radius)
     faces = Poly3DCollection(
         solids.faces,
         facecolors=solids.colours,
@@ -113,7 +113,7 @@ def picture(
     ends = [_mark(ax, name, X, style.MARK * radius) for name, X in subject.marks.items()]
     all_points += [*ends, *(c[np.isfinite(c).all(axis=1)] for c in subject.curves.values())]
     all_points += [scene.points(link) for link in scene.links]
-    angles = annotations.angles(ax, subject, radius) if subject.options.angles else []
+    angles = callouts.angles(ax, subject, radius) if subject.options.angles else []
     all_points += [p[None] for p, _, _ in angles]
     if subject.missed is not None:
         ax.plot(
@@ -137,7 +137,7 @@ def picture(
     if own:
         fit(ax)
     skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
-    texts = [*angles, *annotations.texts(subject, style.MARK * radius)]
+    texts = [*angles, *callouts.texts(subject, style.MARK * radius)]
     _labels(ax, subject, texts, skeleton, radius, camera(elev, azim), own)
     if subject.parameter_text():
         ax.set_title(subject.parameter_text(), loc="left", size=FONT - 1, color=INK, pad=3.0)

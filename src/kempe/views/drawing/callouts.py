@@ -1,4 +1,4 @@
-"""Annotations of drawings: names of bodies, angles, lengths and arrows of motion.
+"""Callouts of drawings: names of bodies, angles, lengths and arrows of motion.
 
 The plane comes first, then space.
 """
