@@ -290,9 +290,7 @@ def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(rank, "null_space_from", lambda *args: None)
         dense = loop_jacobian(system, q, ["A0"], outputs)
-    monkeypatch.setattr(
-        rank, "null_space", lambda *args: pytest.fail("a dense decomposition")
-    )
+    monkeypatch.setattr(rank, "null_space", lambda *args: pytest.fail("a dense decomposition"))
     sparse = loop_jacobian(system, q, ["A0"], outputs)
     assert sparse.success and dense.success
     assert (sparse.rank, sparse.nullity) == (dense.rank, dense.nullity) == (1, 1)
