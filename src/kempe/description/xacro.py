@@ -116,13 +116,13 @@ def xacro_arguments(given: Any) -> dict[str, str] | None:
     """
     if given is None or isinstance(given, bool):
         return {} if given else None
-    if not isinstance(given, Mapping):
+    values: Any = given
+    if not isinstance(values, Mapping):
         raise InputError(
             f"xacro is {shown(given)}; it must be True, or a dict with values of the file's "
             "<xacro:arg> elements by their names"
         )
-    values: Mapping[Any, Any] = given
-    return {_name(name): _text(name, value) for name, value in values.items()}
+    return {_name(name): _text(name, value) for name, value in values.items()}  # type: ignore[misc]
 
 
 def _name(name: object) -> str:
