@@ -60,7 +60,7 @@ except kempe.KempeError as error:
 ```
 
 xacro is a program that writes URDF: `kempe.load("robot.urdf.xacro", xacro=True)` runs it, if you trust it, in a process
-that opens only files of the package, its neighbours and `package_dirs`;
+that opens only files of [the robot's folders](howto_urdf.md#where-files-are-looked-up);
 [its arguments](howto_urdf.md#my-file-is-xacro) are given by `xacro={"name": "ur5e"}`.
 Denavit-Hartenberg tables and screw axes are given [in Python](howto_describe.md#from-tables), or in
 [TOML](toml.md). A format of your own is [one row more](add/format.md).

@@ -66,8 +66,9 @@ def load(
 
     Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where
     `format` is None. `base="free"` lets the root link of a URDF move freely; `root` names the
-    ground where a file has no root link; `package_dirs` are the only folders in which meshes may be
-    looked up; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
+    ground where a file has no root link; `package_dirs` are folders in which meshes and packages
+    are looked up, beside the file's package, its neighbours, and the folders of ROS;
+    `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
     ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
     bounds, or lower above upper) as none. Errors: `DescriptionError` with file, line and what is
     allowed.

@@ -1,4 +1,4 @@
-"""Finding out what a source is; files that are not there; meshes."""
+"""Finding out what a source is; files that are not there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from kempe.description.read import check, read
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnsupportedError
 from kempe.library import names as library_models
-from kempe.views.viewer.mesh_files import resolve_mesh
 
 URDF = robot(SHOULDER, WRIST)
 TOML = write_toml(read(URDF))
@@ -354,55 +353,6 @@ def test_a_message_names_the_path_once(text: str, tmp_path: Path, monkeypatch: p
             ), str(problem)
     (problem,) = check(text).problems
     assert str(problem).count("<text>") == 1
-
-
-# ---- meshes
-
-
-def test_meshes_inside_the_roots(tmp_path):
-    for name in ("pkg/meshes/a.stl", "b.stl"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).touch()
-    (tmp_path / "pkg" / "link.stl").symlink_to(tmp_path / "b.stl")
-    a = (tmp_path / "pkg/meshes/a.stl").resolve()
-    assert resolve_mesh("package://pkg/meshes/a.stl", [tmp_path]) == a
-    assert resolve_mesh("package://pkg/meshes/a.stl", ["/nowhere", tmp_path / "pkg"]) == a
-    assert resolve_mesh("meshes/./a.stl", [str(tmp_path / "pkg")]) == a
-    assert resolve_mesh("pkg/link.stl", [tmp_path]).name == "b.stl"
-    with pytest.raises(InputError, match="a link that leads out of"):
-        resolve_mesh("link.stl", [tmp_path / "pkg"])
-
-
-@pytest.mark.parametrize(
-    ("path", "words"),
-    [
-        ("../b.stl", "'..' could lead out"),
-        ("package://pkg/../../b.stl", "'..' could lead out"),
-        ("a\\..\\b.stl", "'..' could lead out"),
-        ("/etc/passwd", "absolute"),
-        ("package:///etc/passwd", "absolute"),
-        ("~/x", "absolute"),
-        ("C:\\x", "absolute"),
-        ("\\\\server\\x", "absolute"),
-        ("file:///etc/passwd", "file:// is not followed"),
-        ("http://a/b.stl", "http:// is not followed"),
-        ("", "names no file"),
-        ("package://", "names no file"),
-        ("a\0b", "names no file"),
-        ("pkg", "no such file"),
-        ("missing.stl", "no such file; looked in"),
-    ],
-)
-def test_meshes_that_are_refused(path: str, words: str, tmp_path):
-    (tmp_path / "pkg").mkdir()
-    (tmp_path / "b.stl").touch()
-    with pytest.raises(InputError, match=words):
-        resolve_mesh(path, [tmp_path / "pkg", tmp_path])
-
-
-def test_meshes_without_roots():
-    with pytest.raises(InputError, match="declare some by package_dirs"):
-        resolve_mesh("a.stl", [])
 
 
 def test_files_of_the_home_folder(tmp_path, monkeypatch):

@@ -81,7 +81,7 @@ Root = Annotated[
 ]
 Dirs = Annotated[
     list[Path] | None,
-    option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ),
+    option("--package-dir", "Folder with packages or meshes; can be repeated.", "FOLDER", _READ),
 ]
 Xacro = Annotated[
     bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import re
 from collections.abc import Iterable, Mapping
 from html import unescape
@@ -18,6 +17,7 @@ import numpy as np
 
 from kempe.description.formats import joined
 from kempe.description.limited import last_words, run_limited
+from kempe.description.packages import Folders, is_whole, ros_folders
 from kempe.description.source import SIZE_LIMIT, fail, folders_of, shorten
 from kempe.errors import (
     DescriptionError,
@@ -44,9 +44,6 @@ XACRO_ADVICE = (
 GIVEN = "xacro={name: value}"
 """How the arguments of a file are given, as messages say it."""
 
-ROS_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "ROS_ROOT")
-"""Variables of the environment that name folders of packages."""
-
 Arguments = Mapping[str, "str | float"]
 """Values of a file's ``<xacro:arg>`` elements by their names: texts, numbers, or True and False."""
 
@@ -67,21 +64,7 @@ import os
 import re
 import xacrodoc
 os.chdir(os.path.dirname(s["path"]))
-if s["package_dirs"]:
-    xacrodoc.packages.look_in(s["package_dirs"])
-xacrodoc.packages.walk_up_from(s["path"])
-folders = [os.path.join(d, name) for d in s["package_dirs"] if os.path.isdir(d) for name in sorted(os.listdir(d))]
-folder = os.path.dirname(s["path"])
-while folder not in ("", os.path.dirname(folder)):
-    folders.append(folder)
-    folder = os.path.dirname(folder)
-for folder in [*folders, *s["package_dirs"]]:  # folders that are called like a package, where no package.xml is
-    name = os.path.basename(folder)
-    if name and os.path.isdir(folder):
-        try:
-            xacrodoc.packages.get_path(name)
-        except xacrodoc.packages.PackageNotFoundError:
-            xacrodoc.packages.update_package_cache({name: folder})
+xacrodoc.packages.update_package_cache(s["packages"])
 opened = []
 roots = [os.path.realpath(d) + os.sep for d in [*s["roots"], sys.prefix, sys.base_prefix]]
 def guard(event, given):
@@ -152,10 +135,8 @@ def expand_xacro(
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>`` elements.
 
     Only for files that you trust: xacro is a program. It runs in a process with little environment,
-    bounded in time, memory and output, which opens files in `folders_to_read` only. `package_dirs`
-    are searched by
-    ``$(find package)``: for a package.xml with that name at any depth, then for a folder of that
-    name in them or above the file.
+    bounded in time, memory and output, which opens files of the package, of its neighbours, of
+    `package_dirs` and of ROS only; there `Folders.packages` are what ``$(find package)`` finds.
     Errors: `MissingExtraError` without the extra [xacro], `UnknownNameError` for arguments that the
     file does not have, `DescriptionError` with xacro's own message and the arguments of the file.
     """
@@ -165,12 +146,18 @@ def expand_xacro(
     path = Path(path).resolve()
     package_dirs = folders_of(package_dirs)
     values = xacro_arguments(arguments) or {}
+    folders = Folders((path.parent, *package_dirs))
+    named = Folders(package_dirs).roots
     settings = {
         "path": str(path),
         "arguments": values,
         "mentions": _MENTIONS,
-        "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
-        "roots": [str(d) for d in folders_to_read(path, package_dirs)],
+        "packages": {name: str(folder) for name, folder in folders.packages.items()},
+        "roots": [
+            str(d)
+            for d in (*folders.readable, *ros_folders())
+            if d != path.parent or d in named or is_whole(d)
+        ],
         "beside": str(path.parent),
     }
     ended = run_limited(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
@@ -217,29 +204,6 @@ def _declared(mentions: Iterable[str]) -> dict[str, str | None]:
         elif (used := _USED.search(text)) and not text.startswith("<!--"):
             defaults.setdefault(used[1])
     return {name: defaults[name] for name in defaults if name}
-
-
-def folders_to_read(path: Path, package_dirs: Iterable[str | Path]) -> list[Path]:
-    """The folders of which an expansion may read files.
-
-    These are `package_dirs`, the folders of packages that ROS names in the environment, and the
-    folder that holds the file's package (the nearest folder above with a package.xml) and its
-    neighbours; of a file without a package, the folder that holds its own. A home folder and the
-    first level of a disk are never taken as a whole, unless `package_dirs` or ROS name them: of a
-    file that lies there itself, the files beside it are read, and no folders.
-    """
-    found = [Path(d).resolve() for d in package_dirs]
-    found += [
-        Path(d) for name in ROS_PATHS for d in os.environ.get(name, "").split(os.pathsep) if d
-    ]
-    package = next((d for d in path.parents if (d / "package.xml").is_file()), path.parent)
-    home = Path.home()
-    whole = (
-        d
-        for d in (package.parent, package, path.parent)
-        if len(d.parts) > 2 and d not in (home, *home.parents)
-    )
-    return [*found, *whole]
 
 
 def _listed(defaults: Mapping[str, str | None], unknown: list[str]) -> str:

@@ -7,74 +7,24 @@ from __future__ import annotations
 
 import importlib.util
 import io
-import os
-import re
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe.description.limited import last_words, run_limited
+from kempe.description.packages import Folders
 from kempe.description.parts import Shape
 from kempe.description.shapes import Mesh, sizes_of
-from kempe.description.source import shorten
 from kempe.errors import InputError, KempeError, requirement, shown
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
     from kempe.model.model import Model
-
-
-# ---- paths of meshes
-
-# They come from a file that is not trusted.
-
-
-def resolve_mesh(path: str, roots: Iterable[str | Path]) -> Path:
-    """The file that a mesh path of a model means: an existing file inside one of the folders
-    `roots`.
-
-    ``package://name/rest`` is looked for as ``name/rest`` in each root, and as ``rest`` in a root
-    that is called `name`; any other path is relative to a root. Errors: `InputError` for absolute
-    paths, ``..``, other schemes than package, links that lead out of their root, and files that do
-    not exist.
-    """
-    folders = [Path(root) for root in roots]
-    subject = f"mesh {shorten(path)}"
-    scheme = re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", path)
-    if scheme and scheme[1] != "package":
-        raise InputError(
-            f"{subject}: {scheme[0]} is not followed; a mesh is package://name/... or relative to "
-            "the model"
-        )
-    inner = path.removeprefix("package://") if scheme else path
-    parts = PurePosixPath(inner.replace("\\", "/")).parts
-    if not parts or "\0" in path:
-        raise InputError(f"{subject}: it names no file")
-    if inner.startswith(("/", "\\", "~")) or re.match(r"[A-Za-z]:", inner):
-        raise InputError(
-            f"{subject}: it is absolute; a mesh is package://name/... or relative to the model"
-        )
-    if ".." in parts:
-        raise InputError(
-            f"{subject}: '..' could lead out of the model's folders and is not followed"
-        )
-    for root in folders:
-        candidates = [root.joinpath(*parts)]
-        if scheme and root.resolve().name == parts[0]:
-            candidates.append(root.joinpath(*parts[1:]))
-        for candidate in candidates:
-            if os.path.isfile(candidate):
-                real = candidate.resolve()
-                if not real.is_relative_to(root.resolve()):
-                    raise InputError(f"{subject}: it is a link that leads out of {str(root)!r}")
-                return real
-    looked = ", ".join(repr(str(f)) for f in folders) or "no folder: declare some by package_dirs"
-    raise InputError(f"{subject}: there is no such file; looked in {looked}")
 
 
 # ---- meshes of bodies
@@ -167,12 +117,13 @@ def meshes_of(system: Model) -> tuple[dict[str, list[Any]], list[str]]:
     shown.
     """
     mechanism = system.mechanism
+    folders = Folders(mechanism.roots)
     wanted: list[tuple[str, Any]] = []
     lost: list[str] = []
     for name, body in mechanism.bodies.items():
         for shape in drawn(body.shapes):
             try:
-                wanted.append((name, _wanted(shape, mechanism)))
+                wanted.append((name, _wanted(shape, mechanism, folders)))
             except KempeError as error:
                 lost.append(f"{name}: {error}")
     read = read_meshes(one.path for _, one in wanted if isinstance(one, _File))
@@ -202,13 +153,13 @@ def drawn(shapes: Iterable[Shape]) -> list[Shape]:
     return [s for s in given if s.visual] or given
 
 
-def _wanted(shape: Shape, mechanism: Mechanism) -> Any:
+def _wanted(shape: Shape, mechanism: Mechanism, folders: Folders) -> Any:
     """The mesh of a shape, or the file that holds it. Errors: `KempeError`."""
     geometry = shape.geometry.evaluate(mechanism.parameters)
     X = shape.X_BS.evaluate(mechanism.parameters)
     _refuse_far(geometry, X)
     if isinstance(geometry, Mesh):
-        path = resolve_mesh(geometry.path, mechanism.roots)
+        path = folders.find(geometry.path)
         return _File(path, np.array(geometry.scale), X, shape.color)
     if shape.kind not in PRIMITIVES:
         raise InputError(f"shapes of kind {shape.kind!r} are not drawn")
