@@ -8,7 +8,7 @@ from hunts import some
 from shipped import shipped, with_loops
 
 import kempe
-from kempe.assemble.fit import Dimensions, Relations
+from kempe.assemble.dimensions import Dimensions, Relations
 from kempe.equations.closure_rows import evaluate
 from kempe.model.packed_loops import loops_of
 

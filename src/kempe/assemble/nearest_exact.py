@@ -18,18 +18,8 @@ import numpy as np
 from kempe.arguments import explained, explained_methods
 from kempe.arrays import is_real
 from kempe.assemble.bound import bare
-from kempe.assemble.fit import (
-    DAMPING,
-    ENOUGH,
-    Dimensions,
-    Fit,
-    Place,
-    Relations,
-    Valley,
-    fitted_all_along,
-    moves_all_along,
-    snapped,
-)
+from kempe.assemble.dimensions import Dimensions, Place, Relations, with_simple_angles
+from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, fitted_all_along, moves_all_along
 from kempe.budget import Budget, TimeUp, Usual, checks
 from kempe.description.mechanism import unused_name
 from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
@@ -689,7 +679,7 @@ def _with_rank(
     off = float(Valley(shape.system, rank).residual(points).max())
     if off <= EXACT:
         return None
-    nice = snapped(system, min(most, NEARLY * off))
+    nice = with_simple_angles(system, min(most, NEARLY * off))
     if nice is not None and moves_all_along(Valley(nice, rank), points):
         return _Found(nice, tuple(shape.places), points, freedoms)
     found = fitted_all_along(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)

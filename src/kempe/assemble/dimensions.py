@@ -1,0 +1,440 @@
+"""Small changes of the dimensions of a mechanism, and relations that they nearly obey."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.description.mechanism import unused_name
+from kempe.equations.closure_rows import evaluate, full
+from kempe.joints import Fixed, Revolute
+from kempe.model.characteristic_length import as_large_as, characteristic_length
+from kempe.model.own_tree import own_tree
+from kempe.model.packed_loops import PackedLoops, loops_of, plane_normal
+from kempe.poses import Placement, place
+from kempe.spatial import Array
+from kempe.values import Expression, Value
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+
+# ---- changes of dimensions
+
+Place = tuple[str, str, str]
+"""A placement: the name of the table, of what is in it, and of the side."""
+Steps = tuple[tuple[str, tuple[float]], ...]
+"""Slides and turns by numbers, one after the other."""
+Equations = Callable[..., tuple[Array, Array]]
+"""Values (..., m) and derivatives (..., m, n) of equations at configurations (..., nq), the latter
+if requested."""
+
+
+ADDED = "change "
+"""How names begin of the bodies and joints that are added to a mechanism where its dimensions
+change."""
+IN_SPACE = ("x", "y", "z", "rz", "ry", "rx")
+"""Translations and rotations, one after the other, by which a placement changes."""
+IN_PLANE = (("y", "z", "rx"), ("z", "x", "ry"), ("x", "y", "rz"))
+"""The same for a placement of which x, y or z is the normal of the plane."""
+TO_Z = {"rx": place(quat_wxyz=(0.5, 0.5, 0.5, 0.5)), "ry": place(quat_wxyz=(0.5, -0.5, -0.5, -0.5))}
+"""Rotations to axes of which the third is the normal, by the motion about it."""
+
+
+class Dimensions:
+    """The placements of all joints and constraints of a system, and small changes `p` of these
+    dimensions.
+
+    `p` (size,) are translations and rotations by the motions of `places`, in characteristic lengths
+    and radians, after each placement (table, name, side); in the plane those that stay in it.
+    `unit` (size,) are metres or radians of one unit.
+    """
+
+    def __init__(self, system: Model):
+        self.system = own_tree(system)
+        m = self.mechanism = self.system.mechanism
+        self.length = characteristic_length(self.system)
+        joints = [("joints", j.name) for j in m.joints.values() if not isinstance(j.type, Fixed)]
+        declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
+        every = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
+        # which is its only point
+        places = [place for place in every if not m.bodies[self.body(*place)].particle]
+        self.places = {place: self._motions(*place) if m.dim == 2 else IN_SPACE for place in places}
+        of = (x for motions in self.places.values() for x in motions)
+        self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
+        self.size = len(self.unit)
+        each = 3 * (m.dim - 1)
+        self._last: tuple[Array, Model] | None = None
+        self.part = {place: slice(each * k, each * (k + 1)) for k, place in enumerate(self.places)}
+
+    def body(self, table: str, name: str, side: str) -> str:
+        """The body that a placement is on."""
+        part = getattr(self.mechanism, table)[name]
+        return part.parent if side == "X_PF" else part.child
+
+    def _motions(self, table: str, name: str, side: str) -> tuple[str, ...]:
+        """Two translations and the rotation along axes of a placement that stay in the plane."""
+        X = getattr(getattr(self.mechanism, table)[name], side).evaluate(self.mechanism.parameters)
+        bodies = self.system.structure.table
+        normal = X[:3, :3].T @ plane_normal(bodies.at[self.body(table, name, side)], bodies)
+        return IN_PLANE[int(np.argmax(np.abs(normal)))]
+
+    def steps(self, p: Array) -> dict[Place, Steps]:
+        """The steps that follow each placement that changes, in metres and radians."""
+        return {place: found for place in self.places if (found := self.steps_of(place, p))}
+
+    def steps_of(self, place: Place, p: Array) -> Steps:
+        """The steps that follow one placement, in metres and radians."""
+        part = self.part[place]
+        changes = (p[part] * self.unit[part]).tolist()
+        return tuple(
+            (motion, (x,)) for motion, x in zip(self.places[place], changes, strict=True) if x
+        )
+
+    def changed(self, p: Array, system: Model | None = None) -> Model:
+        """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is
+        kept.
+        """
+        own = system is None or system is self.system
+        if own and self._last is not None and np.array_equal(self._last[0], p):
+            return self._last[1]
+        given = self.system if system is None else system
+        m = given.mechanism
+        for (table, name, side), more in self.steps(p).items():
+            parts = getattr(m, table)
+            parts[name] = replace(
+                parts[name], **{side: Placement(getattr(parts[name], side).steps + more)}
+            )
+        found = as_large_as(type(given)(m, given.structure.topology), self.system)
+        if own:
+            self._last = p.copy(), found
+        return found
+
+    @cached_property
+    def _freed(self) -> tuple[PackedLoops, Model, np.ndarray, np.ndarray, np.ndarray]:
+        """The packed loops of the mechanism with a joint at each place, whose coordinates are the
+        changes, and it.
+
+        Indices say where the coordinates of the mechanism, those of the changes, and the equations
+        are in it.
+        """
+        m = self.system.mechanism
+        given = self.system.structure
+        for name, joint in m.joints.items():
+            m.joints[name] = replace(joint, cut=name in given.closures)
+        added: list[str] = []
+        for k, ((table, name, side), motions) in enumerate(self.places.items()):
+            parts = getattr(m, table)
+            end = "parent" if side == "X_PF" else "child"
+            here = m.body(unused_name(m, f"{ADDED}{k}"))
+            turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
+            joint = m.free(here.name, self.body(table, name, side), here, angles=True)
+            m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)
+            parts[name] = replace(parts[name], **{end: here.name, side: turned.inverse()})
+            added += [
+                f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)
+            ]
+        system = as_large_as(type(self.system)(m), self.system)
+        own = np.array(
+            [system.coordinate_names.index(name) for name in self.system.coordinate_names],
+            dtype=int,
+        )
+        loops = loops_of(system, frozenset(system.structure.closures))
+        first = system.structure.coordinates.first
+        rows = {row: i for i, row in enumerate(_numbered(loops.names))}
+        order = np.array([rows[row] for row in _numbered(full(self.system, True).names)], dtype=int)
+        return (
+            loops,
+            system,
+            own,
+            np.array([first[name] for name in added], dtype=int).reshape(-1, 2).T,
+            order,
+        )
+
+    def equations(self, p: Array) -> Equations:
+        """The loop equations at the changes p, as a function of configurations q (N, nq), without
+        another system.
+        """
+        loops, system, own, (iq, _), order = self._freed
+        names = system.structure.velocity_names
+        columns = np.array(
+            [names.index(name) for name in self.system.structure.velocity_names], dtype=int
+        )
+
+        def at(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
+            x = np.empty((*q.shape[:-1], system.nq))
+            x[..., own] = q
+            x[..., iq] = p * self.unit
+            f, J = evaluate(system, x, with_jacobian, loops=loops)
+            return f[..., order], J[..., order, :][..., columns] if with_jacobian else J
+
+        return at
+
+    def derivative(self, p: Array, q: Array) -> Array:
+        """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with
+        respect to p (size,).
+        """
+        loops, system, own, (iq, iv), order = self._freed
+        x = np.empty((len(q), system.nq))
+        x[:, own] = q
+        x[:, iq] = p * self.unit
+        return evaluate(system, x, loops=loops)[1][:, order][..., iv]
+
+
+def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
+    """The names of equations, numbered where one occurs several times."""
+    seen: Counter[tuple[str, str]] = Counter()
+    out: list[tuple[str, str, int]] = []
+    for name in names:
+        out.append((*name, seen[name]))
+        seen[name] += 1
+    return out
+
+
+# ---- relations that dimensions nearly obey
+
+# Parallel, orthogonal and meeting axes, equal lengths, and angles that are simple fractions of pi.
+
+STEP = math.pi / 12.0
+"""Angles between axes that are multiples of this are meant to be."""
+TURNS = ("rx", "ry", "rz")
+DIFFERENCE = 1e-6
+"""Step of the central differences."""
+Values = Callable[[dict[Place, Array]], Any]
+
+
+class Relations:
+    """Those relations between the axes on each body that hold within `near`, in characteristic
+    lengths and radians.
+    """
+
+    def __init__(self, shape: Dimensions, near: float):
+        self.shape = shape
+        self.near = near
+        m = shape.mechanism
+        self.given = {
+            (table, part.name, side): getattr(part, side).evaluate(m.parameters)
+            for table, parts in (("joints", m.joints), ("constraints", m.constraints))
+            for part in parts.values()
+            if part.parent
+            for side in ("X_PF", "X_CM")
+        }
+        bodies: dict[str, list[Place]] = {}
+        for j in m.joints.values():
+            if not isinstance(j.type, Fixed):
+                bodies.setdefault(j.parent, []).append(("joints", j.name, "X_PF"))
+                bodies.setdefault(j.child, []).append(("joints", j.name, "X_CM"))
+        self.rows: list[Values] = []
+        lengths: list[tuple[float, Values]] = []
+        for places in bodies.values():
+            for a, b in itertools.combinations(places, 2):
+                lengths += self._pair(a, b)
+            for three in itertools.combinations(places, 3):
+                self._add(_flat(*three, shape.length)) if m.dim == 2 else None
+        for j in m.joints.values() if m.dim == 3 else ():
+            if isinstance(j.type, Revolute):
+                own = ("joints", j.name, "X_PF"), ("joints", j.name, "X_CM")
+                others = ([x for x in bodies[b] if x not in own] for b in (j.parent, j.child))
+                for a, b in itertools.product(*others):
+                    if self._skew(own[0], a) and self._skew(own[1], b):
+                        self._add(_offset(own, (a, b), shape.length))
+        lengths.sort(key=lambda x: x[0])
+        for (x, f), (y, g) in itertools.pairwise(lengths):
+            if y - x < near:
+                self.rows.append(_same(f, g))
+
+    def _add(self, row: Values) -> bool:
+        """Take a relation where it nearly holds."""
+        holds = bool(np.abs(row(self.given)).max() < self.near)
+        if holds:
+            self.rows.append(row)
+        return holds
+
+    def _skew(self, a: Place, b: Place) -> bool:
+        """Whether two axes of a body are not nearly parallel."""
+        return bool(np.abs(_parallel(a, b)(self.given)).max() >= self.near)
+
+    def _pair(self, a: Place, b: Place) -> list[tuple[float, Values]]:
+        """Take what nearly holds between two axes of a body; the length between them, if there is
+        one.
+        """
+        length = self.shape.length
+        if self.shape.mechanism.dim == 2:
+            far = _apart(a, b, length)
+            return [(float(far(self.given)[0]), far)]
+        if self._add(_parallel(a, b)):
+            far = _across(a, b, length)
+        else:
+            angle = math.acos(
+                float(np.clip(self.given[a][:3, 2] @ self.given[b][:3, 2], -1.0, 1.0))
+            )
+            self._add(_inclined(a, b, math.cos(STEP * round(angle / STEP))))
+            far = _normal(a, b, length)
+        return [] if self._add(far) else [(abs(float(far(self.given)[0])), _size(far))]
+
+    def values(self, p: Array) -> Array:
+        """Values (k,) of all relations at the changes p."""
+        poses = self._poses(p)
+        return np.concatenate([np.zeros(0), *(np.atleast_1d(row(poses)) for row in self.rows)])
+
+    def derivative(self, p: Array) -> Array:
+        """Derivative (k, size) of `values` at the changes p, by central differences."""
+        poses = self._poses(p)
+        read = [_Read(poses) for _ in self.rows]
+        sizes = [np.size(row(at)) for row, at in zip(self.rows, read, strict=True)]
+        ends = np.cumsum([0, *sizes])
+        out = np.zeros((ends[-1], self.shape.size))
+        for spot in self.shape.places:
+            users = [i for i, at in enumerate(read) if spot in at.used]
+            part = self.shape.part[spot]
+            for k in range(part.start, part.stop) if users else ():
+                above, below = (
+                    self._beside(poses, spot, p, k, s * DIFFERENCE) for s in (1.0, -1.0)
+                )
+                for i in users:
+                    out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (
+                        2.0 * DIFFERENCE
+                    )
+        return out
+
+    def _poses(self, p: Array) -> dict[Place, Array]:
+        """All placements at the changes p."""
+        return self.given | {
+            place: self.given[place] @ _pose(d) for place, d in self.shape.steps(p).items()
+        }
+
+    def _beside(
+        self, poses: dict[Place, Array], place: Place, p: Array, k: int, by: float
+    ) -> dict[Place, Array]:
+        """The poses where change k, which is one of this place, is larger by a number."""
+        changed = p.copy()
+        changed[k] += by
+        return poses | {place: self.given[place] @ _pose(self.shape.steps_of(place, changed))}
+
+
+class _Read(dict[Place, Array]):
+    """Poses by their places, and those that were used."""
+
+    def __init__(self, poses: dict[Place, Array]):
+        super().__init__(poses)
+        self.used: set[Place] = set()
+
+    def __getitem__(self, place: Place) -> Array:
+        self.used.add(place)
+        return super().__getitem__(place)
+
+
+def with_simple_angles(system: Model, most: float) -> Model | None:
+    """The system with angles that are within `most` of simple fractions of pi made these; None
+    where there is none.
+    """
+    m = system.mechanism
+    found = False
+    tables: Any = (m.joints, m.constraints)
+    for table in tables:
+        for name, part in table.items():
+            for side in ("X_PF", "X_CM"):
+                old = getattr(part, side).steps
+                new = tuple(
+                    (k, tuple(_simple(x, most) for x in xs) if k in TURNS else xs) for k, xs in old
+                )
+                if new != old:
+                    part = table[name] = replace(part, **{side: Placement(new)})
+                    found = True
+    return as_large_as(type(system)(m, system.structure.topology), system) if found else None
+
+
+def _simple(x: Value, most: float) -> Value:
+    """The multiple of `STEP` that an angle is meant to be, where it is near one; 0 is one."""
+    if isinstance(x, Expression):
+        return x
+    nice = math.pi * round(x / STEP) / 12.0
+    return nice if abs(nice - x) <= most else x
+
+
+def _pose(steps: tuple[Any, ...]) -> Array:
+    """The pose of slides and turns, one after the other."""
+    return Placement(steps).evaluate({})
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """The cross product of two vectors (3,), for which numpy's `cross` takes ten times as long."""
+    (ax, ay, az) = a.tolist()
+    (bx, by, bz) = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def _parallel(a: Place, b: Place) -> Values:
+    return lambda at: _cross(at[a][:3, 2], at[b][:3, 2])
+
+
+def _inclined(a: Place, b: Place, cosine: float) -> Values:
+    return lambda at: np.array([at[a][:3, 2] @ at[b][:3, 2] - cosine])
+
+
+def _apart(a: Place, b: Place, length: float) -> Values:
+    return lambda at: np.array([np.linalg.norm(at[b][:3, 3] - at[a][:3, 3]) / length])
+
+
+def _across(a: Place, b: Place, length: float) -> Values:
+    """Distance of parallel axes."""
+    return lambda at: np.array(
+        [np.linalg.norm(_cross(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length]
+    )
+
+
+def _normal(a: Place, b: Place, length: float) -> Values:
+    """Length of the common normal of two axes, with a sign."""
+
+    def value(at: dict[Place, Array]) -> Array:
+        n = _cross(at[a][:3, 2], at[b][:3, 2])
+        return np.array([(at[b][:3, 3] - at[a][:3, 3]) @ n / (np.linalg.norm(n) * length)])
+
+    return value
+
+
+def _offset(own: tuple[Place, Place], others: tuple[Place, Place], length: float) -> Values:
+    """Distance along the axis of a hinge between its common normals with an axis on each of its
+    bodies.
+    """
+
+    def value(at: dict[Place, Array]) -> Array:
+        feet: list[Any] = []
+        for a, b in zip(own, others, strict=True):
+            X = np.linalg.inv(at[a]) @ at[b]
+            u = X[:3, 2]
+            p = X[:3, 3]
+            feet.append((p[2] - u[2] * (u @ p)) / (1.0 - u[2] ** 2))
+        return np.array([(feet[0] - feet[1]) / length])
+
+    return value
+
+
+def _flat(a: Place, b: Place, c: Place, length: float) -> Values:
+    """How far three points of a plane are from one line."""
+
+    def value(at: dict[Place, Array]) -> Array:
+        u, v = (at[x][:2, 3] - at[a][:2, 3] for x in (b, c))
+        return np.array(
+            [
+                (u[0] * v[1] - u[1] * v[0])
+                / (length * max(np.linalg.norm(u), np.linalg.norm(v), 1e-300))
+            ]
+        )
+
+    return value
+
+
+def _size(f: Values) -> Values:
+    return lambda at: np.abs(f(at))
+
+
+def _same(f: Values, g: Values) -> Values:
+    return lambda at: f(at) - g(at)
