@@ -1,30 +1,27 @@
-"""Targets of the inverse models, and other arguments of solvers: read and checked."""
+"""Targets and tasks of the inverse models: read and checked, and as constraints."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.arguments import numbers
 from kempe.arrays import is_sequence, reals
-from kempe.constraints.base import poses_of, refuse_rotations
-from kempe.constraints.kinds import AXIS_TASKS
+from kempe.constraints.base import refuse_rotations
 from kempe.errors import InputError
 from kempe.poses import (
-    EXACT,
     arrays,
     direction,
     refuse_no_poses,
-    rotation_error,
     sound,
     why_not_a_pose,
 )
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.constraints.base import Constraint
     from kempe.model.model import Model
 
 Z_AXIS = (0.0, 0.0, 1.0)
@@ -38,6 +35,30 @@ TASKS = {
 }  # fmt: skip
 """Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of
 its z axis."""
+
+AXIS_TASKS = ("direction", "position_axis")
+"""Tasks on an axis of the tool."""
+
+
+def of_target(
+    frame: str, task: str, axis: tuple[float, float, float], X: Array
+) -> list[Constraint]:
+    """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of
+    `AXIS_TASKS`.
+    """
+    # only here: most targets are reached by numbers alone
+    from kempe.constraints.kinds import Orientation, Pointing, Pose, Position
+
+    out: list[Constraint] = []
+    if task == "pose":
+        out.append(Pose(frame, X))
+    if task in AXIS_TASKS:
+        out.append(Pointing(frame, X[..., :3, :3] @ np.array(axis), axis=axis))
+    if task == "orientation":
+        out.append(Orientation(frame, X[..., :3, :3]))
+    if task in ("position", "position_axis"):
+        out.append(Position(frame, X[..., :3, 3]))
+    return out
 
 
 def twist_rows(task: str, dim: int) -> list[int]:
@@ -298,36 +319,3 @@ def not_a_pose(target: Array, other: str = "target") -> str:
     if why := why_not_a_pose(target):
         return f"target is not a pose: {why}"
     return f"{other} has entries that are not finite or too large, or a quaternion that is zero"
-
-
-# ---- known values, and places of frames
-
-
-def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
-    """Known values by name, the places of frames as arrays. Errors: `InputError`."""
-    if not frames:
-        return given
-    return {
-        k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()
-    }
-
-
-def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
-    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
-    through.
-
-    Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
-    """
-    what = f"the place of frame {frame!r}"
-    if whole:
-        X = poses_of(place, 3, what)
-        for bad in X[
-            ~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
-        ][:1]:
-            refuse_no_poses(bad, what)
-        return poses_of(X, system.dim, what)
-    x = reals(place, what, "numbers")
-    refuse_rotations(x, what)
-    if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):
-        raise InputError(f"{what} leaves the plane")
-    return x

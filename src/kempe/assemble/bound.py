@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.answers.known_values import place_of, with_places
 from kempe.answers.problem import Choice, Problem, chosen_by
-from kempe.answers.targets import place_of, with_places
 from kempe.arguments import deadline, explained, flag, listed, quiet, seed_number, start_count
 from kempe.arrays import is_real, reals, within_range
 from kempe.assemble.answer import Assembly

@@ -9,18 +9,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Answer
-from kempe.answers.targets import Z_AXIS, place_of
+from kempe.answers.known_values import known_tasks, source_values
 from kempe.arguments import explained, explained_methods, listed
 from kempe.arrays import reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, parts_of
-from kempe.constraints.kinds import of_target
-from kempe.equations.tasks import task_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import as_q, as_start, refuse_far
@@ -125,7 +123,7 @@ class DyadAnswer(Answer):
 
         plan, values = self.closing
         columns = values.T.reshape(len(plan.known), *np.shape(self.success))
-        return held_at(self.system, dict(zip(plan.known, columns, strict=True)))
+        return known_tasks(self.system, dict(zip(plan.known, columns, strict=True)))
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         code, gap, free = (
@@ -419,33 +417,6 @@ def closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
     return _closed_form(system, listed(known, "known"))
 
 
-def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Known values by coordinates of q: a coordinate that follows another is led back to that.
-
-    Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move
-    together.
-    """
-    out: dict[str, Any] = {}
-    for name, given in known.items():
-        follower = system.structure.couplings.get(name)
-        if follower is None and name not in system.coordinate_names:
-            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        if follower is not None and follower.source is None:
-            raise InputError(
-                f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given"
-            )
-        number = reals(given, f"coordinate {name!r}", "a number")
-        source = name if follower is None else str(follower.source)
-        if source in out:
-            raise InputError(
-                f"known coordinates {name!r} and {source!r} move together: give one of them"
-            )
-        out[source] = (
-            number if follower is None else (number - follower.offset) / follower.multiplier
-        )
-    return out
-
-
 def on_branch(
     system: Model,
     known: Mapping[str, Any],
@@ -518,44 +489,3 @@ def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
     return Incomplete(
         f"no closed form: {shown} cannot be placed one dyad after another; {why}", bodies
     )
-
-
-# ---- known values as tasks, for judges
-
-WITHIN = (1e-6, 1e-6)
-"""Metres and radians that what is held may be off by."""
-
-
-class HeldCoordinate(NamedTuple):
-    """The coordinate `label` of q is `value` (...)."""
-
-    label: str
-    place: int
-    turns: bool
-    value: Any
-
-    def measure(self, system: Model, q: Array, goals: Any, at: Any) -> tuple[Array, Array]:
-        """How far (...) configurations q (..., nq) miss it, in metres and in radians."""
-        off = np.abs(q[..., self.place] - self.value)
-        return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))
-
-
-def held_at(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
-    """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
-    names of frames.
-    """
-    own = {*system.coordinate_names, *system.structure.couplings}
-    turns = system.structure.coordinates.turning[system.structure.layout.vector_v].tolist()
-    turning = dict(zip(system.structure.layout.vector_q.tolist(), turns, strict=True))
-    out: list[tuple[Any, Any, Any]] = []
-    for name, value in source_values(system, {k: x for k, x in known.items() if k in own}).items():
-        i = system.coordinate_names.index(name)
-        out.append((HeldCoordinate(name, i, turning.get(i, True), value), None, WITHIN))
-    for name in known.keys() - own:
-        whole = np.ndim(known[name]) == 2
-        X = np.eye(4)
-        place = place_of(system, name, known[name], whole)
-        X[: len(place), 3 if not whole else slice(None)] = place
-        made = of_target(name, "pose" if whole else "position", Z_AXIS, X)
-        out += [(task_of(c, system.dim), None, WITHIN) for c in made]
-    return out

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.answers.answer import Configurations
+from kempe.answers.known_values import known_tasks, source_values
 from kempe.answers.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.arguments import (
     explained,
@@ -28,16 +29,7 @@ from kempe.arrays import within_range
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import Assembler, of_equations
 from kempe.assemble.dyad_proofs import enclose
-from kempe.assemble.dyads import (
-    CLOSED,
-    MOST_SIGNS,
-    DyadAnswer,
-    Incomplete,
-    Plan,
-    closed_form,
-    held_at,
-    source_values,
-)
+from kempe.assemble.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, closed_form
 from kempe.assemble.from_poses import coordinates_at
 from kempe.assemble.generic_configurations import idle_at
 from kempe.assemble.nearest_exact import ideal_of, tolerant
@@ -769,7 +761,7 @@ class Modes(Configurations):
         return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return held_at(self.system, self.known)
+        return known_tasks(self.system, self.known)
 
     def _cells(self) -> Cells:
         """What is shown: the coordinates that are not known."""

@@ -15,8 +15,9 @@ from kempe.arguments import flag
 from kempe.arrays import reals
 from kempe.constraints.base import Frame, Op, Point, Row, kind, points_of
 from kempe.constraints.builder import Builder, dot, on_pieces
-from kempe.constraints.kinds import LEAST, ORIGIN, Measured
+from kempe.constraints.kinds import ORIGIN, Measured
 from kempe.constraints.tape import Tape
+from kempe.constraints.text import LEAST
 from kempe.errors import InputError
 from kempe.kernels.constraints import tape_layout as L
 from kempe.spatial import Array

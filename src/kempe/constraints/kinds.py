@@ -40,7 +40,7 @@ from kempe.constraints.base import (
     with_axis,
 )
 from kempe.constraints.tape import POSE, Tape
-from kempe.constraints.text import from_text
+from kempe.constraints.text import LEAST, from_text
 from kempe.errors import InputError
 from kempe.poses import arrays
 from kempe.spatial import Array
@@ -149,8 +149,6 @@ class Measured(Placed, Bounded):
         return f"{said}, off by {self.bounds_in_words} {unit}".rstrip()
 
 
-LEAST = "1e-24"
-"""Added to squares under a root, so that the root has derivatives at zero, too."""
 OFF_LINE, TILTED, AWAY, TURNED = (
     from_text(text, POSE)
     for text in (
@@ -163,33 +161,6 @@ OFF_LINE, TILTED, AWAY, TURNED = (
 )
 """Distance from z of A; angles of z of B against z of A, of z of B against the direction from B to
 the origin of A, and of B against A."""
-
-
-# ---- targets of `System.ik`
-
-# The constraints that `System.ik` holds by the name of a task.
-
-AXIS_TASKS = ("direction", "position_axis")
-"""Tasks on an axis of the tool."""
-
-
-def of_target(
-    frame: str, task: str, axis: tuple[float, float, float], X: Array
-) -> list[Constraint]:
-    """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of
-    `AXIS_TASKS`.
-    """
-
-    out: list[Constraint] = []
-    if task == "pose":
-        out.append(Pose(frame, X))
-    if task in AXIS_TASKS:
-        out.append(Pointing(frame, X[..., :3, :3] @ np.array(axis), axis=axis))
-    if task == "orientation":
-        out.append(Orientation(frame, X[..., :3, :3]))
-    if task in ("position", "position_axis"):
-        out.append(Position(frame, X[..., :3, 3]))
-    return out
 
 
 # ---- the kinds

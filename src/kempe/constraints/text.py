@@ -23,6 +23,9 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS, OF_TWO, Expression
 
+LEAST = "1e-24"
+"""Added to squares under a root, so that the root has derivatives at zero, too."""
+
 _TOKENS = re.compile(
     r"(?P<space>\s+)|`(?P<quoted>[^`]*)`|(?P<number>(?:\d[\d_]*\.?[\d_]*|\.\d[\d_]*)(?:[eE][+-]?\d+)?)(?!\w)"
     r"|(?P<name>[^\W\d]\w*(?:\.[^\W\d]\w*)*)|(?P<sign>\*\*|[-+*/^(),=])"

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from kempe.answers.answer import Answer, ConfigurationList, Row
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of
+from kempe.answers.targets import TASKS, Z_AXIS, frame_of, of_target
 from kempe.arguments import explained_methods
-from kempe.constraints.kinds import of_target
 from kempe.equations.tasks import task_of
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian

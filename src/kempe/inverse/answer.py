@@ -222,7 +222,7 @@ class Solution(Answer):
         return self._local[3]
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        from kempe.constraints.kinds import of_target
+        from kempe.answers.targets import of_target
         from kempe.equations.tasks import task_of
 
         task = self.task

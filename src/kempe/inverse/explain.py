@@ -310,7 +310,7 @@ def analyse(solution: Solution) -> tuple[int, int, int, Array]:
     """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer,
     scaled.
     """
-    from kempe.constraints.kinds import of_target  # only here: most answers are not analysed
+    from kempe.answers.targets import of_target
     from kempe.inverse.tasks.search import pose_problem
 
     task = solution.task

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.problem import Choice, Problem, Solver, TaskOf, choose
-from kempe.answers.targets import not_a_pose
+from kempe.answers.targets import not_a_pose, of_target
 from kempe.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.budget import Usual
-from kempe.constraints.kinds import of_target
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.inverse import multi_start

@@ -15,14 +15,13 @@ from kempe.answers import wording
 from kempe.answers.answer import Configurations
 from kempe.answers.evidence import outside_limits
 from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
-from kempe.answers.targets import Z_AXIS, parse_targets
+from kempe.answers.targets import Z_AXIS, of_target, parse_targets
 from kempe.arguments import explained, explained_methods, interruptible
 from kempe.arrays import reals
 from kempe.assemble.assemble import assemble
 from kempe.assemble.nearest_exact import decided_within
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint
-from kempe.constraints.kinds import of_target
 from kempe.equations.packed_tasks import refuse
 from kempe.equations.slip import Slip, hard_rows, rolls, slip_of
 from kempe.errors import InputError, UnsupportedError

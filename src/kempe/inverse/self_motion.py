@@ -12,12 +12,11 @@ import numpy as np
 from kempe.answers import wording
 from kempe.answers.answer import Configurations
 from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
-from kempe.answers.targets import axis_of, points_along, task_and_axis, task_of
+from kempe.answers.targets import axis_of, of_target, points_along, task_and_axis, task_of
 from kempe.arguments import explained, explained_methods, interruptible
 from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint, numbers_of
-from kempe.constraints.kinds import of_target
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import slip_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError

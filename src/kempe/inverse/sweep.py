@@ -15,9 +15,11 @@ from kempe import spatial
 from kempe.answers.answer import Answer, ConfigurationList
 from kempe.answers.problem import Problem, Solver, choose, chosen_by
 from kempe.answers.targets import (
+    AXIS_TASKS,
     Z_AXIS,
     axis_for,
     not_a_pose,
+    of_target,
     refuse_position,
     targets_of,
     task_and_axis,
@@ -26,7 +28,6 @@ from kempe.answers.targets import task_of as task_of_targets
 from kempe.arguments import explained, explained_methods
 from kempe.arrays import FARTHEST, is_whole, reals
 from kempe.budget import Budget, TimeUp, Usual, look
-from kempe.constraints.kinds import AXIS_TASKS, of_target
 from kempe.equations.tasks import task_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.forward.fk import fk

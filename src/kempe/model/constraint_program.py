@@ -11,9 +11,8 @@ import numpy as np
 
 from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
 from kempe.constraints.builder import Builder, substituted
-from kempe.constraints.kinds import LEAST
 from kempe.constraints.tape import POSE, TIME, Tape
-from kempe.constraints.text import from_text
+from kempe.constraints.text import LEAST, from_text
 from kempe.description.mechanism import resolved
 from kempe.description.parts import Declared, Joint
 from kempe.errors import InputError

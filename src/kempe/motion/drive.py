@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
+from kempe.answers.known_values import known_tasks
 from kempe.answers.tables import write_table
 from kempe.arguments import explained, explained_methods, flag, interruptible, until_interrupt
 from kempe.arrays import is_mapping, reals, within_range
-from kempe.assemble.dyads import held_at
 from kempe.assemble.nearest_exact import tolerant
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
@@ -646,7 +646,7 @@ class Drive(Motion):
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         """The inputs, of samples that are not held, where they belong to coordinates."""
         own = [] if self.reason else [n for n in self.inputs if n in self.system.coordinate_names]
-        return held_at(
+        return known_tasks(
             self.system, {n: np.where(self.held, self.values(n), self.inputs[n]) for n in own}
         )
 

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.answers.targets import Z_AXIS, frame_of, of_target
 from kempe.arguments import explained, explained_methods, interruptible, numbers
 from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
-from kempe.constraints.kinds import of_target
 from kempe.errors import InputError, TimeLimitError
 from kempe.late import late
 from kempe.numerics.clock import LONG, partial

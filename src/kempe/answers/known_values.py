@@ -1,0 +1,118 @@
+"""Known values by name: of coordinates, and places of frames; as given, and as tasks for judges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.answers.targets import Z_AXIS, of_target
+from kempe.arrays import reals
+from kempe.constraints.base import poses_of, refuse_rotations
+from kempe.errors import InputError, UnknownNameError
+from kempe.poses import EXACT, arrays, refuse_no_poses, rotation_error
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+WITHIN = (1e-6, 1e-6)
+"""Metres and radians that a known value may be off by."""
+
+
+def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
+    """Known values by name, the places of frames as arrays. Errors: `InputError`."""
+    if not frames:
+        return given
+    return {
+        k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()
+    }
+
+
+def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
+    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
+    through.
+
+    Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
+    """
+    what = f"the place of frame {frame!r}"
+    if whole:
+        X = poses_of(place, 3, what)
+        for bad in X[
+            ~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
+        ][:1]:
+            refuse_no_poses(bad, what)
+        return poses_of(X, system.dim, what)
+    x = reals(place, what, "numbers")
+    refuse_rotations(x, what)
+    if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):
+        raise InputError(f"{what} leaves the plane")
+    return x
+
+
+def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Any]:
+    """Known values by coordinates of q: a coordinate that follows another is led back to that.
+
+    Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move
+    together.
+    """
+    out: dict[str, Any] = {}
+    for name, given in known.items():
+        follower = system.structure.couplings.get(name)
+        if follower is None and name not in system.coordinate_names:
+            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
+        if follower is not None and follower.source is None:
+            raise InputError(
+                f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given"
+            )
+        number = reals(given, f"coordinate {name!r}", "a number")
+        source = name if follower is None else str(follower.source)
+        if source in out:
+            raise InputError(
+                f"known coordinates {name!r} and {source!r} move together: give one of them"
+            )
+        out[source] = (
+            number if follower is None else (number - follower.offset) / follower.multiplier
+        )
+    return out
+
+
+# ---- for the judge
+
+
+class HeldCoordinate(NamedTuple):
+    """The coordinate `label` of q is `value` (...)."""
+
+    label: str
+    place: int
+    turns: bool
+    value: Any
+
+    def measure(self, system: Model, q: Array, goals: Any, at: Any) -> tuple[Array, Array]:
+        """How far (...) configurations q (..., nq) miss it, in metres and in radians."""
+        off = np.abs(q[..., self.place] - self.value)
+        return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))
+
+
+def known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
+    """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
+    names of frames.
+    """
+    from kempe.equations.tasks import task_of  # only here: most answers are not judged
+
+    own = {*system.coordinate_names, *system.structure.couplings}
+    turns = system.structure.coordinates.turning[system.structure.layout.vector_v].tolist()
+    turning = dict(zip(system.structure.layout.vector_q.tolist(), turns, strict=True))
+    out: list[tuple[Any, Any, Any]] = []
+    for name, value in source_values(system, {k: x for k, x in known.items() if k in own}).items():
+        i = system.coordinate_names.index(name)
+        out.append((HeldCoordinate(name, i, turning.get(i, True), value), None, WITHIN))
+    for name in known.keys() - own:
+        whole = np.ndim(known[name]) == 2
+        X = np.eye(4)
+        place = place_of(system, name, known[name], whole)
+        X[: len(place), 3 if not whole else slice(None)] = place
+        made = of_target(name, "pose" if whole else "position", Z_AXIS, X)
+        out += [(task_of(c, system.dim), None, WITHIN) for c in made]
+    return out
