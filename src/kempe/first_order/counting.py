@@ -89,7 +89,7 @@ class Counting(InWords):
 def counting(system: Model) -> Counting:
     """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
     s = structure(system)
-    m = system.mechanism
+    m = system._mechanism
     dim = system.dim
     whole, point = (6, 3) if dim == 3 else (3, 2)
     particles = [m.bodies[b].particle for b in system.body_names[1:]]

@@ -701,7 +701,7 @@ def idle_freedoms(
             else _of_star(system, s, ranks[0], spin)
         )
         if group is not None:
-            frames = [*system.mechanism.frames.values()] if frames is None else frames
+            frames = [*system._mechanism.frames.values()] if frames is None else frames
             if not _moves_a_frame(system, frames, ranks[0], spin, group):
                 found.append((spin, group))
     # small groups of bodies first: larger ones may move as their sums
@@ -892,7 +892,7 @@ def _moves_a_frame(
         if body not in moving:
             continue
         poses = fk(system, rank.q) if poses is None else poses
-        place = poses[body] @ frame.X_BF.evaluate(system.mechanism.parameters)
+        place = poses[body] @ frame.X_BF.evaluate(system._mechanism.parameters)
         away = (place[:3, 3] - at.center) / at.length - spin.point
         if body in bodies:
             away = away - (away @ spin.direction) * spin.direction

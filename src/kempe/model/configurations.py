@@ -460,7 +460,7 @@ def winding_angles(system: Model) -> np.ndarray:
     """
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
-    return endless & distinct(system.mechanism, coordinates)
+    return endless & distinct(system._mechanism, coordinates)
 
 
 @explained

@@ -552,8 +552,8 @@ def _curve(
     """Coefficients of 1, cos and sin, or of 1 and the slide, of a point (or, of weight 0, a
     direction) on a crank, seen from the base.
     """
-    F = joint.X_PF.evaluate(system.mechanism.parameters)
-    M = joint.X_CM.evaluate(system.mechanism.parameters)
+    F = joint.X_PF.evaluate(system._mechanism.parameters)
+    M = joint.X_CM.evaluate(system._mechanism.parameters)
     turns = primitives_of(system, joint)[0].kind == R
     at = 2.0 * np.pi / 3.0 * np.arange(3.0) if turns else np.array([0.0, 1.0])
     X = F @ motion(primitives_of(system, joint), at[:, None]) @ inverse(M)
