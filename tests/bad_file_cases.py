@@ -329,8 +329,8 @@ URDF_CASES = [
         ("joint 'odd'", "connects link 'hand' to itself", "two links"),
         6,
     ),
-    Case("an empty file", "", ("empty", "URDF or TOML"), any_encoding=False),
-    Case("a file of blanks", " \n \n", ("nothing but blanks", "URDF or TOML")),
+    Case("an empty file", "", ("empty", "URDF, TOML"), any_encoding=False),
+    Case("a file of blanks", " \n \n", ("nothing but blanks", "URDF, TOML")),
     Case("a file that is no XML", "Hello!\n", ("no XML element", "<robot"), 1),
     Case(
         "a robot without links",
@@ -393,10 +393,10 @@ URDF_CASES = [
         robot(
             joint(),
             WRIST,
-            '<sdf:joint name="x" type="ball"><parent link="arm"/><child link="hand"/></sdf:joint>',
+            '<drake:joint name="x" type="ball"><parent link="arm"/><child link="hand"/></drake:joint>',
         ),
         (
-            "the prefix of <sdf:joint> hides it",
+            "the prefix of <drake:joint> hides it",
             "parent link='arm', child link='hand'",
             "or remove it",
         ),
@@ -407,59 +407,11 @@ URDF_CASES = [
         robot(
             joint(),
             WRIST,
-            '<drake:tendon_constraint><a name="elbow"/><b name="wrist"/></drake:tendon_constraint>',
-        ),
-        ("<drake:tendon_constraint> is not read, and it ties 'elbow' and", "another mechanism"),
-        7,
-    ),
-    Case(
-        "a constraint of Drake without its points, on a link that does not exist",
-        robot(
-            joint(),
-            WRIST,
             '<drake:ball_constraint><drake:ball_constraint_body_A name="base"/>'
-            '<drake:ball_constraint_body_B name="hnd"/></drake:ball_constraint>',
+            '<drake:ball_constraint_body_B name="hand"/></drake:ball_constraint>',
         ),
-        (
-            "constraint 'ball_constraint': its link 'hnd' does not exist; did you mean 'hand'?",
-            "it has no <drake:ball_constraint_p_AP>; it needs one",
-        ),
+        ("<drake:ball_constraint> is not read, and it ties 'base' and 'hand'", "another mechanism"),
         7,
-    ),
-    Case(
-        "a loop joint with one end and an unknown type",
-        robot(joint(), WRIST, '<loop_joint name="l" type="ball"><link1 link="arm"/></loop_joint>'),
-        (
-            "loop_joint 'l': it has 1 end; a loop joint has two",
-            "unknown type 'ball'; a <loop_joint>",
-        ),
-        7,
-    ),
-    Case(
-        "a joint of Drake as one of URDF",
-        robot(joint(), joint("wrist", "", "screw", "arm", "hand")),
-        ("joint 'wrist': unknown type 'screw'; it is a type of Drake: write <drake:joint>",),
-        6,
-    ),
-    Case(
-        "a screw without a pitch",
-        robot(joint(), joint("wrist", "", "screw", "arm", "hand").replace("joint", "drake:joint")),
-        ("joint 'wrist': it has no <drake:screw_thread_pitch value=...>; a screw needs it",),
-        6,
-    ),
-    Case(
-        "a negative effort limit",
-        robot(joint(inside='<limit lower="-1" upper="1" effort="-1" velocity="1"/>'), WRIST),
-        (
-            "effort limit is -1; it must not be negative (lenient_limits=True reads it as unlimited)",
-        ),
-        5,
-    ),
-    Case(
-        "a declaration of XML after a comment",
-        "<!-- licence\n-->\n\n<?xml version='1.0'?>\n" + robot(joint(), WRIST),
-        note="file.urdf:4: the line <?xml ...?> is not at the very start of the file",
-        holds=lambda m: m.joints["elbow"].where.line == 9,
     ),
     Case(
         "a limit that a prefix hides",
@@ -825,7 +777,7 @@ TOML_CASES = [
         toml("notes = " + "[" * 5000 + "]" * 5000),
         ("nested too deep",),
     ),
-    Case("an empty file", "", ("empty", "URDF or TOML"), any_encoding=False),
+    Case("an empty file", "", ("empty", "URDF, TOML"), any_encoding=False),
     Case(
         "Latin-1 bytes",
         toml('notes = ["ä"]'),
@@ -836,3 +788,157 @@ TOML_CASES = [
     ),
 ]
 TOML_CASES = [replace(case, suffix=".toml") for case in TOML_CASES]
+
+
+def mjcf(*lines: str) -> str:
+    """An MJCF text; the given lines, in its <worldbody>, are 3, 4, ..."""
+    return "<mujoco>\n<worldbody>\n" + "".join(f"{line}\n" for line in lines) + _MJCF_END
+
+
+_MJCF_END = "</worldbody>\n</mujoco>\n"
+
+
+def of_mujoco(*joints: str) -> str:
+    """A <body> called arm with these joints, on one line."""
+    return f'<body name="arm">{"".join(joints)}<geom size="0.1"/></body>'
+
+
+MJCF_CASES = [
+    Case(
+        "an external entity in a DTD",
+        '<!DOCTYPE mujoco [<!ENTITY x SYSTEM "file:///etc/passwd">]>\n' + mjcf(),
+        ("DTD", "remove it"),
+        1,
+    ),
+    Case(
+        "an entity that nobody declared",
+        mjcf('<body name="&x;"/>'),
+        holds=lambda m: "&x;" in m.bodies,
+    ),
+    Case("a text that is cut off", mjcf(of_mujoco())[:-30], ("truncated", "get the whole file"), 3),
+    Case("words", "a robot", ("the file holds no XML element", "MJCF starts with <mujoco>"), 1),
+    Case(
+        "URDF with the wrong ending",
+        "<robot/>",
+        ("the outermost element is <robot>", "it is a file in URDF", "<mujoco>"),
+        1,
+    ),
+    Case(
+        "a part that other files include",
+        "<mujocoinclude/>",
+        ("this is a part of models", "load the model that includes it"),
+        1,
+    ),
+    Case(
+        "an include of a file of the system",
+        mjcf('<include file="/etc/passwd"/>'),
+        ("<include> names '/etc/passwd'", "outside the folders of the model", "package_dirs"),
+        3,
+    ),
+    Case(
+        "an include of a file that does not exist",
+        mjcf('<include file="parts/no.xml"/>'),
+        ("<include> names 'parts/no.xml'", "there is no such file", "package_dirs"),
+        3,
+    ),
+    Case(
+        "a file that includes itself",
+        mjcf('<include file="file.mjcf"/>'),
+        ("'file.mjcf' is included twice", "include each file once"),
+        3,
+    ),
+    Case(
+        "a mesh and a texture that are files of the system",
+        mjcf('<body><joint/><geom type="mesh" mesh="m"/></body>').replace(
+            "<worldbody>",
+            '<asset><mesh name="m" file="/etc/passwd"/><texture type="2d" name="t" '
+            'file="/etc/shadow"/></asset><worldbody>',
+        ),
+        note="their masses follow from meshes, which are not read",
+        holds=lambda m: "/etc/passwd" in str(m.bodies["body1"].shapes[0]),
+    ),
+    Case(
+        "an unknown attribute",
+        mjcf(of_mujoco('<joint axes="0 0 1"/>')),
+        ("<joint> has no attribute 'axes'", "XML reference"),
+        3,
+    ),
+    Case("an unknown element", mjcf("<bodi/>"), ("<bodi> is no element", "XML reference"), 3),
+    Case(
+        "an unknown type of joint",
+        mjcf(of_mujoco('<joint type="hinje"/>')),
+        ("'hinje' is no keyword that <joint> takes",),
+        3,
+    ),
+    Case(
+        "not a number in a position",
+        mjcf('<body name="arm" pos="nan 0 0"/>'),
+        ("pos holds 'nan'", "it must be finite numbers"),
+        3,
+    ),
+    Case(
+        "an infinite number in a position",
+        mjcf('<body name="arm" pos="0 1e999 0"/>'),
+        ("pos of <body>", "finite numbers"),
+        3,
+    ),
+    Case(
+        "a word for a number",
+        mjcf('<body name="arm" pos="0 one 0"/>'),
+        ("pos of <body>", "finite numbers"),
+        3,
+    ),
+    Case(
+        "too few numbers",
+        mjcf('<body name="arm" pos="0 1"/>'),
+        ("pos of <body>", "MuJoCo's XML reference"),
+        3,
+    ),
+    Case(
+        "an axis of zeros",
+        mjcf(of_mujoco('<joint name="elbow" axis="0 0 0"/>')),
+        ("'elbow': its axis is zero", "an axis has a direction"),
+        3,
+    ),
+    Case(
+        "two bodies of one name",
+        mjcf(of_mujoco(), of_mujoco()),
+        ("there is another body of the name 'arm'", "names must be unique"),
+        4,
+    ),
+    Case(
+        "an equality of a joint that does not exist",
+        mjcf(of_mujoco('<joint name="a"/>')).replace(
+            "</mujoco>", '<equality><joint joint1="a" joint2="b"/></equality>\n</mujoco>'
+        ),
+        ("there is nothing of the name 'b'", "MuJoCo's XML reference"),
+        5,
+    ),
+    Case(
+        "a body with too many joints",
+        mjcf(of_mujoco("<freejoint/>", "<joint/>")),
+        ("body 'arm' has more than 6 degrees of freedom",),
+        3,
+    ),
+    Case(
+        "a keyframe with too few numbers",
+        mjcf(of_mujoco("<joint/>")).replace(
+            "</mujoco>", '<keyframe><key name="home" qpos="1 2"/></keyframe></mujoco>'
+        ),
+        ("'home': its qpos has 2 numbers", "it must have 1"),
+        5,
+    ),
+    Case(
+        "a body without mass",
+        mjcf('<body name="arm"><joint/></body>'),
+        holds=lambda m: m.bodies["arm"].mass is None,
+    ),
+    Case(
+        "elements nested 600 deep",
+        mjcf("<body>" * 600 + "</body>" * 600),
+        ("nested more than 100 deep",),
+        3,
+    ),
+]
+"""MuJoCo's compiler runs for each of them, so each is read in one encoding."""
+MJCF_CASES = [replace(case, suffix=".mjcf", any_encoding=False) for case in MJCF_CASES]

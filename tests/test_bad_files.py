@@ -5,6 +5,7 @@ Run this file as a program to write the page anew.
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import random
 import re
@@ -12,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from bad_file_cases import TOML_CASES, URDF_CASES, Case
+from bad_file_cases import MJCF_CASES, TOML_CASES, URDF_CASES, Case
 from hunts import some
 from robots import BROKEN, good_urdf_files, urdf_files
 
@@ -22,7 +23,8 @@ from kempe.description.urdf_reader import read_urdf
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, KempeError
 
 PAGE = Path(__file__).parent.parent / "docs" / "bad_files.md"
-CASES = [*URDF_CASES, *TOML_CASES]
+READ = [] if importlib.util.find_spec("mujoco") is None else MJCF_CASES
+CASES = [*URDF_CASES, *TOML_CASES, *READ]
 
 INTRODUCTION = """\
 # What happens to bad files
@@ -48,6 +50,8 @@ collected before it gives up; 20 are shown. What is legal but strange loads, wit
 - A prefix that is bound to `http://www.ros.org`, or to the namespace of the outermost element, changes no name.
 - The version of `<robot>` is 1.0, 1.1 or 1.2, and 1.0 where it is left out; ROS refuses others, too.
 - Meshes are not opened on loading. When they are drawn, only files inside the folders of the model are.
+- MJCF is compiled by MuJoCo in a process with limits, which can open no file: includes are read before, from the
+  folders of the model only, and meshes, textures and height fields never.
 - xacro is a program, not data. It is expanded only where you ask for it, in a process with limits.
 
 The tables below are written by the tests: each line is a file that is fed to the reader, and its answer.
@@ -117,7 +121,7 @@ def test_caret_stands_under_the_place(tmp_path: Path):
 def page() -> str:
     """The text of `docs/bad_files.md`."""
     out = [INTRODUCTION]
-    for heading, cases in (("URDF", URDF_CASES), ("TOML", TOML_CASES)):
+    for heading, cases in (("URDF", URDF_CASES), ("TOML", TOML_CASES), ("MJCF", READ)):
         out.append(f"## {heading}\n\n| in the file | what Kempe says |\n|---|---|")
         for case in cases:
             with tempfile.TemporaryDirectory() as folder:
@@ -132,6 +136,7 @@ def page() -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not READ, reason="needs mujoco")
 def test_page_is_true():
     assert PAGE.read_text(encoding="utf-8") == page(), (
         "run  python tests/test_bad_files.py  and commit the page"

@@ -69,7 +69,9 @@ def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> Sys
     given = [joints] if isinstance(joints, str) else joints
     names = system.structure.closures if given is None else tuple(map(str, given))
     if not names:
-        raise InputError(f"{system.name} has no loop to open: it is a {system.kind}")
+        tied = system.kind.endswith(("loop", "loops"))
+        said = "constraints close its loops, no joints" if tied else f"it is a {system.kind}"
+        raise InputError(f"{system.name} has no loop to open: {said}")
     mechanism = system.mechanism
     for name in names:
         if name not in mechanism.joints:

@@ -26,6 +26,9 @@ WRITTEN = [name for name, f in FORMATS.items() if f.read and f.write]
 OPTIONS = {"base": "free", "root": "ground", "lenient_limits": True, "package_dirs": ["meshes"]}
 
 
+HINGE_OF_MUJOCO = '<mujoco><worldbody><body name="a"><joint name="j"/></body></worldbody></mujoco>'
+
+
 def hinge() -> Mechanism:
     m = Mechanism("m")
     m.revolute("j", m.ground, m.body("a"))
@@ -204,8 +207,12 @@ def test_endings_tell_the_format(name: str, tmp_path: Path):
             with pytest.raises(InputError, match="it must be .urdf or .toml$"):
                 hinge().save(path)
             path.write_text("no text of any format")
+            if name == "mjcf":
+                path.write_text(HINGE_OF_MUJOCO)
         else:
             hinge().save(path)
+        if name == "mjcf":
+            pytest.importorskip("mujoco")
         if row.read is not None:
             assert list(read(path).joints) == ["j"]
         else:
@@ -213,10 +220,10 @@ def test_endings_tell_the_format(name: str, tmp_path: Path):
                 read(path)
             assert (
                 str(caught.value)
-                == f"{path}: {row.title} files are not read; Kempe reads URDF and TOML"
+                == f"{path}: {row.title} files are not read; Kempe reads {named(read_by(), 'and')}"
             )
             with pytest.raises(
-                InputError, match=f"format is {name!r}; it must be 'urdf' or 'toml'"
+                InputError, match=f"format is {name!r}; it must be 'urdf', 'toml' or"
             ):
                 read(path, format=name)
 
@@ -230,8 +237,8 @@ def test_endings_tell_the_format(name: str, tmp_path: Path):
         ("<sdf/>", ".urdf", "SDF"),
         ("<sdf/>", ".toml", "SDF"),
         ("<?xml?><!DOCTYPE sdf><sdf/>", "", "SDF"),
-        ("<!--> --><!-- <robot> -->\n<mujoco/>", ".xml", "MJCF (MuJoCo)"),
-        ("<mjcf/>", "", "MJCF (MuJoCo)"),
+        ("<!--> --><!-- <robot> -->\n<mujoco/>", ".xml", "MJCF"),
+        ("<mjcf/>", "", "MJCF"),
         ("format = 1", "", "TOML"),
         ("# a comment\nformat = 1", "", "TOML"),
         ("format = 1", ".sdf", "TOML"),
@@ -311,13 +318,16 @@ def test_a_format_of_ones_own_is_in_the_messages(own: Format, tmp_path: Path, mo
     said: list[tuple[Callable[[], object], str]] = [
         (lambda: read("amr.csv"), "there is no such file; did you mean 'arm.csv'?"),
         (lambda: read("."), "this is a folder; give one of its files: arm.csv"),
-        (lambda: read("<sdf/>"), "Kempe reads URDF, TOML and rows of a DH table"),
-        (lambda: read("arm.csv", format="cvs"), "it must be 'urdf', 'toml' or 'rows'"),
+        (lambda: read("<sdf/>"), "Kempe reads URDF, TOML, MJCF and rows of a DH table"),
+        (lambda: read("arm.csv", format="cvs"), "it must be 'urdf', 'toml', 'mjcf' or 'rows'"),
         (
             lambda: read("arm.csv", base="free"),
             "the option 'base' is for URDF, and this is rows of a DH table",
         ),
-        (lambda: read(""), "it must hold a description (URDF, TOML or rows of a DH table)"),
+        (
+            lambda: read(""),
+            "it must hold a description (URDF, TOML, MJCF or rows of a DH table)",
+        ),
         (lambda: hinge().save("m.odt"), "it must be .urdf, .toml or .csv"),
         (
             lambda: read("four_bar").save("m.csv"),

@@ -114,8 +114,13 @@ TOML = Format(
 
 SDF = Format("SDF", (".sdf", ".world"), recognises=lambda start: root_element(start) == "sdf")
 MJCF = Format(
-    "MJCF (MuJoCo)", (".mjcf",), recognises=lambda start: root_element(start) in ("mujoco", "mjcf")
+    "MJCF",
+    (".mjcf",),
+    partial(call_late, "read_mjcf"),
+    recognises=lambda start: root_element(start) in ("mujoco", "mujocoinclude", "mjcf"),
+    options=("package_dirs",),
 )
+"""The format of MuJoCo, which ties bodies by equalities; it is read through MuJoCo's compiler."""
 
 FORMATS: dict[str, Format] = {"urdf": URDF, "toml": TOML, "sdf": SDF, "mjcf": MJCF}
 """The formats by name. Where several rows fit a file, the last counts: special rows stand after

@@ -297,8 +297,12 @@ class Model:
 
     @property
     def kind(self) -> str:
-        """What the joints connect the bodies to: 'serial chain', 'tree', '1 loop', '2 loops', ..."""
-        loops = len(self._topology.closures)
+        """What joints connect the bodies to: 'serial chain', 'tree', '1 loop', '2 loops', ...
+
+        A constraint that ties two bodies closes a loop, too.
+        """
+        ties = sum(c.links for c in self._mechanism.constraints.values())
+        loops = len(self._topology.closures) + ties
         parent = self._topology.parent
         if loops:
             return f"{loops} loop{'s' * (loops > 1)}"

@@ -1,0 +1,436 @@
+"""MJCF text: its includes resolved, and compiled by MuJoCo in a process with limits.
+
+MuJoCo opens no file itself: what a text includes is read here, from the folders of the model only.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import inspect
+import json
+import os
+import re
+from bisect import bisect_right
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kempe.description import mjcf_worker
+from kempe.description.formats import MJCF, by_contents
+from kempe.description.limited import last_words, run_limited
+from kempe.description.packages import Folders
+from kempe.description.source import SIZE_LIMIT, Source, fail, folders_of, shorten
+from kempe.description.xml import parse_xml, xml_source
+from kempe.errors import DescriptionError, MissingExtraError, Where
+
+SECONDS = 30
+"""Seconds that MuJoCo's compiler may take; large models take about three."""
+
+MEMORY = 4 * 2**30
+"""Bytes of memory that it may use."""
+
+FILE_LIMIT = 1000
+"""Files that one model may include."""
+
+REFERENCE = "correct the file: MuJoCo's XML reference says what is allowed"
+
+_BLANKED = re.compile(r"<!--.*?(?:-->|\Z)|<\?.*?\?>", re.DOTALL)
+_INCLUDE = re.compile(r"<include\b([^<>]*?)(?:/>|>\s*</include\s*>)", re.IGNORECASE)
+_WITH_FILE = re.compile(r"<(model|flexcomp)\b[^<>]*>")
+_FILE = re.compile(r"""\bfile\s*=\s*(["'])(.*?)\1""", re.DOTALL)
+_OPENING = re.compile(r"<([A-Za-z_][\w.:-]*)[^<>]*>")
+_FOLDER = re.compile(r"""<compiler\b[^<>]*?\b(?:meshdir|assetdir)\s*=\s*(["'])(.*?)\1""")
+
+_NAN = re.compile(r"""["'\s][-+]?nan["'\s]""", re.IGNORECASE)
+_VALUE = re.compile(r"""\s(\w+)\s*=\s*(["'])([-+\w.\s]*)\2""")
+
+# ---- the text
+
+
+class _Piece(NamedTuple):
+    """Some lines of a file, of which the first is its line `line`."""
+
+    source: Source
+    line: int
+    text: str
+
+
+class Merged:
+    """The text of a model and of all that it includes, one below the other.
+
+    MuJoCo's messages name lines only, so every line of every file has a number of its own here.
+    `files` are other files that the text needs while it is parsed, by name.
+    """
+
+    def __init__(self, data: bytes | str, source: str, package_dirs: Iterable[str | Path] = ()):
+        self.main = xml_source(data, source)
+        self.sources = [self.main]
+        self.files: dict[str, bytes] = {}
+        self.text = ""
+        self._given = [folder.resolve() for folder in folders_of(package_dirs)]
+        self._readable = Folders(self._given).readable
+        self._home = self._given[0] if self._given else None
+        self._starts: list[int] = []
+        self._pieces: list[_Piece] = []
+        self._folders: list[Path | None] = []
+        self._lines = 0
+        self._size = len(self.main.text)
+        self._names: dict[Path, str] = {}
+        _check_is_mjcf(self.main)
+        self._models = [("", self.main, self._home)]
+        while self._models:
+            self._add_model(*self._models.pop(0))
+
+    def where(self, line: int) -> Where:
+        """The place of a line of the text, in the file that it came from."""
+        if line < 1:
+            return Where(self.main.name)
+        k = self._piece_at(line)
+        piece = self._pieces[k]
+        return piece.source.where(piece.line + line - self._starts[k])
+
+    def folder(self, line: int) -> str:
+        """From the folder of the main model the way to that of the model which a line is of."""
+        there = self._folders[self._piece_at(line)] if self._pieces else None
+        return "" if there == self._home or not there else os.path.relpath(there, self._home)
+
+    def _piece_at(self, line: int) -> int:
+        return max(bisect_right(self._starts, line) - 1, 0)
+
+    def _add_model(self, name: str, source: Source, folder: Path | None) -> None:
+        text = _checked(source)
+        pieces = self._pieces_of(source, text, (0, len(text)), [folder], {source.name})
+        before = self._lines
+        for piece in pieces:
+            self._starts.append(self._lines + 1)
+            self._pieces.append(piece)
+            self._folders.append(folder)
+            self._lines += piece.text.count("\n") + 1
+        whole = "\n" * before + "\n".join(self._renamed(piece, folder) for piece in pieces)
+        if name:
+            self.files[name] = whole.encode()
+        else:
+            self.text = whole
+
+    def _pieces_of(
+        self,
+        source: Source,
+        text: str,
+        part: tuple[int, int],
+        folders: list[Path | None],
+        seen: set[str],
+    ) -> list[_Piece]:
+        """A part of a text, and the files that it includes where it includes them."""
+        pieces: list[_Piece] = []
+        start, stop = part
+        for match in _INCLUDE.finditer(text, start, stop):
+            named = _FILE.search(match[1])
+            if named is None:
+                continue
+            where = source.where_offset(match.start())
+            path = self._find("include", named[2], folders, where)
+            if str(path) in seen:
+                raise fail(
+                    f"the file {named[2]!r} is included twice", where, "include each file once"
+                )
+            seen.add(str(path))
+            inner = self._source(path, named[2], source, where)
+            inner_text = _checked(inner)
+            pieces.append(_piece(source, text, start, match.start()))
+            pieces += self._pieces_of(
+                inner,
+                inner_text,
+                _children(inner, inner_text),
+                [folders[0], path.parent],
+                seen,
+            )
+            start = match.end()
+        return [*pieces, _piece(source, text, start, stop)]
+
+    def _renamed(self, piece: _Piece, folder: Path | None) -> str:
+        """The text of a piece in which the models and meshes that MuJoCo reads while it parses have
+        names of `files`.
+        """
+
+        def named(match: re.Match[str]) -> str:
+            tag = match[0]
+            file = _FILE.search(tag)
+            if file is None:
+                return tag
+            where = piece.source.where(piece.line + piece.text.count("\n", 0, match.start()))
+            mesh = _FOLDER.search("".join(p.text for p in self._pieces))
+            beside = folder / mesh[2] if folder and mesh else folder
+            folders = [folder] if match[1] == "model" else [beside, folder]
+            path = self._find(match[1], file[2], folders, where)
+            if path not in self._names:
+                self._names[path] = f"file{len(self._names)}{path.suffix}"
+                if match[1] == "model":
+                    inner = self._source(path, file[2], piece.source, where)
+                    self._models.append((self._names[path], inner, path.parent))
+                else:
+                    self.files[self._names[path]] = self._read(path, where)
+            return tag[: file.start(2)] + self._names[path] + tag[file.end(2) :]
+
+        return _WITH_FILE.sub(named, piece.text)
+
+    # ---- files
+
+    def _find(self, tag: str, name: str, folders: list[Path | None], where: Where) -> Path:
+        """The file that an element names, in the folders of the model. Errors:
+        `DescriptionError`.
+        """
+        outside = False
+        for folder in (*folders, *self._given):
+            try:
+                path = folder and (folder / name).resolve()
+                if path is None or not path.is_file():
+                    continue
+            except (OSError, ValueError, RuntimeError):
+                continue
+            if any(root in path.parents for root in self._readable):
+                return path
+            outside = True
+        if outside:
+            raise fail(
+                f"<{tag}> names {shorten(name)}, which lies outside the folders of the model",
+                where,
+                "name its folder by package_dirs, if you trust it",
+            )
+        raise fail(
+            f"<{tag}> names {shorten(name)}, and there is no such file",
+            where,
+            "it must lie in the folder of the model, or in one that package_dirs names",
+        )
+
+    def _source(self, path: Path, name: str, of: Source, where: Where) -> Source:
+        """The text of a file, called as the user would call it."""
+        called = os.path.normpath(os.path.join(os.path.dirname(of.name), name))
+        if os.path.realpath(called) != str(path):
+            called = str(path)
+        made = xml_source(self._read(path, where), called)
+        self.sources.append(made)
+        if len(self.sources) > FILE_LIMIT:
+            raise fail(f"more than {FILE_LIMIT} files are included", where, "this is no robot")
+        return made
+
+    def _read(self, path: Path, where: Where) -> bytes:
+        try:
+            with open(path, "rb") as file:
+                data = file.read(SIZE_LIMIT + 1)
+        except OSError as error:
+            raise fail(
+                f"{shorten(path, 200)} cannot be read: {error.strerror or error}",
+                where,
+                "check its permissions",
+            ) from None
+        self._size += len(data)
+        if self._size > SIZE_LIMIT:
+            raise fail(
+                f"the files of the model have more than {SIZE_LIMIT >> 20} MiB",
+                where,
+                "a description is smaller than that",
+            )
+        return data
+
+
+def blanked(text: str) -> str:
+    """The text with blanks in place of comments and declarations, every character in its place."""
+    return _BLANKED.sub(lambda m: re.sub(r"[^\r\n]", " ", m[0]), text)
+
+
+def _check_is_mjcf(source: Source) -> None:
+    opening = _OPENING.search(blanked(source.text))
+    if opening is None:
+        said = (
+            "there is no element in it" if "<" in source.text else "the file holds no XML element"
+        )
+        raise fail(said, source.where(1), "MJCF starts with <mujoco>")
+    tag = opening[1]
+    if tag == "mujoco":
+        return
+    where = source.where_offset(opening.start())
+    if tag == "mujocoinclude":
+        raise fail(
+            "this is a part of models, <mujocoinclude>", where, "load the model that includes it"
+        )
+    format = by_contents(f"<{tag}/>")
+    said = "" if format in (None, MJCF) else f": it is a file in {format.title}"
+    raise fail(f"the outermost element is <{tag}>{said}", where, "MJCF starts with <mujoco>")
+
+
+def _checked(source: Source) -> str:
+    """The text of a source without comments. Errors: `DescriptionError` for a DTD, and for numbers
+    that are none.
+    """
+    text = blanked(source.text)
+    if (at := text.find("<!DOCTYPE")) >= 0:
+        raise fail(
+            "the file has a DTD (<!DOCTYPE ...>)",
+            source.where_offset(at),
+            "remove it: a DTD can pull in other files or grow without bound, and is never read",
+        )
+    _refuse_nan(source, text)
+    return text
+
+
+def _refuse_nan(source: Source, text: str) -> None:
+    """Refuse lists of numbers with one that is none, of which MuJoCo only warns."""
+    for match in _VALUE.finditer(text) if _NAN.search(text) else ():
+        words = match[3].split()
+        if len(words) > 1 or match[1] in ("ref", "coef", "mass"):
+            bad = next((w for w in words if w.lower().strip("+-") == "nan"), None)
+            if bad and all(map(_is_number, words)):
+                raise fail(
+                    f"{match[1]} holds {bad!r}",
+                    source.where_offset(match.start(3)),
+                    "it must be finite numbers",
+                )
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _piece(source: Source, text: str, start: int, stop: int) -> _Piece:
+    line = source.where_offset(start).line
+    return _Piece(source, line, text[start:stop].replace("\r\n", "\n").replace("\r", "\n"))
+
+
+def _children(source: Source, text: str) -> tuple[int, int]:
+    """Where the children of the outermost element of a file begin and end."""
+    opening = _OPENING.search(text)
+    if opening and not opening[0].endswith("/>"):
+        stop = text.rfind(f"</{opening[1]}")
+        if stop > opening.end():
+            return opening.end(), stop
+    parse_xml(source.text, source.name)
+    raise fail(
+        "this file is included, and there is nothing in it", source.where(1), "an include has parts"
+    )
+
+
+# ---- the compiler
+
+
+def compile_mjcf(merged: Merged) -> dict[str, Any]:
+    """The tables of `kempe.description.mjcf_worker` for a text.
+
+    Errors: `MissingExtraError` without the extra [mjcf], `DescriptionError` with what MuJoCo says.
+    """
+    if importlib.util.find_spec("mujoco") is None:
+        raise MissingExtraError("mujoco", "mjcf")
+    files = {name: base64.b64encode(data).decode() for name, data in merged.files.items()}
+    code = (
+        f"space = {{'__name__': 'worker'}}\n"
+        f"exec(compile({inspect.getsource(mjcf_worker)!r}, 'worker', 'exec'), space)\n"
+        "space['main'](s)\n"
+    )
+    ended = run_limited(
+        code,
+        {"text": merged.text, "files": files},
+        seconds=SECONDS,
+        memory=MEMORY,
+        output=2 * SIZE_LIMIT,
+    )
+    if ended.reason:
+        raise _stopped(ended.reason, ended.code, ended.said, merged)
+    answer: dict[str, Any] = json.loads(ended.output)
+    if "error" in answer:
+        raise _refused(answer["error"], merged)
+    return answer
+
+
+def _stopped(reason: str, code: int | None, said: str, merged: Merged) -> DescriptionError:
+    limits = {
+        "time": f"MuJoCo's compiler did not finish in {SECONDS} s",
+        "memory": f"MuJoCo's compiler needs more than {MEMORY >> 30} GiB of memory",
+        "output": f"the compiled model has more than {2 * SIZE_LIMIT >> 20} MiB",
+    }
+    crashed = f"MuJoCo's compiler crashed (signal {-code})" if code is not None and code < 0 else ""
+    message = limits.get(reason) or crashed or f"MuJoCo's compiler failed: {last_words(said)}"
+    return fail(message, merged.where(0), "a smaller model must be given")
+
+
+_MESSAGES: tuple[tuple[str, str, str], ...] = (
+    (
+        r"Schema violation: unrecognized attribute: '(.*)'",
+        "<{tag}> has no attribute {0!r}",
+        "MuJoCo's XML reference lists those that it has",
+    ),
+    (
+        r"Schema violation: unrecognized element",
+        "<{tag}> is no element that MuJoCo reads there",
+        "MuJoCo's XML reference lists where it may stand",
+    ),
+    (
+        r"Schema violation: (.*)",
+        "<{tag}>: {0}",
+        REFERENCE,
+    ),
+    (
+        r"invalid keyword: '(.*)'",
+        "{0!r} is no keyword that <{tag}> takes",
+        "MuJoCo's XML reference lists its keywords",
+    ),
+    (
+        r"(?:problem reading|bad format in|number is too large in) attribute '(.*)'",
+        "{0} of <{tag}> is not as it must be",
+        "it must be finite numbers, separated by blanks",
+    ),
+    (
+        r"attribute '(.*)' does not have enough data",
+        "{0} of <{tag}> has too few numbers",
+        REFERENCE,
+    ),
+    (r"attribute '(.*)' has too much data", "{0} of <{tag}> has too many numbers", REFERENCE),
+    (
+        r"repeated name '(.*)' in (\w+)",
+        "there is another {1} of the name {0!r}",
+        "names must be unique",
+    ),
+    (r"unknown element '(.*)' in (.*)", "{1}: there is nothing of the name {0!r}", REFERENCE),
+    (
+        r"keyframe '.*': invalid (\w+) size, expected (\d+), got (\d+)",
+        "its {0} has {2} numbers",
+        "it must have {1}",
+    ),
+    (r"axis too small.*", "its axis is zero", "an axis has a direction"),
+    (
+        r"more than 6 dofs in body '(.*)'",
+        "body {0!r} has more than 6 degrees of freedom",
+        "remove some",
+    ),
+)
+"""What MuJoCo says, in other words: pattern, message and what is allowed."""
+
+_TAG = re.compile(r"^Element '(.*)', line (\d+)", re.MULTILINE)
+_NAME = re.compile(r"^Element name '(.*)', id -?\d+(?:, line (\d+))?", re.MULTILINE)
+_LINE = re.compile(r"Line number=(\d+)")
+
+
+def _refused(said: str, merged: Merged) -> DescriptionError:
+    """The error for what MuJoCo's compiler says."""
+    if "XML parse error" in said:
+        for source in merged.sources:
+            parse_xml(source.text, source.name)
+    tag = _TAG.search(said)
+    name = _NAME.search(said)
+    line = _LINE.search(said)
+    number = int(tag[2]) if tag else int(name[2] or 0) if name else int(line[1]) if line else 0
+    subject = repr(name[1]) if name and name[1] else ""
+    if not number and subject and name:
+        called = re.search(rf"""\bname\s*=\s*(["\']){re.escape(name[1])}\1""", merged.text)
+        number = merged.text.count("\n", 0, called.start()) + 1 if called else 0
+    where = merged.where(number)
+    first = re.sub(r"^(XML Error|Error): (Error: )?", "", said.strip().splitlines()[0])
+    for pattern, message, allowed in _MESSAGES:
+        if found := re.fullmatch(pattern, first):
+            words = found.groups()
+            text = message.format(*words, tag=tag[1] if tag else "")
+            return fail(text, where, allowed.format(*words), subject)
+    return fail(f"MuJoCo's compiler says: {first}", where, REFERENCE, subject)

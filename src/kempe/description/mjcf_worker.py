@@ -1,0 +1,294 @@
+"""What MuJoCo's compiler makes of an MJCF text, as plain data.
+
+This file is run as a program of its own, in a process with limits (`kempe.description.mjcf_text`),
+and imports nothing of Kempe.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+from importlib import import_module
+from typing import Any
+
+TINY = 1e-14
+"""Mass and inertia of bodies that have none; MuJoCo refuses less than 1e-15."""
+
+TETRAHEDRON = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]
+"""Vertices that stand for those of a mesh, which is not read."""
+
+
+def compiled(text: str, files: dict[str, bytes]) -> dict[str, Any]:
+    """The tables of a model, or ``{"error": ...}`` with what MuJoCo says; `files` by name are those
+    that the text needs while it is parsed.
+    """
+    mujoco: Any = import_module("mujoco")
+    try:
+        spec = mujoco.MjSpec.from_string(text, include=files)
+        what = _strip(mujoco, spec)
+        model = spec.compile()
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        return {"error": str(error)}
+    return _tables(mujoco, spec, model, what)
+
+
+def _strip(mujoco: Any, spec: Any) -> dict[str, Any]:
+    """Take out of a spec what would be read from files or cost time; returns what was there."""
+    out: dict[str, Any] = {
+        "actuators": len(spec.actuators),
+        "sensors": len(spec.sensors),
+        "flexes": [f.name for f in spec.flexes],
+        "plugins": [p.name or p.plugin_name for p in spec.plugins],
+        "meshes": {m.name: _mesh(spec, m) for m in spec.meshes},
+        "shapes": [_without_mesh(mujoco, g) for g in spec.geoms],
+    }
+    # memory for a simulation, of any size
+    spec.memory = spec.nstack = spec.njmax = spec.nconmax = -1
+    # a search of seconds, for muscles
+    spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE
+    for body in spec.bodies:
+        body.plugin.active = False
+        body.compiler.boundmass = max(body.compiler.boundmass, TINY)
+        body.compiler.boundinertia = max(body.compiler.boundinertia, TINY)
+        body.compiler.discardvisual = False
+    for key in spec.keys:
+        key.ctrl = key.act = []
+    for mesh in spec.meshes:
+        _without_file(mesh)
+    for texture in spec.textures:
+        _plain(mujoco, texture)
+    plugged = [x for x in (*spec.actuators, *spec.sensors) if x.plugin.active]
+    for item in (*plugged, *spec.skins, *spec.hfields):
+        spec.delete(item)
+    return out
+
+
+def _without_file(mesh: Any) -> None:
+    if mesh.file or mesh.plugin.active:
+        mesh.plugin.active = False
+        mesh.file = ""
+        mesh.content_type = ""
+        mesh.scale = [1, 1, 1]
+        mesh.uservert = TETRAHEDRON
+        mesh.userface = mesh.usernormal = mesh.usertexcoord = []
+
+
+def _plain(mujoco: Any, texture: Any) -> None:
+    """Replace a texture of a file by one of a single colour."""
+    if not texture.file and not any(texture.cubefiles):
+        return
+    texture.file = ""
+    texture.content_type = ""
+    for k in range(len(texture.cubefiles)):
+        texture.cubefiles[k] = ""
+    texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    texture.data = b""
+    texture.width = texture.height = 1
+    texture.nchannel = 3
+
+
+def _mesh(spec: Any, mesh: Any) -> dict[str, Any]:
+    moved = [*mesh.refpos, *mesh.refquat] != [0, 0, 0, 1, 0, 0, 0]
+    return {
+        "file": mesh.file,
+        "folder": mesh.compiler.meshdir,
+        "strip": bool(getattr(spec, "strippath", False)),
+        "scale": list(mesh.scale),
+        "line": _line(mesh),
+        "moved": moved,
+    }
+
+
+def _without_mesh(mujoco: Any, geom: Any) -> dict[str, Any]:
+    """Replace what a geom reads from files by a small sphere, which keeps its frame."""
+    types = mujoco.mjtGeom
+    kind = geom.type
+    mesh = geom.meshname
+    heavy = kind in (types.mjGEOM_MESH, types.mjGEOM_SDF, types.mjGEOM_HFIELD) or bool(mesh)
+    geom.plugin.active = False
+    # a mass that is given is known, and a density of 0 means none
+    weighs = heavy and geom.mass != 0 and not (geom.mass != geom.mass and geom.density == 0)
+    if heavy:
+        geom.type = types.mjGEOM_SPHERE
+        geom.size = [1e-3, 0, 0]
+        geom.meshname = ""
+        geom.hfieldname = ""
+        geom.mass = 0
+        geom.fromto = [float("nan")] * 6
+    return {
+        "kind": str(kind).rpartition("_")[2].lower(),
+        "mesh": mesh,
+        "weighs": weighs,
+        "element": geom,
+    }
+
+
+def _line(element: Any) -> int:
+    """The line of an element, 0 where there is none."""
+    words = element.info.replace(",", " ").split()
+    return int(words[words.index("line") + 1]) if "line" in words else 0
+
+
+def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[str, Any]:
+    types = mujoco.mjtObj
+
+    def name(kind: Any, i: int) -> str:
+        return mujoco.mj_id2name(model, kind, i) or ""
+
+    def lines(elements: Any) -> dict[int, int]:
+        return {e.id: _line(e) for e in elements}
+
+    joint_lines = lines(spec.joints)
+    joints = [
+        {
+            "name": name(types.mjOBJ_JOINT, j),
+            "kind": ("free", "ball", "slide", "hinge")[int(model.jnt_type[j])],
+            "body": int(model.jnt_bodyid[j]),
+            "address": int(model.jnt_qposadr[j]),
+            "pos": model.jnt_pos[j].tolist(),
+            "axis": model.jnt_axis[j].tolist(),
+            "range": model.jnt_range[j].tolist() if model.jnt_limited[j] else None,
+            "line": joint_lines.get(j, 0),
+        }
+        for j in range(model.njnt)
+    ]
+    weightless = _without_weight(spec, what["shapes"])
+    bodies = [
+        {
+            "name": name(types.mjOBJ_BODY, b.id),
+            "parent": int(model.body_parentid[b.id]),
+            "pos": model.body_pos[b.id].tolist(),
+            "quat": model.body_quat[b.id].tolist(),
+            "mass": _mass(model, b, weightless),
+            "center": model.body_ipos[b.id].tolist(),
+            "mocap": int(model.body_mocapid[b.id]) >= 0,
+            "line": _line(b),
+        }
+        for b in sorted(spec.bodies, key=lambda b: b.id)
+    ]
+    site_lines = lines(spec.sites)
+    sites = [
+        {
+            "name": name(types.mjOBJ_SITE, s),
+            "body": int(model.site_bodyid[s]),
+            "pos": model.site_pos[s].tolist(),
+            "quat": model.site_quat[s].tolist(),
+            "line": site_lines.get(s, 0),
+        }
+        for s in range(model.nsite)
+    ]
+    shapes = {shape.pop("element").id: shape for shape in what.pop("shapes")}
+    geom_lines = lines(spec.geoms)
+    geoms = [
+        {
+            **shapes[g],
+            "name": name(types.mjOBJ_GEOM, g),
+            "body": int(model.geom_bodyid[g]),
+            "size": model.geom_size[g].tolist(),
+            "pos": model.geom_pos[g].tolist(),
+            "quat": model.geom_quat[g].tolist(),
+            "color": _color(model, g),
+            "group": int(model.geom_group[g]),
+            "touches": bool(model.geom_contype[g] or model.geom_conaffinity[g]),
+            "line": geom_lines.get(g, 0),
+        }
+        for g in range(model.ngeom)
+        if g in shapes
+    ]
+    equality_lines = lines(spec.equalities)
+    disabled = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    equalities = [
+        {
+            "name": name(types.mjOBJ_EQUALITY, e),
+            "kind": str(mujoco.mjtEq(int(model.eq_type[e]))).rpartition("_")[2].lower(),
+            "active": bool(model.eq_active0[e]) and not disabled,
+            "a": int(model.eq_obj1id[e]),
+            "b": int(model.eq_obj2id[e]),
+            "sites": int(model.eq_objtype[e]) == int(types.mjOBJ_SITE),
+            "data": model.eq_data[e].tolist(),
+            "line": equality_lines.get(e, 0),
+        }
+        for e in range(model.neq)
+    ]
+    tendon_lines = lines(spec.tendons)
+    tendons = [
+        {
+            "name": name(types.mjOBJ_TENDON, t),
+            "joints": _fixed_tendon(mujoco, model, t),
+            "length": float(model.tendon_length0[t]),
+            "range": model.tendon_range[t].tolist() if model.tendon_limited[t] else None,
+            "line": tendon_lines.get(t, 0),
+        }
+        for t in range(model.ntendon)
+    ]
+    key_lines = lines(spec.keys)
+    keys = [
+        {
+            "name": name(types.mjOBJ_KEY, k),
+            "qpos": model.key_qpos[k].tolist(),
+            "line": key_lines.get(k, 0),
+        }
+        for k in range(model.nkey)
+    ]
+    return {
+        **what,
+        "name": spec.modelname,
+        "qpos0": model.qpos0.tolist(),
+        "bodies": bodies,
+        "joints": joints,
+        "sites": sites,
+        "geoms": geoms,
+        "equalities": equalities,
+        "tendons": tendons,
+        "keys": keys,
+    }
+
+
+def _color(model: Any, g: int) -> list[float] | None:
+    """The colour of a geom, else that of its material; None for the one that MuJoCo gives to all."""
+    own = model.geom_rgba[g].tolist()
+    material = int(model.geom_matid[g])
+    if own != [0.5, 0.5, 0.5, 1.0]:
+        return own
+    return model.mat_rgba[material].tolist() if material >= 0 else None
+
+
+def _without_weight(spec: Any, shapes: list[dict[str, Any]]) -> set[int]:
+    """Ids of the bodies whose mass is not known, since a mesh is not read."""
+    found = {shape["element"].parent.id for shape in shapes if shape["weighs"]}
+    scaled = found and spec.compiler.settotalmass > 0
+    return {body.id for body in spec.bodies} if scaled else found
+
+
+def _mass(model: Any, body: Any, weightless: set[int]) -> float | None:
+    """The mass of a body, None where it has none or where it follows from a mesh."""
+    stated = body.explicitinertial and int(body.compiler.inertiafromgeom) != 1
+    stated = stated and body.compiler.settotalmass <= 0
+    mass = float(model.body_mass[body.id])
+    return None if mass <= 2 * TINY or (body.id in weightless and not stated) else mass
+
+
+def _fixed_tendon(mujoco: Any, model: Any, t: int) -> list[tuple[int, float]] | None:
+    """The joints of a fixed tendon with their coefficients, None for a spatial one."""
+    first = int(model.tendon_adr[t])
+    parts = range(first, first + int(model.tendon_num[t]))
+    if any(int(model.wrap_type[i]) != int(mujoco.mjtWrap.mjWRAP_JOINT) for i in parts):
+        return None
+    return [(int(model.wrap_objid[i]), float(model.wrap_prm[i])) for i in parts]
+
+
+def main(settings: dict[str, Any]) -> None:
+    """Compile what the settings hold, and write the answer to the output.
+
+    From the import of MuJoCo on the process can open no file: what the text names is in `settings`,
+    or is not read.
+    """
+    import resource
+
+    import_module("mujoco")
+    files = {name: base64.b64decode(data) for name, data in settings["files"].items()}
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0))
+    answer = compiled(settings["text"], files)
+    sys.stdout.buffer.write(json.dumps(answer).encode())
+    sys.stdout.flush()
