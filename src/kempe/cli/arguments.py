@@ -1,4 +1,6 @@
-"""Arguments of commands: known values, starts, configurations, branches, and files of tasks."""
+"""Arguments of commands: known values, starts, configurations, branches, axes, tolerances, and files
+of tasks.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Poses of a list that a frame reaches: how well it reaches them, and what blocks the others."""
+"""Poses of a list that a frame reaches: how well it reaches them, and what blocks the others.
+
+The other studies of reach ask the same of poses in slices: maps of capability and places of a base.
+"""
 
 from __future__ import annotations
 
@@ -94,6 +97,7 @@ UNKNOWN = -1
 """In place of a number of solutions, where it is not known, or infinite."""
 SHOWN = 6
 """Poses that the text lists."""
+PROVEN = [int(s) for s in Status if s.proof]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +189,6 @@ def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget
         q[at, best],
         np.where(any_, int(Status.SOLVED), single.code),
     )
-
-
-PROVEN = [int(s) for s in Status if s.proof]
 
 
 @explained_methods
