@@ -31,7 +31,7 @@ PUMA = kempe.load("puma560")
 BAR = kempe.load("four_bar")
 TWO = kempe.load("two_link")
 N = 1000
-MODULES = (map_file, map_file, workers, store)
+MODULES = (map_file, workers, store)
 
 
 @pytest.fixture(autouse=True)

@@ -25,8 +25,7 @@ import kempe
 from kempe import Budget, Status
 from kempe.arguments import until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, KernelsError
-from kempe.workspace import sampling_job, store
-from kempe.workspace import workers as side_by_side
+from kempe.workspace import sampling_job, store, workers
 from kempe.workspace import workspace as mapping
 
 pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
@@ -39,7 +38,7 @@ def small_parts(monkeypatch):
     """Parts and pieces of a size for tests, and a clock by which progress is reported after each of
     them.
     """
-    monkeypatch.setattr(side_by_side, "time", SimpleNamespace(monotonic=itertools.count().__next__))
+    monkeypatch.setattr(workers, "time", SimpleNamespace(monotonic=itertools.count().__next__))
     monkeypatch.setattr(sampling_job, "PART", 50_000)
     monkeypatch.setattr(sampling_job, "PIECE", 10_000)
 
@@ -68,7 +67,7 @@ def test_threads_that_share_memory_make_the_same_map(monkeypatch):
     assert np.array_equal(made(budget=Budget(threads=4)).map.counts, made().map.counts)
 
 
-MODULES = (sampling_job, mapping, sampling_job, side_by_side, store)
+MODULES = (sampling_job, mapping, workers, store)
 
 
 @pytest.mark.parametrize("on_disk", [False, True])
