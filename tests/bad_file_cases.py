@@ -393,10 +393,10 @@ URDF_CASES = [
         robot(
             joint(),
             WRIST,
-            '<drake:joint name="x" type="ball"><parent link="arm"/><child link="hand"/></drake:joint>',
+            '<sdf:joint name="x" type="ball"><parent link="arm"/><child link="hand"/></sdf:joint>',
         ),
         (
-            "the prefix of <drake:joint> hides it",
+            "the prefix of <sdf:joint> hides it",
             "parent link='arm', child link='hand'",
             "or remove it",
         ),
@@ -407,11 +407,59 @@ URDF_CASES = [
         robot(
             joint(),
             WRIST,
-            '<drake:ball_constraint><drake:ball_constraint_body_A name="base"/>'
-            '<drake:ball_constraint_body_B name="hand"/></drake:ball_constraint>',
+            '<drake:tendon_constraint><a name="elbow"/><b name="wrist"/></drake:tendon_constraint>',
         ),
-        ("<drake:ball_constraint> is not read, and it ties 'base' and 'hand'", "another mechanism"),
+        ("<drake:tendon_constraint> is not read, and it ties 'elbow' and", "another mechanism"),
         7,
+    ),
+    Case(
+        "a constraint of Drake without its points, on a link that does not exist",
+        robot(
+            joint(),
+            WRIST,
+            '<drake:ball_constraint><drake:ball_constraint_body_A name="base"/>'
+            '<drake:ball_constraint_body_B name="hnd"/></drake:ball_constraint>',
+        ),
+        (
+            "constraint 'ball_constraint': its link 'hnd' does not exist; did you mean 'hand'?",
+            "it has no <drake:ball_constraint_p_AP>; it needs one",
+        ),
+        7,
+    ),
+    Case(
+        "a loop joint with one end and an unknown type",
+        robot(joint(), WRIST, '<loop_joint name="l" type="ball"><link1 link="arm"/></loop_joint>'),
+        (
+            "loop_joint 'l': it has 1 end; a loop joint has two",
+            "unknown type 'ball'; a <loop_joint>",
+        ),
+        7,
+    ),
+    Case(
+        "a joint of Drake as one of URDF",
+        robot(joint(), joint("wrist", "", "screw", "arm", "hand")),
+        ("joint 'wrist': unknown type 'screw'; it is a type of Drake: write <drake:joint>",),
+        6,
+    ),
+    Case(
+        "a screw without a pitch",
+        robot(joint(), joint("wrist", "", "screw", "arm", "hand").replace("joint", "drake:joint")),
+        ("joint 'wrist': it has no <drake:screw_thread_pitch value=...>; a screw needs it",),
+        6,
+    ),
+    Case(
+        "a negative effort limit",
+        robot(joint(inside='<limit lower="-1" upper="1" effort="-1" velocity="1"/>'), WRIST),
+        (
+            "effort limit is -1; it must not be negative (lenient_limits=True reads it as unlimited)",
+        ),
+        5,
+    ),
+    Case(
+        "a declaration of XML after a comment",
+        "<!-- licence\n-->\n\n<?xml version='1.0'?>\n" + robot(joint(), WRIST),
+        note="file.urdf:4: the line <?xml ...?> is not at the very start of the file",
+        holds=lambda m: m.joints["elbow"].where.line == 9,
     ),
     Case(
         "a limit that a prefix hides",

@@ -236,6 +236,12 @@ NOT_REQUIRED = {
     "kempe.motion.simulate.simulate",
     # of thousands of poses, see test_reach.py
     "kempe.workspace.capability.capability_map",
+    "kempe.forward.neighbours.to_pinocchio",
+    "kempe.forward.neighbours.from_pinocchio",
+    "kempe.forward.neighbours.to_mujoco",
+    "kempe.forward.neighbours.from_mujoco",
+    "kempe.forward.neighbours.to_joint_state",
+    "kempe.forward.neighbours.from_joint_state",  # of models of others, see test_neighbours.py
     "kempe.tasks.error",
     "kempe.tasks.jacobian",
     "kempe.tasks.count",

@@ -70,8 +70,8 @@ def load(
     are looked up, beside the file's package, its neighbours, and the folders of ROS;
     `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
     ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
-    bounds, or lower above upper) as none. Errors: `DescriptionError` with file, line and what is
-    allowed.
+    bounds, or lower above upper), and negative ones of velocity and effort, as none. Errors:
+    `DescriptionError` with file, line and what is allowed.
     """
     from kempe.description.source import collecting_later
 

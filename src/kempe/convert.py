@@ -1,5 +1,5 @@
-"""A system in other coordinates: the poses of all bodies, which the joints tie together; turns and
-slides alone.
+"""A system in other coordinates: in the numbers of Pinocchio, MuJoCo and ROS; the poses of all
+bodies, which the joints tie together; turns and slides alone.
 
 >>> import kempe
 >>> robot = kempe.load("two_link")
@@ -13,5 +13,27 @@ True
 from kempe.assemble.from_poses import from_maximal
 from kempe.forward.expanded import expanded
 from kempe.forward.maximal import maximal, maximal_q, to_maximal
+from kempe.forward.neighbours import (
+    Correspondence,
+    from_joint_state,
+    from_mujoco,
+    from_pinocchio,
+    to_joint_state,
+    to_mujoco,
+    to_pinocchio,
+)
 
-__all__ = ["expanded", "from_maximal", "maximal", "maximal_q", "to_maximal"]
+__all__ = [
+    "Correspondence",
+    "expanded",
+    "from_joint_state",
+    "from_maximal",
+    "from_mujoco",
+    "from_pinocchio",
+    "maximal",
+    "maximal_q",
+    "to_joint_state",
+    "to_maximal",
+    "to_mujoco",
+    "to_pinocchio",
+]

@@ -563,7 +563,7 @@ def test_gears_and_offsets():
     assert s.q({"b": 0.3 - 2.0 * 0.2, "a": 0.2}).tolist() == [0.2, 0.0]
     rows = s.q({"b": 0.3 - 2.0 * np.arange(3.0), "a": np.arange(3.0)})
     np.testing.assert_array_equal(rows[:, 0], np.arange(3.0))
-    said = "coordinate 'b' is 1; it follows 'a', at 0.2, and must be -0.1"
+    said = "coordinate 'b' is 1; it follows 'a' and must be -0.1"
     with pytest.raises(InputError, match=said):
         s.q({"b": 1.0, "a": 0.2})
     with pytest.raises(InputError, match=r"coordinate 'b' is 1 \(row 1\); it follows 'a'"):

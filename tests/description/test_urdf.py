@@ -379,7 +379,7 @@ def test_what_is_not_read_is_noted():
         REST,
         '<gazebo><joint name="loop" '
         'type="revolute"><parent>base</parent><child>hand</child></joint></gazebo>',
-        "<loop_joint/>",
+        "<loop/>",
         '<ros2_control><joint name="nobody"/></ros2_control>',
         '<material name="m"/>',
     )
@@ -387,7 +387,7 @@ def test_what_is_not_read_is_noted():
     for piece in (
         "<text>:5: joint 'a': the element 'spring' is not read",
         "<text>:7: joint 'loop': a joint inside a <gazebo> block is not read",
-        "<text>:8: the element 'loop_joint' is not read",
+        "<text>:8: the element 'loop' is not read",
         "<text>:9: a <ros2_control> speaks of joint 'nobody', which does not exist",
     ):
         assert piece in notes

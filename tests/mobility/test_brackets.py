@@ -13,8 +13,8 @@ import sympy
 from hunts import Hunt, some
 from pfaffian import SYSTEMS, Pfaffian, at_point, bracket, fields, growth_by_symbols, trailers
 
+from kempe.mobility.classify import EvaluationPoint, Reach, random_place, reach
 from kempe.mobility.growth_vectors import Words, distribution, growth
-from kempe.mobility.reachable import EvaluationPoint, Reach, random_place, reach
 
 CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 

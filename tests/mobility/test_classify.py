@@ -19,8 +19,8 @@ from kempe import Mechanism, constraints
 from kempe.equations.closure_rows import evaluate
 from kempe.equations.velocity import rates, tangent_rows
 from kempe.errors import InputError, UnsupportedError
+from kempe.mobility.classify import EvaluationPoint, moved_place
 from kempe.mobility.growth_vectors import distribution
-from kempe.mobility.reachable import EvaluationPoint, moved_place
 from kempe.spatial import Array
 from kempe.system import System
 

@@ -27,12 +27,12 @@ from kempe.first_order.idle_freedoms import (
 from kempe.first_order.rank import rank_at
 from kempe.first_order.redundant_constraints import REACTIONS, _choose, _JointReaction
 from kempe.mobility import dof_proofs
+from kempe.mobility.classify import EvaluationPoint, random_place
 from kempe.mobility.dof_proofs import split_of
 from kempe.mobility.growth_vectors import _null_space
 from kempe.mobility.local_dimension import RADII, Spot, _apart, local_dimension
 from kempe.mobility.local_equations import FLAT, Equations
 from kempe.mobility.mobility import mobility
-from kempe.mobility.reachable import EvaluationPoint, random_place
 
 EYE = np.eye(3)
 

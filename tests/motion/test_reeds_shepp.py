@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from kempe.motion.reeds_shepp import cusps_of, length_of, ways
+from kempe.motion.reeds_shepp import length_of, ways
 
 
 def follow(way) -> np.ndarray:
@@ -22,6 +22,12 @@ def follow(way) -> np.ndarray:
         else:
             z += length * np.exp(1j * h)
     return np.array([z.real, z.imag, h])
+
+
+def cusps_of(way) -> int:
+    """How often a way changes between forwards and reverse."""
+    signs = [length > 0.0 for _, length in way if length]
+    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
 
 
 def goals(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -89,7 +89,8 @@ Xacro = Annotated[
 _ARGUMENT = "Value of a <xacro:arg> of FILE, which is then expanded; can be repeated."
 XacroArguments = Annotated[list[str] | None, option("--xacro-arg", _ARGUMENT, "NAME=VALUE", _READ)]
 _LENIENT = (
-    f"Limits without a range (no bounds, or swapped) are none ({named(read_by('lenient_limits'))})."
+    "Limits without a range (no bounds, or swapped), and negative ones of effort, are none "
+    f"({named(read_by('lenient_limits'))})."
 )
 Lenient = Annotated[bool, option("--lenient-limits", _LENIENT, None, _READ)]
 

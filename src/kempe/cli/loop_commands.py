@@ -165,7 +165,7 @@ def _under(system: System, equations: list[str]) -> System:
     """The system under further equations, which are called as they are written."""
     if not equations:
         return system
-    mechanism = system.mechanism.copy()
+    mechanism = system.mechanism
     for text in dict.fromkeys(equations):
         # 'A' alone would be called as the joint
         mechanism.equation(text if "=" in text else f"{text} = 0", text)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Container, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -256,7 +256,7 @@ def check_top(
     """
     names = {*links, *joints}
     for element in robot.children:
-        if element.tag in ("link", "joint"):
+        if element.tag in ("link", "joint", *LOOPS):
             _check_inside(element, findings)
             continue
         local = element.tag.rpartition(":")[2]
@@ -413,8 +413,17 @@ LENIENT = "lenient_limits=True"
 AXIS_TOLERANCE = 1e-5
 """An axis whose length differs from 1 by more than rounding in the file is worth a note."""
 
-WITHOUT_AXIS = ("fixed", "floating", "spherical")
+WITHOUT_AXIS = ("fixed", "floating", "spherical", "ball", "universal")
 """Types whose <axis> says nothing."""
+
+WITHOUT_LIMIT = ("planar", "floating", "spherical", "ball", "universal", "screw")
+"""Types that move and whose <limit> says nothing."""
+
+PITCH = "drake:screw_thread_pitch"
+"""The element of Drake for how far a screw advances in a turn."""
+
+LOOPS = ("drake:ball_constraint", "loop_joint")
+"""Elements of simulators that close loops, and are read."""
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
@@ -451,7 +460,7 @@ _IN_JOINT = (
     "physics",
     "joint_properties",
 )
-_ONCE = ("parent", "child", "origin", "axis", "limit", "mimic")
+_ONCE = ("parent", "child", "origin", "axis", "limit", "mimic", PITCH)
 ATTRIBUTES = {
     "joint": ("name", "type"),
     "parent": ("link",),
@@ -539,6 +548,16 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
     )
 
 
+def fresh_name(name: str, taken: Container[str]) -> str:
+    """`name`, with a number where it is taken."""
+    number = 1
+    out = name
+    while out in taken:
+        number += 1
+        out = f"{name}_{number}"
+    return out
+
+
 # ---- links
 
 
@@ -589,7 +608,7 @@ def read_joint(
     quaternions: bool = True,
     lenient: bool = False,
 ) -> dict[str, Any] | None:
-    """Keywords for `Mechanism.joint` of a <joint> of type `kind`, or None after recording what is
+    """Keywords for `Mechanism.joint` of a joint of type `kind`, or None after recording what is
     wrong.
 
     `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older
@@ -598,9 +617,11 @@ def read_joint(
     """
     subject = f"joint {name!r}"
     before = len(findings.problems)
-    _check_joint(element, findings, subject)
+    _check_joint(kind, element, findings, subject)
     out = read_origin(element, findings, subject, quaternions)
     out["axis"] = _axis(kind, element, findings, subject)
+    if kind == "screw":
+        out["pitch"] = _pitch(element, findings, subject)
     out |= _limit(kind, element, findings, subject, lenient)
     return out if len(findings.problems) == before else None
 
@@ -674,6 +695,21 @@ def _axis(
     return found
 
 
+def _pitch(joint: XmlElement, findings: Findings, subject: str) -> float | None:
+    """How far a screw advances, in metres for each radian; Drake says it for each turn."""
+    for element in joint.of(PITCH)[:1]:
+        if "value" in element.attributes:
+            found = numbers(element, "value", 1, findings, subject)
+            if found and not found[0]:
+                where = element.where_of("value")
+                findings.add("its thread pitch is 0", subject, where, "it must not be zero")
+            return found[0] / math.tau if found else None
+    findings.add(
+        f"it has no <{PITCH} value=...>", subject, joint.where, "a screw needs it: metres a turn"
+    )
+    return None
+
+
 def _limit(
     kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool
 ) -> dict[str, Any]:
@@ -691,20 +727,26 @@ def _limit(
         key: _bound(limit, key, findings, subject)
         for key in ("lower", "upper", "velocity", "effort")
     }
-    if kind in ("planar", "floating", "spherical"):
+    if kind in WITHOUT_LIMIT:
         findings.note(
             f"the <limit> of a {kind} joint has no defined meaning and is not used",
             subject,
             limit.where,
         )
-    if kind in ("fixed", "planar", "floating", "spherical"):
+    if kind in ("fixed", *WITHOUT_LIMIT):
         return {}
     out: dict[str, Any] = {}
     for key in ("velocity", "effort"):
         found = bounds[key]
-        if found is not None and found < 0.0:
+        if found is not None and found < 0.0 and lenient:
+            said = f"its {key} limit is {found:g}; it is read as unlimited, as requested"
+            findings.note(said, subject, limit.where_of(key))
+        elif found is not None and found < 0.0:
             findings.add(
-                f"{key} limit is {found:g}", subject, limit.where_of(key), "it must not be negative"
+                f"{key} limit is {found:g}",
+                subject,
+                limit.where_of(key),
+                f"it must not be negative ({LENIENT} reads it as unlimited)",
             )
         elif found is not None and not math.isinf(found):
             out[key] = found
@@ -764,10 +806,11 @@ def _range(
 # ---- unknown and repeated parts of joints
 
 
-def _check_joint(joint: XmlElement, findings: Findings, subject: str) -> None:
+def _check_joint(kind: str, joint: XmlElement, findings: Findings, subject: str) -> None:
+    allowed = (*_IN_JOINT, PITCH) if kind == "screw" else _IN_JOINT
     for part in (joint, *joint.children):
-        if part is not joint and part.tag not in _IN_JOINT:
-            check_known("element", part.tag, _IN_JOINT, findings, subject, part)
+        if part is not joint and part.tag not in allowed:
+            check_known("element", part.tag, allowed, findings, subject, part)
         known = ATTRIBUTES.get(part.tag)
         for key in part.attributes if known else ():
             if key not in known:  # type: ignore[operator]

@@ -19,12 +19,14 @@ from kempe.description.urdf_elements import (
     ATTRIBUTES,
     check_top,
     check_version,
+    fresh_name,
     has_quaternions,
     numbers,
     read_joint,
     read_link,
     strip_namespaces,
 )
+from kempe.description.urdf_loops import read_loops
 from kempe.description.urdf_shapes import note_textures, read_materials, read_shapes
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
@@ -156,6 +158,19 @@ TYPES = {
 """URDF's joint types and the types of the zoo that they are. "spherical" is not of ROS, but of
 MuJoCo and Bullet."""
 
+DRAKE_TYPES = {
+    "ball": "spherical",
+    "planar": "planar",
+    "screw": "helical",
+    "universal": "universal",
+}
+"""Types of <drake:joint>, and the types of the zoo that they are."""
+
+ALL_TYPES = {**TYPES, **DRAKE_TYPES}
+
+DRAKE_JOINT = "drake:joint"
+"""The element of Drake for joints of its own types."""
+
 WORLD = "world"
 """A link that a file need not have: for some readers, such as Drake and Simbody, it is the ground
 of all models."""
@@ -175,6 +190,8 @@ class _Urdf:
     joints: dict[str, XmlElement] = field(default_factory=dict[str, XmlElement])
     ends: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
     types: dict[str, str] = field(default_factory=dict[str, str])
+    of_drake: set[XmlElement] = field(default_factory=set[XmlElement])
+    """Joints that were written as <drake:joint>, which become <joint>."""
 
     @property
     def quaternions(self) -> bool:
@@ -199,19 +216,20 @@ def read_urdf(
     the file leaves it open. `package_dirs` are the folders in which meshes may lie, `beside` the
     names of other files to suggest. Two joints that lead to one link are a loop. `lenient_limits`
     reads limits that hold no range as none: a <limit> without lower and upper (else 0 to 0, as URDF
-    has it), and lower above upper (else refused). What was noticed but changes nothing is in
-    `notes` of the mechanism. Errors: `DescriptionError` with all problems; `UnknownNameError` for a
-    `root` that is no link.
+    has it), and lower above upper (else refused); and negative limits of velocity and effort. What
+    was noticed but changes nothing is in `notes` of the mechanism. Errors: `DescriptionError` with
+    all problems; `UnknownNameError` for a `root` that is no link.
     """
     if base not in (None, "free"):
         raise InputError(
             f"base is {base!r}; it must be None (the root link does not move) or 'free'"
         )
-    robot = parse_xml(text, source)
+    findings = Findings()
+    robot = parse_xml(text, source, findings)
     strip_namespaces(robot)
     _check_is_urdf(robot)
     _refuse_xacro(robot)
-    urdf = _Urdf(robot, bool(lenient_limits))
+    urdf = _Urdf(robot, bool(lenient_limits), findings)
     check_version(robot, urdf.findings)
     _scan_top(urdf)
     if not urdf.links and not urdf.findings.problems:
@@ -324,6 +342,9 @@ def _scan_top(urdf: _Urdf) -> None:
     findings = urdf.findings
     if not urdf.robot.attributes.get("name", "").strip():
         findings.note("the robot has no name", where=urdf.robot.where)
+    for element in urdf.robot.of(DRAKE_JOINT):
+        urdf.of_drake.add(element)
+        element.tag = "joint"
     for element in urdf.robot.children:
         if element.tag not in ("link", "joint"):
             continue
@@ -353,22 +374,7 @@ def _scan_joints(urdf: _Urdf) -> None:
     _add_world(urdf)
     for name, element in urdf.joints.items():
         subject = f"joint {name!r}"
-        given = element.attributes.get("type")
-        if given in TYPES:
-            urdf.types[name] = given
-            if given == "spherical":
-                findings.note(
-                    "'spherical' is a type of MuJoCo and Bullet; ROS refuses it",
-                    subject,
-                    element.where,
-                )
-        else:
-            said = urdf.findings.hint(given, TYPES) if given else ""
-            wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
-            allowed = (
-                "" if "did you mean" in said else f"URDF has {', '.join(TYPES)} (TOML has more)"
-            )
-            findings.add(wrong, subject, element.where_of("type"), allowed)
+        _scan_type(urdf, name, element, subject)
         ends = [_end(urdf, element, tag, subject) for tag in ("parent", "child")]
         if None in ends:
             continue
@@ -381,6 +387,33 @@ def _scan_joints(urdf: _Urdf) -> None:
             )
             continue
         urdf.ends[name] = (ends[0], ends[1])  # type: ignore[assignment]
+
+
+def _scan_type(urdf: _Urdf, name: str, element: XmlElement, subject: str) -> None:
+    """Fill `types` by the type of a joint, if it is known."""
+    given = element.attributes.get("type")
+    known = DRAKE_TYPES if element in urdf.of_drake else TYPES
+    if given not in known:
+        said = urdf.findings.hint(given, known) if given else ""
+        wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
+        allowed = f"URDF has {', '.join(TYPES)} (TOML has more)"
+        if known is DRAKE_TYPES:
+            allowed = f"a <{DRAKE_JOINT}> has {', '.join(known)}, a <joint> has the others"
+        elif given in DRAKE_TYPES:
+            said = ""
+            wrong = f"unknown type {given!r}"
+            allowed = f"it is a type of Drake: write <{DRAKE_JOINT}>"
+        urdf.findings.add(
+            wrong, subject, element.where_of("type"), "" if "did you mean" in said else allowed
+        )
+        return
+    urdf.types[name] = given
+    said = {
+        "spherical": "'spherical' is a type of MuJoCo and Bullet; ROS refuses it",
+        "ball": "its coordinates are a unit quaternion; Drake has roll, pitch and yaw for it",
+    }.get(given)
+    if said:
+        urdf.findings.note(said, subject, element.where)
 
 
 def _add_world(urdf: _Urdf) -> None:
@@ -429,14 +462,14 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
     name = urdf.robot.attributes.get("name", "").strip() or "robot"
     bodies = _bodies(urdf)
     root = ground if ground is not None else next(iter(bodies), "ground")
-    mechanism = Mechanism(name, ground=_fresh("world", bodies) if base else root)
+    mechanism = Mechanism(name, ground=fresh_name("world", bodies) if base else root)
     for link, body in bodies.items():
         if link == mechanism.ground.name:
             mechanism.bodies[link] = body
         else:
             mechanism._add_body(body)
     if base:
-        mechanism.free(_fresh("base", urdf.joints), mechanism.ground, root)
+        mechanism.free(fresh_name("base", urdf.joints), mechanism.ground, root)
     for joint, element in urdf.joints.items():
         kind = urdf.types.get(joint, "fixed")
         settings = read_joint(kind, joint, element, urdf.findings, urdf.quaternions, urdf.lenient)
@@ -444,10 +477,11 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
             unstated = settings.pop("unstated", False)
             with urdf.findings.guard(f"joint {joint!r}", element.where):
                 made = mechanism.joint(
-                    joint, TYPES[kind], *urdf.ends[joint], where=element.where, **settings
+                    joint, ALL_TYPES[kind], *urdf.ends[joint], where=element.where, **settings
                 )
                 mechanism.joints[joint] = replace(made, unstated=True) if unstated else made
     _mimics(urdf, mechanism)
+    read_loops(urdf.robot, mechanism, urdf.findings)
     return mechanism
 
 
@@ -459,16 +493,6 @@ def _bodies(urdf: _Urdf) -> dict[str, Body]:
     for name, element in urdf.links.items():
         shapes = read_shapes(element, name, materials, urdf.findings, urdf.quaternions)
         out[name] = replace(read_link(name, element, urdf.findings), shapes=shapes)
-    return out
-
-
-def _fresh(name: str, taken: Mapping[str, object]) -> str:
-    """`name`, with a number where it is taken."""
-    number = 1
-    out = name
-    while out in taken:
-        number += 1
-        out = f"{name}_{number}"
     return out
 
 
@@ -509,10 +533,14 @@ def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
     _refuse_cycles(follows, findings)
 
 
+SEVERAL = ("planar", "floating", "spherical", "ball", "universal")
+"""Types of joints with several coordinates."""
+
+
 def _one_coordinate(urdf: _Urdf, name: str, leader: str, subject: str, mimic: XmlElement) -> bool:
     for joint, role in ((name, "it"), (leader, f"joint {leader!r}")):
         kind = urdf.types.get(joint)
-        if kind in ("fixed", "planar", "floating", "spherical"):
+        if kind in ("fixed", *SEVERAL):
             has = "no coordinate" if kind == "fixed" else "several coordinates"
             urdf.findings.add(
                 f"it mimics joint {leader!r}, but {role} is {kind} and has {has}",

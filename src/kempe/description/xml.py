@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from xml.parsers import expat
 
-from kempe.description.source import Source, decode, fail, refuse_other_kinds, shorten
+from kempe.description.source import Findings, Source, decode, fail, refuse_other_kinds, shorten
 from kempe.errors import DescriptionError, Where
 
 DEPTH_LIMIT = 100
@@ -18,6 +18,9 @@ ELEMENT_LIMIT = 1_000_000
 """Elements of the largest file that is read: seven times a chain of 20 000 links."""
 
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
+_LATE = re.compile(r"(?>\s*(?:<!--.*?-->\s*)*)(?<!^)(<\?xml\s[^<>]*\?>)", re.DOTALL)
+"""A declaration before which blanks or comments stand."""
+
 _TAG_END = re.compile(r"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
 
 _ATTRIBUTE = re.compile(r"""\s([^\s=]+)(\s*=\s*(["'])).*?\3""", re.DOTALL)
@@ -110,14 +113,25 @@ class XmlElement:
         return f"<{self.tag}> at {self.where}"
 
 
-def parse_xml(data: bytes | str, name: str) -> XmlElement:
+def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) -> XmlElement:
     """The outermost element of an XML text; `name` is the file's name, for messages.
 
-    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. Errors: `DescriptionError`
-    with line and column for what is not well-formed, truncated, too large or too deep, and for
-    every DTD and entity declaration.
+    UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. With `findings`, a line
+    ``<?xml ...?>`` that stands after comments is noted and passed over, else it is refused. Errors:
+    `DescriptionError` with line and column for what is not well-formed, truncated, too large or too
+    deep, and for every DTD and entity declaration.
     """
-    return _XmlBuilder(xml_source(data, name)).run()
+    source = xml_source(data, name)
+    text = source.text
+    if findings is not None and (late := _LATE.match(text)):
+        findings.note(
+            "the line <?xml ...?> is not at the very start of the file, as XML has it; it is "
+            "passed over",
+            where=source.where_offset(late.start(1)),
+        )
+        blank = re.sub(r"[^\r\n]", " ", late[1])
+        source = Source(name, text[: late.start(1)] + blank + text[late.end(1) :])
+    return _XmlBuilder(source).run()
 
 
 def xml_source(data: bytes | str, name: str) -> Source:

@@ -311,7 +311,7 @@ def _structure(system: Model) -> ConstraintGraph:
 
 
 def _edges(system: Model) -> list[Edge]:
-    m = system.mechanism
+    m = system._mechanism
     dim = system.dim
     number = {b: i for i, b in enumerate(system.body_names)}
     in_q = {n: i for i, n in enumerate(system.coordinate_names)}

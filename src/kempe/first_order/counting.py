@@ -89,7 +89,7 @@ class Counting(InWords):
 def counting(system: Model) -> Counting:
     """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
     s = structure(system)
-    m = system.mechanism
+    m = system._mechanism
     dim = system.dim
     whole, point = (6, 3) if dim == 3 else (3, 2)
     particles = [m.bodies[b].particle for b in system.body_names[1:]]
@@ -100,8 +100,7 @@ def counting(system: Model) -> Counting:
     held = _held(s, system)
     taken = sum(n for n, _, _ in takes) + sum(n for n, _ in held)
     gruebler = free - taken
-    closing = Counter(e.dim_lost for e in _closing(s, dim))
-    spatial = gruebler - (sum(closing.elements()) if dim == 2 else 0)
+    spatial = gruebler - (_more_in_space(s) if dim == 2 else 0)
     steps = (
         _free_text(bodies, points, whole, point, free, dim),
         _taken_text(takes, held, taken, free, gruebler),
@@ -110,15 +109,10 @@ def counting(system: Model) -> Counting:
     return Counting(dim, free, taken, gruebler, spatial, tuple(t for t in steps if t))
 
 
-@dataclass(frozen=True)
-class _Closing:
-    dim_lost: int
-
-
-def _closing(s: ConstraintGraph, dim: int) -> list[_Closing]:
-    """How many more equations each loop of a planar system has in space."""
+def _more_in_space(s: ConstraintGraph) -> int:
+    """How many more equations the loops of a planar system have in space."""
     edges = (s.edges[loop.edge] for loop in s.loops)
-    return [_Closing(rows_of(e, 3) - rows_of(e, 2)) for e in edges]
+    return sum(rows_of(e, 3) - rows_of(e, 2) for e in edges)
 
 
 def _takes(edge: Edge, dim: int) -> tuple[int, str]:

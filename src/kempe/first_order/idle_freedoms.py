@@ -421,7 +421,7 @@ def pairs_of(system: Model, s: ConstraintGraph, at: Screws, driven: frozenset[in
 
 def _of_series(s: ConstraintGraph, at: Screws, series: SeriesLoop) -> Iterator[Pair]:
     n = len(series.edges)
-    meets = [_meet(s, at, series, k, k + 1) if series.joined[k] else None for k in range(n - 1)]
+    meets = [_meet(at, series, k, k + 1) if series.joined[k] else None for k in range(n - 1)]
     turning = [k for k in range(n) if series.turns[k] is not None]
     ends = {(k, step): _grow(series, meets, k, step) for k in turning for step in (-1, 1)}
     balls = {
@@ -451,7 +451,7 @@ def held(system: Model, s: ConstraintGraph, at: Screws, driven: frozenset[int]) 
             if not (star.chains or star.points):  # nothing holds it
                 continue
             for series in star.chains:
-                meets = [_meet(s, at, series, k, k + 1) for k in range(len(series.edges) - 1)]
+                meets = [_meet(at, series, k, k + 1) for k in range(len(series.edges) - 1)]
                 holds.append(SignedEnd(series, _grow(series, meets, 0, 1), -1.0))
             simple = all(len(h.end.edges) == 1 for h in holds)
             if not simple and any(h.end.hinge for h in holds):  # it may be a spherical linkage
@@ -470,7 +470,7 @@ class _Meeting(NamedTuple):
     one_axis: bool
 
 
-def _meet(s: ConstraintGraph, at: Screws, series: SeriesLoop, k: int, m: int) -> _Meeting | None:
+def _meet(at: Screws, series: SeriesLoop, k: int, m: int) -> _Meeting | None:
     """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do
     not.
     """
@@ -701,7 +701,7 @@ def idle_freedoms(
             else _of_star(system, s, ranks[0], spin)
         )
         if group is not None:
-            frames = [*system.mechanism.frames.values()] if frames is None else frames
+            frames = [*system._mechanism.frames.values()] if frames is None else frames
             if not _moves_a_frame(system, frames, ranks[0], spin, group):
                 found.append((spin, group))
     # small groups of bodies first: larger ones may move as their sums
@@ -749,7 +749,7 @@ def _spins(
         if axis is not None:
             rates: dict[int, Array] = {}
             for hold in of.holds:
-                rates |= _rates(at[0], hold, *axis)
+                rates |= _rates(at[0], hold, axis[1])
             star = of.star if isinstance(of, HeldStar) else None
             for i in star.loose if star else ():
                 sign = 1.0 if star and s.edges[i].child in star.bodies else -1.0
@@ -791,7 +791,7 @@ def _volume(W: Array) -> float:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[int, Array]:
+def _rates(at: Screws, hold: SignedEnd, direction: Array) -> dict[int, Array]:
     """Rates of all columns of an end's edges that turn the group about the axis; edges that rest
     are left out.
     """
@@ -892,7 +892,7 @@ def _moves_a_frame(
         if body not in moving:
             continue
         poses = fk(system, rank.q) if poses is None else poses
-        place = poses[body] @ frame.X_BF.evaluate(system.mechanism.parameters)
+        place = poses[body] @ frame.X_BF.evaluate(system._mechanism.parameters)
         away = (place[:3, 3] - at.center) / at.length - spin.point
         if body in bodies:
             away = away - (away @ spin.direction) * spin.direction

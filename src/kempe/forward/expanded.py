@@ -38,7 +38,7 @@ def expanded(system: SystemType) -> SystemType:
     follows it. A ball becomes three turns about z, y and x, with angles in place of its quaternion.
     Errors: `InputError` where a quaternion is coupled or locked.
     """
-    m = system.mechanism.copy()
+    m = system.mechanism
     joints = m.joints
     m.joints = {}
     m.name = f"{m.name}, expanded"

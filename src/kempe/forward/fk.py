@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import wraps
+from functools import partial
 from types import MethodType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -168,13 +168,9 @@ def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
 
 # ---- queries: one frame, looked up once
 
-Verb = TypeVar("Verb", bound=Callable[..., Any])
-
 SERIAL_BELOW = 20_000
 """Configurations below which a batch stays on one thread: starting others would cost more than it
 saves."""
-ARRAY = np.ndarray
-"""Looked up once: single calls take half a microsecond."""
 CHUNK = 16384
 """Configurations in one piece of work of a thread."""
 IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
@@ -228,11 +224,11 @@ def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any =
         in_form(system, system.neutral, frame, None, 1, form, dtype)
     chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
     # a method, for it is pickled as an attribute of its object
-    bound_to: Any = MethodType(_model(chain_of), chain_of)
+    bound_to: Any = MethodType(_bound_query(chain_of), chain_of)
     return bound_to
 
 
-def _model(chain_of: _ChainQuery) -> Any:
+def _bound_query(chain_of: _ChainQuery) -> Any:
     """The forward model of a chain, as a function of an object that is not read, q, out and
     threads.
 
@@ -374,7 +370,7 @@ def _query(system: Model, frame: FrameLike) -> Any:
     except TypeError:  # nothing that could be a key is a name
         found = None
     if found is None:
-        found = system._queries[frame] = _model(
+        found = system._queries[frame] = _bound_query(
             _ChainQuery(system, system.structure.frame_name(frame))
         )
     return found
@@ -388,47 +384,7 @@ def _packed(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, 
 # ---- `fk` and `jacobian`
 
 
-def _poses_at_once(function: Verb) -> Verb:
-    """The function `fk`, explained; plain calls go to the query of the frame that is known already.
-
-    What explains errors would cost such a call a third of its time.
-    """
-    general = explained(function, fast=True)
-
-    @wraps(function)
-    def call(system: Model, q: Any, frame: Any = None, *args: Any, **options: Any) -> Any:
-        if frame.__class__ is str and q.__class__ is ARRAY and not args and not options:
-            model = system._queries.get(frame)
-            if model is not None:
-                return model(None, q)
-        return general(system, q, frame, *args, **options)
-
-    return call  # type: ignore[return-value]
-
-
-def _columns_at_once(function: Verb) -> Verb:
-    """The function `jacobian` in the same way."""
-    general = explained(function, fast=True)
-
-    @wraps(function)
-    def call(
-        system: Model,
-        q: Any,
-        frame: Any,
-        in_frame: Any = "world_aligned",
-        *args: Any,
-        **options: Any,
-    ) -> Any:
-        if frame.__class__ is str and q.__class__ is ARRAY and not args and not options:
-            model = system._queries.get(frame)
-            if model is not None:
-                return model.jacobian(q, in_frame)
-        return general(system, q, frame, in_frame, *args, **options)
-
-    return call  # type: ignore[return-value]
-
-
-@_poses_at_once
+@partial(explained, fast=True)
 def fk(
     system: Model,
     q: Any,
@@ -485,7 +441,7 @@ def fk(
     return out
 
 
-@_columns_at_once
+@partial(explained, fast=True)
 def jacobian(
     system: Model,
     q: Any,
@@ -502,8 +458,7 @@ def jacobian(
     time derivatives of `q`, and for a quaternion the angular velocity in the turned axes. Source:
     Featherstone, 2008, section 2.8. Errors: as `fk`.
     """
-    bound = _query(system, frame)
-    return bound.jacobian(q, in_frame, threads=threads)
+    return _query(system, frame).jacobian(q, in_frame, threads=threads)
 
 
 # ---- checks of arguments

@@ -42,7 +42,7 @@ def maximal(system: SystemType) -> SystemType:
     constraints and parameters are those of the system; so are the postures, and where there is none
     'closed' is home, bodies in place.
     """
-    m = system.mechanism.copy()
+    m = system.mechanism
     joints = m.joints
     m.joints = {}
     m.name = f"{m.name}, maximal"

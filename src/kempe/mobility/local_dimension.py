@@ -702,9 +702,7 @@ def _found(
         if at.delta == 0:
             why = "the Jacobian has no null space: rigid, to first order"
         whole = [_whole(equations, at)]
-        return _answer(
-            equations, at, order, tolerance, whole, True, None, why, (doubts, more), None, proof
-        )
+        return _answer(at, order, tolerance, whole, True, None, why, (doubts, more), None, proof)
     found = lyapunov_schmidt.obstruction(equations, at, order, rng)
     k = found.order
     if found.doubt:
@@ -744,9 +742,7 @@ def _found(
         truth = max((b.dim for b in found), default=0)
         if sampled != truth:
             doubts.append(f"sampling finds dimension {sampled}, following branches {truth}")
-    return _answer(
-        equations, at, order, tolerance, found, smooth, k, why, (doubts, more), sampled, proof
-    )
+    return _answer(at, order, tolerance, found, smooth, k, why, (doubts, more), sampled, proof)
 
 
 def _doubts(at: Split) -> list[str]:
@@ -826,7 +822,6 @@ def _branches(
 
 
 def _answer(
-    equations: Equations,
     at: Split,
     order: int,
     tolerance: float,

@@ -15,6 +15,7 @@ from kempe.arguments import explained, generator
 from kempe.assemble.generic_configurations import NearestClosed, around, close, find_closed
 from kempe.assemble.nearest_exact import tolerant
 from kempe.budget import Budget, TimeUp, Usual
+from kempe.equations.velocity import tangent_rows, velocity_rows
 from kempe.errors import InputError
 from kempe.first_order.constraint_graph import ConstraintGraph, called, structure
 from kempe.first_order.control import control, driven
@@ -25,8 +26,8 @@ from kempe.first_order.redundant_constraints import redundancy
 from kempe.first_order.wrenches import Wrenches
 from kempe.mobility.answer import ClusterMobility, Mobility, dimensions
 from kempe.mobility.dof_proofs import regular
+from kempe.mobility.growth_vectors import distribution
 from kempe.mobility.one_sided import if_any
-from kempe.mobility.reachable import velocity_freedoms
 from kempe.model.ball_angles import regular_chart
 from kempe.model.configurations import as_q, home_of
 from kempe.model.own_tree import own_tree
@@ -165,7 +166,7 @@ def _found(
         control(system, rank, generic, idle, actuated),
         singular,
         kind,
-        velocity_freedoms(system, at.q),
+        _velocity_freedoms(system, at.q),
         sure,
         if_any(shown, at.q),
         called(system) if dof is None and local else (),
@@ -287,3 +288,14 @@ def _kind_of(branch: Branch) -> str:
     if branch.ends == 1:
         return "end of the motion: one half of a branch only leads here"
     return "the rank is lower here, but only one branch passes through"
+
+
+def _velocity_freedoms(system: Model, q: Array) -> int | None:
+    """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of
+    velocity.
+    """
+    if not velocity_rows(system).names:
+        return None
+    rows = tangent_rows(system)
+    which = [i for i, row in enumerate(rows.names) if not row.sided]
+    return distribution(rows, q, which).dimension - (0 if rows.steady else 1)

@@ -108,21 +108,21 @@ class Cone:
         return ConeDirections(_least(own, self.rows) < -NOTHING, _least(-own, self.rows) < -NOTHING)
 
 
-def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Cone:
+def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >=
     0.
 
-    Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to
+    Rows below `NOTHING` count as zero, one-sided ones that are not finite, too; others are scaled to
     unit length.
     """
     E = np.asarray(equal, dtype=float)
     G = np.asarray(one_sided, dtype=float)
     G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
-    rank, N = _null_space(_unit(E, ignore)[0])
+    rank, N = _null_space(_unit(E, NOTHING)[0])
     full = rank == len(E)
-    G, sizes = _unit(G, ignore)
-    vanishing = sizes <= ignore
+    G, sizes = _unit(G, NOTHING)
+    vanishing = sizes <= NOTHING
     inner = G @ N.T
     inner, left = _unit(inner, NOTHING)
     implied = ~vanishing & (left <= NOTHING)

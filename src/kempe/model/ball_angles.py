@@ -46,7 +46,7 @@ def regular_chart(
             turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
     if not turned:
         return system, q, turned
-    mechanism = system.mechanism.copy()
+    mechanism = system.mechanism
     for name, turn in turned.items():
         joint: Joint = mechanism.joints[name]
         mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=turn.T))

@@ -185,24 +185,25 @@ def _own_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
             continue
         leader = 0.0 if source is None else reals(out[source], f"coordinate {source!r}")
         together({f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)})
-        refuse_misfit(name, follower, x, leader)
+        refuse_misfit(
+            f"coordinate {name!r}", follower, x, follower.multiplier * leader + follower.offset
+        )
     return out
 
 
 def refuse_misfit(
-    name: str,
+    subject: str,
     follower: Follower,
     x: Array,
-    leader: ArrayLike,
+    wanted: ArrayLike,
     tolerance: float = FIT,
     turn: float = 0.0,
 ) -> None:
-    """Refuse, with an `InputError`, values (...) of a coordinate that do not follow from its leader's.
+    """Refuse, with an `InputError`, values (...) of a follower that are not the `wanted` ones.
 
     With `turn` they count as equal where they differ by a multiple of it.
     """
-    x, leader = np.broadcast_arrays(x, leader)
-    wanted = follower.multiplier * leader + follower.offset
+    x, wanted = np.broadcast_arrays(x, wanted)
     off = x - wanted
     if turn:
         off = off - turn * np.round(off / turn)
@@ -210,13 +211,8 @@ def refuse_misfit(
     if bad.any():
         at = np.unravel_index(int(np.argmax(bad)), bad.shape)
         row = f" (row {', '.join(map(str, at))})" if at else ""
-        if follower.source is None:
-            needed = f"is held at {follower.offset:.9g}"
-        else:
-            needed = (
-                f"follows {follower.source!r}, at {leader[at]:.9g}, and must be {wanted[at]:.9g}"
-            )
-        raise InputError(f"coordinate {name!r} is {x[at]:.9g}{row}; it {needed}")
+        why = f"follows {follower.source!r} and must be" if follower.source else "is held at"
+        raise InputError(f"{subject} is {x[at]:.9g}{row}; it {why} {wanted[at]:.9g}")
 
 
 @explained
@@ -464,7 +460,7 @@ def winding_angles(system: Model) -> np.ndarray:
     """
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
-    return endless & distinct(system.mechanism, coordinates)
+    return endless & distinct(system._mechanism, coordinates)
 
 
 @explained

@@ -373,7 +373,7 @@ class LoopPlan:
             if t.joint is not None
             for code, iq in _readings(self.system, t.joint)
         ]
-        envelope, size = self._envelope(ties, first_row)
+        envelope, size = self._envelope(ties)
         starts = np.concatenate([[0], np.cumsum([len(u) for u in self.uses])])
         lists = [
             ties,
@@ -458,7 +458,7 @@ class LoopPlan:
             *draw_high,
         ]
 
-    def _envelope(self, ties: list[list[int]], m: int) -> tuple[list[tuple[int, int]], int]:
+    def _envelope(self, ties: list[list[int]]) -> tuple[list[tuple[int, int]], int]:
         """For each row of J J^T its first column that is not zero, and where the row begins."""
         own = [t[L.FIRST_ROW] for t in ties]
         first = own.copy()

@@ -78,7 +78,7 @@ def _plain(system: Model, more: tuple[str, ...]) -> Mechanism:
     """The mechanism with the time as an ordinary name in its equations, and among their coordinates
     `more`.
     """
-    m = system.mechanism.copy()
+    m = system.mechanism
     names = timed(system)
     if TIME in m.parameters or TIME in m.joints or TIME in m.constraints:
         raise InputError(

@@ -539,7 +539,7 @@ class MovingFlight:
         while True:
             self.budget.check()
             end = min(begin + window, duration)
-            at = self._step(solver, held) if held else partial(_parabola, t, y, v, self.gravity)
+            at = self._step(solver) if held else partial(_parabola, t, y, v, self.gravity)
             end = float(solver.t) if held else end
             hit = self._first(at, begin, end, set(range(len(self.planes.names))) - held, fresh)
             left = self._left(at, begin, end, sorted(held)) if held else None
@@ -589,7 +589,7 @@ class MovingFlight:
             max_step=duration / WINDOWS,
         )
 
-    def _step(self, solver: Any, held: set[int]) -> Callable[[Array], tuple[Array, Array]]:
+    def _step(self, solver: Any) -> Callable[[Array], tuple[Array, Array]]:
         said = solver.step()
         if solver.status == "failed":
             raise ArithmeticError(f"at {solver.t:.6g} s the planes move too fast: {said}")

@@ -831,7 +831,7 @@ def _in_time(
         clocked(system),
         {**inputs, TIME: clock},
         clock,
-        _with_time(system, start, clock),
+        _with_time(start, clock),
         hold=hold,
         toward=toward,
         limits=limits,
@@ -840,7 +840,7 @@ def _in_time(
     return _without_time(found, system)
 
 
-def _with_time(system: Model, start: Any, clock: Array) -> Any:
+def _with_time(start: Any, clock: Array) -> Any:
     """The start with the first time, where it is a configuration."""
     if start is None or isinstance(start, str) or not clock.size:
         return start

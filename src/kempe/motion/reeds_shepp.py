@@ -61,12 +61,6 @@ def length_of(way: Way) -> float:
     return math.fsum(abs(length) for _, length in way)
 
 
-def cusps_of(way: Way) -> int:
-    """How often a way changes between forwards and reverse."""
-    signs = [length > 0.0 for _, length in way if length]
-    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
-
-
 def ways(x: float, y: float, heading: float) -> list[Way]:
     """Ways from (0, 0, 0) to a pose, for the radius 1, the shortest first: one for each word that
     leads there.

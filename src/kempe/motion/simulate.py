@@ -295,7 +295,7 @@ def _body(system: Model) -> tuple[str, Array]:
             f"{system.name}: {parts} are one rigid body of several parts: its centre of mass needs "
             f"their masses; {NEEDED} one ball or particle"
         )
-    centre = system.mechanism.bodies[moving[0]].center
+    centre = system._mechanism.bodies[moving[0]].center
     return moving[0], np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
 
 

@@ -207,7 +207,7 @@ def _turning(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
         c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0
     ).astype(object)
     number = {name: i for i, name in enumerate(system.structure.velocity_names)}
-    mechanism = system.mechanism
+    mechanism = system._mechanism
     couplings = system.structure.couplings
     never: list[WoundFollower] = []
     for joint in mechanism.joints.values() if couplings else ():

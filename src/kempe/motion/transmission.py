@@ -312,7 +312,7 @@ def transmission_angle(
 def _kind(system: Model, name: str) -> int | None:
     """R or P for a joint with one turn or one slide, else None."""
     joint = system.structure.joints[name]
-    primitives = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
+    primitives = joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]
     return primitives[0].kind if len(primitives) == 1 and primitives[0].kind in (R, P) else None
 
 

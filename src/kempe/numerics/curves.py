@@ -35,6 +35,8 @@ LEAST_STEP = 1e-6
 """Steps below this are given up: the curve has a cusp or an end there."""
 BLUNT = 1e-7
 """Relative singular values below which a correction is only rounding noise, blown up."""
+TRIES = 12
+"""Steps of a correction at most."""
 NONE = np.zeros((0, 0))
 
 
@@ -125,7 +127,7 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
     return Node(x, t, sigma, nullity, J, image)
 
 
-def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> GaussNewtonEnd | None:
+def correct(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd | None:
     """The point of the curve in the plane through `x` normal to the direction `across` (n,), or
     None.
 
@@ -136,7 +138,7 @@ def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Gauss
         F, J = equations.both(x)
         return np.append(F, 0.0), np.vstack([J, across])
 
-    found = gauss_newton(both, x, tries, cut=BLUNT, halving=True, move=equations.move)
+    found = gauss_newton(both, x, TRIES, cut=BLUNT, halving=True, move=equations.move)
     return (
         GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1])
         if found.size < equations.tolerance(found.x)

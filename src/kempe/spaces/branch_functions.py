@@ -517,8 +517,8 @@ def _rod(system: Model, ring: tuple[str, ...], joints: list[Joint]) -> Rod | Non
     ends = pin(system, ball, crank)[0], pin(system, other, rocker)[0]
     if kinds[1:3] == [[Q], [Q]]:
         length = float(np.linalg.norm(pin(system, ball, rod)[0] - pin(system, other, rod)[0]))
-        p = _curve(system, first, base, crank, ends[0], 1.0)
-        r = _curve(system, last, base, rocker, ends[1], 1.0)
+        p = _curve(system, first, base, ends[0], 1.0)
+        r = _curve(system, last, base, ends[1], 1.0)
         return Rod(p, r, length, kinds[3] == [P])
     if kinds[1:] != [[R], [R], [R]]:
         return None
@@ -532,8 +532,8 @@ def _rod(system: Model, ring: tuple[str, ...], joints: list[Joint]) -> Rod | Non
     (_, v) = axes[other.name, rocker]
     if _concurrent(pairs):
         length = float(np.linalg.norm(axes[ball.name, rod][1] - axes[other.name, rod][1]))
-        p = _curve(system, first, base, crank, u, 0.0)
-        r = _curve(system, last, base, rocker, v, 0.0)
+        p = _curve(system, first, base, u, 0.0)
+        r = _curve(system, last, base, v, 0.0)
         return Rod(p, r, length, False) if SAME < 0.25 * length**2 < 1.0 - SAME else None
     if not _parallel(pairs):
         return None
@@ -541,19 +541,17 @@ def _rod(system: Model, ring: tuple[str, ...], joints: list[Joint]) -> Rod | Non
     (x, _) = axes[ball.name, rod]
     (y, m) = axes[other.name, rod]
     length = float(np.linalg.norm((y - x) - m * (m @ (y - x))))
-    p = _curve(system, first, base, crank, ends[0], 1.0)
-    r = _curve(system, last, base, rocker, ends[1], 1.0)
+    p = _curve(system, first, base, ends[0], 1.0)
+    r = _curve(system, last, base, ends[1], 1.0)
     return Rod(p - (p @ n)[:, None] * n, r - (r @ n)[:, None] * n, length, False)
 
 
-def _curve(
-    system: Model, joint: Joint, base: str, crank: str, point: Array, weight: float
-) -> Array:
+def _curve(system: Model, joint: Joint, base: str, point: Array, weight: float) -> Array:
     """Coefficients of 1, cos and sin, or of 1 and the slide, of a point (or, of weight 0, a
     direction) on a crank, seen from the base.
     """
-    F = joint.X_PF.evaluate(system.mechanism.parameters)
-    M = joint.X_CM.evaluate(system.mechanism.parameters)
+    F = joint.X_PF.evaluate(system._mechanism.parameters)
+    M = joint.X_CM.evaluate(system._mechanism.parameters)
     turns = primitives_of(system, joint)[0].kind == R
     at = 2.0 * np.pi / 3.0 * np.arange(3.0) if turns else np.array([0.0, 1.0])
     X = F @ motion(primitives_of(system, joint), at[:, None]) @ inverse(M)

@@ -221,7 +221,7 @@ def configuration_space(system: Model) -> ConfigurationSpace:
     rows += sum(c.equations(system.dim) for c in system._mechanism.constraints.values())
     for name in system.structure.closures:
         joint = system.structure.joints[name]
-        particle = system.mechanism.bodies[joint.child].particle
+        particle = system._mechanism.bodies[joint.child].particle
         # q holds the joint's own coordinates too: all freedoms of the child are tied to it
         rows += joint.type.constraints(system.dim, particle) + joint.type.dof(system.dim, particle)
     return ConfigurationSpace(

@@ -46,10 +46,10 @@ def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
 
 def primitives_of(system: Model, joint: Joint) -> list[Primitive]:
     """The turns and slides of a joint."""
-    return list(joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1])
+    return list(joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1])
 
 
 def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
     """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
-    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system.mechanism.parameters)
+    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system._mechanism.parameters)
     return X[:3, 3], X

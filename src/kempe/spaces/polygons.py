@@ -109,7 +109,7 @@ class Polygon:
 
     def _at(self, directions: Array) -> Array:
         """The configuration (nq,) with bars in these directions (n,) from that of the one at rest."""
-        m = self.system.mechanism
+        m = self.system._mechanism
         q = self.system.neutral.copy()
         turn = directions - np.arctan2(self.vectors[:, 1], self.vectors[:, 0])
         turn = dict(zip(self.bodies, turn - turn[0], strict=True))

@@ -746,7 +746,7 @@ def _placed(system: Model, frame: str) -> Plan | None:
     """The closed form with the place of a frame known: that of the mechanism with slides in x and y
     pinned to it.
     """
-    m = system.mechanism.copy()
+    m = system.mechanism
     free = "place"
     while any(
         name.startswith(free)

@@ -47,7 +47,7 @@ def legs_of(system: Model, frame: str) -> tuple[Model, ...]:
     Bodies that hang on others only are left out. Constraints and couplings may tie legs: with these
     there are none.
     """
-    m = system.mechanism
+    m = system._mechanism
     ground = system.body_names[0]
     body = m.frames[frame].body if frame in m.frames else frame
     if m.constraints or m.couplings or system.structure.relations or body == ground:

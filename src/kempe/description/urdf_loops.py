@@ -1,0 +1,166 @@
+"""Elements of simulators in URDF that close loops: constraints of Drake, and loop joints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kempe.constraints.kinds import Position
+from kempe.description.mechanism import Mechanism
+from kempe.description.source import Findings, shorten
+from kempe.description.urdf_elements import check_known, fresh_name, numbers
+from kempe.description.xml import XmlElement
+from kempe.words import counted
+
+BALL = "drake:ball_constraint"
+BODIES = (f"{BALL}_body_A", f"{BALL}_body_B")
+POINTS = (f"{BALL}_p_AP", f"{BALL}_p_BQ")
+"""The parts of Drake's constraint: two bodies, and on each a point, which coincide."""
+
+LOOP_TYPES = {
+    "spherical": "spherical",
+    "fixed": "fixed",
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+}
+"""Types of <loop_joint>, which Isaac Sim and older versions of Drake have, and the types of the zoo
+that they are."""
+
+_IN_LOOP = ("link1", "link2", "axis")
+_OF_END = ("link", "xyz", "rpy")
+
+
+def read_loops(robot: XmlElement, mechanism: Mechanism, findings: Findings) -> None:
+    """Add what closes loops to a mechanism that has its bodies and joints."""
+    for element in robot.of(BALL):
+        _read_ball(element, mechanism, findings)
+    for element in robot.of("loop_joint"):
+        _read_loop_joint(element, mechanism, findings)
+
+
+def _read_ball(element: XmlElement, mechanism: Mechanism, findings: Findings) -> None:
+    """Two points that coincide: a constraint, which has no coordinates of its own."""
+    name = element.attributes.get("name", "") or fresh_name(
+        "ball_constraint", mechanism.constraints
+    )
+    subject = f"constraint {name!r}"
+    for child in element.children:
+        check_known("element", child.tag, (*BODIES, *POINTS), findings, subject, child)
+    bodies = [
+        _body(_only(element, tag, findings, subject), "name", mechanism, findings, subject)
+        for tag in BODIES
+    ]
+    points = [
+        _numbers(_only(element, tag, findings, subject), "value", findings, subject)
+        for tag in POINTS
+    ]
+    if None in bodies or None in points:
+        return
+    with findings.guard(subject, element.where):
+        held: Any = Position(bodies[1], points[0], points[1], other=bodies[0])
+        mechanism.constrain(held, name, element.where)
+
+
+def _read_loop_joint(element: XmlElement, mechanism: Mechanism, findings: Findings) -> None:
+    """A joint between two frames, <link1> and <link2>, which the tree leaves out."""
+    name = element.attributes.get("name", "")
+    subject = f"loop_joint {name!r}" if name else "<loop_joint>"
+    if not name:
+        findings.add(
+            "it has no name", subject, element.where, "every joint needs a name of its own"
+        )
+    kind = element.attributes.get("type")
+    if kind not in LOOP_TYPES:
+        said = "it has no type" if kind is None else f"unknown type {shorten(kind)}"
+        allowed = f"a <loop_joint> has {', '.join(LOOP_TYPES)}"
+        findings.add(said, subject, element.where_of("type"), allowed)
+    for child in element.children:
+        check_known("element", child.tag, _IN_LOOP, findings, subject, child)
+    ends = [child for child in element.children if child.tag in ("link1", "link2")]
+    if len(ends) != 2:
+        findings.add(
+            f"it has {counted(len(ends), 'end')}",
+            subject,
+            element.where,
+            "a loop joint has two: <link1 link=... xyz=... rpy=.../> and <link2 .../>",
+        )
+        return
+    bodies: list[Any] = [_body(end, "link", mechanism, findings, subject) for end in ends]
+    places: list[Any] = [_place(end, findings, subject) for end in ends]
+    axis: Any = (1.0, 0.0, 0.0)
+    for child in element.of("axis")[:1]:
+        axis = _numbers(child, "xyz", findings, subject)
+    if not name or kind not in LOOP_TYPES or axis is None or None in (*bodies, *places):
+        return
+    (at, rpy), (child_at, child_rpy) = places
+    moves = kind not in ("spherical", "fixed")
+    with findings.guard(subject, element.where):
+        mechanism.joint(
+            name,
+            LOOP_TYPES[kind],
+            bodies[0],
+            bodies[1],
+            at=at,
+            rpy=rpy,
+            child_at=child_at,
+            child_rpy=child_rpy,
+            axis=axis if moves else None,
+            cut=True,
+            where=element.where,
+        )
+
+
+def _place(end: XmlElement, findings: Findings, subject: str) -> Any:
+    """The position and the angles of an end in the frame of its link; None where they are wrong."""
+    for key in end.attributes:
+        if key not in _OF_END:
+            check_known(f"{end.tag} attribute", key, _OF_END, findings, subject, end)
+    found = [
+        _numbers(end, key, findings, subject) if key in end.attributes else (0.0, 0.0, 0.0)
+        for key in ("xyz", "rpy")
+    ]
+    return None if None in found else found
+
+
+def _only(element: XmlElement, tag: str, findings: Findings, subject: str) -> XmlElement | None:
+    """The child with this tag; a problem where there are none or several."""
+    found = element.of(tag)
+    if len(found) == 1:
+        return found[0]
+    where = found[1].where if found else element.where
+    findings.add(f"it has {len(found) or 'no'} <{tag}>", subject, where, "it needs one")
+    return None
+
+
+def _body(
+    element: XmlElement | None,
+    attribute: str,
+    mechanism: Mechanism,
+    findings: Findings,
+    subject: str,
+) -> str | None:
+    """The body that an attribute names; None after recording that there is none."""
+    if element is None:
+        return None
+    name = element.attributes.get(attribute, "")
+    if name in mechanism.bodies:
+        return name
+    said = (
+        f"its link {shorten(name)} does not exist{findings.hint(name, mechanism.bodies)}"
+        if name
+        else f"its <{element.tag}> names no link"
+    )
+    findings.add(said, subject, element.where_of(attribute), "" if name else f"write {attribute}=")
+    return None
+
+
+def _numbers(
+    element: XmlElement | None, attribute: str, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
+    """Three numbers of an attribute; None after recording what is wrong."""
+    if element is None:
+        return None
+    if attribute not in element.attributes:
+        findings.add(f"its <{element.tag}> has no {attribute}", subject, element.where, "give it")
+        return None
+    return numbers(element, attribute, 3, findings, subject)

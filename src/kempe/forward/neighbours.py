@@ -1,0 +1,726 @@
+"""Configurations, velocities and Jacobians in the numbers of Pinocchio, MuJoCo and ROS.
+
+Joints are found by name in the model object of the other library, which is read by its attributes
+and not imported.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe import spatial
+from kempe.arguments import explained, explained_making, explained_methods, numbers, together
+from kempe.arrays import reals
+from kempe.errors import InputError, UnknownNameError
+from kempe.forward.fk import fk
+from kempe.joints import Q, R
+from kempe.model.configurations import FIT, as_q, one, q_from_dict, refuse_misfit
+from kempe.model.coordinates import Follower, coordinate_name
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.description.parts import Joint
+    from kempe.model.model import Model
+
+# ---- the numbers of a joint
+
+NUMBER = "n"
+"""A length, or an angle."""
+ALONG = "t"
+"""A length whose velocity is along the axes that the joint's turn, which follows, has reached."""
+CIRCLE = "a"
+"""An angle; in other libraries its cosine and sine."""
+BALL = "b"
+"""A unit quaternion, with an angular velocity in the turned axes."""
+WIDTH = {NUMBER: 1, ALONG: 1, CIRCLE: 2, BALL: 4}
+"""How many numbers of a configuration each has in other libraries."""
+RATES = {NUMBER: 1, ALONG: 1, CIRCLE: 1, BALL: 3}
+"""How many velocities."""
+ON_CIRCLE = 1e-3
+"""How far the length of a cosine and sine may be from 1."""
+SHOWN = 8
+"""Problems that one message names."""
+
+
+class Place(NamedTuple):
+    """One part of a joint of another library: its kind, and where its numbers begin in q and v."""
+
+    kind: str
+    q: int
+    v: int
+
+
+class Theirs(NamedTuple):
+    """A joint of another library, with the name of the body that it moves where that is known."""
+
+    name: str
+    body: str
+    places: list[Place]
+
+    @property
+    def kinds(self) -> str:
+        """The kinds of its parts, as a text."""
+        return "".join(p.kind for p in self.places)
+
+
+class Library(NamedTuple):
+    """Another library: what its models have, how their joints are read, and the order of w, x, y, z
+    in a quaternion.
+    """
+
+    name: str
+    model: str
+    attributes: tuple[str, ...]
+    joints: Callable[[Any], Iterable[Theirs]]
+    order: tuple[int, int, int, int]
+    free_on_ground: bool
+    """Whether a free joint is measured from the ground, wherever the description puts it."""
+
+
+def _places(kinds: str, q: int, v: int) -> list[Place]:
+    """Parts of these kinds, one after the other."""
+    out: list[Place] = []
+    for kind in kinds:
+        out.append(Place(kind, q, v))
+        q += WIDTH[kind]
+        v += RATES[kind]
+    return out
+
+
+PINOCCHIO_KINDS = {(7, 6): 3 * ALONG + BALL, (4, 3): BALL, (2, 1): CIRCLE}
+"""Of joints with so many numbers in q and v."""
+
+
+def _of_pinocchio(model: Any) -> Iterator[Theirs]:
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        yield Theirs(
+            str(name), "", _places(_pinocchio_kinds(joint, str(name)), joint.idx_q, joint.idx_v)
+        )
+
+
+def _pinocchio_kinds(joint: Any, name: str) -> str:
+    kind: str = joint.shortname()
+    if kind.endswith("Composite"):
+        return "".join(_pinocchio_kinds(part, name) for part in joint.extract().joints)
+    if kind.endswith("Planar"):
+        return 2 * ALONG + CIRCLE
+    size: tuple[int, int] = (joint.nq, joint.nv)
+    if size in PINOCCHIO_KINDS:
+        return PINOCCHIO_KINDS[size]
+    if size[0] != size[1]:
+        raise InputError(f"joint {name!r} of the Pinocchio model is a {kind}, which is not known")
+    return size[0] * NUMBER
+
+
+MUJOCO_KINDS = (3 * NUMBER + BALL, BALL, NUMBER, NUMBER)
+"""Of the joints free, ball, slide and hinge, by their number in `jnt_type`."""
+
+
+def _of_mujoco(model: Any) -> Iterator[Theirs]:
+    for i in range(model.njnt):
+        body = str(model.body(int(model.jnt_bodyid[i])).name)
+        kinds = MUJOCO_KINDS[int(model.jnt_type[i])]
+        at = _places(kinds, int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i]))
+        yield Theirs(str(model.joint(i).name), body, at)
+
+
+PINOCCHIO = Library(
+    "Pinocchio", "Model", ("names", "joints", "nq", "nv"), _of_pinocchio, (3, 0, 1, 2), False
+)
+MUJOCO = Library(
+    "MuJoCo", "MjModel", ("njnt", "jnt_type", "jnt_qposadr"), _of_mujoco, (0, 1, 2, 3), True
+)
+LIBRARIES = (PINOCCHIO, MUJOCO)
+
+
+def _library_of(model: Any) -> Library:
+    """The library that a model is of. Errors: `InputError`."""
+    for library in LIBRARIES:
+        if all(hasattr(model, name) for name in library.attributes):
+            return library
+    allowed = " or ".join(f"a {x.model} of {x.name}" for x in LIBRARIES)
+    raise InputError(f"model is {type(model).__name__}; it must be {allowed}")
+
+
+# ---- joints of one and the other
+
+
+class Ours(NamedTuple):
+    """A joint of a system: for each part its kind and the full names of its coordinates."""
+
+    joint: Joint
+    parts: list[tuple[str, list[str]]]
+
+    @property
+    def kinds(self) -> str:
+        """The kinds of its parts, as a text."""
+        return "".join(kind for kind, _ in self.parts)
+
+
+def _ours(system: Model, joint: Joint) -> Ours:
+    names, primitives = joint.type.layout(system.dim, joint.of_particle)
+    full = [coordinate_name(joint.name, n) for n in names]
+    parts: list[tuple[str, list[str]]] = []
+    i = 0
+    while i < len(full):
+        kinds = {p.kind for p in primitives if p.coordinate == i}
+        kind = BALL if Q in kinds else CIRCLE if kinds == {R} else NUMBER
+        size = 4 if kind == BALL else 1
+        parts.append((kind, full[i : i + size]))
+        i += size
+    return Ours(joint, parts)
+
+
+SAME = {(NUMBER, NUMBER), (NUMBER, ALONG), (CIRCLE, NUMBER), (CIRCLE, CIRCLE), (BALL, BALL)}
+"""Kinds, here and there, that can mean the same."""
+
+
+def _fit(ours: Ours, places: list[Place]) -> bool:
+    """Whether the numbers of a joint can mean the same as these; a fixed joint fits any."""
+    kinds = [p.kind for p in places]
+    pairs = zip(ours.kinds, kinds, strict=False)
+    return not ours.parts or (len(kinds) == len(ours.parts) and SAME.issuperset(pairs))
+
+
+def _pairs(
+    system: Model, theirs: Iterable[Theirs], library: Library
+) -> list[tuple[Ours, list[Place]]]:
+    """The joints of the system with the numbers of their counterparts: a joint of that name, or all
+    joints of the body that it moves, or the only one of its kind that is left on both sides.
+
+    Errors: `InputError` that names those without a counterpart.
+    """
+    ours = [_ours(system, j) for j in system.structure.joints.values()]
+    left = [t for t in theirs if t.places]
+    pairs: list[tuple[Ours, list[Place]]] = []
+
+    def by_name(mine: Ours) -> list[Theirs]:
+        return [t for t in left if t.name == mine.joint.name]
+
+    def by_body(mine: Ours) -> list[Theirs]:
+        return [t for t in left if t.body and t.body == mine.joint.child and len(mine.parts) > 1]
+
+    def by_kind(mine: Ours) -> list[Theirs]:
+        found = [t for t in left if len(t.places) > 1 and mine.parts and _fit(mine, t.places)]
+        alone = sum(1 for m in ours if m.kinds == mine.kinds) == 1
+        return found if len(found) == 1 and alone else []
+
+    for way in (by_name, by_body, by_kind):
+        for mine in tuple(ours):
+            found = way(mine)
+            places = [p for t in found for p in t.places]
+            if found and _fit(mine, places):
+                pairs.append((mine, places))
+                ours.remove(mine)
+                left = [t for t in left if t not in found]
+    _refuse_alone(system, ours, left, library)
+    return pairs
+
+
+def _refuse_alone(system: Model, ours: list[Ours], theirs: list[Theirs], library: Library) -> None:
+    """Refuse, with an `InputError`, joints that move and have no counterpart."""
+    followers = system.structure.couplings
+    moving = [m for m in ours if any(n not in followers for _, part in m.parts for n in part)]
+    size = {t.name: sum(WIDTH[p.kind] for p in t.places) for t in theirs}
+    said: list[str] = []
+    for mine in moving:
+        name = mine.joint.name
+        if name in size:
+            n = sum(len(part) for _, part in mine.parts)
+            said.append(
+                f"joint {name!r} has {counted(n, 'coordinate')}, and {counted(size[name], 'number')} "
+                f"in the {library.name} model: these do not correspond"
+            )
+            continue
+        loop = name in system.structure.closures
+        hint = "it closes a loop: see opened()" if loop else "where it is fixed there, lock it"
+        said.append(f"joint {name!r} is not in the {library.name} model ({hint})")
+    here = {m.joint.name for m in moving}
+    for t in theirs:
+        if t.name not in here:
+            name = f"{t.name!r}" if t.name else f"without a name, of body {t.body!r},"
+            said.append(f"joint {name} of the {library.name} model is not in {system.name!r}")
+    if said:
+        more = f"; {len(said) - SHOWN} more" if len(said) > SHOWN else ""
+        raise InputError("; ".join(said[:SHOWN]) + more)
+
+
+# ---- the correspondence
+
+
+class Entry(NamedTuple):
+    """A number of a model: its kind and place, the coordinate that it is, where it is found in the
+    system's array, and how it follows from there. What is held is found behind the end.
+    """
+
+    kind: str
+    at: int
+    name: str
+    source: int
+    follower: Follower | None
+
+
+class Turned(NamedTuple):
+    """Velocities along turned axes: their first place and their number, and where the turn begins
+    among the entries.
+    """
+
+    first: int
+    size: int
+    turn: int
+
+
+@explained_making
+@explained_methods
+class Correspondence:
+    """Configurations, velocities and Jacobians of a system in the numbers of a model of Pinocchio or
+    MuJoCo, and back.
+
+    It is made once for many conversions; `to_pinocchio` and its like make one in each call. Joints
+    are paired by name; a free base also with one of another name; and several joints of a body in
+    MuJoCo with the one joint here that moves the body of that name. Followers are computed here and
+    may be joints of their own there; so may joints that are locked or fixed here. These must fit
+    within `tolerance`, in radians or metres, and relative to 1 and the number. All arrays may have
+    leading axes. Placements are not compared: the two must be of one description.
+
+    Errors: `InputError` that names joints without a counterpart, and followers that do not fit.
+    """
+
+    def __init__(self, system: Model, model: Any, tolerance: float = FIT):
+        library = _library_of(model)
+        self.system = system
+        self.library = library.name
+        self.tolerance = float(numbers(tolerance, "tolerance"))
+        self.nq = int(model.nq)
+        self.nv = int(model.nv)
+        self._order = np.array(library.order)
+        self._entries: list[Entry] = []
+        self._rates: list[Entry] = []
+        self._turned: list[Turned] = []
+        self._begins: list[tuple[Place, Place, Array]] = []
+        for ours, places in _pairs(system, library.joints(model), library):
+            self._add(ours, places)
+            if library.free_on_ground and ours.kinds == 3 * NUMBER + BALL:
+                self._add_begin(ours.joint, places)
+        self._pack()
+
+    def __repr__(self) -> str:
+        return f"Correspondence of {self.system.name!r} and a model of {self.library}, nq={self.nq}"
+
+    # ---- how it is made
+
+    def _add(self, ours: Ours, places: list[Place]) -> None:
+        """The numbers of a pair of joints."""
+        along: list[Place] = []
+        names = [part for _, part in ours.parts] or [[ours.joint.name]] * len(places)
+        for (name, *_), place in zip(names, places, strict=True):
+            if place.kind == ALONG:
+                along.append(place)
+            elif along:
+                self._turned.append(Turned(along[0].v, len(along), len(self._entries)))
+                along = []
+            if place.kind == BALL:
+                self._add_ball(ours.joint.name, name, place)
+                continue
+            (i, k), follower = self._source(name)
+            self._entries.append(Entry(place.kind, place.q, name, i, follower))
+            self._rates.append(Entry(NUMBER, place.v, name, k, follower))
+
+    def _add_ball(self, joint: str, first: str, place: Place) -> None:
+        """The numbers of a quaternion, whose first coordinate has this name."""
+        (i, k), held = self._source(first)
+        for n, axis in enumerate("wxyz"):
+            name = coordinate_name(joint, f"q{axis}")
+            follower = held and self._source(name, float(n == 0))[1]
+            at = place.q + int(self._order[n])
+            self._entries.append(Entry(BALL, at, name, i + n * (held is None), follower))
+        for n, axis in enumerate("xyz"):
+            name = coordinate_name(joint, f"w{axis}")
+            self._rates.append(Entry(NUMBER, place.v + n, name, k + n * (held is None), held))
+
+    def _source(self, name: str, fixed: float = 0.0) -> tuple[tuple[int, int], Follower | None]:
+        """Where a coordinate is found in q and v, and how it follows from there; `fixed` is the
+        number of a joint that is none here.
+        """
+        first = self.system.structure.coordinates.first
+        if name in first:
+            return first[name], None
+        follower = self.system.structure.couplings.get(name, Follower(None, 0.0, fixed))
+        if follower.source is None:
+            return (self.system.nq, self.system.nv), follower
+        return first[follower.source], follower
+
+    def _add_begin(self, joint: Joint, places: list[Place]) -> None:
+        """Keep where a free joint begins, if that is not the frame of the ground."""
+        system = self.system
+        parameters = system.structure.parameters
+        if system.structure.table.path(joint.parent):
+            raise InputError(
+                f"joint {joint.name!r} is free and begins on {joint.parent!r}, which moves; in "
+                f"{self.library} it begins on the ground"
+            )
+        if not np.array_equal(joint.X_CM.evaluate(parameters), np.eye(4)):
+            raise InputError(
+                f"joint {joint.name!r} is free and does not end in the frame of {joint.child!r}, "
+                f"where it ends in {self.library}"
+            )
+        X = fk(system, system.neutral, joint.parent) @ joint.X_PF.evaluate(parameters)
+        if not np.array_equal(X, np.eye(4)):
+            self._begins.append((places[0], places[3], X))
+
+    def _pack(self) -> None:
+        """Arrays of the entries."""
+
+        def whole(x: Iterable[int]) -> np.ndarray:
+            return np.array(list(x), dtype=np.int64)
+
+        entries = self._entries
+        rates = self._rates
+        laws = [e.follower or Follower(None, 1.0, 0.0) for e in entries]
+        self._factor = np.array([law.multiplier for law in laws])
+        self._offset = np.array([law.offset for law in laws])
+        self._at = whole(e.at for e in entries)
+        self._source_of = whole(e.source for e in entries)
+        self._own = whole(k for k, e in enumerate(entries) if e.follower is None)
+        self._angles = whole(k for k, e in enumerate(entries) if e.kind == CIRCLE)
+        self._balls = whole(
+            k for k, e in enumerate(entries) if e.kind == BALL and e.name.endswith("qw")
+        )
+        self._rate_at = whole(e.at for e in rates)
+        self._rate_source = whole(e.source for e in rates)
+        self._rate_own = whole(k for k, e in enumerate(rates) if e.follower is None)
+        self._spread = np.zeros((len(rates), self.system.nv + 1))
+        for k, e in enumerate(rates):
+            self._spread[k, e.source] = e.follower.multiplier if e.follower else 1.0
+        self._spread = self._spread[:, :-1]
+
+    # ---- configurations
+
+    def to_q(self, q: Any) -> Array:
+        """The configuration (..., nq of the model) that one of the system is."""
+        values = self._values(as_q(self.system, q))
+        out = np.zeros((*values.shape[:-1], self.nq))
+        out[..., self._at] = values
+        if self._angles.size:
+            at = self._at[self._angles]
+            angles = values[..., self._angles]
+            out[..., at] = np.cos(angles)
+            out[..., at + 1] = np.sin(angles)
+        for slides, ball, X in self._begins:
+            self._move(out, slides, ball, X)
+        return out
+
+    def from_q(self, q: ArrayLike) -> Array:
+        """The configuration (..., nq) of the system that one of the model is."""
+        values = self._read(q)
+        out = np.broadcast_to(self.system.neutral, (*values.shape[:-1], self.system.nq)).copy()
+        out[..., self._source_of[self._own]] = values[..., self._own]
+        self._count_turns(out, values)
+        wanted = self._values(out)
+        for k, e in enumerate(self._entries):
+            if e.follower is not None:
+                turn = 2.0 * math.pi if e.kind == CIRCLE else 0.0
+                self._refuse(f"coordinate {e.name!r}", e.follower, values, wanted, k, turn)
+        return out
+
+    def _count_turns(self, q: Array, values: Array) -> None:
+        """Add to angles that are known by cosine and sine, in place, the whole turns that a follower
+        of theirs tells.
+        """
+        angles = {self._entries[k].source for k in self._angles if k in self._own}
+        for k, e in enumerate(self._entries):
+            if e.follower is not None and e.kind != CIRCLE and e.source in angles:
+                angle = (values[..., k] - e.follower.offset) / e.follower.multiplier
+                turns = np.round((angle - q[..., e.source]) / (2.0 * math.pi))
+                q[..., e.source] += 2.0 * math.pi * turns
+                angles.remove(e.source)
+
+    def _refuse(
+        self, what: str, law: Follower, given: Array, wanted: Array, k: int, turn: float = 0.0
+    ) -> None:
+        refuse_misfit(what, law, given[..., k], wanted[..., k], self.tolerance, turn)
+
+    def _values(self, q: Array) -> Array:
+        """The entries (..., n), with angles in place of cosines and sines, at q (..., nq)."""
+        ended = np.concatenate([q, np.zeros((*q.shape[:-1], 1))], axis=-1)
+        values = ended[..., self._source_of] * self._factor + self._offset
+        if self._balls.size:
+            at = self._balls[:, None] + np.arange(4)
+            values[..., at] = spatial.unit(values[..., at])
+        return values
+
+    def _read(self, q: ArrayLike) -> Array:
+        """The entries at a configuration of the model. Errors: `InputError` for lengths, and for a
+        cosine and sine that are none.
+        """
+        q = numbers(q, f"q of the {self.library} model", self.nq)
+        if self._begins:
+            q = q.copy()
+        for slides, ball, X in self._begins:
+            self._move(q, slides, ball, spatial.inverse(X))
+        values = q[..., self._at]
+        if not self._angles.size:
+            return values
+        at = self._at[self._angles]
+        c = q[..., at]
+        s = q[..., at + 1]
+        off = ~(np.abs(np.hypot(c, s) - 1.0) <= ON_CIRCLE)
+        if off.any():
+            where = tuple(np.argwhere(off)[0])
+            name = self._entries[self._angles[where[-1]]].name
+            raise InputError(
+                f"coordinate {name!r} has the cosine {c[where]:.9g} and the sine {s[where]:.9g}; the "
+                "sum of their squares must be 1"
+            )
+        values[..., self._angles] = np.arctan2(s, c)
+        return values
+
+    def _move(self, q: Array, slides: Place, ball: Place, X: Array) -> None:
+        """Move the pose of a free joint in a configuration of the model, in place, by X (4, 4)."""
+        at = slice(slides.q, slides.q + 3)
+        order = ball.q + self._order
+        q[..., at] = q[..., at] @ X[:3, :3].T + X[:3, 3]
+        turn = spatial.matrix_to_quat_wxyz(X[:3, :3])
+        q[..., order] = spatial.quat_wxyz_multiply(turn, q[..., order])
+
+    # ---- velocities and Jacobians
+
+    def to_v(self, q: Any, v: ArrayLike) -> Array:
+        """The velocity (..., nv of the model) that one of the system is at its configuration `q`."""
+        v = numbers(v, "v", self.system.nv)
+        values = self._values(as_q(self.system, q))
+        out = np.zeros((*_lead(v.shape[:-1], values), self.nv))
+        out[..., self._rate_at] = v @ self._spread.T
+        for at, turn in self._turns(values):
+            out[..., at] = (out[..., None, at] @ turn)[..., 0, :]
+        return out
+
+    def from_v(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """The velocity (..., nv) of the system that one of the model is at the model's `q`."""
+        v = numbers(v, f"v of the {self.library} model", self.nv)
+        values = self._read(q)
+        straight = np.broadcast_to(v, (*_lead(v.shape[:-1], values), self.nv)).copy()
+        for at, turn in self._turns(values):
+            straight[..., at] = (turn @ straight[..., at, None])[..., 0]
+        rates = straight[..., self._rate_at]
+        out = np.zeros((*rates.shape[:-1], self.system.nv))
+        out[..., self._rate_source[self._rate_own]] = rates[..., self._rate_own]
+        wanted = out @ self._spread.T
+        for k, e in enumerate(self._rates):
+            if e.follower is not None:
+                self._refuse(f"the velocity of {e.name!r}", e.follower, rates, wanted, k)
+        return out
+
+    def to_jacobian(self, q: Any, jacobian: ArrayLike) -> Array:
+        """A Jacobian (..., m, nv of the model) from one of the system at its configuration `q`.
+
+        Columns of followers are zero, for those of their leaders hold what they do.
+        """
+        J = numbers(jacobian, "jacobian")
+        _check_columns(J, self.system.nv)
+        values = self._values(as_q(self.system, q))
+        out = np.zeros((*_lead(J.shape[:-2], values), J.shape[-2], self.nv))
+        out[..., self._rate_at[self._rate_own]] = J[..., self._rate_source[self._rate_own]]
+        for at, turn in self._turns(values):
+            out[..., at] = out[..., at] @ turn
+        return out
+
+    def from_jacobian(self, q: ArrayLike, jacobian: ArrayLike) -> Array:
+        """A Jacobian (..., m, nv) of the system from one of the model at the model's `q`."""
+        J = numbers(jacobian, "jacobian")
+        _check_columns(J, self.nv)
+        values = self._read(q)
+        straight = np.broadcast_to(J, (*_lead(J.shape[:-2], values), *J.shape[-2:])).copy()
+        for at, turn in self._turns(values):
+            straight[..., at] = straight[..., at] @ np.swapaxes(turn, -1, -2)
+        return straight[..., self._rate_at] @ self._spread
+
+    def _turns(self, values: Array) -> list[tuple[slice, Array]]:
+        """Velocities of the model along other axes than here, and the rotations (..., n, n) that
+        lead from these axes to those here.
+        """
+        out = [(slice(slides.v, slides.v + 3), X[:3, :3].T) for slides, _, X in self._begins]
+        for first, size, k in self._turned:
+            turn = (
+                spatial.quat_wxyz_to_matrix(values[..., k : k + 4])
+                if self._entries[k].kind == BALL
+                else spatial.rot_z(values[..., k])
+            )
+            out.append((slice(first, first + size), turn[..., :size, :size]))
+        return out
+
+
+def _lead(lead: tuple[int, ...], values: Array) -> tuple[int, ...]:
+    """The leading shape of velocities or Jacobians together with that of q."""
+    return together({"v": lead, "q": values.shape[:-1]})
+
+
+def _check_columns(J: Array, nv: int) -> None:
+    """Refuse, with an `InputError`, what is no Jacobian with so many columns."""
+    if J.ndim < 2 or J.shape[-1] != nv:
+        raise InputError(f"jacobian has shape {J.shape}; it must be (..., m, {nv})")
+
+
+# ---- one call each
+
+
+def _to(library: Library, system: Model, q: Any, model: Any, v: Any) -> Any:
+    _check_library(library, model)
+    both = Correspondence(system, model)
+    return both.to_q(q) if v is None else (both.to_q(q), both.to_v(q, v))
+
+
+def _from(library: Library, system: Model, q: Any, model: Any, v: Any, tolerance: float) -> Any:
+    _check_library(library, model)
+    both = Correspondence(system, model, tolerance)
+    return both.from_q(q) if v is None else (both.from_q(q), both.from_v(q, v))
+
+
+def _check_library(library: Library, model: Any) -> None:
+    if _library_of(model) is not library:
+        raise InputError(
+            f"model is {type(model).__name__}; it must be a {library.model} of {library.name}"
+        )
+
+
+@explained
+def to_pinocchio(system: Model, q: Any, model: Any, v: ArrayLike | None = None) -> Any:
+    """A configuration (..., nq) in the numbers of a Pinocchio model; with `v` (..., nv) a pair of it
+    and the velocity.
+
+    Quaternions become x, y, z, w, angles of continuous joints cosine and sine, the linear velocity
+    of a free base one along its own axes, and followers have their values where they are joints of
+    the model. For Jacobians, and for many calls, see `Correspondence`. Errors: `InputError` that
+    names joints without a counterpart.
+
+    >>> import kempe
+    >>> from types import SimpleNamespace
+    >>> hinge = {"idx_q": 0, "idx_v": 0, "nq": 2, "nv": 1, "shortname": lambda: "JointModelRUBZ"}
+    >>> model = SimpleNamespace(
+    ...     nq=2, nv=1, names=["universe", "q1"], joints=[None, SimpleNamespace(**hinge)]
+    ... )
+    >>> wheel = kempe.Mechanism("wheel")
+    >>> joint = wheel.revolute("q1", wheel.ground, wheel.body("disc"))
+    >>> kempe.convert.to_pinocchio(wheel.build(), [0.0], model)
+    array([1., 0.])
+    """
+    return _to(PINOCCHIO, system, q, model, v)
+
+
+@explained
+def from_pinocchio(
+    system: Model, q: ArrayLike, model: Any, v: ArrayLike | None = None, tolerance: float = FIT
+) -> Any:
+    """The configuration (..., nq) that one of a Pinocchio model is; with `v` a pair of it and the
+    velocity.
+
+    Errors: `InputError` for joints without a counterpart, and with the numbers for followers, locked
+    and fixed joints that do not fit within `tolerance`.
+    """
+    return _from(PINOCCHIO, system, q, model, v, tolerance)
+
+
+@explained
+def to_mujoco(system: Model, q: Any, model: Any, v: ArrayLike | None = None) -> Any:
+    """A configuration (..., nq) as the `qpos` of a MuJoCo model (an MjModel); with `v` (..., nv) a
+    pair of it and the `qvel`.
+
+    Several joints of one body are found by the body that the joint here moves. For Jacobians, and
+    for many calls, see `Correspondence`. Errors: `InputError` that names joints without a
+    counterpart.
+    """
+    return _to(MUJOCO, system, q, model, v)
+
+
+@explained
+def from_mujoco(
+    system: Model, q: ArrayLike, model: Any, v: ArrayLike | None = None, tolerance: float = FIT
+) -> Any:
+    """The configuration (..., nq) that a `qpos` of a MuJoCo model is; with its `qvel` as `v` a pair
+    of it and the velocity.
+
+    Errors: as of `from_pinocchio`. MuJoCo holds followers by springs, so that they may need a larger
+    `tolerance`.
+    """
+    return _from(MUJOCO, system, q, model, v, tolerance)
+
+
+# ---- messages
+
+
+@explained
+def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = None) -> Any:
+    """The message JointState of ROS, filled with names, positions and, with `v` (nv,), velocities
+    of one configuration.
+
+    Names that the message has are kept in their order; else they are all coordinates, followers,
+    too. Joints with a quaternion have no place in it: a free base is sent as the pose of
+    its body.
+    Errors: `UnknownNameError` for a name of the message that is no coordinate.
+    """
+    q = one(system, q)
+    laws = {name: Follower(name, 1.0, 0.0) for name in system.coordinate_names}
+    laws |= system.structure.couplings
+    known = [n for joint in system.structure.joints.values() for n in _single(system, joint)]
+    names = [str(n) for n in message.name] or known
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("coordinate", name, known, system.name)
+    message.name = names
+    message.position = _followed(system.coordinate_names, q, [laws[n] for n in names])
+    if v is not None:
+        rates = numbers(v, "v", system.nv)
+        still = [replace(laws[n], offset=0.0) for n in names]
+        message.velocity = _followed(system.structure.velocity_names, rates, still)
+    return message
+
+
+def _single(system: Model, joint: Joint) -> list[str]:
+    """The coordinates of a joint, which have velocities of the same names; none of one that has a
+    quaternion.
+    """
+    ours = _ours(system, joint)
+    return [] if BALL in ours.kinds else [name for _, (name,) in ours.parts]
+
+
+def _followed(names: Sequence[str], x: Array, laws: list[Follower]) -> list[float]:
+    """What laws give, as plain numbers, with the values of coordinates by name."""
+    value: dict[str | None, float] = dict(zip(names, x.tolist(), strict=True))
+    return [law.multiplier * value.get(law.source, 0.0) + law.offset for law in laws]
+
+
+@explained
+def from_joint_state(
+    system: Model, message: Any, base: ArrayLike | None = None, velocity: bool = False
+) -> Any:
+    """The configuration (nq,) that a message JointState says; with `velocity` a pair of it and the
+    velocity (nv,).
+
+    What it does not name is neutral, or as in `base`, and at rest. `System.q` takes messages, too.
+    Errors: `UnknownNameError`; `InputError` for followers that do not fit, with the numbers.
+    """
+    q = q_from_dict(system, message, base)
+    if not velocity:
+        return q
+    names = [str(n) for n in message.name]
+    rates = reals(list(message.velocity), "velocity of the message")
+    if rates.shape != (len(names),):
+        raise InputError(f"the message has {len(names)} names and {rates.size} velocities")
+    index = {name: k for k, name in enumerate(system.structure.velocity_names)}
+    v = np.zeros(system.nv)
+    for name, rate in zip(names, rates, strict=True):
+        if name in index:
+            v[index[name]] = rate
+    for name, rate in zip(names, rates, strict=True):
+        law = system.structure.couplings.get(name)
+        if law is not None:
+            wanted = law.multiplier * v[index[law.source]] if law.source else 0.0
+            refuse_misfit(f"the velocity of {name!r}", law, rate, wanted)
+    return q, v
