@@ -304,11 +304,53 @@ def test_joints_without_a_counterpart_are_named():
     free = kempe.load(text, base="free")
     with pytest.raises(InputError, match="joint 'base' is not in the Pinocchio model"):
         convert.from_pinocchio(free, [0.0, 0.3], model)
+    base = free.random(4)
+    at = convert.from_pinocchio(free, [0.0, 0.3], model, base=base)
+    np.testing.assert_array_equal(at, [*base[:7], 0.0])
     m = Mechanism("balls")
     for name in "ab":
         m.spherical(name, m.ground, m.body(f"body {name}"))
     with pytest.raises(InputError, match="joint 'a' has 4 coordinates, and 1 number in the Pino"):
         convert.to_pinocchio(m.build(), m.build().neutral, model)
+
+
+def test_a_robot_among_other_bodies():
+    """The others stay as they are in `base`, and at rest."""
+    mujoco = pytest.importorskip("mujoco")
+    ball = '<worldbody><body name="ball"><freejoint/><geom size="1"/></body>'
+    model = mujoco.MjModel.from_xml_string(MJCF.replace("<worldbody>", ball))
+    robot = cart()
+    q = robot.random(3, 2)
+    v = np.ones((2, robot.nv))
+    with pytest.raises(
+        InputError, match="without a name, of body 'ball', of the MuJoCo model is no"
+    ):
+        convert.to_mujoco(robot, q, model)
+    base = np.arange(float(model.nq))
+    at, rate = convert.to_mujoco(robot, q, model, v, base=base)
+    plain, rates = convert.to_mujoco(robot, q, mujoco.MjModel.from_xml_string(MJCF), v)
+    np.testing.assert_array_equal(at, np.concatenate([[base[:7]] * 2, plain], axis=-1))
+    np.testing.assert_array_equal(rate, np.concatenate([np.zeros((2, 6)), rates], axis=-1))
+    back, again = convert.from_mujoco(robot, at, model, rate, base=robot.neutral)
+    there = robot.configuration_space.difference(q, back)
+    np.testing.assert_allclose(there, 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again, v, rtol=0, atol=1e-12)
+    both = Correspondence(robot, model, partial=True)
+    J = np.ones((6, robot.nv))
+    assert not both.to_jacobian(q[0], J)[:, :6].any()
+    with pytest.raises(
+        InputError, match="base is None; it must be a configuration of the MuJoCo m"
+    ):
+        both.to_q(q)
+    less = Mechanism("only the lid")
+    less.revolute("lid", less.ground, less.body("eye"))
+    q = convert.to_mujoco(less.build(), [0.5], model, base=base)
+    assert (q != base).sum() == 1 and 0.5 in q
+    assert convert.from_mujoco(less.build(), q, model, base=[0.0]) == 0.5
+    wrong = Mechanism("wrong")
+    wrong.spherical("lid", wrong.ground, wrong.body("eye"))
+    with pytest.raises(InputError, match="joint 'lid' has 4 coordinates, and 1 number in the MuJo"):
+        convert.to_mujoco(wrong.build(), [1.0, 0, 0, 0], model, base=base)
 
 
 def test_what_is_no_model_and_no_configuration_is_refused():

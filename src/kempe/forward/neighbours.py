@@ -190,12 +190,12 @@ def _fit(ours: Ours, places: list[Place]) -> bool:
 
 
 def _pairs(
-    system: Model, theirs: Iterable[Theirs], library: Library
+    system: Model, theirs: Iterable[Theirs], library: Library, partial: bool
 ) -> list[tuple[Ours, list[Place]]]:
     """The joints of the system with the numbers of their counterparts: a joint of that name, or all
     joints of the body that it moves, or the only one of its kind that is left on both sides.
 
-    Errors: `InputError` that names those without a counterpart.
+    Errors: `InputError` that names those without a counterpart, unless `partial`.
     """
     ours = [_ours(system, j) for j in system.structure.joints.values()]
     left = [t for t in theirs if t.places]
@@ -220,15 +220,20 @@ def _pairs(
                 pairs.append((mine, places))
                 ours.remove(mine)
                 left = [t for t in left if t not in found]
-    _refuse_alone(system, ours, left, library)
+    _refuse_alone(system, ours, left, library, partial)
     return pairs
 
 
-def _refuse_alone(system: Model, ours: list[Ours], theirs: list[Theirs], library: Library) -> None:
-    """Refuse, with an `InputError`, joints that move and have no counterpart."""
+def _refuse_alone(
+    system: Model, ours: list[Ours], theirs: list[Theirs], library: Library, partial: bool
+) -> None:
+    """Refuse, with an `InputError`, joints that move and have no counterpart; if `partial`, only
+    those of one name that do not correspond.
+    """
     followers = system.structure.couplings
     moving = [m for m in ours if any(n not in followers for _, part in m.parts for n in part)]
     size = {t.name: sum(WIDTH[p.kind] for p in t.places) for t in theirs}
+    here = {m.joint.name for m in moving}
     said: list[str] = []
     for mine in moving:
         name = mine.joint.name
@@ -238,18 +243,18 @@ def _refuse_alone(system: Model, ours: list[Ours], theirs: list[Theirs], library
                 f"joint {name!r} has {counted(n, 'coordinate')}, and {counted(size[name], 'number')} "
                 f"in the {library.name} model: these do not correspond"
             )
-            continue
-        loop = name in system.structure.closures
-        hint = "it closes a loop: see opened()" if loop else "where it is fixed there, lock it"
-        said.append(f"joint {name!r} is not in the {library.name} model ({hint})")
-    here = {m.joint.name for m in moving}
+        elif not partial:
+            loop = name in system.structure.closures
+            hint = "it closes a loop: see opened()" if loop else "where it is fixed there, lock it"
+            said.append(f"joint {name!r} is not in the {library.name} model ({hint})")
     for t in theirs:
-        if t.name not in here:
+        if not partial and t.name not in here:
             name = f"{t.name!r}" if t.name else f"without a name, of body {t.body!r},"
             said.append(f"joint {name} of the {library.name} model is not in {system.name!r}")
     if said:
         more = f"; {len(said) - SHOWN} more" if len(said) > SHOWN else ""
-        raise InputError("; ".join(said[:SHOWN]) + more)
+        hint = "" if partial else ". With base=... only joints of both are converted"
+        raise InputError("; ".join(said[:SHOWN]) + more + hint)
 
 
 # ---- the correspondence
@@ -290,10 +295,14 @@ class Correspondence:
     within `tolerance`, in radians or metres, and relative to 1 and the number. All arrays may have
     leading axes. Placements are not compared: the two must be of one description.
 
+    Joints without a counterpart are refused by name. With `partial` those on both sides are
+    converted alone, such as those of a robot among other bodies: the others are as in a
+    configuration `base` of the side that is asked for, and at rest.
+
     Errors: `InputError` that names joints without a counterpart, and followers that do not fit.
     """
 
-    def __init__(self, system: Model, model: Any, tolerance: float = FIT):
+    def __init__(self, system: Model, model: Any, tolerance: float = FIT, partial: bool = False):
         library = _library_of(model)
         self.system = system
         self.library = library.name
@@ -305,7 +314,7 @@ class Correspondence:
         self._rates: list[Entry] = []
         self._turned: list[Turned] = []
         self._begins: list[tuple[Place, Place, Array]] = []
-        for ours, places in _pairs(system, library.joints(model), library):
+        for ours, places in _pairs(system, library.joints(model), library, partial):
             self._add(ours, places)
             if library.free_on_ground and ours.kinds == 3 * NUMBER + BALL:
                 self._add_begin(ours.joint, places)
@@ -393,6 +402,7 @@ class Correspondence:
         self._balls = whole(
             k for k, e in enumerate(entries) if e.kind == BALL and e.name.endswith("qw")
         )
+        self._whole = len(entries) + len(self._angles)
         self._rate_at = whole(e.at for e in rates)
         self._rate_source = whole(e.source for e in rates)
         self._rate_own = whole(k for k, e in enumerate(rates) if e.follower is None)
@@ -403,10 +413,19 @@ class Correspondence:
 
     # ---- configurations
 
-    def to_q(self, q: Any) -> Array:
-        """The configuration (..., nq of the model) that one of the system is."""
+    def to_q(self, q: Any, base: ArrayLike | None = None) -> Array:
+        """The configuration (..., nq of the model) that one of the system is; with `partial`, all
+        else as in `base`, one of the model.
+        """
         values = self._values(as_q(self.system, q))
-        out = np.zeros((*values.shape[:-1], self.nq))
+        if base is None and self._whole < self.nq:
+            raise InputError(
+                f"base is None; it must be a configuration of the {self.library} model, for "
+                f"{self.system.name!r} has {self._whole} of its {self.nq} numbers"
+            )
+        start = np.zeros(self.nq) if base is None else numbers(base, "base", self.nq)
+        lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
+        out = np.broadcast_to(start, (*lead, self.nq)).copy()
         out[..., self._at] = values
         if self._angles.size:
             at = self._at[self._angles]
@@ -417,10 +436,14 @@ class Correspondence:
             self._move(out, slides, ball, X)
         return out
 
-    def from_q(self, q: ArrayLike) -> Array:
-        """The configuration (..., nq) of the system that one of the model is."""
+    def from_q(self, q: ArrayLike, base: Any = None) -> Array:
+        """The configuration (..., nq) of the system that one of the model is; with `partial`, all
+        else as in `base`, one of the system, or neutral.
+        """
         values = self._read(q)
-        out = np.broadcast_to(self.system.neutral, (*values.shape[:-1], self.system.nq)).copy()
+        start = self.system.neutral if base is None else as_q(self.system, base)
+        lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
+        out = np.broadcast_to(start, (*lead, self.system.nq)).copy()
         out[..., self._source_of[self._own]] = values[..., self._own]
         self._count_turns(out, values)
         wanted = self._values(out)
@@ -434,7 +457,7 @@ class Correspondence:
         """Add to angles that are known by cosine and sine, in place, the whole turns that a follower
         of theirs tells.
         """
-        angles = {self._entries[k].source for k in self._angles if k in self._own}
+        angles = {e.source for e in self._entries if e.kind == CIRCLE and e.follower is None}
         for k, e in enumerate(self._entries):
             if e.follower is not None and e.kind != CIRCLE and e.source in angles:
                 angle = (values[..., k] - e.follower.offset) / e.follower.multiplier
@@ -571,16 +594,20 @@ def _check_columns(J: Array, nv: int) -> None:
 # ---- one call each
 
 
-def _to(library: Library, system: Model, q: Any, model: Any, v: Any) -> Any:
+def _to(library: Library, system: Model, q: Any, model: Any, v: Any, base: Any) -> Any:
     _check_library(library, model)
-    both = Correspondence(system, model)
-    return both.to_q(q) if v is None else (both.to_q(q), both.to_v(q, v))
+    both = Correspondence(system, model, partial=base is not None)
+    at = both.to_q(q, base)
+    return at if v is None else (at, both.to_v(q, v))
 
 
-def _from(library: Library, system: Model, q: Any, model: Any, v: Any, tolerance: float) -> Any:
+def _from(
+    library: Library, system: Model, q: Any, model: Any, v: Any, base: Any, tolerance: float
+) -> Any:
     _check_library(library, model)
-    both = Correspondence(system, model, tolerance)
-    return both.from_q(q) if v is None else (both.from_q(q), both.from_v(q, v))
+    both = Correspondence(system, model, tolerance, partial=base is not None)
+    at = both.from_q(q, base)
+    return at if v is None else (at, both.from_v(q, v))
 
 
 def _check_library(library: Library, model: Any) -> None:
@@ -591,13 +618,20 @@ def _check_library(library: Library, model: Any) -> None:
 
 
 @explained
-def to_pinocchio(system: Model, q: Any, model: Any, v: ArrayLike | None = None) -> Any:
+def to_pinocchio(
+    system: Model,
+    q: Any,
+    model: Any,
+    v: ArrayLike | None = None,
+    base: ArrayLike | None = None,
+) -> Any:
     """A configuration (..., nq) in the numbers of a Pinocchio model; with `v` (..., nv) a pair of it
     and the velocity.
 
     Quaternions become x, y, z, w, angles of continuous joints cosine and sine, the linear velocity
     of a free base one along its own axes, and followers have their values where they are joints of
-    the model. For Jacobians, and for many calls, see `Correspondence`. Errors: `InputError` that
+    the model. With `base`, a configuration of the model, joints that only one side has are as there,
+    and at rest. For Jacobians, and for many calls, see `Correspondence`. Errors: `InputError` that
     names joints without a counterpart.
 
     >>> import kempe
@@ -611,45 +645,62 @@ def to_pinocchio(system: Model, q: Any, model: Any, v: ArrayLike | None = None) 
     >>> kempe.convert.to_pinocchio(wheel.build(), [0.0], model)
     array([1., 0.])
     """
-    return _to(PINOCCHIO, system, q, model, v)
+    return _to(PINOCCHIO, system, q, model, v, base)
 
 
 @explained
 def from_pinocchio(
-    system: Model, q: ArrayLike, model: Any, v: ArrayLike | None = None, tolerance: float = FIT
+    system: Model,
+    q: ArrayLike,
+    model: Any,
+    v: ArrayLike | None = None,
+    base: Any = None,
+    tolerance: float = FIT,
 ) -> Any:
     """The configuration (..., nq) that one of a Pinocchio model is; with `v` a pair of it and the
     velocity.
 
-    Errors: `InputError` for joints without a counterpart, and with the numbers for followers, locked
+    With `base`, a configuration of the system, joints that only one side has are as there, and at
+    rest. Errors: `InputError` for joints without a counterpart, and with the numbers for followers, locked
     and fixed joints that do not fit within `tolerance`.
     """
-    return _from(PINOCCHIO, system, q, model, v, tolerance)
+    return _from(PINOCCHIO, system, q, model, v, base, tolerance)
 
 
 @explained
-def to_mujoco(system: Model, q: Any, model: Any, v: ArrayLike | None = None) -> Any:
+def to_mujoco(
+    system: Model,
+    q: Any,
+    model: Any,
+    v: ArrayLike | None = None,
+    base: ArrayLike | None = None,
+) -> Any:
     """A configuration (..., nq) as the `qpos` of a MuJoCo model (an MjModel); with `v` (..., nv) a
     pair of it and the `qvel`.
 
-    Several joints of one body are found by the body that the joint here moves. For Jacobians, and
-    for many calls, see `Correspondence`. Errors: `InputError` that names joints without a
-    counterpart.
+    Several joints of one body are found by the body that the joint here moves. With `base`, a
+    `qpos`, joints that only one side has are as there, and at rest. For Jacobians, and for many
+    calls, see `Correspondence`. Errors: `InputError` that names joints without a counterpart.
     """
-    return _to(MUJOCO, system, q, model, v)
+    return _to(MUJOCO, system, q, model, v, base)
 
 
 @explained
 def from_mujoco(
-    system: Model, q: ArrayLike, model: Any, v: ArrayLike | None = None, tolerance: float = FIT
+    system: Model,
+    q: ArrayLike,
+    model: Any,
+    v: ArrayLike | None = None,
+    base: Any = None,
+    tolerance: float = FIT,
 ) -> Any:
     """The configuration (..., nq) that a `qpos` of a MuJoCo model is; with its `qvel` as `v` a pair
     of it and the velocity.
 
-    Errors: as of `from_pinocchio`. MuJoCo holds followers by springs, so that they may need a larger
-    `tolerance`.
+    `base` and errors are as of `from_pinocchio`. MuJoCo holds followers by springs, so that they may
+    need a larger `tolerance`.
     """
-    return _from(MUJOCO, system, q, model, v, tolerance)
+    return _from(MUJOCO, system, q, model, v, base, tolerance)
 
 
 # ---- messages
