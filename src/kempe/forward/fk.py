@@ -458,7 +458,8 @@ def jacobian(
     time derivatives of `q`, and for a quaternion the angular velocity in the turned axes. Source:
     Featherstone, 2008, section 2.8. Errors: as `fk`.
     """
-    return _query(system, frame).jacobian(q, in_frame, threads=threads)
+    of_frame = _query(system, frame)
+    return of_frame.jacobian(q, in_frame, threads=threads)
 
 
 # ---- checks of arguments

@@ -14,16 +14,14 @@ from kempe import spatial
 from kempe.answers.targets import axis_for, task_and_axis, task_of
 from kempe.arguments import explained, listed
 from kempe.errors import UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
+from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, motion, sweep
 from kempe.inverse.closed_forms.plan import (
     ChainPlan,
     carried_lines,
     free_lines,
     freedoms,
-    motion,
     plan_for,
     spread,
-    sweep,
 )
 from kempe.inverse.closed_forms.question import held
 from kempe.inverse.closed_forms.structure import (

@@ -16,8 +16,8 @@ import numpy as np
 
 from kempe.arguments import listed
 from kempe.errors import InputError, UnknownNameError
-from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.closed_forms.plan import ChainPlan, sweep
+from kempe.inverse.closed_forms.chain_lines import Lines, sweep
+from kempe.inverse.closed_forms.plan import ChainPlan
 from kempe.inverse.closed_forms.structure import EXACT, Axes, keeps_point, meets, parallel
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.spatial import Array

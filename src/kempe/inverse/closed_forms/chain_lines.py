@@ -1,5 +1,5 @@
 """A chain as lines: its joint axes in ground axes at the reference configuration, and the pose of
-its tip there.
+its tip there; where joints move both.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe import spatial
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.errors import UnsupportedError
 from kempe.inverse.chain.length_bounds import Span, evened
@@ -232,3 +233,51 @@ def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> 
     tip = lines.tip.copy()
     tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
     return replace(lines, tip=tip)
+
+
+# ---- motions of lines
+
+
+def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
+    """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
+    m, n = theta.shape
+    h = np.empty((m, n, 3))
+    o = np.empty((m, n, 3))
+    R = np.broadcast_to(np.eye(3), (m, 3, 3))
+    p = np.zeros((m, 3))
+    K = spatial.skew(lines.h)
+    turns = (lines.kinds != SLIDE)[:, None, None]
+    s = np.sin(theta)[..., None, None]
+    c = np.cos(theta)[..., None, None]
+    E = np.where(turns, np.eye(3) + s * K + (1.0 - c) * (K @ K), np.eye(3))
+    shift = np.where(
+        turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h
+    )
+    for i in range(n):
+        h[:, i], o[:, i] = R @ lines.h[i], R @ lines.o[i] + p
+        p = p + np.einsum("mij,mj->mi", R, shift[:, i])
+        R = R @ E[:, i]
+    T = np.zeros((m, 4, 4))
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ lines.tip[:3, :3], R @ lines.tip[:3, 3] + p, 1.0
+    return T, h, o
+
+
+def jacobians(lines: Lines, theta: Array) -> Array:
+    """Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
+    T, h, o = sweep(lines, theta)
+    slides = (lines.kinds == SLIDE)[:, None]
+    v = np.where(slides, h, np.cross(h, T[:, None, :3, 3] - o))
+    w = np.where(slides, 0.0, h)
+    back = np.swapaxes(T[:, :3, :3], 1, 2)
+    return np.concatenate([back @ np.swapaxes(v, 1, 2), back @ np.swapaxes(w, 1, 2)], axis=1)
+
+
+def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
+    """Pose (4, 4) of a turn about a line or a slide along it."""
+    X = np.eye(4)
+    if kind == SLIDE:
+        X[:3, 3] = theta * h
+        return X
+    X[:3, :3] = spatial.exp_so3(theta * h)
+    X[:3, 3] = o - X[:3, :3] @ o
+    return X
