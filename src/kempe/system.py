@@ -355,10 +355,14 @@ class System(Model, Pictured):
         return fk(self, q, frame, out, threads, form, dtype, relative_to)
 
     def jacobian(
-        self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
+        self,
+        q: Any,
+        frame: FrameLike | list[Any] | tuple[Any, ...],
+        in_frame: str = "world_aligned",
+        threads: int | None = None,
     ) -> Array:
-        """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see
-        `kempe.forward.fk.jacobian`.
+        """Jacobian (..., 6, nv), rows [linear; angular], of one frame, (..., k, 6, nv) of several;
+        see `kempe.forward.fk.jacobian`.
         """
         query = self._queries.get(frame) if frame.__class__ is str else None
         if query is not None and q.__class__ is np.ndarray:

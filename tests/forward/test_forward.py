@@ -152,6 +152,25 @@ def test_batches_of_jacobians(graph: Graph, seed):
             np.testing.assert_allclose(single[1], J[i], rtol=0, atol=1e-13)
 
 
+@given(graph=graphs(most=8), seed=st.integers(0, 10**6))
+@settings(max_examples=examples(20))
+def test_jacobians_of_several_frames(graph: Graph, seed):
+    """They are those of each frame, in the order of the list, which may be empty."""
+    s = graph.mechanism().build()
+    q = s.random(seed, (2, 3))
+    names = list(s.frame_names[::-1])
+    for frame in FRAMES:
+        J = s.jacobian(q, names, frame)
+        assert J.shape == (2, 3, len(names), 6, s.nv)
+        for k, name in enumerate(names):
+            np.testing.assert_array_equal(J[:, :, k], s.jacobian(q, name, frame))
+        np.testing.assert_array_equal(s.jacobian(q, tuple(names), frame, threads=2), J)
+        np.testing.assert_allclose(s.jacobian(q[1, 2], names, frame), J[1, 2], rtol=0, atol=1e-13)
+    assert s.jacobian(q, []).shape == (2, 3, 0, 6, s.nv)
+    by_name = s.jacobian(s.q_dict(q[0, 0]), names)
+    np.testing.assert_array_equal(by_name, s.jacobian(q[0, 0], names))
+
+
 def test_the_lectures_jacobian():
     """Planar arm of two links: the derivative of l1 cos q1 + l2 cos(q1 + q2), written out."""
     m = Mechanism("two-link", dim=2)
@@ -316,6 +335,8 @@ def test_unknown_names():
                 ask(s.neutral, wrong)
     with pytest.raises(UnknownNameError, match="arm has no frame 'tol'"):
         s.fk(s.neutral, ["tool", "tol"])
+    with pytest.raises(UnknownNameError, match="arm has no frame 'tol'"):
+        s.jacobian(s.neutral, ["tool", "tol"])
     for wrong in (3, {"tool"}, np.zeros(3)):
         for ask in (
             partial(s.query, wrong),

@@ -254,7 +254,7 @@ class Whole:
                 f"the Jacobian of {self.label}",
             ).reshape(shape)
         poses = np.stack(self._inputs(q))
-        columns = np.stack([frame_jacobian(self.system, q, f) for f in self.frames])
+        columns = frame_jacobian(self.system, q, self.frames)
         moving = np.flatnonzero(columns.any(axis=(0, 1)))
         if len(moving) > 6 * len(self.frames):
             scale = np.tile(np.repeat([characteristic_length(self.system), 1.0], 3), len(poses))

@@ -445,21 +445,29 @@ def fk(
 def jacobian(
     system: Model,
     q: Any,
-    frame: FrameLike,
+    frame: FrameLike | list[Any] | tuple[Any, ...],
     in_frame: str = "world_aligned",
     threads: int | None = None,
 ) -> Array:
     """Jacobian (..., 6, nv) of a frame: twist [v; w] of the frame = J times the velocity
     coordinates.
 
-    `in_frame` says where the twist is read: "world_aligned" (velocity of the frame's origin, axes
-    of the ground), "world" (velocity of the point that is at the ground's origin, axes of the
-    ground) or "body" (velocity of the frame's origin, axes of the frame). Velocity coordinates are
-    time derivatives of `q`, and for a quaternion the angular velocity in the turned axes. Source:
-    Featherstone, 2008, section 2.8. Errors: as `fk`.
+    A list of frames gives (..., k, 6, nv) in their order. `in_frame` says where the twist is read:
+    "world_aligned" (velocity of the frame's origin, axes of the ground), "world" (velocity of the
+    point that is at the ground's origin, axes of the ground) or "body" (velocity of the frame's
+    origin, axes of the frame). Velocity coordinates are time derivatives of `q`, and for a
+    quaternion the angular velocity in the turned axes. Source: Featherstone, 2008, section 2.8.
+    Errors: as `fk`.
     """
-    of_frame = _query(system, frame)
-    return of_frame.jacobian(q, in_frame, threads=threads)
+    if not isinstance(frame, (list, tuple)):
+        of_frame = _query(system, frame)
+        return of_frame.jacobian(q, in_frame, threads=threads)
+    of_frames = [_query(system, system.structure.frame_name(f)) for f in frame]
+    q = as_q(system, q)
+    out = np.empty((*q.shape[:-1], len(of_frames), 6, system.nv))
+    for k, of_frame in enumerate(of_frames):
+        out[..., k, :, :] = of_frame.jacobian(q, in_frame, threads=threads)
+    return out
 
 
 # ---- checks of arguments
