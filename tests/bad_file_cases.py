@@ -990,3 +990,280 @@ MJCF_CASES = [
 ]
 """MuJoCo's compiler runs for each of them, so each is read in one encoding."""
 MJCF_CASES = [replace(case, suffix=".mjcf", any_encoding=False) for case in MJCF_CASES]
+
+
+def sdf(*lines: str, version: str = "1.9") -> str:
+    """An SDF text with a model; the given lines come after its links, on lines 5, 6, ..."""
+    links = '<link name="base"/><link name="arm"/>\n<link name="hand"/>\n'
+    inside = links + "".join(f"{line}\n" for line in lines)
+    return f'<sdf version="{version}">\n<model name="m">\n{inside}</model>\n</sdf>\n'
+
+
+AXIS = "<axis><xyz>0 0 1</xyz></axis>"
+
+
+def sdf_joint(
+    name: str = "elbow",
+    inside: str = AXIS,
+    kind: str = "revolute",
+    parent: str = "base",
+    child: str = "arm",
+) -> str:
+    """A <joint> of SDF on one line."""
+    ends = f"<parent>{parent}</parent><child>{child}</child>"
+    return f'<joint name="{name}" type="{kind}">{ends}{inside}</joint>'
+
+
+def sdf_axis(inside: str) -> str:
+    """A joint with this axis."""
+    return sdf_joint(inside=f"<axis>{inside}</axis>")
+
+
+SDF_CASES = [
+    Case(
+        "an external entity in a DTD",
+        '<!DOCTYPE sdf [<!ENTITY x SYSTEM "file:///etc/passwd">]>\n' + sdf(),
+        ("DTD", "remove it"),
+        1,
+    ),
+    Case("an entity that nobody declared", sdf('<link name="&x;"/>'), ("entity", "&amp;"), 5),
+    Case("a file that ends too soon", sdf()[:-20], ("the file ends inside", "truncated"), 4),
+    Case("a file that is no SDF", "<robot/>", ("<robot>: it is a file in URDF", "<sdf"), 1),
+    Case("no version", "<sdf><model/></sdf>", ("it has no version", "from 1.2 to 1.12"), 1),
+    Case("a version to come", sdf(version="1.13"), ("version is '1.13'", "from 1.2 to 1.12"), 1),
+    Case("a version that is none", sdf(version="new"), ("version is 'new'", "must be one"), 1),
+    Case("no model", "<sdf version='1.9'/>", ("no model in this file", "<model>"), 1),
+    Case(
+        "a model without links",
+        '<sdf version="1.9"><model name="m"/></sdf>',
+        ("no link in this file", "at least one <link"),
+        1,
+    ),
+    Case(
+        "two models",
+        '<sdf version="1.9"><model name="a"/>\n<model name="b"/></sdf>',
+        ("0 worlds and 2 models", "choose one by model=: 'a', 'b'"),
+        2,
+    ),
+    Case(
+        "a pose of five numbers",
+        sdf('<frame name="f"><pose>1 2 3 4 5</pose></frame>'),
+        ("frame 'f'", "pose is '1 2 3 4 5': 5 numbers", "6 finite numbers"),
+        5,
+    ),
+    Case(
+        "not a number in a pose",
+        sdf('<frame name="f"><pose>nan 0 0 0 0 0</pose></frame>'),
+        ("frame 'f'", "'nan' is not finite"),
+        5,
+    ),
+    Case(
+        "a comma for the decimal point",
+        sdf('<frame name="f"><pose>0 0 1,5 0 0 0</pose></frame>'),
+        ("decimals take a point: 1.5",),
+        5,
+    ),
+    Case(
+        "a quaternion of zeros",
+        sdf('<frame name="f"><pose rotation_format="quat_xyzw">0 0 0 0 0 0 0</pose></frame>'),
+        ("frame 'f'", "quaternion", "not zero"),
+        5,
+    ),
+    Case(
+        "an unknown format of a rotation",
+        sdf('<frame name="f"><pose rotation_format="rpy">0 0 0 0 0 0</pose></frame>'),
+        ("rotation_format is 'rpy'", "euler_rpy or quat_xyzw"),
+        5,
+    ),
+    Case(
+        "a switch that is neither true nor false",
+        sdf('<frame name="f"><pose degrees="yes">0 0 0 0 0 0</pose></frame>'),
+        ("degrees is 'yes'", "must be true or false"),
+        5,
+    ),
+    Case(
+        "a pose relative to a missing frame",
+        sdf('<frame name="f"><pose relative_to="hnad">0 0 0 0 0 0</pose></frame>'),
+        ("frame 'f'", "relative_to is 'hnad', which is no frame of model 'm'", "'hand'"),
+        5,
+    ),
+    Case(
+        "frames that sit on one another",
+        sdf('<frame name="f" attached_to="g"/>', '<frame name="g" attached_to="f"/>'),
+        ("is attached to itself", "the first one to a link"),
+        5,
+    ),
+    Case(
+        "poses that are relative to one another",
+        sdf(
+            '<link name="x"><pose relative_to="y"/></link>',
+            '<link name="y"><pose relative_to="x"/></link>',
+        ),
+        ("relative to itself: 'x' -> 'y' -> 'x'", "the first one on the model"),
+        5,
+    ),
+    Case(
+        "two links of one name",
+        sdf('<link name="arm"/>'),
+        ("link 'arm'", "another link of this name", "file.sdf:3", "unique"),
+        5,
+    ),
+    Case(
+        "a frame with the name of a link",
+        sdf('<frame name="arm"/>'),
+        ("frame 'arm'", "another link of this name", "unique"),
+        5,
+    ),
+    Case("a link without a name", sdf("<link/>"), ("a link has no name", "name of its own"), 5),
+    Case("a reserved name", sdf('<link name="world"/>'), ("'world' is reserved", "rename it"), 5),
+    Case(
+        "a name with '::'",
+        sdf('<link name="a::b"/>'),
+        ("its name 'a::b' holds '::'", "rename it"),
+        5,
+    ),
+    Case(
+        "a joint to a missing link",
+        sdf(sdf_joint(child="amr")),
+        ("joint 'elbow'", "its child is 'amr'", "did you mean 'arm'"),
+        5,
+    ),
+    Case(
+        "a joint without an end",
+        sdf('<joint name="j" type="fixed"><parent>base</parent></joint>'),
+        ("joint 'j'", "it has no <child>", "names its parent and its child"),
+        5,
+    ),
+    Case(
+        "a joint to the world from a link",
+        sdf(sdf_joint(child="world")),
+        ("its child is the world", "only be the parent"),
+        5,
+    ),
+    Case(
+        "a joint from a link to itself",
+        sdf(sdf_joint(child="base")),
+        ("connects 'base' to itself", "two links"),
+        5,
+    ),
+    Case(
+        "an unknown type of a joint",
+        sdf(sdf_joint(kind="revolut")),
+        ("unknown type 'revolut'", "did you mean 'revolute'"),
+        5,
+    ),
+    Case(
+        "a joint without an axis",
+        sdf(sdf_joint(inside="")),
+        ("a revolute joint has no <axis>", "write <axis>"),
+        5,
+    ),
+    Case(
+        "an axis of zeros",
+        sdf(sdf_axis("<xyz>0 0 0</xyz>")),
+        ("its axis is '0 0 0'", "must not be zero"),
+        5,
+    ),
+    Case(
+        "an axis expressed in a missing frame",
+        sdf(sdf_axis("<xyz expressed_in='f'>0 0 1</xyz>")),
+        ("expressed_in is 'f', which is no frame",),
+        5,
+    ),
+    Case(
+        "swapped limits",
+        sdf(sdf_axis("<xyz>0 0 1</xyz><limit><lower>1</lower><upper>-1</upper></limit>")),
+        ("limits are swapped: lower 1, upper -1", "must not be above", "lenient_limits=True"),
+        5,
+    ),
+    Case(
+        "a slip in the name of an element",
+        sdf(sdf_joint(inside="<axs><xyz>0 0 1</xyz></axs>", kind="ball")),
+        ("unknown element 'axs'; did you mean 'axis'",),
+        5,
+    ),
+    Case(
+        "a slip in the name of an attribute",
+        sdf('<frame name="f" atached_to="arm"/>'),
+        ("unknown attribute 'atached_to'; did you mean 'attached_to'",),
+        5,
+    ),
+    Case(
+        "two axes of one joint",
+        sdf(sdf_joint(inside=AXIS + "<axis><xyz>1 0 0</xyz></axis>")),
+        ("two <axis> elements", "one is allowed"),
+        5,
+    ),
+    Case(
+        "a mimic of a missing joint",
+        sdf(
+            sdf_joint(),
+            sdf_joint("wrist", AXIS[:-7] + "<mimic joint='elbw'/></axis>", child="hand"),
+        ),
+        ("joint 'wrist'", "mimics joint 'elbw', which does not exist", "'elbow'"),
+        6,
+    ),
+    Case(
+        "a negative mass",
+        sdf('<link name="x"><inertial><mass>-1</mass></inertial></link>'),
+        ("mass is -1", "must not be negative"),
+        5,
+    ),
+    Case(
+        "an included model of the internet",
+        sdf("<include><uri>https://fuel.gazebosim.org/x</uri></include>"),
+        ("it is not on this machine", "download the model"),
+        5,
+    ),
+    Case(
+        "an include without a uri",
+        sdf("<include/>"),
+        ("it has no <uri>", "write <include>"),
+        5,
+    ),
+    Case(
+        "two joints that lead to one link (a loop)",
+        sdf(sdf_joint(), sdf_joint("a", child="hand"), sdf_joint("b", parent="arm", child="hand")),
+        holds=lambda m: len(m.build().structure.closures) == 1,
+    ),
+    Case(
+        "elements of a simulator",
+        sdf("<plugin name='p' filename='f'/>", "<gripper name='g'/>", "<x:y/>"),
+        note="the element 'gripper' is not read",
+        holds=lambda m: any("the element 'x:y' is not read" in n for n in m.notes),
+    ),
+    Case(
+        "a model that nothing ties to the world",
+        sdf(sdf_joint()),
+        note="nothing ties 'base', 'hand' to the world",
+    ),
+    Case(
+        "a comment with two dashes",
+        "<!-- gz sim --headless -->\n" + sdf(),
+        note="a comment holds '--'",
+    ),
+    Case(
+        "an axis that is not of unit length",
+        sdf(sdf_axis("<xyz>0 0 2</xyz>")),
+        note="its axis 0 0 2 has length 2; it was normalised",
+    ),
+    Case(
+        "text with references and comments",
+        sdf(sdf_joint(child="a<!-- x -->&#114;m")),
+        holds=lambda m: m.joints["elbow"].child == "arm",
+    ),
+    Case(
+        "a model of 3 000 links",
+        sdf(*(f'<link name="l{i}"/>' for i in range(3000))),
+        holds=lambda m: len(m.bodies) == 3004,
+        any_encoding=False,
+    ),
+    Case(
+        "models nested 60 deep",
+        sdf(*(f'<model name="m{i}">' for i in range(60)), "</model>" * 60),
+        ("nested more than 50 deep", "no robot's file"),
+        any_encoding=False,
+    ),
+    Case("an empty file", "", ("empty", "URDF, TOML"), any_encoding=False),
+]
+SDF_CASES = [replace(case, suffix=".sdf") for case in SDF_CASES]

@@ -13,18 +13,19 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from bad_file_cases import MJCF_CASES, TOML_CASES, URDF_CASES, Case
+from bad_file_cases import MJCF_CASES, SDF_CASES, TOML_CASES, URDF_CASES, Case
 from hunts import some
 from robots import BROKEN, good_urdf_files, urdf_files
 
 from kempe.description.read import check, read
+from kempe.description.sdf_reader import read_sdf
 from kempe.description.toml_reader import read_toml
 from kempe.description.urdf_reader import read_urdf
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, KempeError
 
 PAGE = Path(__file__).parent.parent / "docs" / "bad_files.md"
 READ = [] if importlib.util.find_spec("mujoco") is None else MJCF_CASES
-CASES = [*URDF_CASES, *TOML_CASES, *READ]
+CASES = [*URDF_CASES, *SDF_CASES, *TOML_CASES, *READ]
 
 INTRODUCTION = """\
 # What happens to bad files
@@ -121,7 +122,8 @@ def test_caret_stands_under_the_place(tmp_path: Path):
 def page() -> str:
     """The text of `docs/bad_files.md`."""
     out = [INTRODUCTION]
-    for heading, cases in (("URDF", URDF_CASES), ("TOML", TOML_CASES), ("MJCF", READ)):
+    kinds = {"URDF": URDF_CASES, "SDF": SDF_CASES, "TOML": TOML_CASES, "MJCF": READ}
+    for heading, cases in kinds.items():
         out.append(f"## {heading}\n\n| in the file | what Kempe says |\n|---|---|")
         for case in cases:
             with tempfile.TemporaryDirectory() as folder:
@@ -193,6 +195,23 @@ def test_shuffled_pieces_never_crash():
         survives(
             read_urdf, (a[: rng.randrange(len(a) + 1)] + b[rng.randrange(len(b) + 1) :]).encode()
         )
+
+
+def test_damaged_models_never_crash():
+    rng = random.Random(5)
+    texts = [c.text for c in SDF_CASES if 0 < len(c.text) < 2000]
+    marks = [*"<>/&\"'. 1-:", "nan", "world", "base", "::", "</joint>", "<pose>1 0 0 0 0 0</pose>"]
+    for _ in range(600):
+        text = rng.choice(texts)
+        for _ in range(rng.choice([1, 1, 2, 3])):
+            at = rng.randrange(len(text) + 1)
+            text = text[:at] + rng.choice(marks) + text[at + rng.choice([0, 0, 1, 3]) :]
+        survives(read_sdf, text.encode())
+    for _ in range(300):
+        a = rng.choice(texts)
+        b = rng.choice(texts)
+        mixed = a[: rng.randrange(len(a) + 1)] + b[rng.randrange(len(b) + 1) :]
+        survives(read_sdf, mixed.encode())
 
 
 def test_damaged_tables_never_crash():

@@ -57,6 +57,7 @@ def load(
     format: str | None = None,
     base: str | None = None,
     root: str | None = None,
+    model: str | None = None,
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
@@ -65,8 +66,9 @@ def load(
     "puma560").
 
     Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where
-    `format` is None. `base="free"` lets the root link of a URDF move freely; `root` names the
-    ground where a file has no root link; `package_dirs` are folders in which meshes and packages
+    `format` is None. `base="free"` lets the root link of a URDF move freely, or what nothing ties
+    to the world of an SDF; `root` names the ground where a file has no root link; `model` names the
+    model that is read of an SDF with several; `package_dirs` are folders in which meshes and packages
     are looked up, beside the file's package, its neighbours, and the folders of ROS;
     `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
     ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
@@ -81,6 +83,7 @@ def load(
             format=format,
             base=base,
             root=root,
+            model=model,
             package_dirs=package_dirs,
             xacro=xacro,
             lenient_limits=lenient_limits,
@@ -93,6 +96,7 @@ def read(
     format: str | None = None,
     base: str | None = None,
     root: str | None = None,
+    model: str | None = None,
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
@@ -107,6 +111,7 @@ def read(
         format=format,
         base=base,
         root=root,
+        model=model,
         package_dirs=package_dirs,
         xacro=xacro,
         lenient_limits=lenient_limits,

@@ -19,6 +19,7 @@ ROWS = {
     "read_urdf": "kempe.description.urdf_reader:read_urdf",
     "write_urdf": "kempe.description.urdf_writer:write_urdf",
     "read_mjcf": "kempe.description.mjcf_reader:read_mjcf",
+    "read_sdf": "kempe.description.sdf_reader:read_sdf",
     "read_toml": "kempe.description.toml_reader:read_toml",
     "write_toml": "kempe.description.toml_writer:write_toml",
     "write": "kempe.description.read:write",

@@ -20,7 +20,7 @@ from kempe import library
 from kempe.description.formats import OTHER_KINDS, other_kind
 from kempe.description.read import check, read
 from kempe.description.toml_writer import write_toml
-from kempe.errors import DescriptionError, InputError, UnsupportedError
+from kempe.errors import DescriptionError, InputError
 from kempe.library import names as library_models
 
 URDF = robot(SHOULDER, WRIST)
@@ -43,10 +43,10 @@ def test_text_bytes_and_files(text: str, suffix: str, tmp_path: Path):
 
 def test_options_of_urdf_reach_the_reader():
     assert read(URDF, base="free").ground.name == "world"
-    with pytest.raises(InputError, match="the option 'base' is for URDF, and this is TOML"):
+    with pytest.raises(InputError, match="the option 'base' is for URDF or SDF, and this is TOML"):
         read(TOML, base="free")
-    with pytest.raises(InputError, match="format is 'sdf'; it must be 'urdf', 'toml' or"):
-        read(URDF, format="sdf")
+    with pytest.raises(InputError, match="format is 'usd'; it must be 'urdf', 'toml'"):
+        read(URDF, format="usd")
     with pytest.raises(InputError, match="it must be a path, text or bytes"):
         read(5)  # type: ignore[arg-type]
 
@@ -112,19 +112,6 @@ def test_endless_files():
         read("/dev/zero")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("<sdf version='1.9'/>", "SDF files are not read; Kempe reads URDF, TOML and"),
-    ],
-)
-def test_formats_to_come(text: str, words: str, tmp_path):
-    (tmp_path / "m.xml").write_text(text)
-    for source in (text, text.encode("utf-16"), tmp_path / "m.xml"):
-        with pytest.raises(UnsupportedError, match=words):
-            read(source)
-
-
 def test_check_collects_what_reading_and_building_find(tmp_path):
     good = check(robot(joint("j", ""), WRIST))
     assert good.problems == () and len(good.notes) == 1
@@ -134,8 +121,6 @@ def test_check_collects_what_reading_and_building_find(tmp_path):
     assert problem.where is not None and problem.where.line == 2
     (problem,) = check(tmp_path / "nothing.urdf").problems
     assert "no such file" in problem.message
-    (problem,) = check("<sdf/>").problems
-    assert "not read" in problem.message
     (problem,) = check(URDF, root="x").problems
     assert "no link 'x'" in problem.message
 

@@ -143,3 +143,34 @@ def test_findings_are_sorted_and_bounded():
     assert str(caught.value).splitlines()[0] == "f:1: wrong; right"
     assert str(caught.value).splitlines()[PROBLEM_LIMIT:] == ["... and 10 more"]
     assert findings.hint("x", ["y"]) == ""  # nobody would see it
+
+
+@pytest.mark.parametrize(
+    ("inside", "content"),
+    [
+        ("", ""),
+        (" 1 2\n", "1 2"),
+        ("a &lt; &#98;<!-- c > --><![CDATA[<d>]]><?e f?>", "a < b<d>"),
+        ("<!-- nothing -->", ""),
+    ],
+)
+def test_text_inside_an_element(inside: str, content: str):
+    (element,) = parse_xml(f"<a>\n<b x='>'>{inside}</b></a>", "f").children
+    assert element.content == content
+    column = 11 if content and inside[0] == " " else 10 if inside.strip() else 1
+    assert element.where_content.column == column
+    (empty,) = parse_xml("<a><b/></a>", "f").children
+    assert empty.content == "" and empty.where_content == empty.where
+
+
+def test_dashes_in_comments_are_noted():
+    text = "<!-- a --b -->\n<a><!-- c --- d--><b/></a>"
+    with pytest.raises(DescriptionError, match="not XML"):
+        parse_xml(text, "f")
+    findings = Findings()
+    (b,) = parse_xml(text, "f", findings).children
+    assert (b.where.line, b.where.column) == (2, 19)
+    assert findings.notes == ["f:1: a comment holds '--', which XML forbids; it is passed over"]
+    for wrong in ("<!-- -- --><a>", "<a><b></a>"):
+        with pytest.raises(DescriptionError):
+            parse_xml(wrong, "f", Findings())

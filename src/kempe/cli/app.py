@@ -74,11 +74,13 @@ Out = Annotated[
     Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")
 ]
 InPlace = Annotated[Path | None, option("-o,--out", "The file to write, in place of OUT.", "FILE")]
-_FREE = f"'free': the root link moves freely ({named(read_by('base'))})."
+_FREE = f"'free': what nothing ties to the ground moves freely ({named(read_by('base'))})."
 Base = Annotated[str | None, option("--base", _FREE, "free", _READ)]
 Root = Annotated[
     str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)
 ]
+_MODEL = f"The model to read where FILE has several ({named(read_by('model'))})."
+Model = Annotated[str | None, option("--model", _MODEL, "NAME", _READ)]
 Dirs = Annotated[
     list[Path] | None,
     option("--package-dir", "Folder with packages or meshes; can be repeated.", "FOLDER", _READ),
@@ -184,6 +186,7 @@ class Reading(dict[str, Any]):
 def _reading(
     base: Base = None,
     root: Root = None,
+    model: Model = None,
     package_dir: Dirs = None,
     xacro: Xacro = False,
     xacro_arg: XacroArguments = None,
@@ -192,6 +195,7 @@ def _reading(
     given = {
         "base": base,
         "root": root,
+        "model": model,
         "package_dirs": package_dir,
         "xacro": _values(xacro_arg, "--xacro-arg") if xacro_arg else xacro,
         "lenient_limits": lenient_limits,

@@ -112,7 +112,14 @@ TOML = Format(
 )
 """The format of our own, which holds any mechanism."""
 
-SDF = Format("SDF", (".sdf", ".world"), recognises=lambda start: root_element(start) == "sdf")
+SDF = Format(
+    "SDF",
+    (".sdf", ".world"),
+    partial(call_late, "read_sdf"),
+    recognises=lambda start: root_element(start) == "sdf",
+    options=("base", "model", "lenient_limits", "package_dirs"),
+)
+"""The format of Gazebo, which Drake reads, too."""
 MJCF = Format(
     "MJCF",
     (".mjcf",),

@@ -78,6 +78,7 @@ def read(
     format: str | None = None,
     base: str | None = None,
     root: str | None = None,
+    model: str | None = None,
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
@@ -85,9 +86,10 @@ def read(
     """Mechanism from a file (its path), from text, or from a model of the library (its name).
 
     `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None.
-    ``base="free"``, `root` and `lenient_limits` are for URDF, see `read_urdf`. A path may begin
-    with ``~``, the home folder. Meshes may lie in the file's folder and in `package_dirs`, in the
-    packages there and the neighbours of these, and in packages of ROS.
+    ``base="free"`` and `lenient_limits` are for URDF and SDF, `root` is for URDF, see `read_urdf`,
+    and `model` for SDF, see `read_sdf`. A path may begin with ``~``, the home folder. Meshes may
+    lie in the file's folder and in `package_dirs`, in the packages there and the neighbours of
+    these, and in packages of ROS.
     ``xacro=True`` expands a xacro file first, which is a program and must be trusted;
     ``xacro={"name": "ur5e"}`` also gives values of its ``<xacro:arg>`` elements. Errors:
     `DescriptionError` with file, line, what is wrong and what is allowed.
@@ -100,6 +102,7 @@ def read(
     options = {
         "base": base,
         "root": root,
+        "model": model,
         "lenient_limits": lenient_limits or None,
         "package_dirs": folders or None,
     }
@@ -125,6 +128,7 @@ def check(
     format: str | None = None,
     base: str | None = None,
     root: str | None = None,
+    model: str | None = None,
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
@@ -136,6 +140,7 @@ def check(
             format=format,
             base=base,
             root=root,
+            model=model,
             package_dirs=package_dirs,
             xacro=xacro,
             lenient_limits=lenient_limits,

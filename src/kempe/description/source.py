@@ -5,14 +5,16 @@ it.
 from __future__ import annotations
 
 import codecs
+import difflib
 import gc
+import math
 import os
 import re
 import stat
 from bisect import bisect_right
-from collections.abc import Collection, Generator, Iterable
+from collections.abc import Collection, Container, Generator, Iterable
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -230,6 +232,91 @@ def shorten(text: object, limit: int = 60) -> str:
     """`text` quoted, cut where it is long."""
     text = str(text)
     return repr(text if len(text) <= limit else text[: limit - 3] + "...")
+
+
+def fresh_name(name: str, taken: Container[str]) -> str:
+    """`name`, with a number where it is taken."""
+    number = 1
+    out = name
+    while out in taken:
+        number += 1
+        out = f"{name}_{number}"
+    return out
+
+
+SLIP = 0.8
+"""Likeness (of `difflib`) from which on an unknown name is taken for a slip of a known one."""
+
+
+@lru_cache(maxsize=1024)
+def slip_of(name: str, known: tuple[str, ...]) -> str | None:
+    """The known name that this one is a slip of. A name that holds a known one among its words is
+    no slip.
+    """
+    # 'xzy': too short to be like 'xyz' otherwise
+    swapped = [k for k in known if sorted(k) == sorted(name)]
+    if swapped:
+        return swapped[0]
+    mine = _words(name)
+    for k in difflib.get_close_matches(name, known, n=3, cutoff=SLIP):
+        own = _words(k)
+        if len(own) == len(mine) or not any(
+            mine[i : i + len(own)] == own for i in range(len(mine))
+        ):
+            return k
+    return None
+
+
+def _words(name: str) -> list[str]:
+    return [w for w in re.split(r"[_\-.\s]+", name) if w]
+
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
+"""Text in which `float` reads what `_NUMBER` matches, and nothing else."""
+_BLANKS = re.compile(r"[ \t\r\n]+")
+
+
+def numbers_in(text: str, count: int) -> tuple[float, ...] | str:
+    """The finite numbers in a text, separated by blanks; what is wrong, as text, where they are not
+    `count`.
+    """
+    if _PLAIN.fullmatch(text):
+        try:
+            found = tuple(map(float, text.split()))
+        except ValueError:
+            found = ()
+        if len(found) == count and math.isfinite(sum(found)):
+            return found
+    pieces = [p for p in _BLANKS.split(text) if p]
+    for piece in pieces:
+        if _NUMBER.fullmatch(piece):
+            if math.isinf(float(piece)):
+                return f"{shorten(piece)} is not finite"
+        elif special_number(piece) is not None:
+            return f"{shorten(piece)} is not finite"
+        elif re.fullmatch(r"[+-]?[0-9]+,[0-9]+", piece):
+            return f"{piece!r} is not a number (decimals take a point: {piece.replace(',', '.')})"
+        elif "," in piece:
+            return f"{shorten(piece)} is not a number (no commas between numbers)"
+        else:
+            return f"{shorten(piece)} is not a number"
+    if len(pieces) != count:
+        return f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
+    return tuple(float(p) for p in pieces)
+
+
+def numbers_allowed(count: int) -> str:
+    """What is allowed where `count` numbers stand, for messages."""
+    if count == 1:
+        return "it must be a finite number"
+    return f"it must be {count} finite numbers separated by blanks"
+
+
+def special_number(piece: str) -> float | None:
+    """Infinity or NaN where the text says so, in any of the usual spellings."""
+    match = re.fullmatch(r"([+-]?)(inf|infinity|nan)", piece, re.IGNORECASE)
+    return float(match[0]) if match else None
 
 
 def refuse_other_kinds(data: bytes | str, name: str) -> None:

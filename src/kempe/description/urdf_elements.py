@@ -5,15 +5,20 @@ What is wrong goes to the findings with its place.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Collection, Container, Iterator, Mapping
-from functools import lru_cache
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from kempe.description.parts import Body
-from kempe.description.source import Findings, shorten
+from kempe.description.source import (
+    Findings,
+    numbers_allowed,
+    numbers_in,
+    shorten,
+    slip_of,
+    special_number,
+)
 from kempe.description.xml import XmlElement
 from kempe.poses import place
 
@@ -30,9 +35,6 @@ VERSIONS = ("1.0", "1.1", "1.2")
 
 NAMESPACE = "http://www.ros.org"
 """Namespace of URDF's own elements, by its schema."""
-
-SLIP = 0.8
-"""Likeness (of `difflib`) from which on an unknown name is taken for a slip of a known one."""
 
 MOTION = {
     "link": "a <link> stands directly in <robot>",
@@ -192,7 +194,7 @@ def check_known(
             where,
             f"write {local}",
         )
-    elif near := _near(
+    elif near := slip_of(
         local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)
     ):
         findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
@@ -215,34 +217,11 @@ def _check_element(
         findings.add(said + _speaks_of(element), subject, where, f"{advice}; or remove it")
         return
     used = tuple(k for k in known if k in MOTION or k in ("inertial", "visual"))
-    if near := _near(local[:60].casefold(), used):
+    if near := slip_of(local[:60].casefold(), used):
         findings.add(f"unknown element {shorten(tag)}; did you mean {near!r}?", subject, where)
     else:
         reported = _speaks_of(element) if _SPEAKS.search(local) else ""
         findings.note(f"the element {shorten(tag)} is not read{reported}", subject, where)
-
-
-def _words(name: str) -> list[str]:
-    return [w for w in re.split(r"[_\-.\s]+", name) if w]
-
-
-@lru_cache(maxsize=1024)
-def _near(name: str, known: tuple[str, ...]) -> str | None:
-    """The known name that this one is a slip of. A name that holds a known one among its words is
-    no slip.
-    """
-    # 'xzy': too short to be like 'xyz' otherwise
-    swapped = [k for k in known if sorted(k) == sorted(name)]
-    if swapped:
-        return swapped[0]
-    mine = _words(name)
-    for k in difflib.get_close_matches(name, known, n=3, cutoff=SLIP):
-        own = _words(k)
-        if len(own) == len(mine) or not any(
-            mine[i : i + len(own)] == own for i in range(len(mine))
-        ):
-            return k
-    return None
 
 
 # ---- children of <robot>, and of elements that are not read
@@ -425,11 +404,6 @@ PITCH = "drake:screw_thread_pitch"
 LOOPS = ("drake:ball_constraint", "loop_joint")
 """Elements of simulators that close loops, and are read."""
 
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-_PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
-"""Text in which `float` reads what `_NUMBER` matches, and nothing else."""
-_BLANKS = re.compile(r"[ \t\r\n]+")
-
 _IN_LINK = (
     "inertial",
     "visual",
@@ -481,51 +455,16 @@ def numbers(
 ) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
     text = element.attributes[attribute]
-    if _PLAIN.fullmatch(text):
-        try:
-            found = tuple(map(float, text.split()))
-        except ValueError:
-            found = ()
-        if len(found) == count and math.isfinite(sum(found)):
-            return found
-    pieces = [p for p in _BLANKS.split(text) if p]
-    wrong = None
-    for piece in pieces:
-        if _NUMBER.fullmatch(piece):
-            if math.isinf(float(piece)):
-                wrong = f"{shorten(piece)} is not finite"
-        elif _special(piece) is not None:
-            wrong = f"{shorten(piece)} is not finite"
-        elif re.fullmatch(r"[+-]?[0-9]+,[0-9]+", piece):
-            wrong = f"{piece!r} is not a number (decimals take a point: {piece.replace(',', '.')})"
-        elif "," in piece:
-            wrong = f"{shorten(piece)} is not a number (no commas between numbers)"
-        else:
-            wrong = f"{shorten(piece)} is not a number"
-        if wrong:
-            break
-    if wrong is None and len(pieces) != count:
-        wrong = f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
-    if wrong is None:
-        return tuple(float(p) for p in pieces)
-    allowed = (
-        "it must be a finite number"
-        if count == 1
-        else f"it must be {count} finite numbers separated by blanks"
-    )
+    found = numbers_in(text, count)
+    if not isinstance(found, str):
+        return found
     findings.add(
-        f"{element.tag} {attribute} is {shorten(text)}: {wrong}",
+        f"{element.tag} {attribute} is {shorten(text)}: {found}",
         subject,
         element.where_of(attribute),
-        allowed,
+        numbers_allowed(count),
     )
     return None
-
-
-def _special(piece: str) -> float | None:
-    """Infinity or NaN where the text says so, in any of the usual spellings."""
-    match = re.fullmatch(r"([+-]?)(inf|infinity|nan)", piece, re.IGNORECASE)
-    return float(match[0]) if match else None
 
 
 def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str) -> float | None:
@@ -535,7 +474,7 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
     if attribute not in element.attributes:
         return None
     text = element.attributes[attribute]
-    special = None if _PLAIN.fullmatch(text) else _special(text.strip())
+    special = special_number(text.strip())
     if special is not None and not math.isnan(special):
         return special
     found = numbers(element, attribute, 1, findings, subject)
@@ -546,16 +485,6 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
         if abs(found[0]) < UNLIMITED
         else math.copysign(math.inf, found[0])
     )
-
-
-def fresh_name(name: str, taken: Container[str]) -> str:
-    """`name`, with a number where it is taken."""
-    number = 1
-    out = name
-    while out in taken:
-        number += 1
-        out = f"{name}_{number}"
-    return out
 
 
 # ---- links

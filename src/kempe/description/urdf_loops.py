@@ -6,8 +6,8 @@ from typing import Any
 
 from kempe.constraints.kinds import Position
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import Findings, shorten
-from kempe.description.urdf_elements import check_known, fresh_name, numbers
+from kempe.description.source import Findings, fresh_name, shorten
+from kempe.description.urdf_elements import check_known, numbers
 from kempe.description.xml import XmlElement
 from kempe.words import counted
 

@@ -14,12 +14,11 @@ from pathlib import Path
 from kempe.description.formats import URDF, by_contents, joined
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
-from kempe.description.source import Findings, fail, folders_of, shorten
+from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
 from kempe.description.urdf_elements import (
     ATTRIBUTES,
     check_top,
     check_version,
-    fresh_name,
     has_quaternions,
     numbers,
     read_joint,

@@ -4,6 +4,7 @@ column.
 
 from __future__ import annotations
 
+import html
 import re
 from collections.abc import Iterator
 from xml.parsers import expat
@@ -24,6 +25,19 @@ _LATE = re.compile(r"(?>\s*(?:<!--.*?-->\s*)*)(?<!^)(<\?xml\s[^<>]*\?>)", re.DOT
 _TAG_END = re.compile(r"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>""")
 
 _ATTRIBUTE = re.compile(r"""\s([^\s=]+)(\s*=\s*(["'])).*?\3""", re.DOTALL)
+
+_PIECE = re.compile(r"<!\[CDATA\[(.*?)\]\]>|<!--.*?-->|<[^>]*>|&[^;]*;", re.DOTALL)
+"""What is not plain text inside an element."""
+
+
+def _character_data(piece: re.Match[str]) -> str:
+    """The characters that a piece of `_PIECE` stands for."""
+    if piece[0].startswith("&"):
+        return html.unescape(piece[0])
+    return piece[1] or ""
+
+
+_COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
 
 _CODES = expat.errors.codes
 _TRUNCATED = {
@@ -97,6 +111,29 @@ class XmlElement:
             return tag[0]
         return text[start : text.index(">", self._end) + 1]
 
+    @property
+    def content(self) -> str:
+        """The text inside an element without children: no comments, and no blanks at its ends."""
+        inner = self._inner[1]
+        if "<" in inner or "&" in inner:
+            inner = _PIECE.sub(_character_data, inner)
+        return inner.strip()
+
+    @property
+    def where_content(self) -> Where:
+        """The place where its text begins; of its tag where it has none."""
+        start, inner = self._inner
+        if not inner.strip():
+            return self.where
+        return self.source.where_offset(start + len(inner) - len(inner.lstrip()))
+
+    @property
+    def _inner(self) -> tuple[int, str]:
+        """Where the text between its tags begins, and that text."""
+        tag = _TAG_END.match(self.source.text, self._start)
+        assert tag is not None, "expat accepted the tag"
+        return tag.end(), "" if tag[0].endswith("/>") else self.source.text[tag.end() : self._end]
+
     def of(self, tag: str) -> list[XmlElement]:
         """Its children with this tag."""
         return [child for child in self.children if child.tag == tag]
@@ -117,9 +154,9 @@ def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) ->
     """The outermost element of an XML text; `name` is the file's name, for messages.
 
     UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. With `findings`, a line
-    ``<?xml ...?>`` that stands after comments is noted and passed over, else it is refused. Errors:
-    `DescriptionError` with line and column for what is not well-formed, truncated, too large or too
-    deep, and for every DTD and entity declaration.
+    ``<?xml ...?>`` that stands after comments and ``--`` inside of comments are noted and passed
+    over, else they are refused. Errors: `DescriptionError` with line and column for what is not
+    well-formed, truncated, too large or too deep, and for every DTD and entity declaration.
     """
     source = xml_source(data, name)
     text = source.text
@@ -131,7 +168,21 @@ def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) ->
         )
         blank = re.sub(r"[^\r\n]", " ", late[1])
         source = Source(name, text[: late.start(1)] + blank + text[late.end(1) :])
-    return _XmlBuilder(source).run()
+    try:
+        return _XmlBuilder(source).run()
+    except DescriptionError:
+        dashes = [c for c in _COMMENT.finditer(source.text) if "--" in c[1]]
+        if findings is None or not dashes:
+            raise
+    root = _XmlBuilder(Source(name, _COMMENT.sub(_without_dashes, source.text))).run()
+    said = "a comment holds '--', which XML forbids; it is passed over"
+    findings.note(said, where=source.where_offset(dashes[0].start()))
+    return root
+
+
+def _without_dashes(comment: re.Match[str]) -> str:
+    """A comment of the same length that XML allows."""
+    return f"<!--{comment[1].replace('-', ' ')}-->"
 
 
 def xml_source(data: bytes | str, name: str) -> Source:

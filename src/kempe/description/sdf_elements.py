@@ -1,0 +1,548 @@
+"""SDF elements, read strictly: poses, axes, masses, and what stands beside them.
+
+What is wrong goes to the findings with its place.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+from kempe.description.source import (
+    Findings,
+    numbers_allowed,
+    numbers_in,
+    shorten,
+    slip_of,
+    special_number,
+)
+from kempe.description.xml import XmlElement
+from kempe.errors import Where
+from kempe.poses import Placement, place
+
+# ---- elements that are known
+
+OLDEST = (1, 2)
+NEWEST = (1, 12)
+"""Versions of SDF that are read; those before 1.4 differ from it in nothing that moves."""
+
+UNLIMITED = 1e16
+"""A bound of this size or more stands for none, as in Gazebo."""
+
+AXIS_TOLERANCE = 1e-5
+"""An axis whose length differs from 1 by more than rounding in the file is worth a note."""
+
+TYPES = (
+    "revolute",
+    "continuous",
+    "prismatic",
+    "fixed",
+    "ball",
+    "universal",
+    "revolute2",
+    "screw",
+    "gearbox",
+)
+"""Types of joints."""
+
+KNOWN = {
+    "sdf": ("model", "world", "light", "actor"),
+    "world": (
+        "model",
+        "include",
+        "frame",
+        "joint",
+        "audio",
+        "wind",
+        "gravity",
+        "magnetic_field",
+        "atmosphere",
+        "gui",
+        "physics",
+        "scene",
+        "light",
+        "plugin",
+        "road",
+        "spherical_coordinates",
+    ),
+    "model": (
+        "link",
+        "joint",
+        "frame",
+        "model",
+        "include",
+        "pose",
+        "static",
+        "self_collide",
+        "allow_auto_disable",
+        "enable_wind",
+        "plugin",
+    ),
+    "include": ("uri", "name", "pose", "static", "placement_frame", "namespace", "plugin"),
+    "link": (
+        "pose",
+        "inertial",
+        "visual",
+        "collision",
+        "gravity",
+        "enable_wind",
+        "self_collide",
+        "must_be_base_link",
+        "kinematic",
+        "velocity_decay",
+        "sensor",
+        "projector",
+        "audio_sink",
+        "audio_source",
+        "battery",
+        "light",
+        "particle_emitter",
+        "drake:visual",
+    ),
+    "joint": (
+        "parent",
+        "child",
+        "pose",
+        "axis",
+        "axis2",
+        "physics",
+        "sensor",
+        "thread_pitch",
+        "screw_thread_pitch",
+        "gearbox_ratio",
+        "gearbox_reference_body",
+    ),
+    "frame": ("pose",),
+    "inertial": (
+        "mass",
+        "pose",
+        "inertia",
+        "density",
+        "auto_inertia_params",
+        "fluid_added_mass",
+    ),
+    "axis": ("xyz", "limit", "mimic", "dynamics", "use_parent_model_frame"),
+    "limit": ("lower", "upper", "effort", "velocity", "stiffness", "dissipation"),
+    "mimic": ("multiplier", "offset", "reference"),
+}
+"""Elements that are read, or change no motion, by the element that holds them."""
+
+ATTRIBUTES = {
+    "model": ("name", "canonical_link", "placement_frame", "namespace"),
+    "include": ("merge",),
+    "link": ("name",),
+    "joint": ("name", "type"),
+    "frame": ("name", "attached_to"),
+    "pose": ("relative_to", "frame", "degrees", "rotation_format"),
+    "xyz": ("expressed_in",),
+    "mimic": ("joint", "axis"),
+}
+"""Attributes that are read, or change no motion."""
+
+ONCE = {
+    "pose",
+    "static",
+    "parent",
+    "child",
+    "axis",
+    "axis2",
+    "xyz",
+    "limit",
+    "mimic",
+    "lower",
+    "upper",
+    "velocity",
+    "effort",
+    "mass",
+    "inertial",
+    "uri",
+    "name",
+    "placement_frame",
+    "thread_pitch",
+    "screw_thread_pitch",
+    "multiplier",
+    "offset",
+    "reference",
+}
+"""Elements that are given once."""
+
+NOT_READ = {
+    "state": "poses of a recorded state are not used: models stand where they are placed",
+    "population": "models that it would add are not there",
+    "actor": "what an actor does is an animation",
+    "gripper": "what it grasps is for a simulator",
+    "initial_position": "it is not used: at zero the links are where the file places them",
+    "drake:linear_bushing_rpy": "it is a spring, which holds nothing",
+    "drake:linear_spring_damper": "it is a spring, which holds nothing",
+    "drake:tendon_constraint": "the range of a tendon is not held",
+}
+"""What is noted about elements that are known and not read."""
+
+FORCES = ("drake:rotor_inertia", "drake:gear_ratio", "drake:controller_gains")
+"""Elements of Drake inside of joints that change no motion."""
+
+
+def check_known(
+    element: XmlElement, findings: Findings, subject: str, extra: tuple[str, ...] = ()
+) -> None:
+    """Refuse children and attributes that look like a slip of known ones, and second ones of those
+    that are given once; note others that are not read.
+
+    `extra` are elements with a prefix that the caller reads.
+    """
+    tag = "axis" if element.tag == "axis2" else element.tag
+    known = KNOWN[tag] + extra
+    seen: dict[str, XmlElement] = {}
+    for child in element.children:
+        first = seen.setdefault(child.tag, child)
+        if child is not first and child.tag in ONCE and child.text.split() != first.text.split():
+            findings.add(
+                f"it has two <{child.tag}> elements, on line {first.where.line} and here",
+                subject,
+                child.where,
+                "one is allowed",
+            )
+        if child.tag not in known and child is first:
+            _note_unknown("element", child.tag, known, findings, subject, child.where)
+        check_attributes(child, findings, subject)
+
+
+def check_attributes(element: XmlElement, findings: Findings, subject: str) -> None:
+    """Refuse attributes that look like a slip of those that an element has; note other ones."""
+    known = ATTRIBUTES.get(element.tag)
+    for key in element.attributes if known is not None else ():
+        if known is not None and key not in known:
+            _note_unknown("attribute", key, known, findings, subject, element.where_of(key))
+
+
+def _note_unknown(
+    kind: str,
+    name: str,
+    known: tuple[str, ...],
+    findings: Findings,
+    subject: str,
+    where: Where,
+) -> None:
+    if name.startswith("xmlns") or name in FORCES:
+        return
+    near = None if ":" in name else slip_of(name[:60].casefold(), known)
+    if name not in NOT_READ and near:
+        findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
+        return
+    reason = f": {NOT_READ[name]}" if name in NOT_READ else ""
+    findings.note(f"the {kind} {shorten(name)} is not read{reason}", subject, where)
+
+
+# ---- texts and numbers
+
+
+def first(element: XmlElement | None, tag: str) -> XmlElement | None:
+    """The first child with this tag."""
+    return (element.of(tag) or [None])[0] if element is not None else None
+
+
+def text_of(element: XmlElement | None, tag: str) -> str:
+    """The text in the first child with this tag; '' without one."""
+    child = first(element, tag)
+    return child.content if child is not None and not child.children else ""
+
+
+def read_numbers(
+    element: XmlElement, count: int, findings: Findings, subject: str
+) -> tuple[float, ...] | None:
+    """The finite numbers in an element, or None after recording what is wrong with them."""
+    text = element.content
+    found = numbers_in(text, count)
+    if not isinstance(found, str):
+        return found
+    findings.add(
+        f"{element.tag} is {shorten(text)}: {found}",
+        subject,
+        element.where_content,
+        numbers_allowed(count),
+    )
+    return None
+
+
+def read_number(
+    holder: XmlElement, tag: str, default: float, findings: Findings, subject: str
+) -> float | None:
+    """The finite number in a child, its default without one, None where it is wrong."""
+    child = first(holder, tag)
+    if child is None:
+        return default
+    found = read_numbers(child, 1, findings, subject)
+    return None if found is None else found[0]
+
+
+def truth(text: str | None, where: Where, findings: Findings, subject: str, what: str) -> bool:
+    """Whether a text says yes: true, 1, in any letters; None and '' say no."""
+    given = (text or "").strip().casefold()
+    if given not in ("", "true", "false", "1", "0"):
+        findings.add(f"{what} is {shorten(text)}", subject, where, "it must be true or false")
+    return given in ("true", "1")
+
+
+# ---- poses
+
+
+def read_pose(
+    holder: XmlElement, findings: Findings, subject: str
+) -> tuple[Placement, str, XmlElement | None]:
+    """The placement that the <pose> of an element gives, the name of the frame that it is relative
+    to ('' where that is left open), and the <pose>.
+    """
+    pose = first(holder, "pose")
+    if pose is None:
+        return Placement(), "", None
+    given = pose.attributes
+    relative = given.get("relative_to") or given.get("frame") or ""
+    if not pose.content:
+        return Placement(), relative, pose
+    form = given.get("rotation_format", "euler_rpy")
+    if form not in ("euler_rpy", "quat_xyzw"):
+        findings.add(
+            f"rotation_format is {shorten(form)}",
+            subject,
+            pose.where_of("rotation_format"),
+            "it must be euler_rpy or quat_xyzw",
+        )
+        return Placement(), relative, pose
+    degrees = truth(given.get("degrees"), pose.where_of("degrees"), findings, subject, "degrees")
+    found = read_numbers(pose, 6 if form == "euler_rpy" else 7, findings, subject)
+    if found is None:
+        return Placement(), relative, pose
+    with findings.guard(subject, pose.where_content):
+        if form == "quat_xyzw":
+            x, y, z, w = found[3:]
+            return place(found[:3], quat_wxyz=(w, x, y, z)), relative, pose
+        turn = tuple(map(math.radians, found[3:])) if degrees else found[3:]
+        return place(found[:3], rpy=turn), relative, pose
+    return Placement(), relative, pose
+
+
+# ---- masses
+
+
+def read_inertial(
+    link: XmlElement, findings: Findings, subject: str
+) -> tuple[float | None, tuple[float, ...] | None]:
+    """Mass and centre of mass of a link, None where they are not given."""
+    inertial = first(link, "inertial")
+    if inertial is None:
+        return None, None
+    check_known(inertial, findings, subject)
+    X, relative, pose = read_pose(inertial, findings, subject)
+    if relative and pose is not None:
+        findings.add(
+            f"the pose of its <inertial> is relative to {relative!r}",
+            subject,
+            pose.where,
+            "it is seen from the link, and names no frame",
+        )
+    mass = read_number(inertial, "mass", 1.0, findings, subject)
+    where = inertial.where_of("auto")
+    if truth(inertial.attributes.get("auto"), where, findings, subject, "auto"):
+        findings.note(
+            "its mass follows from its shapes (<inertial auto='true'>) and is not computed",
+            subject,
+            inertial.where,
+        )
+        return None, None
+    return mass, tuple(X.evaluate({})[:3, 3].tolist())
+
+
+# ---- axes
+
+
+@dataclass
+class Axis:
+    """An <axis> or <axis2> of a joint."""
+
+    xyz: tuple[float, ...] = (0.0, 0.0, 1.0)
+    expressed_in: str = ""
+    where: Where | None = None
+    keywords: dict[str, Any] = field(default_factory=dict[str, Any])
+    """`limits`, `velocity` and `effort` as `Mechanism.joint` takes them, where they are given."""
+    mimic: XmlElement | None = None
+
+
+def read_axis(
+    axis: XmlElement, version: tuple[int, int], findings: Findings, subject: str, lenient: bool
+) -> Axis | None:
+    """The axis that an element describes, or None after recording what is wrong with it.
+
+    `version` is that of its file, `lenient` reads a lower limit above the upper one as no limit.
+    """
+    before = len(findings.problems)
+    check_known(axis, findings, subject)
+    out = Axis(where=axis.where, mimic=first(axis, "mimic"))
+    xyz = first(axis, "xyz")
+    if xyz is not None:
+        out.xyz = read_numbers(xyz, 3, findings, subject) or out.xyz
+        out.expressed_in = xyz.attributes.get("expressed_in", "")
+        out.where = xyz.where_content
+        _check_length(out.xyz, xyz, findings, subject)
+    flag = first(axis, "use_parent_model_frame")
+    said = "use_parent_model_frame"
+    if version < (1, 5):
+        out.expressed_in = "__model__"
+    elif flag is not None and truth(flag.content, flag.where, findings, subject, said):
+        if version < (1, 7):
+            out.expressed_in = "__model__"
+        else:
+            findings.note(
+                "the element 'use_parent_model_frame' is not read: from version 1.7 on xyz has "
+                "expressed_in",
+                subject,
+                flag.where,
+            )
+    limit = first(axis, "limit")
+    if limit is not None:
+        check_known(limit, findings, subject)
+        out.keywords = _limits(limit, findings, subject, lenient)
+    return out if len(findings.problems) == before else None
+
+
+def _check_length(
+    xyz: tuple[float, ...], element: XmlElement, findings: Findings, subject: str
+) -> None:
+    length = math.hypot(*xyz)
+    if length < 1e-150:
+        findings.add(
+            f"its axis is {shorten(element.content)}",
+            subject,
+            element.where_content,
+            "it must not be zero: an axis has a direction, such as 0 0 1",
+        )
+    elif abs(length - 1.0) > AXIS_TOLERANCE:
+        text = " ".join(f"{x:g}" for x in xyz)
+        findings.note(
+            f"its axis {text} has length {length:g}; it was normalised", subject, element.where
+        )
+
+
+def _limits(limit: XmlElement, findings: Findings, subject: str, lenient: bool) -> dict[str, Any]:
+    """Keywords `limits`, `velocity` and `effort`; what is missing or negative is no bound."""
+    ends = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
+    bounds = {key: _bound(limit, key, end, findings, subject) for key, end in ends.items()}
+    out: dict[str, Any] = {}
+    for key in ("velocity", "effort"):
+        if 0.0 <= bounds[key] < math.inf:
+            out[key] = bounds[key]
+    lower = bounds["lower"]
+    upper = bounds["upper"]
+    both = f"lower {text_of(limit, 'lower')}, upper {text_of(limit, 'upper')}"
+    if lower > upper and lenient:
+        said = f"its limits are swapped ({both}); it is read as unlimited, as requested"
+        findings.note(said, subject, limit.where)
+    elif lower > upper or lower == math.inf or upper == -math.inf:
+        findings.add(
+            f"its limits are swapped: {both}",
+            subject,
+            limit.where,
+            "lower must not be above upper; lenient_limits=True reads this as unlimited",
+        )
+    elif (lower, upper) != (-math.inf, math.inf):
+        out["limits"] = (lower, upper)
+    return out
+
+
+def _bound(limit: XmlElement, tag: str, default: float, findings: Findings, subject: str) -> float:
+    """A bound: a number, where infinity or a huge one stands for none; the default where it is
+    missing.
+    """
+    element = first(limit, tag)
+    if element is None:
+        return default
+    special = special_number(element.content)
+    if special is not None and not math.isnan(special):
+        return special
+    found = read_numbers(element, 1, findings, subject)
+    if found is None:
+        return default
+    return found[0] if abs(found[0]) < UNLIMITED else math.copysign(math.inf, found[0])
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """What a follower follows: coordinate = multiplier * (leader - reference) + offset."""
+
+    joint: str
+    axis: str
+    multiplier: float
+    offset: float
+    where: Where
+
+
+def read_mimic(element: XmlElement, findings: Findings, subject: str) -> Mimic | None:
+    """The relation that a <mimic>, or a <drake:mimic>, describes; None after recording what is
+    wrong with it.
+    """
+    before = len(findings.problems)
+    leader = element.attributes.get("joint", "").strip()
+    axis = element.attributes.get("axis", "axis")
+    if not leader:
+        findings.add("its <mimic> names no joint", subject, element.where, "write joint=...")
+    if axis not in ("axis", "axis2"):
+        findings.add(
+            f"it mimics the axis {shorten(axis)}",
+            subject,
+            element.where_of("axis"),
+            "it must be axis or axis2",
+        )
+    if element.tag == "mimic":
+        check_known(element, findings, subject)
+        multiplier, offset, reference = (
+            read_number(element, tag, default, findings, subject)
+            for tag, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
+        )
+    else:
+        multiplier, offset = (
+            _attribute(element, key, default, findings, subject)
+            for key, default in (("multiplier", 1.0), ("offset", 0.0))
+        )
+        reference = 0.0
+    if len(findings.problems) > before or multiplier is None or offset is None or reference is None:
+        return None
+    return Mimic(leader, axis, multiplier, offset - multiplier * reference, element.where)
+
+
+def _attribute(
+    element: XmlElement, key: str, default: float, findings: Findings, subject: str
+) -> float | None:
+    if key not in element.attributes:
+        return default
+    found = numbers_in(element.attributes[key], 1)
+    if not isinstance(found, str):
+        return found[0]
+    findings.add(
+        f"{element.tag} {key} is {shorten(element.attributes[key])}: {found}",
+        subject,
+        element.where_of(key),
+        numbers_allowed(1),
+    )
+    return None
+
+
+# ---- versions
+
+
+def read_version(sdf: XmlElement, findings: Findings) -> tuple[int, int]:
+    """The version of a file as two numbers; one that is not read is recorded as a problem."""
+    given = sdf.attributes.get("version")
+    found = re.fullmatch(r"\s*0*(\d{1,9})\.0*(\d{1,9})(?:\.\d+)?\s*", given or "", re.ASCII)
+    version = (int(found[1]), int(found[2])) if found else (0, 0)
+    if OLDEST <= version <= NEWEST:
+        return version
+    said = "it has no version" if given is None else f"the version is {shorten(given)}"
+    findings.add(
+        said,
+        "sdf",
+        sdf.where_of("version"),
+        f"it must be one from {OLDEST[0]}.{OLDEST[1]} to {NEWEST[0]}.{NEWEST[1]}, as in <sdf "
+        f"version='{NEWEST[0]}.{NEWEST[1]}'>",
+    )
+    return NEWEST

@@ -1,0 +1,708 @@
+"""A mechanism from SDF text: a model, or a world with its models, as Gazebo and Drake place them.
+
+Refusals name the line in the file.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.formats import SDF, by_contents
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Joint
+from kempe.description.sdf_elements import (
+    NEWEST,
+    TYPES,
+    Axis,
+    check_known,
+    first,
+    read_axis,
+    read_inertial,
+    read_mimic,
+    read_number,
+    read_numbers,
+    read_version,
+    text_of,
+    truth,
+)
+from kempe.description.sdf_scopes import GROUND, Files, Scope, gazebo_folders
+from kempe.description.sdf_shapes import note_others, others_said, read_shapes
+from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
+from kempe.description.xml import XmlElement, parse_xml
+from kempe.errors import InputError, UnknownNameError
+from kempe.poses import Placement, place
+from kempe.spatial import Array
+from kempe.words import listed
+
+ORTHOGONAL = 1e-9
+"""Cosine up to which two axes are orthogonal."""
+PARALLEL = 1e-6
+"""How far two unit vectors may be apart and still be one axis of a gearbox."""
+
+
+def read_sdf(
+    text: str | bytes,
+    source: str = "<text>",
+    *,
+    base: str | None = None,
+    model: str | None = None,
+    lenient_limits: bool = False,
+    package_dirs: Iterable[str | Path] = (),
+) -> Mechanism:
+    """The mechanism that an SDF text describes: its model, or all models of its world, on a ground
+    called 'world'.
+
+    Bodies and joints are named as the outermost model names them: 'link', 'nested::link'; in a
+    world 'model::link'. `model` reads only the model of this name. What nothing ties to the ground
+    is held where the file places it, by a fixed joint called 'base'; ``base="free"`` makes this a
+    free joint, so that at its zero the bodies are where the file places them; static models are
+    always held. Two joints that lead to one link are a loop. `lenient_limits` reads a lower limit
+    above the upper one as none. Included models lie in the file's folder and in `package_dirs`.
+    What was noticed but changes nothing is in `notes` of the mechanism. Errors: `DescriptionError`
+    with all problems; `UnknownNameError` for a `model` that is not there.
+    """
+    if base not in (None, "free"):
+        raise InputError(
+            f"base is {base!r}; it must be None (what nothing ties to the ground is held) or 'free'"
+        )
+    findings = Findings()
+    sdf = parse_xml(text, source, findings)
+    _check_is_sdf(sdf)
+    version = read_version(sdf, findings)
+    check_known(sdf, findings, "sdf")
+    roots = (*folders_of(package_dirs), *gazebo_folders())
+    home = Path(source).parent if source != "<text>" and Path(source).is_file() else None
+    files = Files(roots, findings)
+    outer = _outermost(sdf, model, version, home, files)
+    mechanism = Mechanism(outer.name or "sdf", ground=GROUND)
+    _Reader(outer, mechanism, findings, lenient_limits, home).read(base == "free")
+    findings.finish()
+    mechanism.notes = list(dict.fromkeys(findings.notes))
+    mechanism.roots = tuple(map(str, roots))
+    return mechanism
+
+
+def _check_is_sdf(sdf: XmlElement) -> None:
+    if sdf.tag == "sdf":
+        return
+    format = by_contents(f"<{sdf.tag}/>")
+    said = "" if format in (None, SDF) else f": it is a file in {format.title}"
+    raise fail(
+        f"the outermost element is <{sdf.tag}>{said}",
+        sdf.where,
+        f"SDF starts with <sdf version='{NEWEST[0]}.{NEWEST[1]}'>",
+    )
+
+
+def _outermost(
+    sdf: XmlElement, model: str | None, version: tuple[int, int], home: Path | None, files: Files
+) -> Scope:
+    """The model or world that is read, with all that stands in it."""
+    worlds = sdf.of("world")
+    models = {m.attributes.get("name", "").strip(): m for m in sdf.of("model")}
+    if model is None and len(worlds) + len(sdf.of("model")) > 1:
+        raise fail(
+            f"the file has {len(worlds)} worlds and {len(sdf.of('model'))} models",
+            (worlds + sdf.of("model"))[1].where,
+            f"choose one by model=: {listed([repr(n) for n in models], 8)}"
+            if models
+            else "a file has one of them",
+        )
+    if not worlds and not models:
+        raise fail(
+            "there is no model in this file",
+            sdf.where,
+            "SDF has a <model> or a <world> with models directly in <sdf>",
+        )
+    if model is None or model in models:
+        element = models[model] if model is not None else (worlds + sdf.of("model"))[0]
+        name = element.attributes.get("name", "").strip()
+        scope = Scope(element, name, None, version, home, files)
+        scope.scan()
+        return scope
+    known = [*models]
+    for element in worlds:
+        world = Scope(element, element.attributes.get("name", ""), None, version, home, files)
+        world.scan(only=model)
+        if model in world.models:
+            return world.models[model]
+        inside = [*element.of("model"), *element.of("include")]
+        known += [m.attributes.get("name", "") or text_of(m, "name") for m in inside]
+    files.findings.finish()
+    raise UnknownNameError("model", model, [n for n in known if n], sdf.source.name)
+
+
+# ---- the mechanism
+
+
+class _Ends(NamedTuple):
+    """The bodies that a joint connects, and its frame on each of them."""
+
+    parent: str
+    child: str
+    X_PJ: Placement
+    X_CJ: Placement
+
+
+@dataclass
+class _Reader:
+    """The mechanism that grows, and what the file said."""
+
+    outer: Scope
+    mechanism: Mechanism
+    findings: Findings
+    lenient: bool
+    home: Path | None
+    """The folder of the outermost file."""
+    links: dict[str, tuple[Scope, str]] = field(default_factory=dict[str, tuple[Scope, str]])
+    """Scope and name of the link of each body."""
+    coordinates: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
+    """The coordinate of each axis, by the joint and 'axis' or 'axis2'."""
+    followers: list[tuple[Scope, str, str, XmlElement]] = field(
+        default_factory=list[tuple[Scope, str, str, XmlElement]]
+    )
+    """Scope, joint and axis that has a <mimic>."""
+    others: dict[str, list[XmlElement]] = field(default_factory=dict[str, list[XmlElement]])
+    """Shapes of kinds that are not read."""
+
+    def read(self, free: bool) -> None:
+        """Fill the mechanism."""
+        scopes = [*self.outer.all()]
+        for scope in scopes:
+            for name, element in scope.links.items():
+                self._link(scope, name, element)
+        if not self.links and not self.findings.problems:
+            raise fail(
+                "there is no link in this file",
+                self.outer.element.where,
+                "a model has at least one <link name=...>",
+            )
+        gearboxes: list[tuple[Scope, str, XmlElement]] = []
+        for scope in scopes:
+            if scope.static and scope.joints:
+                said = "the model is static: its joints do not move"
+                self.findings.note(said, scope.subject, scope.element.where)
+            for name, element in scope.joints.items():
+                if element.attributes.get("type", "").strip().lower() == "gearbox":
+                    gearboxes.append((scope, name, element))
+                elif not scope.static:
+                    self._joint(scope, name, element)
+            self._drake(scope)
+        for scope, name, element in gearboxes:
+            self._gearbox(scope, name, element)
+        for scope, joint, axis, element in self.followers:
+            self._follower(scope, joint, axis, element)
+        self._hold(free)
+        others_said(self.others, self.findings)
+        for scope in scopes:
+            for name, element in scope.frames.items():
+                self._frame(scope, name, element)
+
+    def _link(self, scope: Scope, name: str, element: XmlElement) -> None:
+        subject = scope.within("link", name)
+        check_known(element, self.findings, subject)
+        mass, center = read_inertial(element, self.findings, subject)
+        full = scope.prefix + name
+        scope.in_world(name)
+
+        def placed(frame: str, at: XmlElement) -> Placement | None:
+            if scope.find(frame) is None:
+                scope.unknown("relative_to", frame, at.where_of("relative_to"), subject)
+                return None
+            return self._on(scope, frame, (scope, name), name)
+
+        with self.findings.guard(subject, element.where):
+            self.mechanism.body(full, mass, center, where=element.where)
+            self.links[full] = scope, name
+        folder = self._folder(scope)
+        for shape in read_shapes(element, subject, placed, folder, self.findings):
+            with self.findings.guard(subject, shape.where):
+                self.mechanism.shape(
+                    full,
+                    shape.geometry,
+                    at=shape.X_BS,
+                    visual=shape.visual,
+                    collision=shape.collision,
+                    color=shape.color,
+                    name=shape.name,
+                    where=shape.where,
+                )
+        note_others(element, self.others)
+
+    def _folder(self, scope: Scope) -> str:
+        """The folder of a scope's file, seen from that of the outermost one."""
+        if scope.folder is None or self.home is None:
+            return ""
+        return Path(os.path.relpath(scope.folder.resolve(), self.home.resolve())).as_posix()
+
+    def _frame(self, scope: Scope, name: str, element: XmlElement) -> None:
+        subject = scope.within("frame", name)
+        check_known(element, self.findings, subject)
+        found = scope.link_of(name, element.where, subject)
+        if found is None:
+            return
+        body, link = self._body(found)
+        full = scope.prefix + name
+        if full in self.mechanism.bodies:
+            full = fresh_name(f"{full}_frame", {**self.mechanism.bodies, **self.mechanism.frames})
+            self.findings.note(
+                f"a link has its name; it is called {full!r}", subject, element.where
+            )
+        with self.findings.guard(subject, element.where):
+            X = self._on(scope, name, found, link)
+            self.mechanism.frame(full, body, at=X, where=element.where)
+
+    def _body(self, found: tuple[Scope, str]) -> tuple[str, str]:
+        """Names of a body and of its link in its scope."""
+        scope, link = found
+        return (scope.prefix + link, link) if link else (GROUND, GROUND)
+
+    def _on(self, scope: Scope, name: str, found: tuple[Scope, str], link: str) -> Placement:
+        """The placement of a frame of a scope on a link, or on the ground."""
+        key = scope.find(name)
+        if found[0] is scope and key is not None and link != GROUND:
+            exact = scope.between(key, link)
+            if exact is not None:
+                return exact
+            back = scope.between(link, key)
+            if back is not None:
+                return back.inverse()
+        X_W = scope.in_world(name)
+        return place(X_W if link == GROUND else spatial.inverse(found[0].in_world(link)) @ X_W)
+
+    # joints
+
+    def _joint(self, scope: Scope, name: str, element: XmlElement) -> None:
+        findings = self.findings
+        subject = scope.within("joint", name)
+        check_known(element, findings, subject, ("drake:mimic",))
+        kind = element.attributes.get("type", "").strip().lower()
+        if kind not in TYPES:
+            given = element.attributes.get("type")
+            said = findings.hint(kind, TYPES) if given else ""
+            wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
+            allowed = "" if "did you mean" in said else f"SDF has {', '.join(TYPES)}"
+            findings.add(wrong, subject, element.where_of("type"), allowed)
+        ends = self._ends(scope, name, element, subject)
+        axes = self._axes(scope, element, kind, subject)
+        if kind not in TYPES or ends is None or axes is None:
+            return
+        with findings.guard(subject, element.where):
+            made = self._made(scope, name, element, kind, ends, axes)
+            for tag in axes:
+                mimic = axes[tag].mimic
+                if mimic is not None:
+                    self.followers.append((scope, name, tag, mimic))
+            for mimic in element.of("drake:mimic")[:1]:
+                self.followers.append((scope, name, "axis", mimic))
+            names = [f"{j.name}.{c}" if c else j.name for j in made for c in _coordinates(j)]
+            if kind not in ("ball", "fixed"):
+                for tag, coordinate in zip(("axis", "axis2"), names, strict=False):
+                    self.coordinates[scope.prefix + name, tag] = coordinate
+
+    def _ends(self, scope: Scope, name: str, element: XmlElement, subject: str) -> _Ends | None:
+        found: list[tuple[Scope, str]] = []
+        for tag in ("parent", "child"):
+            end = self._end(scope, element, tag, subject)
+            if end is not None:
+                found.append(end)
+        if len(found) < 2:
+            return None
+        (parent, P), (child, C) = map(self._body, found)
+        if parent == child:
+            self.findings.add(
+                f"it connects {parent!r} to itself",
+                subject,
+                element.where,
+                "it must connect two links",
+            )
+            return None
+        X_PJ, X_CJ = (
+            self._on(scope, name, end, link) for end, link in zip(found, (P, C), strict=True)
+        )
+        return _Ends(parent, child, X_PJ, X_CJ)
+
+    def _end(
+        self, scope: Scope, element: XmlElement, tag: str, subject: str
+    ) -> tuple[Scope, str] | None:
+        """The link that an end of a joint names, by its own name or that of a frame."""
+        holder = first(element, tag)
+        given = text_of(element, tag) if holder is not None else ""
+        if holder is None or not given:
+            self.findings.add(
+                f"it has no <{tag}>",
+                subject,
+                holder.where if holder is not None else element.where,
+                "a joint names its parent and its child",
+            )
+            return None
+        where = holder.where_content
+        if given == GROUND and tag == "parent":
+            return scope, ""
+        if given == GROUND:
+            self.findings.add(
+                "its child is the world", subject, where, "the world can only be the parent"
+            )
+            return None
+        if scope.find(given) is None:
+            scope.unknown(f"its {tag}", given, where, subject)
+            return None
+        return scope.link_of(given, where, subject)
+
+    def _axes(
+        self, scope: Scope, element: XmlElement, kind: str, subject: str
+    ) -> dict[str, Axis] | None:
+        """The axes of a joint, in its own frame, or None after recording what is wrong."""
+        needed = {"universal": 2, "revolute2": 2, "gearbox": 2, "fixed": 0, "ball": 0}.get(kind, 1)
+        out: dict[str, Axis] = {}
+        before = len(self.findings.problems)
+        for count, tag in enumerate(("axis", "axis2"), 1):
+            given = first(element, tag)
+            if given is None and count <= needed:
+                said = f"a {kind} joint has no <{tag}>"
+                allowed = f"write <{tag}><xyz>0 0 1</xyz></{tag}>, for example"
+                self.findings.add(said, subject, element.where, allowed)
+            if given is None:
+                continue
+            axis = read_axis(given, scope.version, self.findings, subject, self.lenient)
+            if count > needed and kind in TYPES:
+                if kind != "fixed":
+                    said = f"a {kind} joint does not read its <{tag}>"
+                    self.findings.note(said, subject, given.where)
+                continue
+            if axis is not None and axis.expressed_in:
+                where = axis.where or given.where
+                if scope.find(axis.expressed_in) is None:
+                    scope.unknown("expressed_in", axis.expressed_in, where, subject)
+                else:
+                    axis.xyz = self._turned(scope, element, axis)
+            if axis is not None:
+                out[tag] = axis
+        return out if len(self.findings.problems) == before else None
+
+    def _turned(self, scope: Scope, element: XmlElement, axis: Axis) -> tuple[float, ...]:
+        """The direction of an axis in its joint's frame."""
+        R_ME = scope.pose(axis.expressed_in)[:3, :3]
+        R_MJ = scope.pose(element.attributes["name"].strip())[:3, :3]
+        return tuple((R_MJ.T @ (R_ME @ np.array(axis.xyz))).tolist())
+
+    def _made(
+        self,
+        scope: Scope,
+        name: str,
+        element: XmlElement,
+        kind: str,
+        ends: _Ends,
+        axes: dict[str, Axis],
+    ) -> list[Joint]:
+        """The joints that are made for a joint of the file: one, or two in series."""
+        full = scope.prefix + name
+        options: dict[str, Any] = {"where": element.where, "cut": self._is_cut(element, full)}
+        if kind in ("universal", "revolute2"):
+            return self._two_axes(full, ends, axes, options)
+        at: dict[str, Any] = {"at": ends.X_PJ, "child_at": ends.X_CJ}
+        if "axis" in axes:
+            options |= axes["axis"].keywords
+            at["axis"] = axes["axis"].xyz
+        if kind == "continuous":
+            if options.pop("limits", None):
+                said = (
+                    "a continuous joint turns without end: its lower and upper limit are not used"
+                )
+                self.findings.note(said, f"joint {full!r}", element.where)
+        if kind == "screw":
+            options["pitch"] = self._pitch(element, f"joint {full!r}")
+        types = {"continuous": "revolute", "ball": "spherical", "screw": "helical"}
+        type_ = types.get(kind, kind)
+        return [self.mechanism.joint(full, type_, ends.parent, ends.child, **at, **options)]
+
+    def _is_cut(self, element: XmlElement, full: str) -> bool:
+        """Whether the file asks that a loop be opened at this joint."""
+        simbody = first(first(element, "physics"), "simbody")
+        cut = first(simbody, "must_be_loop_joint")
+        if cut is None:
+            return False
+        said = "must_be_loop_joint"
+        return truth(cut.content, cut.where_content, self.findings, f"joint {full!r}", said)
+
+    def _pitch(self, element: XmlElement, subject: str) -> float:
+        """Metres a radian: <screw_thread_pitch> is metres a turn, the older <thread_pitch> radians
+        a metre of a left-handed thread.
+        """
+        per_turn = read_number(element, "screw_thread_pitch", 1.0, self.findings, subject)
+        if first(element, "screw_thread_pitch") is None and first(element, "thread_pitch"):
+            per_metre = read_number(element, "thread_pitch", 1.0, self.findings, subject)
+            if per_metre == 0.0:
+                where = element.of("thread_pitch")[0].where_content
+                said = "thread_pitch is 0, radians a metre"
+                self.findings.add(said, subject, where, "it must not be zero")
+            return -1.0 / per_metre if per_metre else 1.0
+        return (per_turn or 0.0) / (2.0 * np.pi)
+
+    def _two_axes(
+        self, full: str, ends: _Ends, axes: dict[str, Axis], options: dict[str, Any]
+    ) -> list[Joint]:
+        """A universal joint; two revolute ones where the axes are not orthogonal."""
+        a, b = (spatial.unit(axes[tag].xyz) for tag in ("axis", "axis2"))
+        m = self.mechanism
+        if abs(a @ b) > ORTHOGONAL:
+            cross = m.body(fresh_name(f"{full}_cross", m.bodies), where=options["where"])
+            one, two = (axes[tag] for tag in ("axis", "axis2"))
+            return [
+                m.revolute(
+                    fresh_name(f"{full}_axis", m.joints),
+                    ends.parent,
+                    cross,
+                    at=ends.X_PJ,
+                    axis=one.xyz,
+                    **one.keywords,
+                    **options,
+                ),
+                m.revolute(
+                    fresh_name(f"{full}_axis2", m.joints),
+                    cross,
+                    ends.child,
+                    child_at=ends.X_CJ,
+                    axis=two.xyz,
+                    **two.keywords,
+                    **options | {"cut": False},
+                ),
+            ]
+        b = spatial.unit(b - (a @ b) * a)
+        turn = place(matrix=np.column_stack([a, b, np.cross(a, b)]))
+        for key in ("limits", "velocity", "effort"):
+            given = {c: axes[tag].keywords.get(key) for c, tag in (("rx", "axis"), ("ry", "axis2"))}
+            options[key] = {c: x for c, x in given.items() if x is not None}
+        at = {"at": ends.X_PJ @ turn, "child_at": ends.X_CJ @ turn}
+        return [m.universal(full, ends.parent, ends.child, **at, **options)]
+
+    # coordinates that follow others
+
+    def _follower(self, scope: Scope, joint: str, axis: str, element: XmlElement) -> None:
+        subject = scope.within("joint", joint)
+        mimic = read_mimic(element, self.findings, subject)
+        if mimic is None:
+            return
+        of = self.coordinates.get((scope.prefix + joint, axis))
+        leader = self.coordinates.get((scope.prefix + mimic.joint, mimic.axis))
+        if leader is None:
+            said = self.findings.hint(mimic.joint, scope.joints, but=joint)
+            known = mimic.joint in scope.joints
+            self.findings.add(
+                f"it mimics {mimic.axis} of joint {shorten(mimic.joint)}, which has no such axis"
+                if known
+                else f"it mimics joint {shorten(mimic.joint)}, which does not exist{said}",
+                subject,
+                mimic.where,
+                "joints with an axis can mimic each other" if known else "",
+            )
+        elif of is not None:
+            with self.findings.guard(subject, mimic.where):
+                self.mechanism.couple(
+                    of, {leader: mimic.multiplier}, mimic.offset, where=mimic.where
+                )
+
+    def _gearbox(self, scope: Scope, name: str, element: XmlElement) -> None:
+        """A gearbox: it connects nothing, and couples the joints that lead from its reference body
+        to its parent and its child.
+        """
+        findings = self.findings
+        subject = scope.within("joint", name)
+        check_known(element, findings, subject)
+        before = len(findings.problems)
+        ratio = read_number(element, "gearbox_ratio", 1.0, findings, subject)
+        axes = self._axes(scope, element, "gearbox", subject)
+        ends = [
+            self._end(scope, element, tag, subject)
+            for tag in ("gearbox_reference_body", "parent", "child")
+        ]
+        if len(findings.problems) > before or axes is None or ratio is None or None in ends:
+            return
+        reference, parent, child = (self._body(end)[0] for end in ends if end is not None)
+        R_WJ = scope.in_world(name)[:3, :3]
+        turns = [
+            self._turn(reference, link, R_WJ @ spatial.unit(axes[tag].xyz))
+            for link, tag in ((parent, "axis"), (child, "axis2"))
+        ]
+        for link, turn in zip((parent, child), turns, strict=True):
+            if turn is None:
+                findings.add(
+                    f"no revolute joint about its axis leads from {reference!r} to {link!r}",
+                    subject,
+                    element.where,
+                    "a gearbox couples two joints that connect its reference body to its parent "
+                    "and to its child",
+                )
+        if turns[0] is None or turns[1] is None:
+            return
+        (leader, sense), (of, other) = turns
+        with findings.guard(subject, element.where):
+            self.mechanism.couple(of, {leader: -ratio * sense * other}, where=element.where)
+
+    def _turn(self, reference: str, link: str, axis: Array) -> tuple[str, float] | None:
+        """The revolute joint between two bodies about an axis, and 1.0 where it turns the link
+        about this axis as the reference sees it, else -1.0.
+        """
+        for joint in self.mechanism.joints.values():
+            if joint.type.type_name != "revolute" or {joint.parent, joint.child} != {
+                reference,
+                link,
+            }:
+                continue
+            z = (self._place_of(joint.parent) @ joint.X_PF.evaluate({}))[:3, 2]
+            sense = 1.0 if joint.child == link else -1.0
+            for sign in (1.0, -1.0):
+                if np.abs(z - sign * axis).max() < PARALLEL:
+                    return joint.name, sign * sense
+        return None
+
+    def _place_of(self, body: str) -> Array:
+        """Where the file places a body in the world."""
+        if body == GROUND:
+            return np.eye(4)
+        scope, link = self.links[body]
+        return scope.in_world(link)
+
+    # Drake's own elements
+
+    def _drake(self, scope: Scope) -> None:
+        for element in scope.element.children if not scope.is_world else ():
+            name = element.attributes.get("name", "").strip()
+            if element.tag == "drake:joint" and not scope.static:
+                self._drake_joint(scope, name, element)
+            elif element.tag in ("drake:ball_constraint", "drake:distance_constraint"):
+                self._drake_constraint(scope, element)
+
+    def _drake_joint(self, scope: Scope, name: str, element: XmlElement) -> None:
+        subject = scope.within("joint", name)
+        kind = element.attributes.get("type", "")
+        if kind != "planar" or not name:
+            self.findings.add(
+                f"<drake:joint> of type {shorten(kind)} is not read" if name else "it has no name",
+                subject,
+                element.where,
+                "planar ones are" if name else "every joint needs a name of its own",
+            )
+            return
+        found = [self._end(scope, element, f"drake:{tag}", subject) for tag in ("parent", "child")]
+        if found[0] is None or found[1] is None:
+            return
+        (parent, P), (child, C) = (self._body(end) for end in found if end is not None)
+        X = [
+            self._on(scope, text_of(element, f"drake:{tag}"), end, link)
+            for tag, end, link in zip(("parent", "child"), found, (P, C), strict=True)
+            if end is not None
+        ]
+        with self.findings.guard(subject, element.where):
+            self.mechanism.planar(
+                scope.prefix + name, parent, child, at=X[0], child_at=X[1], where=element.where
+            )
+
+    def _drake_constraint(self, scope: Scope, element: XmlElement) -> None:
+        """Points that coincide, or whose distance is fixed."""
+        kind = element.tag.removeprefix("drake:")
+        subject = f"<{element.tag}>"
+        before = len(self.findings.problems)
+        if kind == "distance_constraint" and first(element, f"{element.tag}_stiffness"):
+            said = "it is a spring, which holds nothing: it is not read"
+            self.findings.note(said, subject, element.where)
+            return
+        ends = [
+            self._end(scope, element, f"{element.tag}_body_{letter}", subject) for letter in "AB"
+        ]
+        points: list[tuple[float, ...]] = []
+        for tag in (f"{element.tag}_p_AP", f"{element.tag}_p_BQ"):
+            given = first(element, tag)
+            if given is None:
+                self.findings.add(f"it has no <{tag}>", subject, element.where, "give the point")
+            else:
+                points.append(read_numbers(given, 3, self.findings, subject) or ())
+        length = read_number(element, f"{element.tag}_distance", 0.0, self.findings, subject)
+        if len(self.findings.problems) > before or None in ends:
+            return
+        a, b = (self._body(end)[0] for end in ends if end is not None)
+        m = self.mechanism
+        name = fresh_name(scope.prefix + kind, {**m.joints, **m.constraints})
+        with self.findings.guard(subject, element.where):
+            at: dict[str, Any] = {"at": points[0], "child_at": points[1], "where": element.where}
+            if kind == "ball_constraint":
+                m.spherical(name, a, b, **at)
+            else:
+                m.distance(name, a, b, length or 0.0, **at)
+
+    # what nothing ties to the ground
+
+    def _hold(self, free: bool) -> None:
+        """Join what no joint ties to the ground to it: by fixed joints, or free ones."""
+        parts = _Parts(self.mechanism)
+        children = {j.child for j in self.mechanism.joints.values()}
+        first_ones = [b for b in map(self._canonical, self.outer.all()) if b is not None]
+        everything = [*first_ones, *self.links]
+        held: list[str] = []
+        for static in (True, False):
+            for body in [b for b in everything if b not in children] + everything:
+                scope, _ = self.links[body]
+                if scope.static >= static and not parts.tied(body, GROUND):
+                    self._tie(scope, body, free and not static)
+                    parts.tie(body, GROUND)
+                    held += [body] * (not static)
+        if held and not free:
+            names = listed([repr(n) for n in held], 8)
+            self.findings.note(
+                f"nothing ties {names} to the world: held where the file places them, while they "
+                "move freely in Gazebo and Drake; base='free' reads it so",
+                where=self.outer.element.where,
+            )
+
+    def _canonical(self, scope: Scope) -> str | None:
+        """The body with which the own frame of a model moves."""
+        if scope.is_world or scope.canonical is None:
+            return None
+        found = scope.link_of(scope.canonical, scope.element.where, scope.subject)
+        body = self._body(found)[0] if found is not None else None
+        return body if body in self.links else None
+
+    def _tie(self, scope: Scope, body: str, free: bool) -> None:
+        m = self.mechanism
+        name = fresh_name(f"{scope.prefix}base", {**m.joints, **m.constraints})
+        m.joint(name, "free" if free else "fixed", GROUND, body, at=place(self._place_of(body)))
+
+
+class _Parts:
+    """Which bodies hang together."""
+
+    def __init__(self, mechanism: Mechanism):
+        self._next: dict[str, str] = {}
+        for joint in mechanism.joints.values():
+            self.tie(joint.parent, joint.child)
+
+    def _top(self, body: str) -> str:
+        path: list[str] = []
+        while body in self._next:
+            path.append(body)
+            body = self._next[body]
+        for other in path:
+            self._next[other] = body
+        return body
+
+    def tied(self, a: str, b: str) -> bool:
+        """Whether joints lead from one body to the other."""
+        return self._top(a) == self._top(b)
+
+    def tie(self, a: str, b: str) -> None:
+        """Let two bodies hang together."""
+        one, two = self._top(a), self._top(b)
+        if one != two:
+            self._next[one] = two
+
+
+def _coordinates(joint: Joint) -> Iterator[str]:
+    """Names of the coordinates within a joint."""
+    yield from joint.type.coordinates(3, False)

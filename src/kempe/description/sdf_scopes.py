@@ -1,0 +1,655 @@
+"""SDF models and worlds with what their names mean: frames that are placed on one another, and
+files that are included.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import numpy as np
+
+from kempe.description.packages import Folders
+from kempe.description.sdf_elements import (
+    NEWEST,
+    check_attributes,
+    check_known,
+    first,
+    read_pose,
+    read_version,
+    text_of,
+    truth,
+)
+from kempe.description.source import SIZE_LIMIT, Findings, shorten
+from kempe.description.xml import XmlElement, parse_xml
+from kempe.errors import DescriptionError, Where
+from kempe.poses import Placement, place
+from kempe.spatial import Array
+
+# ---- included files
+
+DEEPEST = 50
+MOST = 10_000
+"""Models inside one another, included ones counted, and models that are included, at most."""
+ENVIRONMENT = ("GZ_SIM_RESOURCE_PATH", "SDF_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
+"""Names of lists of folders with models."""
+SUPPORTED = re.compile(r"\s*0*(\d{1,9})\.0*(\d{1,9})", re.ASCII)
+
+
+def gazebo_folders() -> list[Path]:
+    """Folders of models that Gazebo names in the environment."""
+    listed = (os.environ.get(name, "") for name in ENVIRONMENT)
+    return [Path(d) for text in listed for d in text.split(os.pathsep) if d and os.path.isdir(d)]
+
+
+class Include(NamedTuple):
+    """The outermost element of an included file, the model in it, and the folder of the file."""
+
+    sdf: XmlElement
+    model: XmlElement | None
+    folder: Path
+
+
+class Files:
+    """The files that a description includes, each read once: from folders that may be read."""
+
+    def __init__(self, roots: Iterable[Path], findings: Findings):
+        self.folders = Folders(roots)
+        self.findings = findings
+        self.count = 0
+        self._read: dict[Path, XmlElement] = {}
+
+    def include(self, element: XmlElement, folder: Path | None, subject: str) -> Include | None:
+        """What an <include> in a file of the `folder` names; None after recording why nothing."""
+        uri = first(element, "uri")
+        allowed = "write <include><uri>model://name</uri></include>"
+        if uri is None or not uri.content:
+            self.findings.add("it has no <uri>", subject, element.where, allowed)
+            return None
+        before = len(self.findings.problems)
+        path = self._found(uri, folder, subject)
+        if path is None:
+            return None
+        sdf = self._parsed(path, uri, subject)
+        if sdf is None:
+            return None
+        self.count += 1
+        if self.count > MOST:
+            self.findings.add(
+                f"more than {MOST} models are included",
+                subject,
+                uri.where_content,
+                "this is no robot's file",
+            )
+            self.findings.finish()
+        models = sdf.of("model")
+        if len(models) > 1 or (not models and not (sdf.of("light") or sdf.of("actor"))):
+            count = len(models) or "no"
+            self.findings.add(
+                f"{shorten(path)} has {count} models",
+                subject,
+                uri.where_content,
+                "an included file has one <model> directly in <sdf>",
+            )
+        if len(self.findings.problems) > before:
+            return None
+        return Include(sdf, models[0] if models else None, path.parent)
+
+    def _parsed(self, path: Path, uri: XmlElement, subject: str) -> XmlElement | None:
+        if path in self._read:
+            return self._read[path]
+        try:
+            with open(path, "rb") as file:
+                data = file.read(SIZE_LIMIT + 1)
+            sdf = parse_xml(data, str(path), self.findings)
+        except DescriptionError as error:
+            self.findings.problems += error.problems
+            return None
+        except OSError as error:
+            said = f"{shorten(path)} cannot be read: {error.strerror or error}"
+            self.findings.add(said, subject, uri.where_content, "check its permissions")
+            return None
+        if sdf.tag != "sdf":
+            said = f"{shorten(path)} is no SDF: its outermost element is <{sdf.tag}>"
+            self.findings.add(said, subject, uri.where_content, "include SDF files")
+            return None
+        self._read[path] = sdf
+        return sdf
+
+    def _found(self, uri: XmlElement, folder: Path | None, subject: str) -> Path | None:
+        """The file that a <uri> in a file of the `folder` means; None after recording why none."""
+        text = uri.content
+        scheme, colon, rest = text.partition("://")
+        path = rest if colon else text
+        parts = PurePosixPath(path.replace("\\", "/")).parts
+        said = ""
+        allowed = "write model://name, or a relative path"
+        if colon and scheme not in ("model", "package", "file"):
+            said = "it is not on this machine"
+            allowed = "download the model, and name its folder by package_dirs"
+        elif not parts or "\0" in path:
+            said = "it names no file"
+        elif path.startswith(("/", "\\", "~")) or re.match(r"[A-Za-z]:", path):
+            said = "it is absolute"
+        if not said:
+            package = self.folders.packages.get(parts[0])
+            named = [package.joinpath(*parts[1:])] if package is not None else []
+            near = [folder] if folder is not None else []
+            relative = [d.joinpath(*parts) for d in (*near, *self.folders.roots)]
+            order = [*named, *relative] if scheme in ("model", "package") else [*relative, *named]
+            inside = [*self.folders.readable, *([package.resolve()] if package else [])]
+            found = [file.resolve() for file in map(_file_of, order) if file is not None]
+            for file in found:
+                if any(file.is_relative_to(d) for d in inside):
+                    return file
+            said = "it leads out of the folders of the model" if found else "there is no such model"
+            looked = ", ".join(repr(str(d)) for d in self.folders.readable) or "no folder"
+            allowed = f"looked in {looked}; name others by package_dirs"
+        self.findings.add(f"{shorten(text, 200)}: {said}", subject, uri.where_content, allowed)
+        return None
+
+
+def _file_of(path: Path) -> Path | None:
+    """The SDF file that a path means: itself, or the newest one that the model.config of a folder
+    names.
+    """
+    try:
+        if os.path.isfile(path):
+            return path
+        config = path / "model.config"
+        if not os.path.isfile(config):
+            inside = path / "model.sdf"
+            return inside if os.path.isfile(inside) else None
+        with open(config, "rb") as file:
+            names = parse_xml(file.read(SIZE_LIMIT + 1), str(config)).of("sdf")
+    except (OSError, ValueError, DescriptionError):
+        return None
+    best: tuple[tuple[int, int], Path] | None = None
+    for name in names:
+        found = SUPPORTED.match(name.attributes.get("version", "1.0"))
+        version = (int(found[1]), int(found[2])) if found else (0, 0)
+        file_path = path / name.content
+        if version <= NEWEST and os.path.isfile(file_path) and (best is None or version > best[0]):
+            best = version, file_path
+    return best[1] if best else None
+
+
+# ---- frames
+
+GROUND = "world"
+"""The name of what does not move."""
+MODEL = "__model__"
+"""The name of a model's own frame, inside of it."""
+FEW = 8
+"""Frames over which numbers of the file are kept as they are, without multiplying poses."""
+
+
+class Node(NamedTuple):
+    """A frame of a scope: it sits at `X` on the frame `base`, and moves with the frame `on`: '' for
+    a link, which moves by itself.
+    """
+
+    X: Placement
+    base: str
+    on: str
+    where: Where
+
+
+class Scope:
+    """A model or a world, and what the names in it mean: links, joints, frames, nested models.
+
+    A nested model is a frame of its scope, and has its own scope in `models`. A merged one has its
+    names in the outer scope, too.
+    """
+
+    def __init__(
+        self,
+        element: XmlElement,
+        name: str,
+        outer: Scope | None,
+        version: tuple[int, int],
+        folder: Path | None,
+        files: Files,
+    ):
+        self.element = element
+        self.name = name
+        self.outer = outer
+        self.version = version
+        self.folder = folder
+        self.files = files
+        self.findings = files.findings
+        self.merged = False
+        self.placing = element
+        """The element that has the <pose> of the model: itself, or the <include> that names it."""
+        self.depth = outer.depth + 1 if outer else 0
+        self.links: dict[str, XmlElement] = {}
+        self.joints: dict[str, XmlElement] = {}
+        self.frames: dict[str, XmlElement] = {}
+        self.models: dict[str, Scope] = {}
+        self._order: list[str] = []
+        self._nodes: dict[str, Node] = {}
+        self._poses: dict[str, Array] = {self.root: np.eye(4)}
+
+    @property
+    def is_world(self) -> bool:
+        """Whether the scope is a world, whose frame does not move."""
+        return self.element.tag == "world"
+
+    @property
+    def root(self) -> str:
+        """Name of the scope's own frame, inside of it."""
+        return GROUND if self.is_world else MODEL
+
+    @cached_property
+    def prefix(self) -> str:
+        """What stands before its names in the mechanism: 'arm::hand::'."""
+        if self.outer is None:
+            return ""
+        return self.outer.prefix if self.merged else f"{self.outer.prefix}{self.name}::"
+
+    @property
+    def subject(self) -> str:
+        """The scope in messages."""
+        return f"{self.element.tag} {(self.prefix.removesuffix('::') or self.name)!r}"
+
+    def within(self, kind: str, name: str) -> str:
+        """A part of the scope in messages: "joint 'arm::elbow'"."""
+        return f"{kind} {self.prefix + name!r}"
+
+    def all(self) -> Iterator[Scope]:
+        """The scope and those nested in it, in the order of the file."""
+        yield self
+        for inner in self.models.values():
+            yield from inner.all()
+
+    @cached_property
+    def static(self) -> bool:
+        """Whether the model, or one around it, does not move."""
+        outer = self.outer is not None and self.outer.static
+        if outer or self.merged or self.is_world:
+            return outer
+        holder = self.placing if first(self.placing, "static") else self.element
+        element = first(holder, "static")
+        return element is not None and truth(
+            element.content, element.where_content, self.findings, self.subject, "static"
+        )
+
+    # what stands in a scope
+
+    def scan(self, only: str | None = None) -> None:
+        """Find the links, joints, frames and models; of a world `only` the model of this name."""
+        check_known(self.element, self.findings, self.subject, DRAKE)
+        check_attributes(self.element, self.findings, self.subject)
+        for child in self.element.children:
+            if child.tag == "include":
+                self._include(child, only)
+            elif child.tag in ("link", "joint", "frame", "model"):
+                name = child.attributes.get("name", "").strip()
+                if only is not None and (child.tag != "model" or name != only):
+                    continue
+                self._add(child, name, only)
+        if not self.is_world:
+            self._check_placing()
+
+    def _add(self, child: XmlElement, name: str, only: str | None) -> None:
+        findings = self.findings
+        if not name:
+            findings.add(f"a {child.tag} has no name", self.subject, child.where, NAMED)
+            return
+        subject = self.within(child.tag, name)
+        check_attributes(child, findings, subject)
+        reserved = name == GROUND or (name.startswith("__") and name.endswith("__"))
+        if self.version >= (1, 7) and reserved or name == GROUND and child.tag == "link":
+            findings.add(
+                f"the name {name!r} is reserved",
+                subject,
+                child.where_of("name"),
+                "rename it: world and __...__ have a meaning of their own",
+            )
+        elif self.version >= (1, 8) and "::" in name:
+            findings.add(
+                f"its name {name!r} holds '::'",
+                subject,
+                child.where_of("name"),
+                "rename it: '::' stands between the names of nested models",
+            )
+        elif self._is_new(child, name, subject):
+            if child.tag == "model":
+                self._nest(Scope(child, name, self, self.version, self.folder, self.files), only)
+            else:
+                table = {"link": self.links, "joint": self.joints, "frame": self.frames}[child.tag]
+                table[name] = child
+                self._order += [name] * (child.tag == "link")
+
+    def _is_new(self, child: XmlElement, name: str, subject: str) -> bool:
+        """Whether no other part has this name; before version 1.7 only parts of one kind count."""
+        tables = {"link": self.links, "joint": self.joints, "frame": self.frames}
+        for kind, table in {**tables, "model": self.models}.items():
+            other = table.get(name)
+            if other is not None and (kind == child.tag or self.version >= (1, 7)):
+                there = other.element if isinstance(other, Scope) else other
+                message = f"there is another {kind} of this name, at {there.where}"
+                where = child.where_of("name")
+                self.findings.add(message, subject, where, "names must be unique")
+                return False
+        return True
+
+    def _nest(self, inner: Scope, only: str | None) -> None:
+        """Add a nested model; the `only` one has names without a prefix."""
+        if inner.depth > DEEPEST:
+            self.findings.add(
+                f"models are nested more than {DEEPEST} deep",
+                self.subject,
+                inner.placing.where,
+                "this is no robot's file",
+            )
+            self.findings.finish()
+        if only is not None:
+            inner.prefix = ""
+        self.models[inner.name] = inner
+        self._order += [inner.name] * inner.merged
+        inner.scan()
+
+    def _include(self, element: XmlElement, only: str | None) -> None:
+        findings = self.findings
+        given = text_of(element, "name")
+        subject = f"include {given!r}" if given else "include"
+        if only is not None and given and given != only:
+            return
+        check_known(element, findings, subject)
+        check_attributes(element, findings, subject)
+        for child in element.of("experimental:params"):
+            findings.add(
+                "<experimental:params> is not read, and it changes the included model",
+                subject,
+                child.where,
+                "write the model as it shall be",
+            )
+        before = len(findings.problems)
+        found = self.files.include(element, self.folder, subject)
+        if found is None and only is not None:
+            del findings.problems[before:]  # it may be another model that cannot be found
+        if found is None or found.model is None:
+            return  # a light or an actor does not move anything
+        name = given or found.model.attributes.get("name", "").strip()
+        if only is not None and name != only:
+            return
+        version = read_version(found.sdf, findings)
+        inner = Scope(found.model, name, self, version, found.folder, self.files)
+        inner.placing = element
+        merge = element.attributes.get("merge")
+        inner.merged = truth(merge, element.where_of("merge"), findings, subject, "merge")
+        if inner.merged:
+            inner.name = f"_merged__{name}__model__"
+        if not name:
+            findings.add("the included model has no name", subject, element.where, NAMED)
+        elif self._is_new(found.model, inner.name, subject):
+            self._nest(inner, only)
+        if inner.merged and self.is_world and (inner.links or inner.frames.keys() & self.frames):
+            findings.add(
+                "it merges links into a world",
+                subject,
+                element.where,
+                "links belong to a model: leave out merge",
+            )
+
+    # frames
+
+    def _check_placing(self) -> None:
+        attribute = self.element.attributes.get("canonical_link")
+        if attribute and self.find(attribute) is None:
+            self.unknown("canonical_link", attribute, self.element.where_of("canonical_link"))
+
+    @cached_property
+    def X_outer(self) -> Placement:
+        """Where the model is on the frame that its <pose> names, by its placement frame if it has
+        one.
+        """
+        holder = self.placing
+        if first(holder, "pose") is None and self.placing is not self.element:
+            holder = self.element
+        X = read_pose(holder, self.findings, self.subject)[0]
+        name = text_of(self.placing, "placement_frame")
+        where = self.placing.where
+        if not name:
+            name = self.element.attributes.get("placement_frame", "")
+            where = self.element.where_of("placement_frame")
+        if not name or self.find(name) is None:
+            if name:
+                self.unknown("placement_frame", name, where)
+            return X
+        return X @ self.on_root(name).inverse()
+
+    @cached_property
+    def relative(self) -> tuple[str, Where]:
+        """Name of the frame that the model's <pose> is relative to, and where it is named."""
+        holder = self.placing if first(self.placing, "pose") is not None else self.element
+        pose = first(holder, "pose")
+        if pose is None:
+            return "", holder.where
+        given = pose.attributes
+        return given.get("relative_to") or given.get("frame") or "", pose.where
+
+    @cached_property
+    def X_W(self) -> Array:
+        """The pose of the scope's own frame in the world."""
+        if self.outer is None:
+            if self.is_world:
+                return np.eye(4)
+            name, where = self.relative
+            if name and name != GROUND:
+                self.findings.add(
+                    f"its pose is relative to {name!r}",
+                    self.subject,
+                    where,
+                    "outside of a world there is no frame but the world's",
+                )
+            return self.X_outer.evaluate({})
+        return self.outer.X_W @ self.outer.pose(self.name)
+
+    def find(self, name: str) -> str | None:
+        """The key of the frame that a name means inside of this scope, None where there is none."""
+        if name == self.root:
+            return name
+        known = name in self.links or name in self.models or name in self.frames
+        if known or name in self.joints or name in self._nodes:
+            return name
+        head, separator, rest = name.partition("::")
+        if separator and head in self.models and self.models[head].find(rest) is not None:
+            return name
+        for inner in self.models.values():
+            if inner.merged and name != MODEL and inner.find(name) is not None:
+                return f"{inner.name}::{name}"
+        return None
+
+    def unknown(self, what: str, name: str, where: Where, subject: str = "") -> None:
+        """Record that a name means nothing in this scope."""
+        names = [*self.links, *self.frames, *self.joints, *self.models]
+        said = self.findings.hint(name, names)
+        self.findings.add(
+            f"{what} is {shorten(name)}, which is no frame of {self.subject}{said}",
+            subject or self.subject,
+            where,
+            "" if said else "it must name a link, frame, joint or model of the same model",
+        )
+
+    def _node(self, key: str) -> Node:
+        """The frame of a key, read when it is first needed."""
+        node = self._nodes.get(key)
+        if node is None:
+            node = self._nodes[key] = self._made(key)
+        return node
+
+    def _made(self, key: str) -> Node:
+        head, separator, rest = key.partition("::")
+        if key in self.links:
+            return self._placed(key, self.links[key], "link", self.root, "")
+        if key in self.models:
+            inner = self.models[key]
+            name, where = inner.relative
+            base = self._reference("relative_to", name, where, inner.subject) or self.root
+            return Node(inner.X_outer, base, f"{key}::{MODEL}", where)
+        if key in self.frames:
+            element = self.frames[key]
+            given = element.attributes.get("attached_to", "")
+            subject = self.within("frame", key)
+            where = element.where_of("attached_to")
+            on = self._reference("attached_to", given, where, subject) or self.root
+            return self._placed(key, element, "frame", on, on)
+        if key in self.joints:
+            element = self.joints[key]
+            child = first(element, "child")
+            where = child.where_content if child is not None else element.where
+            subject = self.within("joint", key)
+            on = self._reference("child", text_of(element, "child"), where, subject) or self.root
+            return self._placed(key, element, "joint", on, on)
+        assert separator, "find gives no other keys"
+        inner = self.models[head]
+        return Node(inner.on_root(rest), head, key, inner.element.where)
+
+    def _placed(self, key: str, element: XmlElement, kind: str, default: str, on: str) -> Node:
+        subject = self.within(kind, key)
+        X, relative, pose = read_pose(element, self.findings, subject)
+        where = pose.where if pose is not None else element.where
+        base = self._reference("relative_to", relative, where, subject) or default
+        return Node(X, base, on, where)
+
+    def _reference(self, what: str, name: str, where: Where, subject: str) -> str:
+        """The key of a frame that is named in the file, '' where none is or it is wrong."""
+        if not name:
+            return ""
+        key = self.find(name)
+        if key is None:
+            self.unknown(what, name, where, subject)
+        return key or ""
+
+    def _up(self, key: str, most: int) -> list[str]:
+        """The keys from a frame down to the scope's own one, along the frames on which they sit; no
+        more than `most` of them.
+        """
+        out: dict[str, None] = {}
+        while key != self.root and key not in self._poses and len(out) < most:
+            if key in out:
+                names = [*out][[*out].index(key) :]
+                shown = " -> ".join(map(repr, [*names[:8], *(["..."] if names[8:] else []), key]))
+                self.findings.add(
+                    f"its pose is relative to itself: {shown}",
+                    f"frame {self.prefix + key!r}",
+                    self._node(key).where,
+                    "the frames of a model sit on one another, and the first one on the model",
+                )
+                self.findings.finish()
+            out[key] = None
+            key = self._node(key).base
+        return [*out]
+
+    def pose(self, name: str) -> Array:
+        """The pose of a frame, seen from the scope's own frame."""
+        key = self.find(name) or self.root
+        for part in reversed(self._up(key, sys.maxsize)):
+            node = self._node(part)
+            self._poses[part] = self._poses[node.base] @ node.X.evaluate({})
+        return self._poses[key]
+
+    def on_root(self, name: str) -> Placement:
+        """The placement of a frame on the scope's own frame."""
+        exact = self.between(self.find(name) or self.root, self.root)
+        return place(self.pose(name)) if exact is None else exact
+
+    def in_world(self, name: str) -> Array:
+        """The pose of a frame, or of the ground, in the world."""
+        return np.eye(4) if name == GROUND else self.X_W @ self.pose(name)
+
+    def between(self, key: str, other: str) -> Placement | None:
+        """The placement of a frame on another one of this scope as the file gives it; None where
+        the first does not sit on the second, over a few frames.
+        """
+        out = Placement()
+        for _ in range(FEW):
+            if key == other:
+                return out
+            if key == self.root:
+                return None
+            node = self._node(key)
+            out = node.X @ out
+            key = node.base
+        return None
+
+    # links
+
+    def link_of(self, name: str, where: Where, subject: str) -> tuple[Scope, str] | None:
+        """The link with which a frame moves, as its scope and its name in it, which is '' for the
+        ground; None after recording that there is none.
+        """
+        scope: Scope = self
+        key = GROUND if name == GROUND else self.find(name)
+        seen: set[tuple[int, str]] = set()
+        while key is not None:
+            if key == GROUND:
+                return scope, ""
+            if (id(scope), key) in seen:
+                break
+            seen.add((id(scope), key))
+            if key in scope.links:
+                return scope, key
+            head, separator, rest = key.partition("::")
+            if key == MODEL:
+                canonical = scope.canonical
+                if canonical is None:
+                    self.findings.add(
+                        f"{name!r} moves with {scope.subject}, which has no link",
+                        subject,
+                        where,
+                        "name a frame that moves with a link",
+                    )
+                    return None
+                key = canonical
+            elif separator and head in scope.models and key not in scope.own:
+                scope = scope.models[head]
+                key = scope.find(rest)
+            elif key in scope.models:
+                scope = scope.models[key]
+                key = MODEL
+            else:
+                key = scope._node(key).on
+        if key is not None:
+            said = f"{name!r} is attached to itself"
+            allowed = "frames are attached to one another, and the first one to a link"
+            self.findings.add(said, subject, where, allowed)
+        return None
+
+    @property
+    def own(self) -> set[str]:
+        """Names of links, joints and frames of this scope."""
+        return {*self.links, *self.joints, *self.frames}
+
+    @cached_property
+    def canonical(self) -> str | None:
+        """The link with which the model's own frame moves: the one that it names, else its first
+        one, else that of its first nested model.
+        """
+        given = self.element.attributes.get("canonical_link")
+        if given and self.find(given) is not None:
+            return self.find(given)
+        for name in [*self._order, *self.models]:
+            if name in self.links:
+                return name
+            inner = self.models[name]
+            if inner.canonical is not None:
+                return f"{name}::{inner.canonical}"
+        return None
+
+
+NAMED = "every model, link, joint and frame needs a name of its own"
+DRAKE = (
+    "drake:joint",
+    "drake:ball_constraint",
+    "drake:distance_constraint",
+    "drake:collision_filter_group",
+)
+"""Elements of Drake in a model that are read, or change no motion."""

@@ -1,0 +1,154 @@
+"""Shapes in SDF: <visual> and <collision> elements, read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from kempe.description.parts import Shape
+from kempe.description.sdf_elements import first, read_numbers, read_pose
+from kempe.description.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Geometry,
+    Mesh,
+    Sphere,
+)
+from kempe.description.source import Findings, numbers_in, shorten
+from kempe.description.xml import XmlElement
+from kempe.poses import Placement
+from kempe.words import counted
+
+KINDS: dict[str, tuple[type[Geometry], Mapping[str, int]]] = {
+    "box": (Box, {"size": 3}),
+    "sphere": (Sphere, {"radius": 1}),
+    "cylinder": (Cylinder, {"radius": 1, "length": 1}),
+    "capsule": (Capsule, {"radius": 1, "length": 1}),
+    "ellipsoid": (Ellipsoid, {"radii": 3}),
+    "mesh": (Mesh, {"scale": 3}),
+}
+"""Elements inside <geometry> that are read, with their sizes and how many numbers each has."""
+
+USES = {"visual": (True, False), "collision": (False, True)}
+"""Elements of a link that hold shapes, with `visual` and `collision` of `Shape`."""
+
+
+def read_shapes(
+    link: XmlElement,
+    owner: str,
+    placed: Callable[[str, XmlElement], Placement | None],
+    folder: str,
+    findings: Findings,
+) -> Iterator[Shape]:
+    """The shapes of a link; what is wrong with them goes to the findings.
+
+    `placed` gives the placement on the link of a frame that a <pose> names, at an element; `folder`
+    is the folder of the file, seen from the outermost file, before relative paths of meshes. What
+    has no size is left out with a note, and so are shapes of other kinds.
+    """
+    for element in link.children:
+        if element.tag not in USES:
+            continue
+        name = element.attributes.get("name", "")
+        subject = f"{element.tag}{f' {shorten(name)}' if name else ''} of {owner}"
+        before = len(findings.problems)
+        X, relative, pose = read_pose(element, findings, subject)
+        if relative and pose is not None:
+            X = (placed(relative, pose) or Placement()) @ X
+        geometry = _geometry(element, folder, findings, subject)
+        if geometry is None or len(findings.problems) > before:
+            continue
+        visual, collision = USES[element.tag]
+        color = _color(element) if visual else None
+        yield Shape(geometry, X, visual, collision, color, name, element.where)
+
+
+def _geometry(
+    element: XmlElement, folder: str, findings: Findings, subject: str
+) -> Geometry | None:
+    """The shape itself; None where there is none that is read."""
+    inside = [part for holder in element.of("geometry") for part in holder.children]
+    known = [part for part in inside if part.tag in KINDS]
+    if len(known) > 1:
+        findings.add(
+            f"it has {len(known)} shapes",
+            subject,
+            known[1].where,
+            f"write one <{element.tag}> for each shape",
+        )
+    if len(known) != 1:
+        return None
+    shape = known[0]
+    kind, sizes = KINDS[shape.tag]
+    given: dict[str, Any] = {}
+    for tag, count in sizes.items():
+        part = first(shape, tag)
+        if part is not None:
+            found = read_numbers(part, count, findings, subject)
+            if found is None:
+                return None
+            given[tag] = found if count > 1 else found[0]
+        elif kind is not Mesh:
+            given[tag] = (
+                1.0 if count == 1 else (1.0, 1.0, 1.0)
+            )  # what SDF takes where it is left out
+    if kind is Mesh:
+        path = _path(shape, folder)
+        if not path:
+            findings.note("its mesh names no file, and is left out", subject, shape.where)
+            return None
+        given["path"] = path
+    if any(x == 0.0 for size in given.values() for x in _entries(size)):
+        findings.note(f"its {shape.tag} has no extent, and is left out", subject, shape.where)
+        return None
+    with findings.guard(subject, shape.where):
+        return kind(**given)
+    return None
+
+
+def _entries(size: Any) -> tuple[Any, ...]:
+    return size if isinstance(size, tuple) else (size,)
+
+
+def _path(mesh: XmlElement, folder: str) -> str:
+    """The path of a mesh as the mechanism has it: in a package, or relative to the outermost file."""
+    uri = first(mesh, "uri")
+    text = uri.content if uri is not None else ""
+    scheme, colon, rest = text.partition("://")
+    if colon and scheme in ("model", "package"):
+        return f"package://{rest}"
+    path = rest if colon and scheme == "file" else text
+    relative = path and not colon and folder not in ("", ".") and not Path(path).is_absolute()
+    return f"{folder}/{path}" if relative else path
+
+
+def _color(visual: XmlElement) -> tuple[float, float, float, float] | None:
+    """The colour of a visual: that of its material in light from all sides, else the ambient one."""
+    for material in visual.of("material"):
+        for tag in ("diffuse", "ambient"):
+            part = first(material, tag)
+            text = part.content if part is not None else ""
+            for count in (4, 3):
+                found = numbers_in(text, count)
+                if not isinstance(found, str) and all(0.0 <= x <= 1.0 for x in found):
+                    return (*found, 1.0)[:4]  # type: ignore[return-value]
+    return None
+
+
+def note_others(link: XmlElement, seen: dict[str, list[XmlElement]]) -> None:
+    """Collect the shapes of a link whose kinds are not read, by kind."""
+    for element in link.children:
+        for holder in element.of("geometry") if element.tag in USES else ():
+            for part in holder.children:
+                if part.tag not in KINDS and part.tag != "empty":
+                    seen.setdefault(part.tag, []).append(part)
+
+
+def others_said(seen: Mapping[str, list[XmlElement]], findings: Findings) -> None:
+    """Note the collected shapes, once for each kind."""
+    for tag, elements in seen.items():
+        said = f"{counted(len(elements), f'shape <{tag}>')} not read: shapes are "
+        findings.note(said + ", ".join(KINDS), "", elements[0].where)
