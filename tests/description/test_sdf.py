@@ -24,7 +24,7 @@ from kempe.description.shapes import SHAPES
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 
 DRAKE: dict[str, Any] = json.loads(RECORD.read_text(encoding="utf-8"))
-EXACT = {"rtol": 0, "atol": 1e-12}
+EXACT: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
 
 
 def refused(text: str, **options: Any) -> str:
@@ -501,7 +501,8 @@ def test_loaded_as_any_other_file(tmp_path: Path):
     system = kempe.load(path)
     assert system == kempe.load(path.read_text()) and system.nq == 2
     assert kempe.load(path, base="free").nq == 9
-    assert SDF.read is not None and system.mechanism.joints["j"].where.file == str(path)
+    where = system.mechanism.joints["j"].where
+    assert SDF.read is not None and where is not None and where.file == str(path)
     again = kempe.load(Mechanism.save(system.mechanism, tmp_path / "again.toml"))
     q = [0.3, -0.2]
     for name in system.frame_names:
