@@ -187,6 +187,8 @@ def test_natural_axes_have_natural_names(at_once):
     assert m.joints["a"].type.type_name == "R(z) R(y) R(x)" and not m.locks
     assert m.build().coordinate_names == ("a.rz", "a.ry", "a.rx")
     assert not read(TREES["a left-handed triple"]).locks
+    slides = mjcf(body("a", slide("u"), slide("v", "0 1 0", 0.3), hinge("w", "0 0 1", ref=20)))
+    assert not read(slides).locks
 
 
 def test_ranges(at_once):

@@ -114,7 +114,9 @@ def product_of(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Prod
         kind = "P" if joint["kind"] == "slide" else "R"
         ref = float(qpos0[int(joint["address"])])
         name = "xyz"[letter]
-        if not f.words and ref:
+        # slides that no turn precedes can change places
+        ahead = kind == "P" and all(word.startswith("P") for word in f.words)
+        if ref and (ahead or not f.words):
             first = first @ _step(kind, name, -ref)
             ref = 0.0
         of_joint.append(f.add(f"{kind}({name})"))

@@ -22,7 +22,7 @@ from kempe.description.limited import last_words, run_limited
 from kempe.description.packages import Folders
 from kempe.description.source import SIZE_LIMIT, Source, fail, folders_of, shorten
 from kempe.description.xml import parse_xml, xml_source
-from kempe.errors import DescriptionError, MissingExtraError, Where
+from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
 SECONDS = 30
 """Seconds that MuJoCo's compiler may take; large models take about three."""
@@ -340,6 +340,8 @@ def compile_mjcf(merged: Merged) -> dict[str, Any]:
     if ended.reason:
         raise _stopped(ended.reason, ended.code, ended.said, merged)
     answer: dict[str, Any] = json.loads(ended.output)
+    if "missing" in answer:
+        raise UnsupportedError(f"{answer['missing']}; a version of at least 3.6 is needed")
     if "error" in answer:
         raise _refused(answer["error"], merged)
     return answer
@@ -398,6 +400,12 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
         r"keyframe '.*': invalid (\w+) size, expected (\d+), got (\d+)",
         "its {0} has {2} numbers",
         "it must have {1}",
+    ),
+    (r"size (\d) must be positive in geom", "its size is not positive", "sizes are above zero"),
+    (
+        r"mass and inertia of moving bodies must be larger than mjMINVAL",
+        "its mass or inertia is too small",
+        "it must be above 1e-15",
     ),
     (r"axis too small.*", "its axis is zero", "an axis has a direction"),
     (

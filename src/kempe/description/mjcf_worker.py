@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import sys
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -20,8 +22,9 @@ TETRAHEDRON = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]
 
 
 def compiled(text: str, files: dict[str, bytes]) -> dict[str, Any]:
-    """The tables of a model, or ``{"error": ...}`` with what MuJoCo says; `files` by name are those
-    that the text needs while it is parsed.
+    """The tables of a model, or ``{"error": ...}`` with what MuJoCo says, or ``{"missing": ...}``
+    where its version lacks something; `files` by name are those that the text needs while it is
+    parsed.
     """
     mujoco: Any = import_module("mujoco")
     try:
@@ -30,11 +33,16 @@ def compiled(text: str, files: dict[str, bytes]) -> dict[str, Any]:
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         return {"error": str(error)}
+    except AttributeError as error:
+        return {"missing": f"mujoco {mujoco.__version__}: {error}"}
     return _tables(mujoco, spec, model, what)
 
 
 def _strip(mujoco: Any, spec: Any) -> dict[str, Any]:
     """Take out of a spec what would be read from files or cost time; returns what was there."""
+    for mesh in spec.meshes:
+        # older versions name a mesh after its file no sooner than they read it
+        mesh.name = mesh.name or os.path.splitext(os.path.basename(mesh.file))[0]
     out: dict[str, Any] = {
         "actuators": len(spec.actuators),
         "sensors": len(spec.sensors),
@@ -43,15 +51,18 @@ def _strip(mujoco: Any, spec: Any) -> dict[str, Any]:
         "meshes": {m.name: _mesh(spec, m) for m in spec.meshes},
         "shapes": [_without_mesh(mujoco, g) for g in spec.geoms],
     }
-    # memory for a simulation, of any size
-    spec.memory = spec.nstack = spec.njmax = spec.nconmax = -1
+    for size in ("memory", "nstack", "njmax", "nconmax"):
+        # the memory of a simulation; not all versions leave all of it open
+        with suppress(TypeError, AttributeError):
+            setattr(spec, size, -1)
     # a search of seconds, for muscles
     spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE
     for body in spec.bodies:
         body.plugin.active = False
-        body.compiler.boundmass = max(body.compiler.boundmass, TINY)
-        body.compiler.boundinertia = max(body.compiler.boundinertia, TINY)
-        body.compiler.discardvisual = False
+        settings = body.compiler
+        settings.boundmass = max(settings.boundmass, TINY)
+        settings.boundinertia = max(settings.boundinertia, TINY)
+        settings.discardvisual = False
     for key in spec.keys:
         key.ctrl = key.act = []
     for mesh in spec.meshes:
@@ -94,7 +105,7 @@ def _mesh(spec: Any, mesh: Any) -> dict[str, Any]:
         "file": mesh.file,
         "folder": mesh.compiler.meshdir,
         "strip": bool(getattr(spec, "strippath", False)),
-        "scale": list(mesh.scale),
+        "scale": [float(x) for x in mesh.scale],
         "line": _line(mesh),
         "moved": moved,
     }
