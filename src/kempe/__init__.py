@@ -69,8 +69,8 @@ def load(
     `format` is None. `base="free"` lets the root link of a URDF move freely, or what nothing ties
     to the world of an SDF; `root` names the ground where a file has no root link; `model` names the
     model that is read of an SDF with several; `package_dirs` are folders in which meshes, packages
-    and the files that MJCF includes are looked up, beside the file's package, its neighbours, and the folders of ROS;
-    `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
+    and the files that MJCF includes are looked up, beside the file's package, its neighbours, and
+    the folders of ROS; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
     ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
     bounds, or lower above upper), and negative ones of velocity and effort, as none. Errors:
     `DescriptionError` with file, line and what is allowed.

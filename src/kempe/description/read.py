@@ -88,8 +88,8 @@ def read(
     `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None.
     ``base="free"`` and `lenient_limits` are for URDF and SDF, `root` is for URDF, see `read_urdf`,
     and `model` for SDF, see `read_sdf`. A path may begin with ``~``, the home folder. Meshes, and
-    files that MJCF includes, may lie in the file's folder and in `package_dirs`, in the packages there and the neighbours of
-    these, and in packages of ROS.
+    files that MJCF includes, may lie in the file's folder and in `package_dirs`, in the packages
+    there and the neighbours of these, and in packages of ROS.
     ``xacro=True`` expands a xacro file first, which is a program and must be trusted;
     ``xacro={"name": "ur5e"}`` also gives values of its ``<xacro:arg>`` elements. Errors:
     `DescriptionError` with file, line, what is wrong and what is allowed.
