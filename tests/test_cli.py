@@ -191,6 +191,7 @@ def test_as_a_process(arm, tmp_path):
         ("where tolerance=1e-05 lets it go on", "where --tolerance 1e-05 lets it go on"),
         ("tolerance=(1e-05, 0.002) accepts it", "--tolerance 1e-05,0.002 accepts it"),
         ("by columns=(...)", "by --columns"),
+        ("with this file as srdf=(...)", "with this file as --srdf"),
         ("allow more by kempe.Budget(time_limit=...)", "allow more by --time-limit"),
         ("'A' = 0.3 or A=0.3, angles=True", "'A' = 0.3 or A=0.3, angles=True"),
     ],
@@ -249,6 +250,35 @@ def test_arguments_of_xacro(tmp_path):
     ):
         result = Result("info", path, *more)
         assert result.code == code and said in result.err
+
+
+def test_an_srdf(tmp_path):
+    links = "".join(f'<link name="{name}"/>' for name in "abc")
+    turns = "".join(
+        f'<joint name="j{p}" type="continuous"><parent link="{p}"/><child link="{c}"/></joint>'
+        for p, c in ("ab", "bc")
+    )
+    (tmp_path / "r.urdf").write_text(f'<robot name="r">{links}{turns}</robot>')
+    (tmp_path / "r.srdf").write_text(
+        '<robot name="r"><group name="arm"><joint name="jb"/></group>'
+        '<group_state name="up" group="arm"><joint name="jb" value="0.5"/></group_state></robot>'
+    )
+    given = (tmp_path / "r.urdf", "--srdf", tmp_path / "r.srdf")
+    out = Result("info", *given).out
+    assert re.search(r"groups of joints +arm\n", out) and "arm/up" in out
+    assert json.loads(Result("info", *given, "--json").out)["groups"] == {"arm": ["jb"]}
+    said = json.loads(Result("fk", *given, "--posture", "arm/up", "--json").out)
+    assert any(np.isclose(X[1, 1], np.cos(0.5)) for X in matrices(said))
+    result = Result("info", tmp_path / "r.srdf")
+    assert result.code == 2 and "with this file as --srdf" in result.err
+
+
+def matrices(x):
+    """All matrices (4, 4) in nested data."""
+    inner = x.values() if isinstance(x, dict) else x if isinstance(x, list) else ()
+    if isinstance(x, list) and len(x) == 4 and all(isinstance(r, list) and len(r) == 4 for r in x):
+        return [np.array(x)]
+    return [X for part in inner for X in matrices(part)]
 
 
 @pytest.mark.parametrize(

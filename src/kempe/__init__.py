@@ -61,6 +61,7 @@ def load(
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
+    srdf: str | Path | None = None,
 ) -> System:
     """The `System` of a file (path), of a text, or of a shipped model (bare name such as
     "puma560").
@@ -72,7 +73,8 @@ def load(
     and the files that MJCF includes are looked up, beside the file's package, its neighbours, and
     the folders of ROS; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
     ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
-    bounds, or lower above upper), and negative ones of velocity and effort, as none. Errors:
+    bounds, or lower above upper), and negative ones of velocity and effort, as none; `srdf`
+    is the SRDF of a URDF, with groups, postures, end effectors and how the base moves. Errors:
     `DescriptionError` with file, line and what is allowed.
     """
     from kempe.description.source import collecting_later
@@ -87,6 +89,7 @@ def load(
             package_dirs=package_dirs,
             xacro=xacro,
             lenient_limits=lenient_limits,
+            srdf=srdf,
         ).build()
 
 
@@ -100,6 +103,7 @@ def read(
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
+    srdf: str | Path | None = None,
 ) -> Mechanism:
     """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another
     format.
@@ -115,6 +119,7 @@ def read(
         package_dirs=package_dirs,
         xacro=xacro,
         lenient_limits=lenient_limits,
+        srdf=srdf,
     )
 
 

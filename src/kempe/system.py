@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explained, quiet, with_options
 from kempe.budget import Budget
-from kempe.description.parts import Frame
+from kempe.description.mechanism import subgroup
+from kempe.description.parts import Frame, ReadOnlyDict
 from kempe.errors import InputError, UnknownNameError
 from kempe.model import configurations
 from kempe.model.model import FrameLike, Model, SystemType
@@ -62,7 +63,7 @@ def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> Sys
     becomes a tree.
 
     Where a joint was, each moving body keeps a frame, called "C on rocker" for joint C and the body
-    rocker. What postures and locks say of the coordinates of the joints goes with them. Errors:
+    rocker. What postures, locks and groups say of the joints goes with them. Errors:
     `UnknownNameError`; `InputError` where there is no joint to take out; `DescriptionError` where a
     body would hang on nothing, or where a coupling or a constraint needs a coordinate that is gone.
     """
@@ -83,6 +84,10 @@ def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> Sys
             k: {c: x for c, x in p.items() if c not in gone} for k, p in mechanism.postures.items()
         }
         mechanism.locks = {c: x for c, x in mechanism.locks.items() if c not in gone}
+        mechanism.groups = {
+            k: tuple(joint for joint in group if joint != name)
+            for k, group in mechanism.groups.items()
+        }
     return type(system)(mechanism)
 
 
@@ -266,6 +271,40 @@ class System(Model, Pictured):
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Values by coordinate name of one configuration (nq,)."""
         return configurations.q_dict(self, q)
+
+    # ---- groups of joints
+
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """Names of joints by the name of a group, as an SRDF or `Mechanism.group` declares them."""
+        return ReadOnlyDict(self._mechanism.groups)
+
+    @explained
+    def group(self, name: str) -> System:
+        """The system of a group of joints.
+
+        Its ground is the body from which the joints of the group branch off. Bodies that are fixed
+        to moving ones come along, and frames, limits, followers and postures as far as they are of
+        these joints. Joints between them that are not in the group are held as in `neutral`.
+
+        Parameters
+        ----------
+        name
+            One of `groups`.
+
+        Returns
+        -------
+        System
+            With the coordinates of the group alone, under the same names.
+
+        Raises
+        ------
+        UnknownNameError
+            Where there is no such group.
+        DescriptionError
+            Where a coordinate of the group follows one outside.
+        """
+        return type(self)(subgroup(self.mechanism, name, self.q_dict(self.neutral)))
 
     # ---- the space of configurations
 

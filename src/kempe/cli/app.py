@@ -95,6 +95,8 @@ _LENIENT = (
     f"({named(read_by('lenient_limits'))})."
 )
 Lenient = Annotated[bool, option("--lenient-limits", _LENIENT, None, _READ)]
+_SRDF = "SRDF of the robot: groups, postures, end effectors, how the base moves."
+SrdfFile = Annotated[Path | None, option("--srdf", _SRDF, "FILE", _READ)]
 
 FrameOrAll = Annotated[
     str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")
@@ -191,6 +193,7 @@ def _reading(
     xacro: Xacro = False,
     xacro_arg: XacroArguments = None,
     lenient_limits: Lenient = False,
+    srdf: SrdfFile = None,
 ) -> Reading:
     given = {
         "base": base,
@@ -199,6 +202,7 @@ def _reading(
         "package_dirs": package_dir,
         "xacro": _values(xacro_arg, "--xacro-arg") if xacro_arg else xacro,
         "lenient_limits": lenient_limits,
+        "srdf": srdf,
     }
     return Reading((name, value) for name, value in given.items() if value)
 

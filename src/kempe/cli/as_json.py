@@ -72,6 +72,7 @@ def system_facts(system: Model, degrees: bool = False) -> dict[str, Any]:
         "relations": [relation_text(r) for r in system.structure.relations],
         "constraints": [_constraint(system, c) for c in system.mechanism.constraints.values()],
         "postures": list(system.structure.posture_names),
+        "groups": {name: list(joints) for name, joints in system.groups.items()},
         "parameters": system.structure.parameters,
         "notes": list(system.structure.notes),
     }

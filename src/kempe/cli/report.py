@@ -42,7 +42,7 @@ LONG = 1000
 
 _KEYWORD = re.compile(
     r"kempe\.Budget\((\w+)=\.\.\.\)"
-    r"|\b(columns|hold|lenient_limits|project|root|tolerance|xacro)="
+    r"|\b(columns|hold|lenient_limits|project|root|srdf|tolerance|xacro)="
     r"(True|\{name: value\}|\([^()]*\)|'[^']*'|[\d.e+-]*\d)"
 )
 """Keyword arguments in messages of the library that options of commands give."""
@@ -264,6 +264,8 @@ def _overview(data: dict[str, Any]) -> Table | Text:
         )
     if data["postures"]:
         lines.append(("postures", ", ".join(data["postures"])))
+    if data["groups"]:
+        lines.append(("groups of joints", ", ".join(data["groups"])))
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_column(style="bold", no_wrap=True)
     grid.add_column(overflow="fold")

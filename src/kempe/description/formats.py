@@ -64,7 +64,7 @@ URDF = Format(
     partial(call_late, "read_urdf"),
     partial(call_late, "write_urdf"),
     recognises=lambda start: start.startswith("<"),
-    options=("base", "root", "lenient_limits", "package_dirs", "beside"),
+    options=("base", "root", "lenient_limits", "package_dirs", "srdf", "beside"),
     cannot={
         "loops, joints from child to parent": (
             "in URDF one joint leads to each body, and none to the ground"
@@ -89,6 +89,7 @@ URDF = Format(
         "locks (the joints become fixed)",
         "frames (they become links)",
         "postures",
+        "groups and ignored pairs",
         "notes",
         "which joints are actuated or cut",
         "the tolerance",

@@ -538,6 +538,10 @@ class Mechanism(ConstraintMethods):
         self.constraints: dict[str, Declared] = {}
         self.parameters: dict[str, float] = {}
         self.postures: dict[str, dict[str, float]] = {}
+        self.groups: dict[str, tuple[str, ...]] = {}
+        """Names of joints by the name of a group; `System.group` makes a system of one."""
+        self.ignored_pairs: dict[tuple[str, str], str] = {}
+        """Pairs of bodies that are not checked for collisions, each with the reason, or ''."""
         self.locks: dict[str, float] = {}
         self.notes: list[str] = []
         self.roots: tuple[str, ...] = ()
@@ -896,6 +900,31 @@ class Mechanism(ConstraintMethods):
             raise InputError(f"posture {name!r} exists already")
         self.postures[name] = checks.numbers(coordinates, f"posture {name!r}")
 
+    def group(self, name: str, joints: Iterable[str]) -> None:
+        """Declare a named group of joints, of which `System.group` makes a system.
+
+        Errors: `UnknownNameError`; `InputError` where the name is taken.
+        """
+        if checks.name(name, "group") in self.groups:
+            raise InputError(f"group {name!r} exists already")
+        names = tuple(map(str, joints))
+        for joint in names:
+            if joint not in self.joints:
+                raise UnknownNameError("joint", joint, self.joints, self.name)
+        self.groups[name] = tuple(dict.fromkeys(names))
+
+    def ignore_pair(self, a: BodyLike, b: BodyLike, reason: str = "") -> None:
+        """Declare that two bodies are not checked for collisions with each other.
+
+        Errors: `DescriptionError` for unknown bodies.
+        """
+        subject = "ignored pair"
+        names = {self._body(body, subject, None).name for body in (a, b)}
+        if len(names) == 1:
+            checks.refuse(subject, f"both bodies are {str(a)!r}", None, "a pair has two bodies")
+        pair = tuple(name for name in self.bodies if name in names)
+        self.ignored_pairs[pair] = str(reason)  # type: ignore[index]
+
     def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
         """Hold coordinates at values: they leave the configuration. Returns the mechanism itself."""
         self.locks |= checks.numbers(coordinates, "lock")
@@ -938,6 +967,8 @@ class Mechanism(ConstraintMethods):
             "parameters",
             "locks",
             "notes",
+            "groups",
+            "ignored_pairs",
         ):
             setattr(out, key, copy.copy(getattr(self, key)))
         out.postures = {k: dict(v) for k, v in self.postures.items()}
@@ -992,6 +1023,8 @@ class Mechanism(ConstraintMethods):
             tuple(self.locks.items()),
             tuple(c.key() for c in self.constraints.values()),
             self.tolerance,
+            tuple(self.groups.items()),
+            tuple(self.ignored_pairs.items()),
         )
 
     # ---- checks
@@ -1129,6 +1162,10 @@ def attach(
         trial.constraints[prefix + constraint.name] = renamed(constraint, bodies, frames, prefix)
     for key, posture in guest.postures.items():
         trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
+    for key, joints in guest.groups.items():
+        trial.groups[prefix + key] = tuple(prefix + joint for joint in joints)
+    for (a, b), reason in guest.ignored_pairs.items():
+        trial.ignored_pairs[prefix + a, prefix + b] = reason
     trial.locks |= {prefix + k: v for k, v in guest.locks.items()}
     trial.notes += guest.notes
     trial.roots = tuple(dict.fromkeys(host.roots + guest.roots))
@@ -1140,7 +1177,8 @@ def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
     constraints do.
     """
     taken: list[str] = []
-    for one, other in (("bodies", "frames"), ("joints", "constraints"), ("postures", "postures")):
+    shared = [("bodies", "frames"), ("joints", "constraints")]
+    for one, other in (*shared, ("postures", "postures"), ("groups", "groups")):
         here = {**getattr(host, one), **getattr(host, other)}
         mount = [f"{guest.ground.name}_mount"] if one == "joints" else []
         there = dict.fromkeys([*getattr(guest, one), *getattr(guest, other), *mount])
@@ -1178,9 +1216,62 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
             "body or frame", tip, [*mechanism.bodies, *mechanism.frames], mechanism.name
         )
     end = mechanism.frames[tip].body if tip in mechanism.frames else tip
-    path = _path(mechanism, base, end)
-    kept = {base, end} | {b for j in path for b in (j.parent, j.child)}
-    out = Mechanism(f"{mechanism.name}: {base} to {tip}", mechanism.dim, ground=base)
+    path = joints_between(mechanism, base, end)
+    return _part(mechanism, f"{base} to {tip}", base, path)
+
+
+def subgroup(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mechanism:
+    """The bodies and joints of a group, as a mechanism.
+
+    Its ground is the body from which all its joints branch off. Joints on the way to them that are
+    not in the group are locked at the values `held`; bodies that are fixed to moving ones come
+    along, and what `subchain` keeps.
+    Errors: `UnknownNameError`, `DescriptionError`; `InputError` for a group without joints.
+    """
+    if name not in mechanism.groups:
+        raise UnknownNameError("group", name, mechanism.groups, mechanism.name)
+    own = [mechanism.joints[joint] for joint in mechanism.groups[name]]
+    if not own:
+        raise InputError(f"group {name!r} has no joints")
+    came = _came_by(mechanism, mechanism.ground.name)
+    ways = [_way(came, body) for joint in own for body in (joint.parent, joint.child)]
+    shared = [bodies for bodies in zip(*ways, strict=False) if len(set(bodies)) == 1]
+    base = shared[-1][0] if shared else mechanism.ground.name
+    kept = {body: came[body] for way in ways for body in way[len(shared) :]}
+    for body, joint in came.items():  # from the ground upwards
+        if joint is not None and isinstance(joint.type, Fixed) and body not in kept:
+            other = joint.parent if joint.child == body else joint.child
+            if other in kept:
+                kept[body] = joint
+    path = list(dict.fromkeys([*(j for j in kept.values() if j is not None), *own]))
+    out = _part(mechanism, name, base, path)
+    for joint in path:
+        if joint.name not in mechanism.groups[name]:
+            for coordinate in _coordinates(mechanism, joint):
+                if coordinate in held:
+                    out.locks.setdefault(coordinate, held[coordinate])
+    return out
+
+
+def _coordinates(mechanism: Mechanism, joint: Joint) -> list[str]:
+    """Names of the coordinates of a joint."""
+    of = joint.type.coordinates(mechanism.dim, mechanism.bodies[joint.child].particle)
+    return [f"{joint.name}.{c}" if c else joint.name for c in of]
+
+
+def _way(came: Mapping[str, Joint | None], body: str) -> list[str]:
+    """The bodies from the ground to a body."""
+    way = [body]
+    while (joint := came[way[-1]]) is not None:
+        way.append(joint.parent if joint.child == way[-1] else joint.child)
+    return way[::-1]
+
+
+def _part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joint]) -> Mechanism:
+    """A part of a mechanism: these joints, their bodies, and what belongs to them alone."""
+    path = list(path)
+    kept = {base} | {b for j in path for b in (j.parent, j.child)}
+    out = Mechanism(f"{mechanism.name}: {name}", mechanism.dim, ground=base)
     out.parameters = dict(mechanism.parameters)
     out.roots = mechanism.roots
     out.bodies = {
@@ -1193,11 +1284,7 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     out.constraints = {
         n: c for n, c in mechanism.constraints.items() if {c.parent, c.child} <= kept
     }
-    coordinates = {
-        f"{j.name}.{c}" if c else j.name
-        for j in path
-        for c in j.type.coordinates(out.dim, mechanism.bodies[j.child].particle)
-    }
+    coordinates = {c for j in path for c in _coordinates(mechanism, j)}
     for coupling in mechanism.couplings.values():
         inside = [c in coordinates for c in (coupling.of, *coupling.sources)]
         if all(inside):
@@ -1207,6 +1294,8 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     out.locks |= {k: v for k, v in mechanism.locks.items() if k in coordinates}
     for name, posture in mechanism.postures.items():
         out.postures[name] = {k: v for k, v in posture.items() if k in coordinates}
+    out.groups = {n: group for n, group in mechanism.groups.items() if names.issuperset(group)}
+    out.ignored_pairs = {p: r for p, r in mechanism.ignored_pairs.items() if kept.issuperset(p)}
     return out
 
 
@@ -1241,7 +1330,10 @@ def _follow_inside(
         out.locks[coupling.of] = float(evaluate(offset, mechanism.parameters))
 
 
-def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
+def _came_by(mechanism: Mechanism, base: str, end: str = "") -> dict[str, Joint | None]:
+    """Bodies by nearness to `base`, as far as `end`, each with the joint by which the shortest path
+    comes to it.
+    """
     neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
     for joint in sorted(mechanism.joints.values(), key=lambda j: (j.cut, j.name)):
         neighbours[joint.parent].append((joint.child, joint))
@@ -1256,6 +1348,12 @@ def _path(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
             if there not in came:
                 came[there] = joint
                 queue.append(there)
+    return came
+
+
+def joints_between(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
+    """The joints on the shortest path from a body to another. Errors: `DescriptionError`."""
+    came = _came_by(mechanism, base, end)
     if end not in came:
         raise DescriptionError(
             Fault(f"no joints lead from {base!r} to {end!r}", f"mechanism {mechanism.name!r}")

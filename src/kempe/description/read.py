@@ -53,13 +53,15 @@ from kempe.library import path as library_path
 class _How(NamedTuple):
     """How a description is read: in which format, and the options of `read` that were given.
 
-    `folders` are those for meshes; with a file, its own is the first of them, and also `home`.
+    `folders` are those for meshes; with a file, its own is the first of them, and also `home`;
+    `arguments` are those of xacro, None where nothing is expanded.
     """
 
     format: Format | None
     options: dict[str, Any]
     folders: tuple[str | Path, ...]
     home: Path | None = None
+    arguments: dict[str, str] | None = None
 
 
 class Check(NamedTuple):
@@ -82,12 +84,14 @@ def read(
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
+    srdf: str | Path | None = None,
 ) -> Mechanism:
     """Mechanism from a file (its path), from text, or from a model of the library (its name).
 
     `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None.
     ``base="free"`` and `lenient_limits` are for URDF and SDF, `root` is for URDF, see `read_urdf`,
-    and `model` for SDF, see `read_sdf`. A path may begin with ``~``, the home folder. Meshes, and
+    and `model` for SDF, see `read_sdf`. `srdf` is a file beside a URDF, with groups, postures and
+    more, see `kempe.description.srdf`. A path may begin with ``~``, the home folder. Meshes, and
     files that MJCF includes, may lie in the file's folder and in `package_dirs`, in the packages
     there and the neighbours of these, and in packages of ROS.
     ``xacro=True`` expands a xacro file first, which is a program and must be trusted;
@@ -105,6 +109,7 @@ def read(
         "model": model,
         "lenient_limits": lenient_limits or None,
         "package_dirs": folders or None,
+        "srdf": srdf,
     }
     given = {name: value for name, value in options.items() if value is not None}
     how = _How(None if format is None else FORMATS[format], given, folders)
@@ -132,6 +137,7 @@ def check(
     package_dirs: Iterable[str | Path] = (),
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
+    srdf: str | Path | None = None,
 ) -> Check:
     """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
     try:
@@ -144,6 +150,7 @@ def check(
             package_dirs=package_dirs,
             xacro=xacro,
             lenient_limits=lenient_limits,
+            srdf=srdf,
         )
         mechanism.build()
     except DescriptionError as error:
@@ -201,6 +208,7 @@ def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mecha
         name = f"{path} (expanded)"
         how = how._replace(format=URDF)
     how = how._replace(
+        arguments=arguments,
         format=how.format or by_ending(path.name),
         folders=(path.parent, *how.folders),
         home=path.parent,
@@ -276,6 +284,8 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
     options = dict(how.options)
     if "package_dirs" in format.options:
         options["package_dirs"] = how.folders
+    if "srdf" in options:
+        options["srdf"] = _srdf(options["srdf"], how)
     if "beside" in format.options and how.home:
         own = Path(name).name
         options["beside"] = tuple(
@@ -283,6 +293,26 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
         )
     with collecting_later(len(text) >> 8):
         return format.read(text, name, **options)
+
+
+def _srdf(source: str | Path | bytes, how: _How) -> Any:
+    """An SRDF that is read from a file or a text; a xacro file is expanded as that of the robot is."""
+    from kempe.description.srdf import read_srdf
+
+    if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
+        return read_srdf(source, "<srdf>")
+    path = expanded(source)
+    data = _bytes_of(path)
+    if path.suffix != ".xacro":
+        return read_srdf(data, str(path))
+    from kempe.description.xacro import XACRO_ADVICE, expand_xacro
+
+    if how.arguments is None:
+        raise fail(
+            "this is a xacro file, a program that writes SRDF", Where(str(path)), XACRO_ADVICE
+        )
+    text = expand_xacro(path, arguments=how.arguments, package_dirs=how.folders, strict=False)
+    return read_srdf(text, f"{path} (expanded)")
 
 
 def _format_of(text: str | bytes, given: Format | None) -> Format:

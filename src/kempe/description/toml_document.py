@@ -312,6 +312,8 @@ KEYS = {
         "constraint",
         "coupling",
         "postures",
+        "groups",
+        "ignored_pairs",
         "locks",
         "dh",
         "screws",
@@ -383,6 +385,7 @@ _VALUES: dict[str, tuple[type, str]] = {
     "visuals": (list, "a list of texts"),
     "center": (list, "[x, y] or [x, y, z]"),
     "rows": (list, "a list of tables"),
+    "ignored_pairs": (list, "a list of pairs of bodies"),
     "deg": (bool, "true or false"),
     "columns": (list, "a list of texts"),
 }

@@ -62,6 +62,14 @@ def _tolerance(document: Document) -> float | str | None:
     raise fail(text, document.where("tolerance"))
 
 
+def _names(given: Any) -> list[str]:
+    """A list of names. Errors: `InputError`."""
+    names: list[Any] = given if isinstance(given, list) else [None]
+    if all(isinstance(name, str) for name in names):
+        return names
+    raise InputError(f"it is {shorten(given)}; it must be a list of names")
+
+
 class _TomlReader:
     """Fills a mechanism from a document, table by table."""
 
@@ -96,6 +104,7 @@ class _TomlReader:
                 subject = f"{kind} {table.get('of' if kind == 'coupling' else 'name', i + 1)!r}"
                 add(table, (kind, i), subject, self.document.check(kind, table, (kind, i), subject))
         self.postures_and_locks()
+        self.groups_and_pairs()
 
     def chain(self, kind: str, table: dict[str, Any]) -> None:
         """Read the bodies and joints of [dh] or [screws]."""
@@ -352,6 +361,20 @@ class _TomlReader:
             if self.known_coordinates([name], "[locks]", ("locks", name)):
                 with self.findings.guard("", self.where("locks", name)):
                     self.mechanism.lock({name: number})
+
+    def groups_and_pairs(self) -> None:
+        for name, joints in self.document.table("groups").items():
+            with self.findings.guard(f"group {name!r}", self.where("groups", name)):
+                known = [joint for joint in _names(joints) if joint not in self.failed]
+                self.mechanism.group(name, known)
+        given: Any = self.document.data.get("ignored_pairs")
+        pairs: list[Any] = given if isinstance(given, list) else []
+        for i, pair in enumerate(pairs):
+            with self.findings.guard("ignored pair", self.where("ignored_pairs", i)):
+                names = _names(pair)
+                if len(names) not in (2, 3):
+                    raise InputError(f"it is {shorten(names)}; it must be two bodies and a reason")
+                self.mechanism.ignore_pair(*names)
 
     def known_coordinates(self, names: Iterable[str], subject: str, path: Path) -> bool:
         """Whether all are coordinates; those of a joint that is wrong itself are not called wrong,

@@ -50,9 +50,11 @@ def write_toml(mechanism: Mechanism) -> str:
         with findings.guard(f"constraint {c.name!r}", c.where):
             constraints.append(_constraint(c, m.dim))
     shapes = [_shape(b.name, s, m.dim) for b in m.bodies.values() for s in b.shapes]
-    newer = shapes or any("parent" not in table for table in constraints)
+    newer = (
+        shapes or m.groups or m.ignored_pairs or any("parent" not in table for table in constraints)
+    )
     version = NEWEST if newer else FORMAT
-    head = {
+    head: dict[str, Any] = {
         "format": version,
         "name": m.name,
         "dim": m.dim,
@@ -60,6 +62,9 @@ def write_toml(mechanism: Mechanism) -> str:
         "notes": list(m.notes),
     }
     defaults: dict[str, Any] = {"dim": 3, "ground": "ground", "notes": []}
+    if m.ignored_pairs:
+        pairs = m.ignored_pairs.items()
+        head["ignored_pairs"] = [(*pair, reason) if reason else pair for pair, reason in pairs]
     head |= {} if m.tolerance is None else {"tolerance": m.tolerance}
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:
@@ -84,6 +89,8 @@ def write_toml(mechanism: Mechanism) -> str:
         blocks.append(_block("coupling", table))
     if m.postures:
         blocks.append("[postures]\n" + _lines(m.postures))
+    if m.groups:
+        blocks.append("[groups]\n" + _lines(m.groups))
     if m.locks:
         blocks.append("[locks]\n" + _lines(m.locks))
     findings.finish()

@@ -46,7 +46,7 @@ def _read_ball(element: XmlElement, mechanism: Mechanism, findings: Findings) ->
     subject = f"constraint {name!r}"
     for child in element.children:
         check_known("element", child.tag, (*BODIES, *POINTS), findings, subject, child)
-    bodies = [
+    bodies: Any = [
         _body(_only(element, tag, findings, subject), "name", mechanism, findings, subject)
         for tag in BODIES
     ]

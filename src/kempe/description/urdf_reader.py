@@ -15,6 +15,7 @@ from kempe.description.formats import URDF, by_contents, joined
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
 from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
+from kempe.description.srdf import ROOT_JOINT, Srdf, VirtualJoint
 from kempe.description.urdf_elements import (
     ATTRIBUTES,
     check_top,
@@ -207,13 +208,15 @@ def read_urdf(
     package_dirs: Iterable[str | Path] = (),
     beside: Iterable[str] = (),
     lenient_limits: bool = False,
+    srdf: Srdf | None = None,
 ) -> Mechanism:
     """Mechanism that a URDF text describes; its root link becomes the ground.
 
     `source` names the text in messages. ``base="free"`` puts a ground called 'world' under the root
     link and joins them by a free joint called 'base'. `root` names the link to take as root where
     the file leaves it open. `package_dirs` are the folders in which meshes may lie, `beside` the
-    names of other files to suggest. Two joints that lead to one link are a loop. `lenient_limits`
+    names of other files to suggest, `srdf` what is added, see `kempe.description.srdf`. Two joints
+    that lead to one link are a loop. `lenient_limits`
     reads limits that hold no range as none: a <limit> without lower and upper (else 0 to 0, as URDF
     has it), and lower above upper (else refused); and negative limits of velocity and effort. What
     was noticed but changes nothing is in `notes` of the mechanism. Errors: `DescriptionError` with
@@ -239,12 +242,28 @@ def read_urdf(
     # where a joint's ends are wrong, links that look detached may not be
     sound = len(urdf.ends) == len(robot.of("joint"))
     ground = choose_root(urdf.links, urdf.ends, urdf.findings if sound else Findings(), root)
-    mechanism = _assemble(urdf, ground, base)
+    mechanism = _assemble(urdf, ground, _base(ground, base, srdf))
     _note_unused(urdf)
     urdf.findings.finish()
     mechanism.notes = urdf.findings.notes
     mechanism.roots = tuple(map(str, folders_of(package_dirs)))
+    if srdf is not None:
+        srdf.apply(mechanism)
     return mechanism
+
+
+def _base(ground: str | None, base: str | None, srdf: Srdf | None) -> VirtualJoint | None:
+    """How the root link moves, as the option `base` and an SRDF say; None: it is the ground."""
+    found = srdf.base(ground) if srdf is not None and ground is not None else None
+    if base is None:
+        return found
+    if found is not None and found.kind != base:
+        raise InputError(
+            f"base is {base!r}, but the virtual joint {found.name!r} of the SRDF is {found.kind}; "
+            "leave base out"
+        )
+    named = srdf is not None and srdf.mentions(ROOT_JOINT)
+    return found or VirtualJoint(ROOT_JOINT if named else "base", base, WORLD)
 
 
 # ---- is it URDF at all
@@ -313,7 +332,7 @@ def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
             f"this is an SRDF: groups, postures and pairs of links ({parts}), but no links or "
             "joints",
             robot.where,
-            "load the URDF of the robot that it belongs to",
+            "load the URDF of the robot that it belongs to, with this file as srdf=(...)",
         )
     holds = f"only {counted(joints, 'joint')}" if joints else "nothing but an empty <robot> element"
     message = (
@@ -456,19 +475,20 @@ def _end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
 # ---- the mechanism
 
 
-def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
+def _assemble(urdf: _Urdf, ground: str | None, base: VirtualJoint | None) -> Mechanism:
     """The mechanism with everything that is sound; what is not goes to the findings."""
     name = urdf.robot.attributes.get("name", "").strip() or "robot"
     bodies = _bodies(urdf)
     root = ground if ground is not None else next(iter(bodies), "ground")
-    mechanism = Mechanism(name, ground=fresh_name("world", bodies) if base else root)
+    mechanism = Mechanism(name, ground=fresh_name(base.ground, bodies) if base else root)
     for link, body in bodies.items():
         if link == mechanism.ground.name:
             mechanism.bodies[link] = body
         else:
             mechanism._add_body(body)
     if base:
-        mechanism.free(fresh_name("base", urdf.joints), mechanism.ground, root)
+        name = fresh_name(base.name, urdf.joints)
+        mechanism.joint(name, base.kind, mechanism.ground, root)
     for joint, element in urdf.joints.items():
         kind = urdf.types.get(joint, "fixed")
         settings = read_joint(kind, joint, element, urdf.findings, urdf.quaternions, urdf.lenient)

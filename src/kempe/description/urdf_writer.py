@@ -22,6 +22,7 @@ from kempe.errors import InputError
 from kempe.joints import Q, R
 from kempe.poses import Placement
 from kempe.values import evaluate
+from kempe.words import counted
 
 ON_AXIS = 1e-12
 """Metres that a body's origin may lie off the axis of its joint and still count as on it."""
@@ -71,6 +72,9 @@ class _Writer:
             )
         self.resolve_couplings()
         left_out = [f"posture {name!r}" for name in self.m.postures]
+        left_out += [f"group {name!r}" for name in self.m.groups]
+        if pairs := len(self.m.ignored_pairs):
+            left_out.append(counted(pairs, "ignored pair"))
         if left_out:
             said = ", ".join(left_out).replace("--", "- -")
             self.lines.append(f"  <!-- left out, since URDF cannot say it: {said} -->")

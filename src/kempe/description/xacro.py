@@ -131,6 +131,7 @@ def expand_xacro(
     arguments: Arguments | None = None,
     package_dirs: Iterable[str | Path] = (),
     seconds: float = SECONDS,
+    strict: bool = True,
 ) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>`` elements.
 
@@ -138,7 +139,7 @@ def expand_xacro(
     bounded in time, memory and output, which opens files of the package, of its neighbours, of
     `package_dirs` and of ROS only; there `Folders.packages` are what ``$(find package)`` finds.
     Errors: `MissingExtraError` without the extra [xacro], `UnknownNameError` for arguments that the
-    file does not have, `DescriptionError` with xacro's own message and the arguments of the file.
+    file does not have where `strict`, `DescriptionError` with xacro's own message and the arguments of the file.
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
@@ -187,7 +188,7 @@ def expand_xacro(
     if ended.reason:
         listed = _listed(defaults, unknown)
         raise _failed(last_words(ended.said), where, package_dirs, defaults, listed)
-    if unknown:
+    if unknown and strict:
         raise UnknownNameError("xacro argument", unknown[0], defaults, str(where))
     return text.decode("utf-8", "replace")
 

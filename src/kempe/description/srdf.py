@@ -1,0 +1,412 @@
+"""SRDF, what MoveIt says about a robot beside its URDF: groups, postures, end effectors, how the
+base moves, and pairs of links that are not checked for collisions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from graphlib import CycleError, TopologicalSorter
+from itertools import combinations
+
+from kempe.description.mechanism import Mechanism, joints_between
+from kempe.description.parts import Coupling, Joint
+from kempe.description.source import Findings, fail, shorten
+from kempe.description.urdf_elements import SLIP, numbers
+from kempe.description.xacro import XACRO_ADVICE
+from kempe.description.xml import XmlElement, parse_xml
+from kempe.words import counted
+
+ELEMENTS = (
+    "group",
+    "group_state",
+    "end_effector",
+    "virtual_joint",
+    "passive_joint",
+    "disable_collisions",
+    "disable_default_collisions",
+    "enable_collisions",
+)
+"""Elements that are read; others are noted."""
+
+BASES = {"fixed": "fixed", "floating": "free", "planar": "planar"}
+"""Types of virtual joints, and the types of the zoo that they are."""
+
+ORDERS = {
+    "free": ("x", "y", "z", "qx", "qy", "qz", "qw"),
+    "planar": ("x", "y", "rz"),
+    "spherical": ("qx", "qy", "qz", "qw"),
+}
+"""Order in which the values of a joint with several coordinates are given, as MoveIt has it."""
+
+ROOT_JOINT = "root_joint"
+"""Pinocchio's name of the joint by which a free base moves, in SRDFs without a virtual joint."""
+
+IN_GROUP = ("joint", "link", "chain", "group")
+FEW = 5
+"""Names that a note lists."""
+CLOSE = 1e-6
+"""Difference from the value of a coordinate that is followed, below which rounding explains it."""
+
+
+@dataclass(frozen=True)
+class VirtualJoint:
+    """How the root link of a robot moves: the name and the type of its joint, and its ground."""
+
+    name: str
+    kind: str
+    ground: str
+
+
+def read_srdf(text: str | bytes, source: str) -> Srdf:
+    """An SRDF text, to be applied to the mechanism of its robot; `source` names it in messages.
+
+    Errors: `DescriptionError` where it is no SRDF.
+    """
+    findings = Findings()
+    root = parse_xml(text, source, findings)
+    if root.tag != "robot":
+        raise fail(
+            f"the outermost element is <{root.tag}>",
+            root.where,
+            "SRDF starts with <robot name=...>",
+        )
+    for element in root.walk():
+        if element.tag.startswith("xacro:"):
+            raise fail(
+                f"this is xacro, a program that writes SRDF: <{element.tag}> has to be expanded "
+                "first",
+                element.where,
+                XACRO_ADVICE,
+            )
+    if links := root.of("link"):
+        raise fail(
+            "this is no SRDF, but a URDF: it has links",
+            links[0].where,
+            "give the file of the robot first, and its SRDF by srdf=(...)",
+        )
+    return Srdf(root, findings)
+
+
+class Srdf:
+    """An SRDF that is read: it says how the base of its robot moves, and adds to its mechanism."""
+
+    def __init__(self, root: XmlElement, findings: Findings):
+        self.root = root
+        self.findings = findings
+
+    # ---- the base
+
+    def base(self, link: str) -> VirtualJoint | None:
+        """The virtual joint of the robot's root link."""
+        found: VirtualJoint | None = None
+        for element in self.root.of("virtual_joint"):
+            name = self._name(element, "virtual_joint")
+            subject = f"virtual_joint {name!r}"
+            given = self._attributes(element, subject, "type", "parent_frame", "child_link")
+            if name is None or given is None:
+                continue
+            kind, ground, child = given
+            if kind not in BASES:
+                said = f"unknown type {shorten(kind)}{self.findings.hint(kind, BASES)}"
+                self.findings.add(said, subject, element.where_of("type"))
+            elif child != link:
+                self.findings.note(
+                    f"it is not used: its child link {shorten(child)} is not {link!r}, the root of "
+                    "the robot",
+                    subject,
+                    element.where_of("child_link"),
+                )
+            elif found:
+                self.findings.note(
+                    f"it is not used: {found.name!r} holds the root already", subject, element.where
+                )
+            else:
+                found = VirtualJoint(name, BASES[kind], ground)
+        return found
+
+    def mentions(self, joint: str) -> bool:
+        """Whether a posture has values of a joint with this name."""
+        states = self.root.of("group_state")
+        return any(c.attributes.get("name") == joint for state in states for c in state.of("joint"))
+
+    # ---- what is added to a mechanism
+
+    def apply(self, mechanism: Mechanism) -> None:
+        """Add groups, postures, frames of end effectors, passive joints and ignored pairs to a
+        mechanism, and notes.
+
+        Errors: `DescriptionError` with all problems of the SRDF.
+        """
+        self._check_names(mechanism)
+        self._groups(mechanism)
+        self._postures(mechanism)
+        for element in self.root.of("passive_joint"):
+            name = self._known(element, "name", mechanism.joints, "joint", "passive_joint")
+            if name is not None:
+                mechanism.joints[name] = replace(mechanism.joints[name], actuated=False)
+        for element in self.root.of("end_effector"):
+            self._end_effector(mechanism, element)
+        self._pairs(mechanism)
+        self.findings.finish()
+        mechanism.notes += self.findings.notes
+
+    def _check_names(self, mechanism: Mechanism) -> None:
+        given = self.root.attributes.get("name", "").strip()
+        if given and given != mechanism.name:
+            said = f"it is written for the robot {shorten(given)}, and this is {mechanism.name!r}"
+            self.findings.note(said, "", self.root.where_of("name"))
+        seen: dict[str, XmlElement] = {}
+        for element in self.root.children:
+            if element.tag not in ELEMENTS:
+                seen.setdefault(element.tag, element)
+        for element in seen.values():
+            self._unknown(element, ELEMENTS, "")
+
+    # ---- groups
+
+    def _groups(self, mechanism: Mechanism) -> None:
+        """Declare all groups, each after those that are parts of it."""
+        elements: dict[str, XmlElement] = {}
+        for element in self.root.of("group"):
+            name = self._name(element, "group")
+            if name in elements:
+                said = f"there is another group of this name, at {elements[name].where}"
+                self.findings.add(said, f"group {name!r}", element.where, "names must be unique")
+            elif name is not None:
+                elements[name] = element
+        parts = {name: self._parts(name, element, elements) for name, element in elements.items()}
+        try:
+            order = [*TopologicalSorter(parts).static_order()]
+        except CycleError as error:
+            cycle: list[str] = error.args[1][::-1]
+            shown = " holds ".join(map(repr, cycle[:FEW]))
+            where = elements[cycle[0]].where
+            self.findings.add(f"it holds itself: {shown}", f"group {cycle[0]!r}", where)
+            return
+        found = {name: self._joints(name, elements[name], mechanism) for name in order}
+        for name in order:
+            for part in parts[name]:
+                found[name] |= found[part]
+        for name in elements:  # in the order of the file
+            if not found[name]:
+                self.findings.note("it holds no joint", f"group {name!r}", elements[name].where)
+            mechanism.group(name, [joint for joint in mechanism.joints if joint in found[name]])
+
+    def _parts(self, name: str, element: XmlElement, elements: Iterable[str]) -> list[str]:
+        subject = f"group {name!r}"
+        for child in element.children:
+            if child.tag not in IN_GROUP:
+                self._unknown(child, IN_GROUP, subject)
+        known = [
+            self._known(child, "name", elements, "group", subject) for child in element.of("group")
+        ]
+        return [part for part in known if part is not None]
+
+    def _joints(self, name: str, element: XmlElement, mechanism: Mechanism) -> set[str]:
+        """The joints of a group, without those of its parts."""
+        subject = f"group {name!r}"
+        found: set[str] = set()
+        for child in element.of("joint"):
+            if joint := self._known(child, "name", mechanism.joints, "joint", subject):
+                found.add(joint)
+        for child in element.of("link"):
+            if link := self._known(child, "name", mechanism.bodies, "link", subject):
+                above = [j for j in mechanism.joints.values() if j.child == link]
+                found.update(j.name for j in sorted(above, key=lambda j: j.cut)[:1])
+        for child in element.of("chain"):
+            ends = [
+                self._known(child, key, mechanism.bodies, "link", subject)
+                for key in ("base_link", "tip_link")
+            ]
+            if None not in ends:
+                with self.findings.guard(subject, child.where):
+                    found.update(j.name for j in joints_between(mechanism, *ends))  # type: ignore[arg-type]
+        return found
+
+    # ---- postures
+
+    def _postures(self, mechanism: Mechanism) -> None:
+        """Declare the states of groups as postures, such as "arm/home"."""
+        for element in self.root.of("group_state"):
+            name = self._name(element, "group_state")
+            subject = f"group_state {name!r}"
+            group = None
+            if "group" in element.attributes:
+                group = self._known(element, "group", mechanism.groups, "group", subject)
+            else:
+                said = "it names no group: the posture is called as it is"
+                self.findings.note(said, subject, element.where)
+            if name is None or (group is None and "group" in element.attributes):
+                continue
+            posture = name if group is None else f"{group}/{name}"
+            if posture in mechanism.postures:
+                said = f"there is another posture {posture!r}"
+                self.findings.add(said, subject, element.where, "names must be unique")
+                continue
+            mechanism.posture(posture, self._state(mechanism, element, f"posture {posture!r}"))
+
+    def _state(self, mechanism: Mechanism, element: XmlElement, subject: str) -> dict[str, float]:
+        """The values of a posture by coordinate name."""
+        values: dict[str, float] = {}
+        joints: list[str] = []
+        for child in element.children:
+            if child.tag != "joint":
+                self._unknown(child, ("joint",), subject)
+                continue
+            name = child.attributes.get("name")
+            if name == ROOT_JOINT and name not in mechanism.joints:
+                said = f"the value of {ROOT_JOINT!r} is not used: base='free' lets the root move"
+                self.findings.note(said, subject, child.where)
+            elif joint := self._known(child, "name", mechanism.joints, "joint", subject):
+                joints.append(joint)
+                values |= self._values(mechanism, mechanism.joints[joint], child, subject)
+        group = mechanism.groups.get(element.attributes.get("group", ""), tuple(joints))
+        if other := [joint for joint in joints if joint not in group]:
+            listed = ", ".join(map(repr, other[:FEW])) + (", ..." if len(other) > FEW else "")
+            said = f"{counted(len(other), 'joint')} not in the group: {listed}"
+            self.findings.note(said, subject, element.where)
+        self._drop_followers(mechanism, values, subject, element)
+        return values
+
+    def _values(
+        self, mechanism: Mechanism, joint: Joint, element: XmlElement, subject: str
+    ) -> dict[str, float]:
+        """Values of a joint by the names of its coordinates."""
+        names = joint.type.coordinates(mechanism.dim, mechanism.bodies[joint.child].particle)
+        order = ORDERS.get(joint.type.type_name, names)
+        if not names:
+            said = f"joint {joint.name!r} does not move: its value is not used"
+            self.findings.note(said, subject, element.where)
+            return {}
+        if "value" not in element.attributes:
+            self.findings.add(f"joint {joint.name!r} has no value", subject, element.where)
+            return {}
+        found = numbers(element, "value", len(order), self.findings, subject)
+        return {
+            f"{joint.name}.{name}" if name else joint.name: x
+            for name, x in zip(order, found or (), strict=False)
+        }
+
+    def _drop_followers(
+        self, mechanism: Mechanism, values: dict[str, float], subject: str, element: XmlElement
+    ) -> None:
+        """Leave out, with a note, values of followers that contradict what these follow."""
+        for name in [name for name in values if name in mechanism.couplings]:
+            needed = _followed(mechanism.couplings[name], values)
+            if needed is not None and abs(needed - values[name]) > CLOSE:
+                said = (
+                    f"the value {values[name]:g} of {name!r} is not used: it follows "
+                    f"{', '.join(mechanism.couplings[name].sources)}, which makes it {needed:g}"
+                )
+                self.findings.note(said, subject, element.where)
+                del values[name]
+
+    # ---- end effectors and pairs
+
+    def _end_effector(self, mechanism: Mechanism, element: XmlElement) -> None:
+        """A frame of the end effector's name on its parent link."""
+        name = self._name(element, "end_effector")
+        subject = f"end_effector {name!r}"
+        link = self._known(element, "parent_link", mechanism.bodies, "link", subject)
+        for key in ("group", "parent_group"):
+            group = element.attributes.get(key, "")
+            if group and group not in mechanism.groups:
+                said = f"there is no group {shorten(group)}"
+                hint = self.findings.hint(group, mechanism.groups)
+                self.findings.note(f"{said}{hint}", subject, element.where_of(key))
+        if name is None or link is None:
+            return
+        if name in mechanism.bodies or name in mechanism.frames:
+            what = "link" if name in mechanism.bodies else "frame"
+            said = f"it gets no frame of its own: a {what} has its name; it is on {link!r}"
+            self.findings.note(said, subject, element.where)
+            return
+        with self.findings.guard(subject, element.where):
+            mechanism.frame(name, link, where=element.where)
+
+    def _pairs(self, mechanism: Mechanism) -> None:
+        """Ignore pairs of links that are not checked for collisions."""
+        without = {
+            link
+            for element in self.root.of("disable_default_collisions")
+            if (link := self._known(element, "link", mechanism.bodies, "link", element.tag))
+        }
+        every = combinations(mechanism.bodies, 2) if without else ()
+        ignored = {frozenset(p): "Default" for p in every if without.intersection(p)}
+        absent: dict[str, XmlElement] = {}
+        for tag in ("enable_collisions", "disable_collisions"):
+            for element in self.root.of(tag):
+                ends = self._attributes(element, f"<{tag}>", "link1", "link2")
+                if ends is None:
+                    continue
+                if lost := [link for link in ends if link not in mechanism.bodies]:
+                    absent.setdefault(lost[0], element)
+                elif ends[0] == ends[1]:
+                    said = f"both links are {ends[0]!r}"
+                    self.findings.add(said, f"<{tag}>", element.where, "a pair has two links")
+                elif tag == "enable_collisions":
+                    ignored.pop(frozenset(ends), None)
+                else:
+                    ignored[frozenset(ends)] = element.attributes.get("reason", "")
+        for pair, reason in ignored.items():
+            mechanism.ignore_pair(*pair, reason=reason)
+        if absent:
+            name, element = next(iter(absent.items()))
+            listed = ", ".join(map(repr, [*absent][:FEW])) + (", ..." if len(absent) > FEW else "")
+            self.findings.note(
+                f"pairs of {counted(len(absent), 'link')} that the robot does not have are not "
+                f"used: {listed}{self.findings.hint(name, mechanism.bodies)}",
+                f"<{element.tag}>",
+                element.where,
+            )
+
+    # ---- names
+
+    def _unknown(self, element: XmlElement, known: tuple[str, ...], subject: str) -> None:
+        """Refuse an element that looks like a slip of a known one; note any other."""
+        tag = element.tag
+        if near := get_close_matches(tag[:60], known, n=1, cutoff=SLIP):
+            said = f"unknown element {shorten(tag)}; did you mean {near[0]!r}?"
+            self.findings.add(said, subject, element.where)
+        else:
+            self.findings.note(f"the element {shorten(tag)} is not read", subject, element.where)
+
+    def _name(self, element: XmlElement, subject: str) -> str | None:
+        name = element.attributes.get("name", "")
+        if name.strip():
+            return name
+        self.findings.add("it has no name", f"<{subject}>", element.where, "write name=")
+        return None
+
+    def _attributes(self, element: XmlElement, subject: str, *keys: str) -> list[str] | None:
+        """The values of attributes; None after recording which are missing."""
+        missing = [key for key in keys if not element.attributes.get(key)]
+        for key in missing:
+            self.findings.add(f"it has no {key}", subject, element.where, f"write {key}=")
+        return None if missing else [element.attributes[key] for key in keys]
+
+    def _known(
+        self, element: XmlElement, key: str, known: Iterable[str], kind: str, subject: str
+    ) -> str | None:
+        """The name that an attribute gives; None after recording that nothing is called so."""
+        given = self._attributes(element, subject, key)
+        names = list(known)
+        if given is None or given[0] in names:
+            return given[0] if given else None
+        self.findings.add(
+            f"there is no {kind} {shorten(given[0])}{self.findings.hint(given[0], names)}",
+            subject,
+            element.where_of(key),
+        )
+        return None
+
+
+def _followed(coupling: Coupling, values: dict[str, float]) -> float | None:
+    """The value of a coordinate that follows others, where these have values."""
+    if any(name not in values for name in coupling.sources):
+        return None
+    terms = [factor * values[name] for name, factor in coupling.sources.items()]
+    total = sum(terms, coupling.offset)
+    return total if isinstance(total, (int, float)) else None
