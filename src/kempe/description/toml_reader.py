@@ -64,7 +64,7 @@ def _tolerance(document: Document) -> float | str | None:
 
 def _names(given: Any) -> list[str]:
     """A list of names. Errors: `InputError`."""
-    names: list[Any] = given if isinstance(given, list) else [None]
+    names: Any = given if isinstance(given, list) else [None]
     if all(isinstance(name, str) for name in names):
         return names
     raise InputError(f"it is {shorten(given)}; it must be a list of names")
@@ -368,7 +368,7 @@ class _TomlReader:
                 known = [joint for joint in _names(joints) if joint not in self.failed]
                 self.mechanism.group(name, known)
         given: Any = self.document.data.get("ignored_pairs")
-        pairs: list[Any] = given if isinstance(given, list) else []
+        pairs: Any = given if isinstance(given, list) else []
         for i, pair in enumerate(pairs):
             with self.findings.guard("ignored pair", self.where("ignored_pairs", i)):
                 names = _names(pair)
