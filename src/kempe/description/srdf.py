@@ -6,14 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
 from itertools import combinations
 
 from kempe.description.mechanism import Mechanism, joints_between
 from kempe.description.parts import Coupling, Joint
-from kempe.description.source import Findings, fail, shorten
-from kempe.description.urdf_elements import SLIP, numbers
+from kempe.description.source import Findings, fail, shorten, slip_of
+from kempe.description.urdf_elements import numbers
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.words import counted
@@ -367,8 +366,8 @@ class Srdf:
     def _unknown(self, element: XmlElement, known: tuple[str, ...], subject: str) -> None:
         """Refuse an element that looks like a slip of a known one; note any other."""
         tag = element.tag
-        if near := get_close_matches(tag[:60], known, n=1, cutoff=SLIP):
-            said = f"unknown element {shorten(tag)}; did you mean {near[0]!r}?"
+        if near := slip_of(tag[:60], known):
+            said = f"unknown element {shorten(tag)}; did you mean {near!r}?"
             self.findings.add(said, subject, element.where)
         else:
             self.findings.note(f"the element {shorten(tag)} is not read", subject, element.where)

@@ -64,8 +64,8 @@ def _tolerance(document: Document) -> float | str | None:
 
 def _names(given: Any) -> list[str]:
     """A list of names. Errors: `InputError`."""
-    names: Any = given if isinstance(given, list) else [None]
-    if all(isinstance(name, str) for name in names):
+    names: Any = given
+    if isinstance(given, list) and all(isinstance(name, str) for name in names):
         return names
     raise InputError(f"it is {shorten(given)}; it must be a list of names")
 
@@ -367,9 +367,8 @@ class _TomlReader:
             with self.findings.guard(f"group {name!r}", self.where("groups", name)):
                 known = [joint for joint in _names(joints) if joint not in self.failed]
                 self.mechanism.group(name, known)
-        given: Any = self.document.data.get("ignored_pairs")
-        pairs: Any = given if isinstance(given, list) else []
-        for i, pair in enumerate(pairs):
+        given = pairs = self.document.data.get("ignored_pairs")
+        for i, pair in enumerate(pairs if isinstance(given, list) else ()):
             with self.findings.guard("ignored pair", self.where("ignored_pairs", i)):
                 names = _names(pair)
                 if len(names) not in (2, 3):
