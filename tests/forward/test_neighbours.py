@@ -85,7 +85,7 @@ def mujoco_agrees(mujoco: Any, robot: System, model: Any, seed: int = 0) -> int:
     seen = 0
     X = np.eye(4)
     for i in range(1, model.nbody):
-        name = model.body(i).name
+        name = model.body(i).name or f"body{i}"
         if name in robot.frame_names:
             seen += 1
             J = np.zeros((6, model.nv))
@@ -222,6 +222,23 @@ def test_all_kinds_of_joints_in_mujoco():
     drone = model.jnt_qposadr[model.njnt - 1]
     at = convert.to_mujoco(cart(), cart().neutral, model)
     np.testing.assert_allclose(at[drone:], model.qpos0[drone:], rtol=0, atol=1e-12)
+
+
+UNNAMED = """<mujoco><worldbody><body pos="0 0 1"><joint type="slide" axis="1 0 0"/>
+<joint axis="1 1 0" ref="10"/><geom size="1"/><body><joint type="ball"/><geom size="1"/></body>
+<body><joint axis="0 1 0" ref="30"/><geom size="1"/></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("text", [MJCF, UNNAMED], ids=["named", "unnamed"])
+def test_what_kempe_reads_from_mjcf_has_the_same_numbers(text):
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(text)
+    robot = kempe.load(text)
+    assert mujoco_agrees(mujoco, robot, model)
+    q = robot.random(5)
+    v = np.arange(float(robot.nv))
+    for x, same in zip(convert.to_mujoco(robot, q, model, v), (q, v), strict=True):
+        np.testing.assert_allclose(x, same, rtol=0, atol=1e-15)
 
 
 def test_quaternions_are_sent_with_length_one():

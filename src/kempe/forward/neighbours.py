@@ -124,8 +124,10 @@ MUJOCO_KINDS = (3 * NUMBER + BALL, BALL, NUMBER, NUMBER)
 
 
 def _of_mujoco(model: Any) -> Iterator[Theirs]:
+    """Bodies without a name have one by their number, as where Kempe reads MJCF."""
     for i in range(model.njnt):
-        body = str(model.body(int(model.jnt_bodyid[i])).name)
+        number = int(model.jnt_bodyid[i])
+        body = str(model.body(number).name) or f"body{number}"
         kinds = MUJOCO_KINDS[int(model.jnt_type[i])]
         at = _places(kinds, int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i]))
         yield Theirs(str(model.joint(i).name), body, at)
@@ -178,6 +180,14 @@ def _ours(system: Model, joint: Joint) -> Ours:
     return Ours(joint, parts)
 
 
+def _unlocked(system: Model, ours: Ours) -> Ours:
+    """The joint without its locked parts, which may be turns between axes that move."""
+    laws = system.structure.couplings
+    locked = [names[0] in laws and laws[names[0]].source is None for _, names in ours.parts]
+    left = [part for part, held in zip(ours.parts, locked, strict=True) if not held]
+    return Ours(ours.joint, left) if left else ours
+
+
 SAME = {(NUMBER, NUMBER), (NUMBER, ALONG), (CIRCLE, NUMBER), (CIRCLE, CIRCLE), (BALL, BALL)}
 """Kinds, here and there, that can mean the same."""
 
@@ -205,7 +215,8 @@ def _pairs(
         return [t for t in left if t.name == mine.joint.name]
 
     def by_body(mine: Ours) -> list[Theirs]:
-        return [t for t in left if t.body and t.body == mine.joint.child and len(mine.parts) > 1]
+        found = [t for t in left if t.body and t.body == mine.joint.child]
+        return found if len(mine.parts) > 1 or not any(t.name for t in found) else []
 
     def by_kind(mine: Ours) -> list[Theirs]:
         found = [t for t in left if len(t.places) > 1 and mine.parts and _fit(mine, t.places)]
@@ -216,8 +227,9 @@ def _pairs(
         for mine in tuple(ours):
             found = way(mine)
             places = [p for t in found for p in t.places]
-            if found and _fit(mine, places):
-                pairs.append((mine, places))
+            fits = [m for m in (mine, _unlocked(system, mine)) if _fit(m, places)]
+            if found and fits:
+                pairs.append((fits[0], places))
                 ours.remove(mine)
                 left = [t for t in left if t not in found]
     _refuse_alone(system, ours, left, library, partial)
