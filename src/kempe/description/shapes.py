@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cache
 from typing import Any, ClassVar
 
 from kempe.arrays import is_real
@@ -39,7 +40,7 @@ def _scale(given: Any, what: str) -> tuple[Value, ...]:
     """Three factors that are not zero; one number stands for three equal ones."""
     alike = is_real(given) or isinstance(given, (str, Expression))
     found = values((given, given, given) if alike else given, 3, what)
-    if any(x == 0.0 for x in found):
+    if 0.0 in found:
         raise InputError(f"{what} is {_said(found)}; its three factors must not be zero")
     return found
 
@@ -71,10 +72,8 @@ class Geometry:
     """Its name in calls and files."""
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            what = f"{f.name} of a shape of kind {self.kind!r}"
-            checked = f.metadata["check"](getattr(self, f.name), what)
-            object.__setattr__(self, f.name, checked)
+        for name, check, what in _checks(type(self)):
+            object.__setattr__(self, name, check(getattr(self, name), what))
 
     @property
     def names(self) -> frozenset[str]:
@@ -107,6 +106,12 @@ class Geometry:
         """The kind with its sizes: 'capsule of radius 0.04 m and length 0.4 m'."""
         sizes = [f"{f.name} {_said(getattr(self, f.name))} m" for f in fields(self)]
         return f"{self.kind} of {' and '.join(sizes)}"
+
+
+@cache
+def _checks(kind: type[Geometry]) -> list[tuple[str, Callable[[Any, str], Any], str]]:
+    """The sizes of a kind: for each its name, its check, and what it is called in messages."""
+    return [(f.name, f.metadata["check"], f"the {f.name} of a {kind.kind}") for f in fields(kind)]
 
 
 @dataclass(frozen=True)

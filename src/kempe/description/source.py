@@ -275,12 +275,18 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
 """Text in which `float` reads what `_NUMBER` matches, and nothing else."""
 _BLANKS = re.compile(r"[ \t\r\n]+")
+LONG = 200
+"""Characters of a text of numbers from which on it is not kept for the next one."""
 
 
 def numbers_in(text: str, count: int) -> tuple[float, ...] | str:
     """The finite numbers in a text, separated by blanks; what is wrong, as text, where they are not
     `count`.
     """
+    return _kept_numbers(text, count) if len(text) < LONG else _numbers(text, count)
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...] | str:
     if _PLAIN.fullmatch(text):
         try:
             found = tuple(map(float, text.split()))
@@ -304,6 +310,10 @@ def numbers_in(text: str, count: int) -> tuple[float, ...] | str:
     if len(pieces) != count:
         return f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
     return tuple(float(p) for p in pieces)
+
+
+_kept_numbers = lru_cache(4096)(_numbers)
+"""Many elements of a file have the same numbers."""
 
 
 def numbers_allowed(count: int) -> str:

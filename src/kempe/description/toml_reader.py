@@ -18,7 +18,7 @@ from kempe.description.mechanism import BETWEEN, Mechanism, between
 from kempe.description.parts import Body
 from kempe.description.source import Source, decode, fail, folders_of, refuse_other_kinds, shorten
 from kempe.description.toml_document import PLACE, Document, Path, joint_options
-from kempe.description.urdf_shapes import USES, note_textures, read_materials, read_shape
+from kempe.description.urdf_shapes import USES, read_materials, read_shape
 from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES, joint_type
@@ -157,7 +157,6 @@ class _TomlReader:
         element = parse_xml(text, subject)
         if element.tag not in USES:
             raise InputError(f"a text of visuals is {shorten(text)}; it must be a <visual> element")
-        note_textures(element, self.findings)
         shape = read_shape(element, subject, read_materials(element, self.findings), self.findings)
         if shape is not None:
             on = self.mechanism.bodies[name]

@@ -10,7 +10,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from kempe.description.parts import Body
+from kempe.description.parts import Body, Shape
 from kempe.description.source import (
     Findings,
     numbers_allowed,
@@ -490,8 +490,10 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
 # ---- links
 
 
-def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
-    """Body of a <link>: its mass and centre of mass where given."""
+def read_link(
+    name: str, element: XmlElement, findings: Findings, shapes: tuple[Shape, ...]
+) -> Body:
+    """Body of a <link> with these shapes: its mass and centre of mass where given."""
     subject = f"link {name!r}"
     mass = None
     center = None
@@ -523,7 +525,7 @@ def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
         for part in inertial.of("origin")[:1]:
             if "xyz" in part.attributes:
                 center = numbers(part, "xyz", 3, findings, subject)
-    return Body(name, False, mass, center, where=element.where)  # type: ignore[arg-type]
+    return Body(name, False, mass, center, shapes, element.where)  # type: ignore[arg-type]
 
 
 # ---- joints

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from kempe.description.parts import Shape
@@ -20,6 +21,7 @@ from kempe.description.shapes import (
 from kempe.description.source import Findings, shorten
 from kempe.description.urdf_elements import numbers, read_origin
 from kempe.description.xml import XmlElement
+from kempe.errors import InputError
 from kempe.poses import place
 from kempe.words import counted
 
@@ -60,31 +62,30 @@ NEWER = (Capsule.kind,)
 """Kinds that are of URDF 1.1."""
 
 
+_placed = lru_cache(4096)(place)
+"""`place` of numbers; many shapes have the same ones."""
+
 # ---- reading
 
 
-def read_materials(robot: XmlElement, findings: Findings) -> dict[str, Color | None]:
-    """Colours by the names of materials: those of the robot, and those that visuals define."""
+def read_materials(outer: XmlElement, findings: Findings) -> dict[str, Color | None]:
+    """Colours by the names of materials: those of a robot or visual, and those that the visuals of
+    its links define. Textures are noted.
+    """
+    visuals = (visual for link in outer.of("link") for visual in link.of("visual"))
+    inside = [element for visual in visuals for element in visual.of("material")]
+    own = outer.of("material")
     out: dict[str, Color | None] = {}
-    for element in robot.of("material"):
-        name = element.attributes.get("name", "")
-        out.setdefault(name, _color(element, f"material {name!r}", findings))
-    for link in robot.of("link"):
-        for visual in link.of("visual"):
-            for element in visual.of("material"):
-                name = element.attributes.get("name", "")
-                if name and element.children and name not in out:
-                    out[name] = _color(element, f"material {name!r}", Findings())
+    for elements, noted in ((own, findings), (inside, Findings())):  # a visual notes its own
+        for element in elements:
+            name = element.attributes.get("name", "")
+            if name not in out and (element.children or elements is own):
+                out[name] = _color(element, f"material {shorten(name)}", noted)
+    textures = [texture for element in [*own, *inside] for texture in element.of("texture")]
+    for first in textures[:1]:
+        said = f"{counted(len(textures), 'texture')} not read: a shape has one colour"
+        findings.note(said, "", first.where)
     return out
-
-
-def note_textures(outer: XmlElement, findings: Findings) -> None:
-    """Note once that textures are not read, where there are some."""
-    if "<texture" in outer.source.text:
-        found = [element for element in outer.walk() if element.tag == "texture"]
-        for first in found[:1]:
-            many = counted(len(found), "texture")
-            findings.note(f"{many} not read: a shape has one colour", "", first.where)
 
 
 def read_shapes(
@@ -126,7 +127,7 @@ def read_shape(
         color = _color_of(material, subject, materials, findings)
     if geometry is None or len(findings.problems) > before:
         return None
-    return Shape(geometry, place(**given), visual, collision, color, name, element.where)
+    return Shape(geometry, _placed(**given), visual, collision, color, name, element.where)
 
 
 def _geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
@@ -176,8 +177,10 @@ def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | N
             findings.note(said, subject, element.where)
             return None
         given[name] = found[0] if len(found) == 1 else tuple(found)
-    with findings.guard(subject, element.where):
+    try:
         return row.kind(**given)
+    except InputError as error:
+        findings.add(str(error), subject, element.where)
     return None
 
 

@@ -203,6 +203,7 @@ class _XmlBuilder:
         self.root: XmlElement | None = None
         self.count = 0
         self.data = b""
+        self.ascii = False
         self.byte = 0
         self.character = 0
         self.parser = expat.ParserCreate("utf-8")
@@ -213,7 +214,7 @@ class _XmlBuilder:
     def _here(self) -> int:
         """Index into the source's text of where the parser is; it only goes forwards."""
         byte = self.parser.CurrentByteIndex
-        if len(self.data) == len(self.source.text):
+        if self.ascii:
             return byte
         self.character += len(self.data[self.byte : byte].decode("utf-8"))
         self.byte = byte
@@ -253,6 +254,7 @@ class _XmlBuilder:
     def run(self) -> XmlElement:
         try:
             self.data = self.source.text.encode("utf-8")
+            self.ascii = len(self.data) == len(self.source.text)
             self.parser.Parse(self.data, True)
         except expat.ExpatError as error:
             raise self._explain(error) from None
