@@ -187,11 +187,19 @@ def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | N
 def _color_of(
     material: XmlElement, subject: str, materials: Mapping[str, Color | None], findings: Findings
 ) -> Color | None:
-    """The colour of a <material> in a visual: its own, or that of its name."""
+    """The colour of a <material> in a visual: that of its name, whose first definition counts, as
+    in ROS; its own where it has no name.
+    """
     name = material.attributes.get("name", "")
-    if material.children:
-        return _color(material, subject, findings)
-    if name and name not in materials:
+    own = _color(material, subject, findings) if material.children else None
+    if not name:
+        return own
+    if own is not None and own != materials.get(name, own):
+        said = (
+            f"its material {shorten(name)} has another colour before, which is used, as ROS does it"
+        )
+        findings.note(said, subject, material.where)
+    elif name not in materials:
         said = f"its material {shorten(name)} is not defined{findings.hint(name, materials)}"
         findings.note(said, subject, material.where)
     return materials.get(name)
