@@ -61,6 +61,13 @@ def mimic(of: str) -> str:
     return f'{LIMIT}<mimic joint="{of}"/>'
 
 
+def shown(geometry: str) -> str:
+    """The three links, on lines 2 to 4; the first is seen as this, on line 3."""
+    return (
+        f'<link name="base"><visual><geometry>\n{geometry}</geometry></visual></link>' + LINKS[20:]
+    )
+
+
 URDF_CASES = [
     Case(
         "an external entity in a DTD",
@@ -93,6 +100,54 @@ URDF_CASES = [
             '<link name="arm"/>\n<link name="hand"/>\n',
         ),
         holds=lambda m: "../../../etc/passwd" in m.bodies["base"].shapes[0].geometry.path,
+    ),
+    Case(
+        "a ball with a negative radius",
+        robot(SHOULDER, WRIST, links=shown('<sphere radius="-1"/>')),
+        ("visual of link 'base'", "radius of a sphere is -1", "above zero"),
+        3,
+    ),
+    Case(
+        "a box with a size that is no number",
+        robot(SHOULDER, WRIST, links=shown('<box size="1 a 1"/>')),
+        ("visual of link 'base'", "box size is '1 a 1'", "'a' is not a number"),
+        3,
+    ),
+    Case(
+        "a cylinder without its length",
+        robot(SHOULDER, WRIST, links=shown('<cylinder radius="1"/>')),
+        ("visual of link 'base'", "<cylinder> has no length", "it needs radius, length"),
+        3,
+    ),
+    Case(
+        "a mesh without a file",
+        robot(SHOULDER, WRIST, links=shown("<mesh/>")),
+        ("visual of link 'base'", "<mesh> has no filename"),
+        3,
+    ),
+    Case(
+        "a mesh scaled by infinity",
+        robot(SHOULDER, WRIST, links=shown('<mesh filename="a.stl" scale="1 inf 1"/>')),
+        ("visual of link 'base'", "mesh scale is '1 inf 1'", "'inf' is not finite"),
+        3,
+    ),
+    Case(
+        "two shapes in one visual",
+        robot(SHOULDER, WRIST, links=shown('<sphere radius="1"/><sphere radius="2"/>')),
+        ("visual of link 'base'", "it has 2 shapes", "one <visual> for each shape"),
+        3,
+    ),
+    Case(
+        "a shape that URDF does not have",
+        robot(SHOULDER, WRIST, links=shown('<cone radius="1"/>')),
+        note="the shape <cone> is not read",
+        holds=lambda m: not m.bodies["base"].shapes,
+    ),
+    Case(
+        "a ball without extent",
+        robot(SHOULDER, WRIST, links=shown('<sphere radius="0"/>')),
+        note="its sphere has no extent",
+        holds=lambda m: not m.bodies["base"].shapes,
     ),
     Case(
         "not a number in an origin",
@@ -573,6 +628,7 @@ def toml_joint(
 A = toml_joint("A")
 B = toml_joint("B", parent="a", child="b")
 ROD = '[[constraint]]\nname = "R"\ntype = "distance"\nparent = "ground"\nchild = "b"'
+SHAPE = '[[shape]]\nbody = "b"\ntype = "sphere"'
 
 TOML_CASES = [
     Case("a file that is not TOML", toml("[[joint"), ("this is not TOML", "see the caret"), 8),
@@ -707,6 +763,42 @@ TOML_CASES = [
         "a loop",
         toml(A, B, toml_joint("C", "at = [1, 0]", child="b")),
         holds=lambda m: len(m.build().structure.closures) == 1,
+    ),
+    Case(
+        "a shape of a missing body",
+        toml(A, B, SHAPE.replace('"b"', '"bb"'), "radius = 1"),
+        ("shape 1", "body is 'bb', which is no body"),
+        19,
+    ),
+    Case(
+        "a shape of an unknown kind",
+        toml(A, B, SHAPE.replace("sphere", "spere"), "radius = 1"),
+        ("shape of 'b'", "no kind of shape 'spere'", "did you mean 'sphere'"),
+        18,
+    ),
+    Case(
+        "a shape without its size",
+        toml(A, B, SHAPE),
+        ("shape of 'b'", "the radius of a sphere is missing"),
+        18,
+    ),
+    Case(
+        "a shape with the size of another kind",
+        toml(A, B, SHAPE, "radius = 1", "length = 1"),
+        ("shape of 'b'", "a sphere has no length", "it must have radius"),
+        21,
+    ),
+    Case(
+        "a shape with an unknown key",
+        toml(A, B, SHAPE, "radius = 1", "colour = [1, 0, 0]"),
+        ("shape 1", "unknown key 'colour'", "did you mean 'color'"),
+        22,
+    ),
+    Case(
+        "a shape with a negative size",
+        toml(A, B, SHAPE, "radius = -1"),
+        ("shape of 'b'", "the radius of a sphere is -1", "above zero"),
+        21,
     ),
     Case(
         "a rod", toml(A, B, ROD, "length = 1.5"), holds=lambda m: m.constraints["R"].of.value == 1.5

@@ -219,8 +219,8 @@ def test_shapes_that_a_page_cannot_hold_are_named():
     m.shape("a", "box", size=(1, 2, 3), at=(1e10, 0, 0))
     found, lost = meshes_of(m.build())
     assert not found and len(lost) == 2
-    assert lost[0].startswith("a: the radius of a cylinder is 1e+300; it must be below 1e+09")
-    assert lost[1].startswith("a: the place of a box")
+    assert lost[0].startswith("a: the radius of its cylinder is 1e+300; it must be below 1e+09")
+    assert lost[1].startswith("a: the place of its box")
 
 
 @pytest.mark.slow

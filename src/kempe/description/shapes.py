@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 from kempe.arrays import is_real
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.values import Expression, Value, evaluate, value, values
+from kempe.words import joined
 
 Triple = tuple[Value, Value, Value]
 """Three numbers, or expressions in parameters."""
@@ -108,10 +109,15 @@ class Geometry:
         return f"{self.kind} of {' and '.join(sizes)}"
 
 
+def _a(kind: type[Geometry]) -> str:
+    """The kind in a sentence: 'a box', 'an ellipsoid'."""
+    return f"{'an' if kind.kind[:1] in 'aeio' else 'a'} {kind.kind}"
+
+
 @cache
 def _checks(kind: type[Geometry]) -> list[tuple[str, Callable[[Any, str], Any], str]]:
     """The sizes of a kind: for each its name, its check, and what it is called in messages."""
-    return [(f.name, f.metadata["check"], f"the {f.name} of a {kind.kind}") for f in fields(kind)]
+    return [(f.name, f.metadata["check"], f"the {f.name} of {_a(kind)}") for f in fields(kind)]
 
 
 @dataclass(frozen=True)
@@ -204,11 +210,13 @@ def geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
     made = SHAPES.get(kind) if isinstance(kind, str) else None
     if made is None:
         raise UnknownNameError("kind of shape", kind, SHAPES)
-    takes = ", ".join(sizes_of(made))
+    needed = [f.name for f in fields(made) if f.default is MISSING]
+    optional = [name for name in sizes_of(made) if name not in needed]
+    allowed = f"it must have {joined(needed)}" + "".join(f" and may have {x}" for x in optional)
     for name in sizes:
         if name not in sizes_of(made):
-            raise InputError(f"a shape of kind {kind!r} has no {name}; it takes {takes}")
-    for f in fields(made):
-        if f.name not in sizes and f.default is MISSING:
-            raise InputError(f"a shape of kind {kind!r} needs {f.name}; it takes {takes}")
+            raise InputError(f"{_a(made)} has no {name}; {allowed}")
+    for name in needed:
+        if name not in sizes:
+            raise InputError(f"the {name} of {_a(made)} is missing; {allowed}")
     return made(**sizes)

@@ -167,10 +167,12 @@ class _TomlReader:
         X_BS = self.placement(table, "", path, subject, table.get("body"))
         if good and X_BS is not None:
             given = {k: x for k, x in table.items() if k not in ("body", "type", *PLACE)}
+            on, kind = table["body"], table["type"]
             with self.findings.guard(subject, self.where(*path)):
-                self.mechanism.shape(
-                    table["body"], table["type"], at=X_BS, where=self.where(*path), **given
-                )
+                try:
+                    self.mechanism.shape(on, kind, at=X_BS, where=self.where(*path), **given)
+                except DescriptionError as error:
+                    self.blame(error, given, path)
 
     def frame(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
         good &= self.known_body(table, "body", path, subject)
@@ -248,11 +250,15 @@ class _TomlReader:
         try:
             self.mechanism.constrain(kind(**given), table["name"], self.where(*path))
         except DescriptionError as error:
-            for p in error.problems:
-                about = [k for k in given if re.search(rf"\b{k}\b", p.message)]
-                self.findings.problems.append(replace(p, where=self.where(*path, *about[:1])))
+            self.blame(error, given, path)
         except (InputError, UnknownNameError) as error:
             self.findings.add(str(error), subject, self.where(*path))
+
+    def blame(self, error: DescriptionError, given: Iterable[str], path: Path) -> None:
+        """Record problems of a table at the first of the `given` keys that they name."""
+        for p in error.problems:
+            about = [k for k in given if re.search(rf"\b{k}\b", p.message)]
+            self.findings.problems.append(replace(p, where=self.where(*path, *about[:1])))
 
     def field(self, x: Any, how: str, key: str) -> Any:
         """The value of a field of a constraint. Errors: `InputError`."""

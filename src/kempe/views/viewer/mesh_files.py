@@ -189,7 +189,7 @@ def _refuse_far(geometry: Any, X: Array) -> None:
     for name, x in given.items():
         if not isinstance(x, str) and not (np.abs(x) < FARTHEST).all():
             raise InputError(
-                f"the {name} of a {geometry.kind} is {shown(x)}; it must be below {FARTHEST:g} in "
+                f"the {name} of its {geometry.kind} is {shown(x)}; it must be below {FARTHEST:g} in "
                 "size"
             )
 
