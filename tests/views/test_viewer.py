@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+import trimesh
 from hunts import some
 from robots import DATA
 
@@ -25,7 +26,7 @@ from kempe.equations.judge import judge
 from kempe.errors import InputError, UnknownNameError
 from kempe.views.drawing.scene import look
 from kempe.views.viewer.mesh_files import meshes_of
-from kempe.views.viewer.scene_nodes import Nodes, RigidParts
+from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts
 from kempe.views.viewer.session import Session
 
 WIDE = 960
@@ -210,6 +211,70 @@ def test_a_rail_is_as_long_as_its_joint_on_the_page():
         assert all(
             node.scale == (1.0, 1.0, lengths[k]) for k in changed for node in nodes.stretched[k]
         )
+
+
+ROUND = 24 * np.sin(np.pi / 12) / (2 * np.pi)
+"""Area of a polygon of 24 sides, by that of its circle."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes", "extents", "volume", "least"),
+    [
+        ("box", {"size": (1, 2, 3)}, (1, 2, 3), 6.0, 1.0),
+        ("sphere", {"radius": 1}, (2, 2, 2), 4 / 3 * np.pi, 0.95),
+        ("cylinder", {"radius": 1, "length": 3}, (2, 2, 3), 3 * np.pi, ROUND),
+        ("capsule", {"radius": 1, "length": 3}, (2, 2, 5), (3 + 4 / 3) * np.pi, 0.95),
+        ("ellipsoid", {"radii": (1, 2, 3)}, (2, 4, 6), 8 * np.pi, 0.95),
+    ],
+)
+def test_shapes_are_drawn_in_their_size_place_and_colour(kind, sizes, extents, volume, least):
+    """The triangles lie inside the true shape, whose volume has a closed form."""
+    m = kempe.Mechanism("m")
+    m.revolute("q", m.ground, m.body("a"))
+    m.shape("a", kind, **sizes, at=(5, 6, 7), color=(1, 0.5, 0, 0.25))
+    found, lost = meshes_of(m.build())
+    (mesh,) = found["a"]
+    assert not lost and mesh.is_watertight
+    np.testing.assert_allclose(mesh.extents, extents, rtol=0.01)
+    np.testing.assert_allclose(mesh.bounds.mean(axis=0), (5, 6, 7), rtol=0, atol=1e-9)
+    assert least * volume * (1 - 1e-9) <= mesh.volume <= volume * (1 + 1e-9)
+    assert (mesh.visual.vertex_colors == (255, 128, 0, 64)).all()
+    drawn = next(
+        s for s in Drawn(m.build(), np.zeros(1)).shapes if len(s.mesh.faces) == len(mesh.faces)
+    )
+    assert drawn.opacity == 64 / 255
+
+
+def test_what_collides_is_drawn_where_nothing_else_is_seen():
+    m = kempe.Mechanism("m")
+    for name in ("seen", "hidden", "bare"):
+        m.revolute(f"q {name}", m.ground, m.body(name))
+    for name in ("seen", "hidden"):
+        m.shape(name, "box", size=(1, 1, 1), visual=False)
+    m.shape("seen", "sphere", radius=1, collision=False)
+    found, lost = meshes_of(m.build())
+    assert not lost and {name: len(meshes) for name, meshes in found.items()} == {
+        "seen": 1,
+        "hidden": 1,
+    }
+    assert len(found["hidden"][0].faces) == 12 and len(found["seen"][0].faces) > 12
+
+
+def test_colours_of_a_file_are_kept_and_others_get_that_of_the_shape(tmp_path):
+    box = trimesh.creation.box((1, 1, 1))
+    box.export(tmp_path / "plain.stl")
+    box.visual.vertex_colors = (0, 255, 0, 255)
+    box.export(tmp_path / "green.ply")
+    m = kempe.Mechanism("m")
+    m.revolute("q", m.ground, m.body("a"))
+    m.roots = (str(tmp_path),)
+    for name in ("plain.stl", "green.ply"):
+        m.shape("a", "mesh", path=name, scale=2, color=(1, 0, 0))
+    found, lost = meshes_of(m.build())
+    plain, green = found["a"]
+    assert not lost and (plain.visual.vertex_colors == (255, 0, 0, 255)).all()
+    assert (green.visual.vertex_colors == (0, 255, 0, 255)).all()
+    assert np.allclose(plain.extents, 2) and np.allclose(green.extents, 2)
 
 
 def test_shapes_that_a_page_cannot_hold_are_named():

@@ -53,11 +53,11 @@ def _path(given: Any, what: str) -> str:
     return given
 
 
-def _said(xs: Any) -> str:
-    """Numbers in words: '0.1 x 0.2 x 0.3', '0.1'."""
-    if isinstance(xs, tuple):
-        return " x ".join(map(_said, xs))  # type: ignore[arg-type]
-    return xs.text if isinstance(xs, Expression) else f"{xs:.6g}"
+def _said(xs: Any, unit: str = "") -> str:
+    """Numbers in words, with a unit where none is an expression: '0.1 x 0.2 x 0.3 m', 'l/2'."""
+    given: tuple[Value, ...] = xs if isinstance(xs, tuple) else (xs,)
+    texts = [x.text if isinstance(x, Expression) else f"{x:.6g}" for x in given]
+    return " x ".join(texts) + unit * all(isinstance(x, float) for x in given)
 
 
 def _checked_by(check: Callable[[Any, str], Any], **usual: Any) -> Any:
@@ -105,7 +105,7 @@ class Geometry:
 
     def __str__(self) -> str:
         """The kind with its sizes: 'capsule of radius 0.04 m and length 0.4 m'."""
-        sizes = [f"{f.name} {_said(getattr(self, f.name))} m" for f in fields(self)]
+        sizes = [f"{f.name} {_said(getattr(self, f.name), ' m')}" for f in fields(self)]
         return f"{self.kind} of {' and '.join(sizes)}"
 
 
