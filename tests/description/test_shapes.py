@@ -15,7 +15,7 @@ from robots import good_urdf_files
 import kempe
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Shape
-from kempe.description.shapes import SHAPES, Box, Capsule, Mesh, Sphere, sizes_of
+from kempe.description.shapes import SHAPES, Box, Capsule, Geometry, Mesh, Sphere
 from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_reader import read_urdf
@@ -67,8 +67,8 @@ def test_a_shape_has_what_was_said(kind: str):
     (shape,) = m.bodies["b"].shapes
     assert isinstance(shape.geometry, SHAPES[kind]) and shape.kind == kind
     given = {name: np.asarray(x) for name, x in SIZES[kind].items()}
-    for name in sizes_of(SHAPES[kind]):
-        assert np.all(np.asarray(getattr(shape.geometry, name)) == given[name])
+    for name, x in shape.geometry.sizes.items():
+        assert np.all(np.asarray(x) == given[name])
     assert shape.X_BS == place(**PLACED) and shape.color == (1.0, 0.0, 0.5, 0.5)
     assert shape.visual and shape.collision and shape.name == f"a {kind}"
     again = m.shape("b", shape.geometry)
@@ -309,9 +309,8 @@ def ours(system: kempe.System, use: str) -> list[Row]:
     return sorted(out, key=_key)
 
 
-def _sizes(geometry: object) -> tuple[float, ...]:
-    given = (getattr(geometry, name) for name in sizes_of(type(geometry)))  # type: ignore[arg-type]
-    return tuple(np.concatenate([np.atleast_1d(x) for x in given]).tolist())
+def _sizes(geometry: Geometry) -> tuple[float, ...]:
+    return tuple(np.concatenate([np.atleast_1d(x) for x in geometry.sizes.values()]).tolist())
 
 
 def _key(row: Row) -> tuple[object, ...]:

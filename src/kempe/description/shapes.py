@@ -55,7 +55,7 @@ def _path(given: Any, what: str) -> str:
 
 def _said(xs: Any, unit: str = "") -> str:
     """Numbers in words, with a unit where none is an expression: '0.1 x 0.2 x 0.3 m', 'l/2'."""
-    given: tuple[Value, ...] = xs if isinstance(xs, tuple) else (xs,)
+    given: Any = xs if isinstance(xs, tuple) else (xs,)
     texts = [x.text if isinstance(x, Expression) else f"{x:.6g}" for x in given]
     return " x ".join(texts) + unit * all(isinstance(x, float) for x in given)
 
@@ -77,6 +77,11 @@ class Geometry:
             object.__setattr__(self, name, check(getattr(self, name), what))
 
     @property
+    def sizes(self) -> dict[str, Any]:
+        """Its sizes by name, and the path of a mesh."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @property
     def names(self) -> frozenset[str]:
         """Names of the parameters that its sizes use."""
         return frozenset(n for x in self._expressions() for n in x.names)
@@ -85,27 +90,26 @@ class Geometry:
         """The same shape with numbers in place of expressions. Errors: `InputError` for sizes that
         are not above zero.
         """
-        if not any(True for _ in self._expressions()):
+        if not self._expressions():
             return self
         numbers: dict[str, Any] = {}
-        for f in fields(self):
-            x = getattr(self, f.name)
+        for name, x in self.sizes.items():
             if isinstance(x, tuple):
-                numbers[f.name] = tuple(float(evaluate(v, parameters)) for v in x)  # type: ignore[arg-type]
+                given: Any = x
+                numbers[name] = tuple(float(evaluate(v, parameters)) for v in given)
             elif isinstance(x, Expression):
-                numbers[f.name] = float(evaluate(x, parameters))
+                numbers[name] = float(evaluate(x, parameters))
         return replace(self, **numbers)
 
     def _expressions(self) -> list[Expression]:
         given: list[Any] = []
-        for f in fields(self):
-            x = getattr(self, f.name)
+        for x in self.sizes.values():
             given += x if isinstance(x, tuple) else (x,)
         return [x for x in given if isinstance(x, Expression)]
 
     def __str__(self) -> str:
         """The kind with its sizes: 'capsule of radius 0.04 m and length 0.4 m'."""
-        sizes = [f"{f.name} {_said(getattr(self, f.name), ' m')}" for f in fields(self)]
+        sizes = [f"{name} {_said(x, ' m')}" for name, x in self.sizes.items()]
         return f"{self.kind} of {' and '.join(sizes)}"
 
 

@@ -120,11 +120,10 @@ def _frame(frame: Frame, dim: int) -> dict[str, Any]:
 
 
 def _shape(body: str, shape: Shape, dim: int) -> dict[str, Any]:
-    out = {"body": body, "type": shape.kind} | ({"name": shape.name} if shape.name else {})
-    for f in fields(shape.geometry):
-        x = getattr(shape.geometry, f.name)
-        if x != f.default:
-            out[f.name] = x
+    out: dict[str, Any] = {"body": body, "type": shape.kind}
+    out |= {"name": shape.name} if shape.name else {}
+    usual = {f.name: f.default for f in fields(shape.geometry)}
+    out |= {name: x for name, x in shape.geometry.sizes.items() if x != usual[name]}
     out |= _placement(shape.X_BS, dim)
     for key in ("visual", "collision"):
         if not getattr(shape, key):

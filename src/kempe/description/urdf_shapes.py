@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -16,7 +16,6 @@ from kempe.description.shapes import (
     Geometry,
     Mesh,
     Sphere,
-    sizes_of,
 )
 from kempe.description.source import Findings, shorten
 from kempe.description.urdf_elements import numbers, read_origin
@@ -239,10 +238,9 @@ def shape_lines(
     tag = _STANDARD[shape.kind]
     geometry = shape.geometry.evaluate(parameters)
     said = ""
-    for name in sizes_of(type(geometry)):
+    for name, x in geometry.sizes.items():
         (attribute,) = ELEMENTS[tag].sizes[name]
-        x: Any = getattr(geometry, name)
-        said += f" {attribute}={quoted(x if isinstance(x, str) else _text(x))}"
+        said += f" {attribute}={quoted(_text(x))}"
     named = f" name={quoted(shape.name)}" if shape.name else ""
     color = (
         f'<material name="rgba {_text(shape.color)}"><color rgba="{_text(shape.color)}"/>'
@@ -255,5 +253,8 @@ def shape_lines(
             yield f"<{use}{named}>{origin}<geometry><{tag}{said}/></geometry>{material}</{use}>"
 
 
-def _text(x: float | Iterable[float]) -> str:
-    return repr(x) if isinstance(x, float) else " ".join(map(repr, x))
+def _text(x: Any) -> str:
+    """A text, a number or numbers as an attribute has them."""
+    if isinstance(x, str):
+        return x
+    return " ".join(map(repr, x)) if isinstance(x, tuple) else repr(x)

@@ -18,7 +18,7 @@ import numpy as np
 from kempe.description.limited import last_words, run_limited
 from kempe.description.packages import Folders
 from kempe.description.parts import Shape
-from kempe.description.shapes import Mesh, sizes_of
+from kempe.description.shapes import Mesh
 from kempe.errors import InputError, KempeError, requirement, shown
 from kempe.spatial import Array
 
@@ -185,7 +185,7 @@ PRIMITIVES: dict[str, Callable[[Any], Any]] = {
 
 def _refuse_far(geometry: Any, X: Array) -> None:
     """Refuse sizes, scales and places that a page cannot hold. Errors: `InputError`."""
-    given = {"place": X[:3, 3], **{k: getattr(geometry, k) for k in sizes_of(type(geometry))}}
+    given: dict[str, Any] = {"place": X[:3, 3], **geometry.sizes}
     for name, x in given.items():
         if not isinstance(x, str) and not (np.abs(x) < FARTHEST).all():
             raise InputError(

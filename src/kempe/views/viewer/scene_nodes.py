@@ -684,9 +684,10 @@ class Drawn:
 
 def _opacity(mesh: Any) -> float:
     """How much is seen of a mesh of one colour; 1 where it has several, or those of a file."""
-    colours = mesh.visual.vertex_colors if mesh.visual.kind == "vertex" else None
-    one = colours is not None and (colours == colours[0]).all()
-    return float(colours[0, 3]) / 255.0 if one else 1.0
+    if mesh.visual.kind != "vertex":
+        return 1.0
+    colours: Array = mesh.visual.vertex_colors
+    return float(colours[0, 3]) / 255.0 if (colours == colours[0]).all() else 1.0
 
 
 def _mesh(part: RigidPart) -> Any:
