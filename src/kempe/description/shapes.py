@@ -12,7 +12,7 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from typing import Any, ClassVar
 
-from kempe.arrays import is_real
+from kempe.arrays import is_real, is_sequence
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.values import Expression, Value, evaluate, value, values
 from kempe.words import joined
@@ -55,7 +55,7 @@ def _path(given: Any, what: str) -> str:
 
 def _said(xs: Any, unit: str = "") -> str:
     """Numbers in words, with a unit where none is an expression: '0.1 x 0.2 x 0.3 m', 'l/2'."""
-    given: Any = xs if isinstance(xs, tuple) else (xs,)
+    given = xs if is_sequence(xs) else (xs,)
     texts = [x.text if isinstance(x, Expression) else f"{x:.6g}" for x in given]
     return " x ".join(texts) + unit * all(isinstance(x, float) for x in given)
 
@@ -94,9 +94,8 @@ class Geometry:
             return self
         numbers: dict[str, Any] = {}
         for name, x in self.sizes.items():
-            if isinstance(x, tuple):
-                given: Any = x
-                numbers[name] = tuple(float(evaluate(v, parameters)) for v in given)
+            if is_sequence(x):
+                numbers[name] = tuple(float(evaluate(v, parameters)) for v in x)
             elif isinstance(x, Expression):
                 numbers[name] = float(evaluate(x, parameters))
         return replace(self, **numbers)
@@ -104,7 +103,7 @@ class Geometry:
     def _expressions(self) -> list[Expression]:
         given: list[Any] = []
         for x in self.sizes.values():
-            given += x if isinstance(x, tuple) else (x,)
+            given += x if is_sequence(x) else (x,)
         return [x for x in given if isinstance(x, Expression)]
 
     def __str__(self) -> str:

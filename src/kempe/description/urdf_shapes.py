@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from kempe.arrays import is_sequence
 from kempe.description.parts import Shape
 from kempe.description.shapes import (
     Box,
@@ -257,4 +258,4 @@ def _text(x: Any) -> str:
     """A text, a number or numbers as an attribute has them."""
     if isinstance(x, str):
         return x
-    return " ".join(map(repr, x)) if isinstance(x, tuple) else repr(x)
+    return " ".join(map(repr, x)) if is_sequence(x) else repr(x)
