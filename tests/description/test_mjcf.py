@@ -6,6 +6,7 @@ import importlib.util
 import json
 import random
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +123,9 @@ def at_once(monkeypatch):
     """MuJoCo compiles in this process, and not in one of its own, which takes 0.2 s."""
 
     def compiled(merged: mjcf_text.Merged):
-        return json.loads(json.dumps(mjcf_worker.compiled(merged.text, merged.files)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of MuJoCo, on inertia
+            return json.loads(json.dumps(mjcf_worker.compiled(merged.text, merged.files)))
 
     monkeypatch.setattr(mjcf_reader, "compile_mjcf", compiled)
 
@@ -163,6 +166,32 @@ def poses_are_equal(system: System, text: str | Path, count: int = 3) -> None:
 @pytest.mark.parametrize("text", TREES.values(), ids=list(TREES))
 def test_poses_and_order_of_q(text: str, at_once):
     poses_are_equal(read(text).build(), text)
+
+
+def random_joints(rng: random.Random) -> str:
+    """Up to six joints of one body about axes of it, opposite and oblique ones, with references."""
+    joints: list[str] = []
+    for _ in range(rng.randint(1, 6)):
+        axis = rng.choice(
+            ["1 0 0", "0 1 0", "0 0 1", "0 -1 0", "1 1 0", "-1 1 0", "1 2 3", "0 0 -1"]
+        )
+        pos = rng.choice(["0 0 0", "0 0 0", "0.1 0 0", "0.1 0.2 0.3"])
+        ref = rng.choice([0, 0, 0.4])
+        made = slide("", axis, ref) if rng.random() < 0.4 else hinge("", axis, pos, ref)
+        joints.append(made.replace(' name=""', ""))
+    if rng.random() < 0.2:
+        joints = [*(j for j in joints[:3] if "slide" in j), BALL.replace(' name="ball"', "")]
+    return "".join(joints)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_products_of_random_joints(seed: int, at_once):
+    rng = random.Random(seed)
+    bodies = [body(f"b{k}", random_joints(rng), more='euler="9 8 7"') for k in range(40)]
+    text = mjcf(*bodies, compiler='<compiler angle="radian"/>')
+    m = read(text)
+    assert len(m.joints) == 40
+    poses_are_equal(m.build(), text)
 
 
 def test_shipped_file_and_all_that_it_holds_come_back_from_toml(tmp_path: Path):
