@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -275,18 +276,21 @@ def write(files: dict[str, str], folder: Path) -> Path:
     return folder / "main.sdf"
 
 
+def _drake(name: str) -> Any:
+    """A module of Drake."""
+    return import_module(f"pydrake.multibody.{name}")
+
+
 def record(path: Path) -> dict[str, Any]:
     """What Drake makes of a file: coordinates of its joints, and poses in the world.
 
     A joint that closes a loop is taken out, and its frames on its two bodies are recorded.
     """
     import numpy as np
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import MultibodyPlant
-    from pydrake.multibody.tree import BodyIndex, FrameIndex
 
-    plant = MultibodyPlant(0.001)
-    parser = Parser(plant)
+    parsing, plants, tree = (_drake(name) for name in ("parsing", "plant", "tree"))
+    plant = plants.MultibodyPlant(0.001)
+    parser = parsing.Parser(plant)
     for config in path.parent.glob("*/model.config"):
         parser.package_map().Add(config.parent.name, str(config.parent))
     parser.AddModels(str(path))
@@ -317,16 +321,16 @@ def record(path: Path) -> dict[str, Any]:
     for index in plant.GetJointIndices():
         j = plant.get_joint(index)
         if j.num_positions() and j.type_name() != "quaternion_floating":
-            values = rng.uniform(-1, 1, j.num_positions())
+            values = rng.uniform(-1, 1, int(j.num_positions())).tolist()
             start = j.position_start()
-            q[start : start + j.num_positions()] = values
-            out["joints"][name(j)] = [j.type_name(), values.tolist()]
+            q[start : start + len(values)] = values
+            out["joints"][name(j)] = [j.type_name(), values]
     plant.SetPositions(context, q)
     for i in range(1, plant.num_bodies()):
-        body = plant.get_body(BodyIndex(i))
+        body = plant.get_body(tree.BodyIndex(i))
         out["bodies"][name(body)] = pose(plant.EvalBodyPoseInWorld(context, body))
     for i in range(plant.num_frames()):
-        frame = plant.get_frame(FrameIndex(i))
+        frame = plant.get_frame(tree.FrameIndex(i))
         own = not frame.name().endswith(("_parent", "_child", "_F", "_M", "__", "world"))
         if own and frame.name() and name(frame) not in out["bodies"]:
             out["frames"][name(frame)] = pose(frame.CalcPoseInWorld(context))

@@ -24,8 +24,10 @@ from kempe.poses import Placement, place
 
 # ---- elements that are known
 
-OLDEST = (1, 2)
-NEWEST = (1, 12)
+Version = tuple[int, int]
+
+OLDEST: Version = (1, 2)
+NEWEST: Version = (1, 12)
 """Versions of SDF that are read; those before 1.4 differ from it in nothing that moves."""
 
 UNLIMITED = 1e16
@@ -370,7 +372,7 @@ class Axis:
 
 
 def read_axis(
-    axis: XmlElement, version: tuple[int, int], findings: Findings, subject: str, lenient: bool
+    axis: XmlElement, version: Version, findings: Findings, subject: str, lenient: bool
 ) -> Axis | None:
     """The axis that an element describes, or None after recording what is wrong with it.
 
@@ -530,11 +532,16 @@ def _attribute(
 # ---- versions
 
 
-def read_version(sdf: XmlElement, findings: Findings) -> tuple[int, int]:
+def version_in(text: str) -> Version:
+    """A version as two numbers; 0.0 where the text is none."""
+    found = re.fullmatch(r"\s*0*(\d{1,9})\.0*(\d{1,9})(?:\.\d+)?\s*", text, re.ASCII)
+    return (int(found[1]), int(found[2])) if found else (0, 0)
+
+
+def read_version(sdf: XmlElement, findings: Findings) -> Version:
     """The version of a file as two numbers; one that is not read is recorded as a problem."""
     given = sdf.attributes.get("version")
-    found = re.fullmatch(r"\s*0*(\d{1,9})\.0*(\d{1,9})(?:\.\d+)?\s*", given or "", re.ASCII)
-    version = (int(found[1]), int(found[2])) if found else (0, 0)
+    version = version_in(given or "")
     if OLDEST <= version <= NEWEST:
         return version
     said = "it has no version" if given is None else f"the version is {shorten(given)}"

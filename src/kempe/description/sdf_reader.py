@@ -21,6 +21,7 @@ from kempe.description.sdf_elements import (
     NEWEST,
     TYPES,
     Axis,
+    Version,
     check_known,
     first,
     read_axis,
@@ -102,7 +103,7 @@ def _check_is_sdf(sdf: XmlElement) -> None:
 
 
 def _outermost(
-    sdf: XmlElement, model: str | None, version: tuple[int, int], home: Path | None, files: Files
+    sdf: XmlElement, model: str | None, version: Version, home: Path | None, files: Files
 ) -> Scope:
     """The model or world that is read, with all that stands in it."""
     worlds = sdf.of("world")
@@ -527,24 +528,24 @@ class _Reader:
             return
         reference, parent, child = (self._body(end)[0] for end in ends if end is not None)
         R_WJ = scope.in_world(name)[:3, :3]
-        turns = [
-            self._turn(reference, link, R_WJ @ spatial.unit(axes[tag].xyz))
-            for link, tag in ((parent, "axis"), (child, "axis2"))
-        ]
-        for link, turn in zip((parent, child), turns, strict=True):
-            if turn is None:
-                findings.add(
-                    f"no revolute joint about its axis leads from {reference!r} to {link!r}",
-                    subject,
-                    element.where,
-                    "a gearbox couples two joints that connect its reference body to its parent "
-                    "and to its child",
-                )
-        if turns[0] is None or turns[1] is None:
-            return
-        (leader, sense), (of, other) = turns
-        with findings.guard(subject, element.where):
-            self.mechanism.couple(of, {leader: -ratio * sense * other}, where=element.where)
+        turns: list[tuple[str, float]] = []
+        for link, tag in ((parent, "axis"), (child, "axis2")):
+            turn = self._turn(reference, link, R_WJ @ spatial.unit(axes[tag].xyz))
+            if turn is not None:
+                turns.append(turn)
+                continue
+            findings.add(
+                f"no revolute joint about its axis leads from {reference!r} to {link!r}",
+                subject,
+                element.where,
+                "a gearbox couples two joints that connect its reference body to its parent and "
+                "to its child",
+            )
+        if len(turns) == 2:
+            (leader, sense), (of, other) = turns
+            with findings.guard(subject, element.where):
+                factor = -ratio * sense * other
+                self.mechanism.couple(of, {leader: factor}, where=element.where)
 
     def _turn(self, reference: str, link: str, axis: Array) -> tuple[str, float] | None:
         """The revolute joint between two bodies about an axis, and 1.0 where it turns the link

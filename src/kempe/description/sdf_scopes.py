@@ -17,6 +17,7 @@ import numpy as np
 from kempe.description.packages import Folders
 from kempe.description.sdf_elements import (
     NEWEST,
+    Version,
     check_attributes,
     check_known,
     first,
@@ -24,6 +25,7 @@ from kempe.description.sdf_elements import (
     read_version,
     text_of,
     truth,
+    version_in,
 )
 from kempe.description.source import SIZE_LIMIT, Findings, shorten
 from kempe.description.xml import XmlElement, parse_xml
@@ -38,7 +40,6 @@ MOST = 10_000
 """Models inside one another, included ones counted, and models that are included, at most."""
 ENVIRONMENT = ("GZ_SIM_RESOURCE_PATH", "SDF_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
 """Names of lists of folders with models."""
-SUPPORTED = re.compile(r"\s*0*(\d{1,9})\.0*(\d{1,9})", re.ASCII)
 
 
 def gazebo_folders() -> list[Path]:
@@ -169,10 +170,9 @@ def _file_of(path: Path) -> Path | None:
             names = parse_xml(file.read(SIZE_LIMIT + 1), str(config)).of("sdf")
     except (OSError, ValueError, DescriptionError):
         return None
-    best: tuple[tuple[int, int], Path] | None = None
+    best: tuple[Version, Path] | None = None
     for name in names:
-        found = SUPPORTED.match(name.attributes.get("version", "1.0"))
-        version = (int(found[1]), int(found[2])) if found else (0, 0)
+        version = version_in(name.attributes.get("version", "1.0"))
         file_path = path / name.content
         if version <= NEWEST and os.path.isfile(file_path) and (best is None or version > best[0]):
             best = version, file_path
@@ -212,7 +212,7 @@ class Scope:
         element: XmlElement,
         name: str,
         outer: Scope | None,
-        version: tuple[int, int],
+        version: Version,
         folder: Path | None,
         files: Files,
     ):

@@ -101,16 +101,12 @@ def _geometry(
             findings.note("its mesh names no file, and is left out", subject, shape.where)
             return None
         given["path"] = path
-    if any(x == 0.0 for size in given.values() for x in _entries(size)):
+    if any(0.0 in (x if isinstance(x, tuple) else (x,)) for x in given.values()):
         findings.note(f"its {shape.tag} has no extent, and is left out", subject, shape.where)
         return None
     with findings.guard(subject, shape.where):
         return kind(**given)
     return None
-
-
-def _entries(size: Any) -> tuple[Any, ...]:
-    return size if isinstance(size, tuple) else (size,)
 
 
 def _path(mesh: XmlElement, folder: str) -> str:
