@@ -268,7 +268,11 @@ def test_followers_in_pinocchio(kind, mimic):
     assert len(at) == model.nq and len(rate) == model.nv
     back = convert.from_pinocchio(robot, at, model, rate)
     np.testing.assert_allclose(np.concatenate(back), [0.4, 0.7], rtol=0, atol=1e-15)
-    if not mimic:
+    if mimic:
+        J = pin.computeJointJacobian(model, model.createData(), at, 1)
+        J = Correspondence(robot, model).from_jacobian(at, J)
+        np.testing.assert_allclose(J, robot.jacobian(q, "left", "body"), rtol=0, atol=1e-15)
+    else:
         np.testing.assert_allclose(rate, [0.7, -1.4], rtol=0, atol=1e-15)
         assert pinocchio_agrees(pin, robot, model) == 3
         wrong = at.copy()

@@ -568,8 +568,13 @@ class Correspondence:
         return out
 
     def from_jacobian(self, q: ArrayLike, jacobian: ArrayLike) -> Array:
-        """A Jacobian (..., m, nv) of the system from one of the model at the model's `q`."""
+        """A Jacobian (..., m, nv) of the system from one of the model at the model's `q`.
+
+        Of a model with one velocity Pinocchio gives (m,), which is taken, too.
+        """
         J = numbers(jacobian, "jacobian")
+        if J.ndim == self.nv == 1:
+            J = J[:, None]
         _check_columns(J, self.nv)
         values = self._read(q)
         straight = np.broadcast_to(J, (*_lead(J.shape[:-2], values), *J.shape[-2:])).copy()
