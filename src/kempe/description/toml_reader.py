@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, cast
 
 from kempe import constraints
 from kempe.constraints.base import FRAMES, NUMBERS, End, fields_of, needed_by
@@ -64,10 +64,10 @@ def _tolerance(document: Document) -> float | str | None:
 
 def _names(given: Any) -> list[str]:
     """A list of names. Errors: `InputError`."""
-    names: Any = given
+    names = cast("list[Any]", given)
     if isinstance(given, list) and all(isinstance(name, str) for name in names):
         return names
-    raise InputError(f"it is {shorten(given)}; it must be a list of names")
+    raise InputError(f"it is {shorten(names)}; it must be a list of names")
 
 
 class _TomlReader:
@@ -372,8 +372,9 @@ class _TomlReader:
             with self.findings.guard(f"group {name!r}", self.where("groups", name)):
                 known = [joint for joint in _names(joints) if joint not in self.failed]
                 self.mechanism.group(name, known)
-        given = pairs = self.document.data.get("ignored_pairs")
-        for i, pair in enumerate(pairs if isinstance(given, list) else ()):
+        given = self.document.data.get("ignored_pairs")
+        pairs = cast("list[Any]", given) if isinstance(given, list) else []
+        for i, pair in enumerate(pairs):
             with self.findings.guard("ignored pair", self.where("ignored_pairs", i)):
                 names = _names(pair)
                 if len(names) not in (2, 3):
