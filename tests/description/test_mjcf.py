@@ -570,6 +570,8 @@ def test_problems_of_included_files_have_their_file_and_line(tmp_path: Path):
     assert refused(path).startswith(f"{path}:3: there is another body of the name 'a'")
     written(tmp_path, part="<x>\n\n<body></x>")
     assert refused(path).startswith(f"{tmp_path / 'part.xml'}:3: '</x>' closes <body>")
+    written(tmp_path, part="<x>\n<!-- a -- b -->\n<body></x>")
+    assert refused(path).startswith(f"{tmp_path / 'part.xml'}:3: '</x>' closes <body>")
     written(tmp_path, part="<x/>")
     assert "there is nothing in it" in refused(path)
     written(tmp_path, part='<x><include file="part.xml"/></x>')

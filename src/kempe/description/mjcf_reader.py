@@ -8,13 +8,13 @@ coordinates that follow others.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kempe import constraints
+from kempe.constraints import KINDS
 from kempe.description.mechanism import Mechanism
 from kempe.description.mjcf_product import product_of
 from kempe.description.mjcf_text import Merged, compile_mjcf
@@ -25,6 +25,7 @@ from kempe.spatial import pose, quat_wxyz_to_matrix
 from kempe.words import counted
 
 Row = dict[str, Any]
+_KINDS: Mapping[str, Any] = KINDS
 
 HIDDEN_GROUP = 3
 """Geoms of this group and above are not seen in MuJoCo's viewer unless they are asked for."""
@@ -304,7 +305,7 @@ class _Reader:
         a, b = self._ends(row)
         d = row["data"]
         at_a, at_b = ((0.0, 0.0, 0.0),) * 2 if row["sites"] else (tuple(d[0:3]), tuple(d[3:6]))
-        self.m.constrain(constraints.Position(a, at_b, at_a, other=b), name, where)
+        self.m.constrain(_KINDS["position"](a, at_b, at_a, other=b), name, where)
 
     def _weld(self, name: str, row: Row, where: Where) -> None:
         """Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10];
@@ -316,11 +317,11 @@ class _Reader:
         anchor = np.zeros(3) if row["sites"] else np.array(d[0:3])
         there = np.zeros(3) if row["sites"] else np.array(d[3:6])
         if d[10] == 0.0:
-            point = constraints.Position(b, tuple(there.tolist()), tuple(anchor.tolist()), other=a)
+            point = _KINDS["position"](b, tuple(there.tolist()), tuple(anchor.tolist()), other=a)
             self.m.constrain(point, name, where)
         else:
             X = pose(R, there - R @ anchor)
-            self.m.constrain(constraints.Pose(b, X, other=a), name, where)
+            self.m.constrain(_KINDS["pose"](b, X, other=a), name, where)
 
     def _joint_equality(self, name: str, row: Row, where: Where) -> None:
         """Coordinate a = polynomial of coordinate b, both counted from their references."""
@@ -388,7 +389,7 @@ class _Reader:
         for power, factor in enumerate(c[1:], 1):
             if other and factor:
                 text += f"{-factor:+.17g}*{other}" + (f"^{power}" if power > 1 else "")
-        self.m.constrain(constraints.Equation(text), name, where)
+        self.m.constrain(_KINDS["equation"](text), name, where)
 
     def _tendon_ranges(self) -> None:
         """Ranges of fixed tendons become inequalities."""
@@ -405,7 +406,7 @@ class _Reader:
                 texts = (f"{length}{-low:+.17g}", f"{high:.17g}-({length})")
                 with self.findings.guard(f"tendon {name!r}", where):
                     self.m.constrain(
-                        constraints.Inequality(texts), self._name(name, f"{name}_range"), where
+                        _KINDS["inequality"](texts), self._name(name, f"{name}_range"), where
                     )
 
     # ---- postures and notes

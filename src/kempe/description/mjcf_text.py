@@ -20,7 +20,7 @@ from kempe.description import mjcf_worker
 from kempe.description.formats import MJCF, by_contents
 from kempe.description.limited import last_words, run_limited
 from kempe.description.packages import Folders
-from kempe.description.source import SIZE_LIMIT, Source, fail, folders_of, shorten
+from kempe.description.source import SIZE_LIMIT, Findings, Source, fail, folders_of, shorten
 from kempe.description.xml import parse_xml, xml_source
 from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
@@ -308,7 +308,7 @@ def _children(source: Source, text: str) -> tuple[int, int]:
         stop = text.rfind(f"</{opening[1]}")
         if stop > opening.end():
             return opening.end(), stop
-    parse_xml(source.text, source.name)
+    parse_xml(source.text, source.name, Findings())
     raise fail(
         "this file is included, and there is nothing in it", source.where(1), "an include has parts"
     )
@@ -425,7 +425,7 @@ def _refused(said: str, merged: Merged) -> DescriptionError:
     """The error for what MuJoCo's compiler says."""
     if "XML parse error" in said:
         for source in merged.sources:
-            parse_xml(source.text, source.name)
+            parse_xml(source.text, source.name, Findings())
     tag = _TAG.search(said)
     name = _NAME.search(said)
     line = _LINE.search(said)
