@@ -138,7 +138,9 @@ def model_of(text: str | Path) -> tuple[object, object]:
         else mujoco.MjSpec.from_string(text)
     )
     spec.compiler.boundmass = spec.compiler.boundinertia = 1e-6
-    model = spec.compile()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # on inertia
+        model = spec.compile()
     return model, mujoco.MjData(model)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kempe.constraints.kinds import Position
+from kempe.constraints import KINDS
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, fresh_name, shorten
 from kempe.description.urdf_elements import check_known, numbers
@@ -57,7 +57,8 @@ def _read_ball(element: XmlElement, mechanism: Mechanism, findings: Findings) ->
     if None in bodies or None in points:
         return
     with findings.guard(subject, element.where):
-        held: Any = Position(bodies[1], points[0], points[1], other=bodies[0])
+        position: Any = KINDS["position"]
+        held = position(bodies[1], points[0], points[1], other=bodies[0])
         mechanism.constrain(held, name, element.where)
 
 
