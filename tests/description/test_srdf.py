@@ -11,6 +11,7 @@ from bad_file_cases import joint, robot
 from robots import urdf_files
 
 import kempe
+from kempe.description import srdf as srdf_module
 from kempe.description.read import check, read
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
@@ -165,6 +166,29 @@ def test_groups_and_pairs_in_toml():
         assert old in text
         with pytest.raises(DescriptionError, match=words):
             read(text.replace(old, new))
+
+
+def test_default_collisions():
+    more = (
+        '<disable_default_collisions link="tool"/><enable_collisions link1="tool" link2="r1"/>'
+        '<disable_collisions link1="tool" link2="l1" reason="Never"/></robot>'
+    )
+    pairs = read(URDF, srdf=SRDF.replace("</robot>", more)).ignored_pairs
+    others = ("base", "torso", "l1", "l2", "r2", "f1", "f2")
+    assert {frozenset(pair) for pair in pairs if "tool" in pair} == {
+        frozenset((name, "tool")) for name in others
+    }
+    assert pairs["l1", "tool"] == "Never" and pairs["torso", "tool"] == "Default"
+
+
+def test_hostile_groups(monkeypatch):
+    monkeypatch.setattr(srdf_module, "MOST", 18)
+    with pytest.raises(DescriptionError, match="the groups hold more than 18 joints") as caught:
+        read(URDF, srdf=SRDF.replace('<joint name="waist"/>', '<group name="both"/>'))
+    assert len(caught.value.problems) < 20
+    more = "".join(f'<disable_default_collisions link="{name}"/>' for name in ("l1", "l2", "r1"))
+    with pytest.raises(DescriptionError, match="it disables more than 18 pairs"):
+        read(URDF, srdf=f'<robot name="two arms">{more}</robot>')
 
 
 # ---- bases

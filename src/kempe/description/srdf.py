@@ -4,10 +4,9 @@ base moves, and pairs of links that are not checked for collisions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
-from itertools import combinations
 
 from kempe.description.mechanism import Mechanism, joints_between
 from kempe.description.parts import Coupling, Joint
@@ -43,6 +42,8 @@ ROOT_JOINT = "root_joint"
 """Pinocchio's name of the joint by which a free base moves, in SRDFs without a virtual joint."""
 
 IN_GROUP = ("joint", "link", "chain", "group")
+MOST = 1_000_000
+"""Joints in all groups together, and pairs of links, at most."""
 FEW = 5
 """Names that a note lists."""
 CLOSE = 1e-6
@@ -185,15 +186,21 @@ class Srdf:
             self.findings.add(f"it holds itself: {shown}", f"group {cycle[0]!r}", where)
             return
         found = {name: self._joints(name, elements[name], mechanism) for name in order}
+        total = 0
         for name in order:
             for part in parts[name]:
                 found[name] |= found[part]
+            total += len(found[name])
+            if total > MOST:
+                said = f"with it the groups hold more than {MOST} joints"
+                self.findings.add(said, f"group {name!r}", elements[name].where)
+                return
         for name in elements:  # in the order of the file
             if not found[name]:
                 self.findings.note("it holds no joint", f"group {name!r}", elements[name].where)
             mechanism.group(name, [joint for joint in mechanism.joints if joint in found[name]])
 
-    def _parts(self, name: str, element: XmlElement, elements: Iterable[str]) -> list[str]:
+    def _parts(self, name: str, element: XmlElement, elements: Collection[str]) -> list[str]:
         subject = f"group {name!r}"
         for child in element.children:
             if child.tag not in IN_GROUP:
@@ -332,8 +339,12 @@ class Srdf:
             for element in self.root.of("disable_default_collisions")
             if (link := self._known(element, "link", mechanism.bodies, "link", element.tag))
         }
-        every = combinations(mechanism.bodies, 2) if without else ()
-        ignored = {frozenset(p): "Default" for p in every if without.intersection(p)}
+        if len(without) * len(mechanism.bodies) > MOST:
+            where = self.root.of("disable_default_collisions")[0].where
+            self.findings.add(f"it disables more than {MOST} pairs", "robot", where)
+            return
+        every = ((a, b) for a in without for b in mechanism.bodies if a != b)
+        ignored = {frozenset(pair): "Default" for pair in every}
         absent: dict[str, XmlElement] = {}
         for tag in ("enable_collisions", "disable_collisions"):
             for element in self.root.of(tag):
@@ -387,15 +398,14 @@ class Srdf:
         return None if missing else [element.attributes[key] for key in keys]
 
     def _known(
-        self, element: XmlElement, key: str, known: Iterable[str], kind: str, subject: str
+        self, element: XmlElement, key: str, known: Collection[str], kind: str, subject: str
     ) -> str | None:
         """The name that an attribute gives; None after recording that nothing is called so."""
         given = self._attributes(element, subject, key)
-        names = list(known)
-        if given is None or given[0] in names:
+        if given is None or given[0] in known:
             return given[0] if given else None
         self.findings.add(
-            f"there is no {kind} {shorten(given[0])}{self.findings.hint(given[0], names)}",
+            f"there is no {kind} {shorten(given[0])}{self.findings.hint(given[0], known)}",
             subject,
             element.where_of(key),
         )
