@@ -690,7 +690,7 @@ def test_convert(arm, tmp_path):
 def test_convert_refuses(arm, four_bar, tmp_path):
     ending = Result("convert", arm, tmp_path / "arm.txt")
     loop = Result("convert", four_bar, tmp_path / "x.urdf")
-    assert ending.code == loop.code == 2 and ".urdf or .toml" in ending.err and "loop" in loop.err
+    assert ending.code == loop.code == 2 and ".urdf, .toml" in ending.err and "loop" in loop.err
     assert not (tmp_path / "x.urdf").exists()
     folder = Result("convert", arm, tmp_path / "no" / "arm.toml")
     assert folder.code == 2 and "No such file" in folder.err and folder.err.count("\n") == 1

@@ -20,6 +20,7 @@ ROWS = {
     "write_urdf": "kempe.description.urdf_writer:write_urdf",
     "read_mjcf": "kempe.description.mjcf_reader:read_mjcf",
     "read_sdf": "kempe.description.sdf_reader:read_sdf",
+    "write_sdf": "kempe.description.sdf_writer:write_sdf",
     "read_toml": "kempe.description.toml_reader:read_toml",
     "write_toml": "kempe.description.toml_writer:write_toml",
     "write": "kempe.description.read:write",

@@ -117,8 +117,44 @@ SDF = Format(
     "SDF",
     (".sdf", ".world"),
     partial(call_late, "read_sdf"),
+    partial(call_late, "write_sdf"),
     recognises=lambda start: root_element(start) == "sdf",
     options=("base", "model", "lenient_limits", "package_dirs"),
+    cannot={
+        "loops that are open where all coordinates are zero": (
+            "in SDF the frames of a joint coincide where the file places the links: choose the "
+            "frames so that zero closes the loop"
+        ),
+        "bodies that no joint carries": "join them to the ground",
+        "joints of other types": (
+            "SDF has revolute, prismatic, helical, universal and fixed joints, spherical ones by "
+            "quaternion, and Drake planar ones"
+        ),
+        "limits of joints with several coordinates": "remove them, except those of universal joints",
+        "locks of a part of a joint": "lock all of them, or none",
+        "locks of coordinates that follow others": "lock what it follows",
+        "couplings with several sources": "a mimic follows one",
+        "couplings of a part of a joint": "joints with one coordinate can mimic each other",
+        "particles": "SDF has rigid bodies only",
+        "constraints that are not joints": "a .toml file can hold it",
+        "names of its own, and equal ones": (
+            "rename it: world, __...__ and names with '::' have a meaning, and a body, a joint and "
+            "a frame share no name"
+        ),
+        "control characters in names": "rename it",
+    },
+    loses=(
+        "parameters (their values stay)",
+        "the plane (bodies stay in it)",
+        "locks (the joints become fixed)",
+        "the ground (it becomes a link that is fixed to the world)",
+        "postures",
+        "notes",
+        "which joints are actuated",
+        "groups of joints and links",
+        "the tolerance",
+        "shapes that are seen and collide (they become a visual and a collision)",
+    ),
 )
 """The format of Gazebo, which Drake reads, too."""
 MJCF = Format(
@@ -309,5 +345,5 @@ def read_by(option: str = "") -> list[Format]:
 
 
 def endings_written() -> str:
-    """Endings of the files that can be written, in a sentence: '.urdf or .toml'."""
+    """Endings of the files that can be written, in a sentence."""
     return joined([ending for f in FORMATS.values() if f.write for ending in f.endings])

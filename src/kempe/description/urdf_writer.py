@@ -48,10 +48,14 @@ def write_urdf(mechanism: Mechanism) -> str:
     notes and the marks of actuated joints are left out. Errors: `DescriptionError` listing all that
     URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
     """
-    return _Writer(mechanism).text()
+    return UrdfWriter(mechanism).text()
 
 
-class _Writer:
+class UrdfWriter:
+    """Writes links and joints of a mechanism; what its `format` cannot say goes to the findings."""
+
+    format = URDF
+
     def __init__(self, mechanism: Mechanism):
         self.m = mechanism
         self.findings = Findings()
@@ -62,14 +66,9 @@ class _Writer:
         self.mimics: dict[str, tuple[str, float, float]] = {}
 
     def text(self) -> str:
+        """The file."""
         self.check_tree()
-        for constraint in self.m.constraints.values():
-            self.findings.add(
-                f"a {constraint.kind} does not exist in URDF",
-                f"constraint {constraint.name!r}",
-                constraint.where,
-                URDF.cannot["constraints that are not joints"],
-            )
+        self.check_constraints()
         self.resolve_couplings()
         left_out = [f"posture {name!r}" for name in self.m.postures]
         left_out += [f"group {name!r}" for name in self.m.groups]
@@ -121,7 +120,7 @@ class _Writer:
                     if body != ground
                     else f"joint {names} leads to it"
                 )
-                allowed = URDF.cannot["loops, joints from child to parent"]
+                allowed = self.format.cannot["loops, joints from child to parent"]
                 self.findings.add(
                     what,
                     f"body {body!r}" if body != ground else f"ground {body!r}",
@@ -137,8 +136,31 @@ class _Writer:
                 "child",
                 "mechanism",
                 self.m.bodies[lost[0]].where,
-                URDF.cannot["bodies that no joint carries"],
+                self.format.cannot["bodies that no joint carries"],
             )
+
+    def check_constraints(self) -> None:
+        """Refuse constraints that are not joints."""
+        for constraint in self.m.constraints.values():
+            self.findings.add(
+                f"a {constraint.kind} does not exist in {self.format.title}",
+                f"constraint {constraint.name!r}",
+                constraint.where,
+                self.format.cannot["constraints that are not joints"],
+            )
+
+    def is_held(self, joint: Joint) -> bool:
+        """Whether a joint does not move; locks of a part of it are refused."""
+        coordinates = self.coordinates(joint)
+        held = [c for c in coordinates if c in self.held]
+        if held and len(held) < len(coordinates):
+            self.findings.add(
+                f"only {', '.join(held)} of its coordinates are locked",
+                f"joint {joint.name!r}",
+                joint.where,
+                self.format.cannot["locks of a part of a joint"],
+            )
+        return len(held) == len(coordinates)
 
     def resolve_couplings(self) -> None:
         """Sort couplings into constants (all sources locked) and mimics (one left); others are
@@ -163,21 +185,21 @@ class _Writer:
             subject = f"coordinate {of!r}"
             where = self.m.couplings[of].where
             if of in self.held:
-                allowed = URDF.cannot["locks of coordinates that follow others"]
+                allowed = self.format.cannot["locks of coordinates that follow others"]
                 self.findings.add("it is locked, but follows others", subject, where, allowed)
             elif len(free) > 1:
                 self.findings.add(
                     f"it follows several coordinates ({', '.join(free)})",
                     subject,
                     where,
-                    URDF.cannot["couplings with several sources"],
+                    self.format.cannot["couplings with several sources"],
                 )
             elif not {of, *free} <= self.m.joints.keys():
                 self.findings.add(
                     "it is one of several coordinates of a joint, or follows one",
                     subject,
                     where,
-                    URDF.cannot["couplings of a part of a joint"],
+                    self.format.cannot["couplings of a part of a joint"],
                 )
             else:
                 source, factor = next(iter(free.items()))
@@ -186,14 +208,16 @@ class _Writer:
     # ---- links
 
     def quoted(self, text: str) -> str:
+        """A text as the value of an attribute; what XML forbids is refused."""
         if _FORBIDDEN.search(text):
-            allowed = URDF.cannot["control characters in names"]
+            allowed = self.format.cannot["control characters in names"]
             self.findings.add(
                 "it has a character that XML forbids", f"name {text!r}", None, allowed
             )
         return quoteattr(text)
 
     def link(self, name: str, inside: Iterable[str] = ()) -> None:
+        """Write a <link>."""
         lines = list(inside)
         if not lines:
             self.lines.append(f"  <link name={self.quoted(name)}/>")
@@ -205,9 +229,12 @@ class _Writer:
         ]
 
     def body(self, body: Body) -> None:
+        """Write the link of a body."""
         subject = f"body {body.name!r}"
         if body.particle:
-            self.findings.add("it is a particle", subject, body.where, URDF.cannot["particles"])
+            self.findings.add(
+                "it is a particle", subject, body.where, self.format.cannot["particles"]
+            )
         inside: list[str] = []
         if body.mass is not None or body.center is not None:
             center = f'<origin xyz="{_numbers(body.center)}"/>' if body.center is not None else ""
@@ -219,9 +246,10 @@ class _Writer:
         self.link(body.name, inside)
 
     def shape(self, shape: Shape, subject: str) -> list[str]:
+        """The elements of a shape."""
         if not writable(shape):
             said = f"{shape.kind} does not exist in URDF as a shape"
-            self.findings.add(said, subject, shape.where, URDF.cannot["ellipsoids"])
+            self.findings.add(said, subject, shape.where, self.format.cannot["ellipsoids"])
             return []
         try:
             origin = origin_element(self.origin(shape.X_BS)) if shape.X_BS.steps else ""
@@ -233,22 +261,15 @@ class _Writer:
     # ---- joints
 
     def joint(self, joint: Joint) -> None:
+        """Write a joint."""
         coordinates = self.coordinates(joint)
-        held = [c for c in coordinates if c in self.held]
-        if held and len(held) < len(coordinates):
-            self.findings.add(
-                f"only {', '.join(held)} of its coordinates are locked",
-                f"joint {joint.name!r}",
-                joint.where,
-                URDF.cannot["locks of a part of a joint"],
-            )
-        if len(held) == len(coordinates):
+        if self.is_held(joint):
             X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
             self.fixed(
                 joint.name,
                 joint.parent,
                 joint.child,
-                self.origin(X_PC if held else _difference(joint)),
+                self.origin(X_PC if coordinates else _difference(joint)),
             )
             return
         kind = self.urdf_type(joint)
@@ -279,6 +300,7 @@ class _Writer:
         self.fixed(fresh(f"{joint.name}_fixed", self.joints), between, joint.child, end)
 
     def coordinates(self, joint: Joint) -> list[str]:
+        """Names of the coordinates of a joint."""
         names = joint.type.coordinates(self.m.dim, self.m.bodies[joint.child].particle)
         return [f"{joint.name}.{n}" if n else joint.name for n in names]
 
@@ -298,6 +320,7 @@ class _Writer:
         return Placement(tuple(steps))
 
     def urdf_type(self, joint: Joint) -> str | None:
+        """The type that URDF has, or None after refusing what it has not."""
         subject = f"joint {joint.name!r}"
         name = joint.type.type_name
         if name == "free" and self.m.dim == 2:
@@ -315,18 +338,19 @@ class _Writer:
                 f"a {name} joint{angles} does not exist in URDF",
                 subject,
                 joint.where,
-                URDF.cannot["joints of other types"],
+                self.format.cannot["joints of other types"],
             )
             return None
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free", "spherical") and bounded:
-            allowed = URDF.cannot["limits of joints with several coordinates"]
+            allowed = self.format.cannot["limits of joints with several coordinates"]
             self.findings.add(
                 f"limits of a {name} joint do not exist in URDF", subject, joint.where, allowed
             )
         return kinds[name]
 
     def limit(self, joint: Joint, kind: str) -> list[str]:
+        """A <limit>, where there is one."""
         given = {"velocity": joint.velocity_limits.get(""), "effort": joint.effort_limits.get("")}
         if kind in ("planar", "floating", "spherical") or (
             kind == "continuous" and set(given.values()) == {None}
@@ -379,6 +403,7 @@ class _Writer:
         return _Origin(numbers[:3], numbers[3:])
 
     def fixed(self, name: str, parent: str, child: str, origin: _Origin) -> None:
+        """Write a fixed joint."""
         self.write(name, "fixed", parent, child, origin, None, [])
 
     def write(
@@ -391,6 +416,7 @@ class _Writer:
         axis: Sequence[float] | None,
         inside: list[str],
     ) -> None:
+        """Write a <joint>."""
         if kind == "spherical":
             self.lines.append(
                 "  <!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->"

@@ -1,0 +1,330 @@
+"""SDF text of a mechanism; what SDF cannot say is refused, all of it at once."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from kempe import spatial
+from kempe.description.formats import SDF
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body, Joint, Shape
+from kempe.description.sdf_scopes import GROUND, MODEL
+from kempe.description.shapes import Mesh, sizes_of
+from kempe.description.urdf_writer import UrdfWriter, fresh
+from kempe.errors import InputError
+from kempe.poses import Placement
+from kempe.spatial import Array
+
+CLOSED = 1e-9
+"""How far the two frames of a joint may be apart where all coordinates are zero."""
+
+TYPES = {
+    "revolute": "revolute",
+    "prismatic": "prismatic",
+    "helical": "screw",
+    "universal": "universal",
+    "spherical": "ball",
+    "planar": "planar",
+}
+"""Types of joints that are written."""
+
+
+def write_sdf(mechanism: Mechanism) -> str:
+    """SDF text of a mechanism; read again by `read_sdf`, all bodies and frames have the same poses.
+
+    The ground becomes a link that is fixed to the world, unless it is called 'world'. A joint that
+    closes a loop is written where its two frames coincide while all coordinates are zero.
+    Parameters are evaluated, locked joints become fixed ones. Errors: `DescriptionError` listing
+    all that SDF cannot say, by `SDF.cannot` of `kempe.description.formats`.
+    """
+    return _SdfWriter(mechanism).text()
+
+
+class _SdfWriter(UrdfWriter):
+    format = SDF
+
+    def text(self) -> str:
+        m = self.m
+        self.check_names()
+        self.check_constraints()
+        self.resolve_couplings()
+        name = m.ground.name
+        needed = name != GROUND or bool(m.ground.shapes or m.ground.mass is not None)
+        needed |= any(f.body == name for f in m.frames.values())
+        needed |= any(j.child == name for j in m.joints.values())
+        self.ground = (fresh("world_link", self.links) if name == GROUND else name) * needed
+        self.taken = self.links | self.joints
+        self.placed: dict[str, Joint] = {}
+        self.poses: dict[str, Array] = {name: np.eye(4)}
+        self.spread()
+        self.seats = {
+            j.name: [fresh(f"{j.name}_{end}", self.taken) for end in ("parent", "child")]
+            for j in m.joints.values()
+            if j.type.type_name == "planar" or (j.type.type_name == "free" and m.dim == 2)
+        }
+        self.seats = {k: v for k, v in self.seats.items() if not self.is_fixed(m.joints[k])}
+        for body in m.bodies.values():
+            if body is not m.ground or needed:
+                self.body(body)
+        if needed:
+            joint = fresh(f"{self.ground}_fixed", self.taken)
+            ends = f"<parent>{GROUND}</parent><child>{self.said(self.ground)}</child>"
+            self.lines.append(f"    <joint name={self.quoted(joint)} type='fixed'>{ends}</joint>")
+        for joint in m.joints.values():
+            self.joint(joint)
+        for frame in m.frames.values():
+            pose = self.pose(frame.X_BF, "", f"frame {frame.name!r}")
+            on = self.quoted(self.link_name(frame.body))
+            self.lines.append(
+                f"    <frame name={self.quoted(frame.name)} attached_to={on}>{pose}</frame>"
+            )
+        version = "1.11" if self.mimics else "1.9"
+        head = f'<?xml version="1.0" encoding="utf-8"?>\n<sdf version="{version}">\n'
+        named = self.quoted(m.name)
+        self.findings.finish()
+        return f"{head}  <model name={named}>\n" + "\n".join(self.lines) + "\n  </model>\n</sdf>\n"
+
+    # ---- what must hold
+
+    def check_names(self) -> None:
+        """Refuse names that SDF keeps for itself, and those that two parts have."""
+        kinds = {"joint": self.m.joints, "frame": self.m.frames, "body": self.m.bodies}
+        seen: dict[str, str] = {}
+        for kind, parts in kinds.items():
+            for name, part in parts.items():
+                reserved = name == GROUND or (name.startswith("__") and name.endswith("__"))
+                said = ""
+                if "::" in name or (reserved and name != self.m.ground.name):
+                    said = "SDF keeps such a name for itself"
+                elif name in seen:
+                    said = f"a {seen[name]} has its name, too"
+                if said:
+                    allowed = self.format.cannot["names of its own, and equal ones"]
+                    self.findings.add(said, f"{kind} {name!r}", part.where, allowed)
+                seen[name] = kind
+
+    def spread(self) -> None:
+        """Place the bodies where all coordinates are zero, from the ground over the joints."""
+        around: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
+        for joint in self.m.joints.values():
+            around[joint.parent].append(joint)
+            around[joint.child].append(joint)
+        queue = deque(self.poses)
+        while queue:
+            here = queue.popleft()
+            for joint in around[here]:
+                there = joint.child if joint.parent == here else joint.parent
+                if there in self.poses:
+                    continue
+                X_PC = (self.on_parent(joint) @ joint.X_CM.inverse()).evaluate(self.m.parameters)
+                forward = joint.parent == here
+                self.poses[there] = self.poses[here] @ (X_PC if forward else spatial.inverse(X_PC))
+                self.placed[there] = joint
+                queue.append(there)
+        lost = [b for b in self.m.bodies if b not in self.poses]
+        if lost:
+            shown = ", ".join(map(repr, lost[:8])) + (", ..." if len(lost) > 8 else "")
+            self.findings.add(
+                f"no joints lead from the ground to {shown}",
+                "mechanism",
+                self.m.bodies[lost[0]].where,
+                self.format.cannot["bodies that no joint carries"],
+            )
+
+    def is_fixed(self, joint: Joint) -> bool:
+        """Whether all coordinates of a joint are locked."""
+        return all(c in self.held for c in self.coordinates(joint))
+
+    def on_parent(self, joint: Joint) -> Placement:
+        """The joint's frame M on its parent where all coordinates are zero, or as they are locked."""
+        if self.is_fixed(joint):
+            return joint.X_PF @ self.locked_pose(joint, self.coordinates(joint))
+        return joint.X_PF
+
+    # ---- elements
+
+    def said(self, text: str) -> str:
+        """A text between tags."""
+        self.quoted(text)
+        return escape(text)
+
+    def link_name(self, body: str) -> str:
+        """What a body is called in the file."""
+        return body if body != self.m.ground.name else self.ground or GROUND
+
+    def pose(self, X: Placement, relative: str, subject: str) -> str:
+        """A <pose>; '' where it says nothing."""
+        try:
+            origin = self.origin(X)
+        except FloatingPointError as error:
+            self.findings.add(str(error), subject, None, "check its parameters")
+            return ""
+        numbers = [*origin.xyz, *origin.rpy]
+        if not any(numbers) and not relative:
+            return ""
+        of = f" relative_to={self.quoted(relative)}" if relative else ""
+        return f"<pose{of}>{_said(numbers)}</pose>"
+
+    def body(self, body: Body) -> None:
+        subject = f"body {body.name!r}"
+        if body.particle:
+            allowed = self.format.cannot["particles"]
+            self.findings.add("it is a particle", subject, body.where, allowed)
+        inside: list[str] = []
+        joint = self.placed.get(body.name)
+        if joint is not None:
+            forward = joint.child == body.name
+            X = joint.X_CM.inverse() if forward else self.on_parent(joint).inverse()
+            seat = joint.name
+            if joint.name in self.seats:  # a joint of Drake is no frame of SDF
+                seat = self.seats[joint.name][not forward]
+            inside.append(self.pose(X, seat, subject))
+        if body.mass is not None or body.center is not None:
+            center = f"<pose>{_said([*body.center, 0.0, 0.0, 0.0])}</pose>" if body.center else ""
+            inside.append(f"<inertial><mass>{(body.mass or 0.0)!r}</mass>{center}</inertial>")
+        taken: dict[str, set[str]] = {"visual": set(), "collision": set()}
+        for shape in body.shapes:
+            inside += self.shapes(shape, taken, subject)
+        name = self.quoted(self.link_name(body.name))
+        self.lines.append(f"    <link name={name}>{''.join(inside)}</link>")
+
+    def shapes(self, shape: Shape, taken: dict[str, set[str]], subject: str) -> Iterator[str]:
+        """A <visual>, a <collision>, or both; `taken` are the names of those before."""
+        pose = self.pose(shape.X_BS, "", subject)
+        try:
+            geometry = shape.geometry.evaluate(self.m.parameters)
+        except InputError as error:
+            self.findings.add(str(error), subject, shape.where, "check its parameters")
+            return
+        sizes: dict[str, Any] = {n: getattr(geometry, n) for n in sizes_of(type(shape.geometry))}
+        uri = f"<uri>{self.said(sizes.pop('path'))}</uri>" if isinstance(geometry, Mesh) else ""
+        inside = uri + "".join(
+            f"<{n}>{_said(x if np.ndim(x) else [x])}</{n}>" for n, x in sizes.items()
+        )
+        inside = f"<geometry><{shape.kind}>{inside}</{shape.kind}></geometry>"
+        for use, flag in (("visual", shape.visual), ("collision", shape.collision)):
+            color = shape.color if use == "visual" else None
+            said = _said(color or ())
+            light = f"<ambient>{said}</ambient><diffuse>{said}</diffuse>"
+            material = f"<material>{light}</material>" if color else ""
+            if flag:
+                name = self.quoted(fresh(shape.name or use, taken[use]))
+                yield f"<{use} name={name}>{pose}{inside}{material}</{use}>"
+
+    # ---- joints
+
+    def joint(self, joint: Joint) -> None:
+        subject = f"joint {joint.name!r}"
+        kind = "fixed" if self.is_held(joint) else self.kind_of(joint)
+        if kind is None:
+            return
+        on_child = joint.X_CM
+        if self.placed.get(joint.child) is not joint and self.placed.get(joint.parent) is not joint:
+            self.check_closed(joint)
+        if self.placed.get(joint.child) is joint:
+            parent = self.link_name(joint.parent)
+            pose = self.pose(self.on_parent(joint), MODEL if parent == GROUND else parent, subject)
+        else:
+            pose = self.pose(on_child, self.link_name(joint.child), subject)
+        ends = [self.said(self.link_name(b)) for b in (joint.parent, joint.child)]
+        if kind == "planar":
+            self.planar(joint, ends, subject)
+            return
+        inside = f"<parent>{ends[0]}</parent><child>{ends[1]}</child>{pose}"
+        if kind == "screw":
+            given: Any = joint.type.options["pitch"]
+            pitch = 2.0 * math.pi * float(given)
+            inside += f"<screw_thread_pitch>{pitch!r}</screw_thread_pitch>"
+        axes = {"universal": {"rx": "1 0 0", "ry": "0 1 0"}, "fixed": {}, "ball": {}}
+        for number, (name, xyz) in enumerate(axes.get(kind, {"": "0 0 1"}).items()):
+            tag = f"axis{number + 1}" if number else "axis"
+            inside += f"<{tag}><xyz>{xyz}</xyz>{self.limit_of(joint, name)}</{tag}>"
+        if joint.cut:
+            inside += "<physics><simbody><must_be_loop_joint>true</must_be_loop_joint></simbody></physics>"
+        self.lines.append(
+            f"    <joint name={self.quoted(joint.name)} type='{kind}'>{inside}</joint>"
+        )
+
+    def planar(self, joint: Joint, ends: list[str], subject: str) -> None:
+        """A planar joint, which only Drake has: between two frames of its own."""
+        frames = self.seats[joint.name]
+        places = ((joint.parent, self.on_parent(joint)), (joint.child, joint.X_CM))
+        for name, (body, X) in zip(frames, places, strict=True):
+            on = self.link_name(body)
+            at = "" if on == GROUND else f" attached_to={self.quoted(on)}"
+            pose = self.pose(X, "", subject)
+            self.lines.append(f"    <frame name={self.quoted(name)}{at}>{pose}</frame>")
+        self.lines.append(
+            f"    <drake:joint name={self.quoted(joint.name)} type='planar'>"
+            f"<drake:parent>{self.said(frames[0])}</drake:parent>"
+            f"<drake:child>{self.said(frames[1])}</drake:child>"
+            "<drake:damping>0 0 0</drake:damping></drake:joint>"
+        )
+
+    def kind_of(self, joint: Joint) -> str | None:
+        """The type that SDF has, or None after refusing what it has not."""
+        name = joint.type.type_name
+        if name == "free" and self.m.dim == 2:
+            name = "planar"
+        angles = joint.type.options.get("angles")
+        if name not in TYPES or angles:
+            self.findings.add(
+                f"a {name} joint{' by angles' * bool(angles)} does not exist in SDF",
+                f"joint {joint.name!r}",
+                joint.where,
+                self.format.cannot["joints of other types"],
+            )
+            return None
+        bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
+        if name in ("planar", "spherical") and bounded:
+            self.findings.add(
+                f"limits of a {name} joint do not exist in SDF",
+                f"joint {joint.name!r}",
+                joint.where,
+                self.format.cannot["limits of joints with several coordinates"],
+            )
+        return TYPES[name]
+
+    def limit_of(self, joint: Joint, name: str) -> str:
+        """A <limit> of a coordinate, and a <mimic>, where there are some."""
+        lower, upper = joint.limits.get(name, (-math.inf, math.inf))
+        bounds = {
+            "lower": lower,
+            "upper": upper,
+            "velocity": joint.velocity_limits.get(name, math.inf),
+            "effort": joint.effort_limits.get(name, math.inf),
+        }
+        said = "".join(f"<{k}>{x!r}</{k}>" for k, x in bounds.items() if math.isfinite(x))
+        out = f"<limit>{said}</limit>" if said else ""
+        if joint.name in self.mimics and not name:
+            source, factor, offset = self.mimics[joint.name]
+            numbers = f"<multiplier>{factor!r}</multiplier><offset>{offset!r}</offset>"
+            out += f"<mimic joint={self.quoted(source)}>{numbers}</mimic>"
+        return out
+
+    def check_closed(self, joint: Joint) -> None:
+        """Refuse a joint whose two frames do not coincide where all coordinates are zero."""
+        if joint.parent not in self.poses or joint.child not in self.poses:
+            return
+        F = self.poses[joint.parent] @ self.on_parent(joint).evaluate(self.m.parameters)
+        M = self.poses[joint.child] @ joint.X_CM.evaluate(self.m.parameters)
+        apart = float(np.abs(F - M).max())
+        if not apart <= CLOSED:
+            self.findings.add(
+                f"it closes a loop, and its two frames are {apart:.3g} apart where all coordinates "
+                "are zero",
+                f"joint {joint.name!r}",
+                joint.where,
+                self.format.cannot["loops that are open where all coordinates are zero"],
+            )
+
+
+def _said(numbers: Iterable[Any]) -> str:
+    """Numbers, with blanks between them."""
+    return " ".join(repr(float(x)) for x in numbers)
