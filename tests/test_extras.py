@@ -69,6 +69,12 @@ robot = kempe.load("arm.urdf.xacro", xacro=True)
 assert robot.joint_names == ("left", "right"), robot.joint_names
 print("used")
 """
+MJCF = """
+import kempe
+robot = kempe.load("<mujoco><worldbody><body name='a'><joint name='j'/><geom size='1'/></body></worldbody></mujoco>")
+assert robot.joint_names == ("j",), robot.joint_names
+print("used")
+"""
 JIT = """
 import numpy as np, kempe
 from kempe.kernels import compiled
@@ -91,6 +97,7 @@ CODE = {
     "symbolic": SYMBOLIC,
     "scale": SCALE,
     "xacro": XACRO,
+    "mjcf": MJCF,
     "jit": JIT,
     "docs": DOCUMENTATION,
 }

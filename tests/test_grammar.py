@@ -229,6 +229,8 @@ AT_LEAST_TWO = (
     "other joints:",
     "signs of equality",
     "actuated coordinates depend",
+    "joints are one",
+    "shapes",
 )
 """How texts go on after a number that is never one."""
 

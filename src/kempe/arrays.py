@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kempe.errors import InputError, shown
+from kempe.words import counted
 
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
@@ -211,7 +212,8 @@ def _of_joints(given: Any) -> tuple[list[Any], list[float]] | None:
         return None
     if len(names) != len(positions):
         raise InputError(
-            f"the {type(given).__name__} has {len(names)} names and {len(positions)} positions"
+            f"the {type(given).__name__} has {counted(len(names), 'name')} and "
+            f"{counted(len(positions), 'position')}"
         )
     return list(names), list(positions)
 

@@ -370,20 +370,22 @@ def test_a_heavy_robot_with_a_parallelogram_and_a_cylinder_moves_as_its_triangle
     assert values["c2"] == pytest.approx(length - 0.4, abs=1e-9)
 
 
-@pytest.mark.xfail(
-    strict=True, raises=kempe.KempeError, reason="files of MuJoCo and SDF are not read yet"
-)
+MJCF_FOUR_BAR = """<mujoco><worldbody>
+<body name="crank"><joint name="A" axis="0 0 1"/><geom size="0.01"/>
+<body name="coupler" pos="0 1 0"><joint name="B" axis="0 0 1"/><geom size="0.01"/></body></body>
+<body name="rocker" pos="3.5 0 0"><joint name="D" axis="0 0 1"/><geom size="0.01"/></body>
+</worldbody><equality><connect name="C" body1="coupler" body2="rocker" anchor="3 1 0"/></equality></mujoco>"""
+SDF_FOUR_BAR = """<sdf version="1.9"><model name="m"><link name="crank"/>
+<link name="coupler"><pose>0 1 0 0 0 0</pose></link><link name="rocker"><pose>3.5 0 0 0 0 0</pose></link>
+<joint name="A" type="revolute"><parent>world</parent><child>crank</child><axis><xyz>0 0 1</xyz></axis></joint>
+<joint name="B" type="revolute"><parent>crank</parent><child>coupler</child><axis><xyz>0 0 1</xyz></axis></joint>
+<joint name="D" type="revolute"><parent>world</parent><child>rocker</child><axis><xyz>0 0 1</xyz></axis></joint>
+<joint name="C" type="revolute"><pose>-0.5 2 0 0 0 0</pose><parent>coupler</parent><child>rocker</child>
+<axis><xyz>0 0 1</xyz></axis></joint></model></sdf>"""
+
+
 @pytest.mark.parametrize(
-    "ending, text",
-    [
-        (
-            "xml",
-            '<mujoco model="m"><worldbody><body name="a"><joint name="j" type="hinge" axis="0 0 '
-            '1"/><geom size="0.1"/></body></worldbody></mujoco>',
-        ),
-        ("sdf", '<sdf version="1.7"><model name="m"><link name="a"/></model></sdf>'),
-    ],
-    ids=["mujoco", "sdf"],
+    ("ending", "text"), [("xml", MJCF_FOUR_BAR), ("sdf", SDF_FOUR_BAR)], ids=["mujoco", "sdf"]
 )
 def test_closed_chains_of_other_formats_are_read(tmp_path, ending, text):
     """drake, issues 18803 and 18829; mujoco, issue 172; mujoco-py, issue 613: linkages come as SDF
@@ -391,4 +393,10 @@ def test_closed_chains_of_other_formats_are_read(tmp_path, ending, text):
     """
     path = tmp_path / f"m.{ending}"
     path.write_text(text)
-    assert kempe.load(path)
+    four_bar = kempe.load(path)
+    closed = four_bar.assemble({"A": 0.1})
+    assert closed and four_bar.mobility(closed.q).dof == 1
+    X = four_bar.fk(closed.q, ["crank", "coupler", "rocker"])
+    np.testing.assert_allclose(X[1][:2, 3], [-np.sin(0.1), np.cos(0.1)], rtol=0, atol=1e-12)
+    pins = (X[1] @ [3, 1, 0, 1], X[2] @ [-0.5, 2, 0, 1])
+    np.testing.assert_allclose(*pins, rtol=0, atol=1e-9)

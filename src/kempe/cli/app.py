@@ -228,8 +228,8 @@ def reads_file(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def run(**options: Any) -> None:
-        reading = _reading(**{name: options.pop(name) for name in shared})
-        command(reading=reading, **options)
+        given = {name: options.pop(name, p.default) for name, p in shared.items()}
+        command(reading=_reading(**given), **options)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}

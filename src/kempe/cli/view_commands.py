@@ -104,4 +104,4 @@ def demo(
 
     Example: kempe demo
     """
-    view(DEMO, html=html, port=port, no_browser=no_browser, json=json)
+    view(file=DEMO, html=html, port=port, no_browser=no_browser, json=json)

@@ -40,7 +40,7 @@ from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
 from kempe.poses import Placement, place
 from kempe.spatial import Array
-from kempe.words import listed
+from kempe.words import counted, listed
 
 ORTHOGONAL = 1e-9
 """Cosine up to which two axes are orthogonal."""
@@ -110,7 +110,8 @@ def _outermost(
     models = {m.attributes.get("name", "").strip(): m for m in sdf.of("model")}
     if model is None and len(worlds) + len(sdf.of("model")) > 1:
         raise fail(
-            f"the file has {len(worlds)} worlds and {len(sdf.of('model'))} models",
+            f"the file has {counted(len(worlds), 'world')} and "
+            f"{counted(len(sdf.of('model')), 'model')}",
             (worlds + sdf.of("model"))[1].where,
             f"choose one by model=: {listed([repr(n) for n in models], 8)}"
             if models

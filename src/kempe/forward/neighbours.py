@@ -780,7 +780,9 @@ def from_joint_state(
     names = [str(n) for n in message.name]
     rates = reals(list(message.velocity), "velocity of the message")
     if rates.shape != (len(names),):
-        raise InputError(f"the message has {len(names)} names and {rates.size} velocities")
+        raise InputError(
+            f"the message has {counted(len(names), 'name')} and {counted(rates.size, 'velocity')}"
+        )
     index = {name: k for k, name in enumerate(system.structure.velocity_names)}
     v = np.zeros(system.nv)
     for name, rate in zip(names, rates, strict=True):
