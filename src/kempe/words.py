@@ -23,6 +23,7 @@ PLURALS = {
     "branch": "branches",
     "mesh": "meshes",
     "entry": "entries",
+    "velocity": "velocities",
     "assembly": "assemblies",
 }
 """Nouns whose plural has more than an s."""

@@ -317,6 +317,7 @@ def test_contents_and_endings_together(
             row.title,
             row.endings,
             row.read and said,
+            elements=row.elements,
             recognises=row.recognises,
             options=row.options,
         )

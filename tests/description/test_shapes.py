@@ -358,17 +358,21 @@ APART = {"simple_humanoid.urdf": "collision", "romeo_laas_small.urdf": "visual"}
 cannot read."""
 
 
-@pytest.mark.parametrize("use", ["visual", "collision"])
 @pytest.mark.parametrize(
-    "path",
+    ("path", "use"),
     [
-        pytest.param(p, id=name, marks=() if any(q in name for q in QUICK) else pytest.mark.slow)
+        pytest.param(
+            p,
+            use,
+            id=f"{name}-{use}",
+            marks=() if any(q in name for q in QUICK) else pytest.mark.slow,
+        )
         for name, p in good_urdf_files().items()
+        for use in ("visual", "collision")
+        if APART.get(p.name) != use
     ],
 )
 def test_shapes_are_those_that_pinocchio_reads(path: Path, use: str):
-    if APART.get(path.name) == use:
-        pytest.skip("Pinocchio reads another shape")
     folder = next(str(p) for p in path.parents if p.name == "share")
     text = path.read_text(errors="replace")
     compare(ours(kempe.load(path), use), of_pinocchio(text, use, [folder]))
@@ -402,3 +406,11 @@ def test_mujoco_reads_what_is_written():
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[k])
         theirs.append((body, kind, tuple(read(model.geom_size[k])), X, None))
     compare(ours(m.build(), "collision"), sorted(theirs, key=_key))
+
+
+def test_one_number_scales_a_mesh_in_all_directions():
+    """A drone of RobotLocomotion/models has it, and Drake reads it so."""
+    mesh = '<visual><geometry><mesh filename="a.stl" scale=".00254"/></geometry></visual>'
+    m = kempe.read(f'<robot name="r"><link name="a">{mesh}</link></robot>')
+    assert m.bodies["a"].shapes[0].geometry.scale == (0.00254,) * 3
+    assert "one number, '.00254'" in m.notes[0]

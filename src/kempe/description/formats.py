@@ -39,6 +39,8 @@ class Format:
     """Text -> mechanism; None where the format is only known by name."""
     write: Callable[[Any], str] | None = None
     """Mechanism -> text; None where it is not written."""
+    elements: tuple[str, ...] = ()
+    """Names that its outermost element may have, where it is XML."""
     recognises: Callable[[str], bool] = lambda start: False
     """Whether a text that begins so, blanks left out, is in this format whatever its file is
     called."""
@@ -63,6 +65,7 @@ URDF = Format(
     (".urdf",),
     partial(call_late, "read_urdf"),
     partial(call_late, "write_urdf"),
+    elements=("robot",),
     recognises=lambda start: start.startswith("<"),
     options=("base", "root", "lenient_limits", "package_dirs", "srdf", "beside"),
     cannot={
@@ -118,7 +121,7 @@ SDF = Format(
     (".sdf", ".world"),
     partial(call_late, "read_sdf"),
     partial(call_late, "write_sdf"),
-    recognises=lambda start: root_element(start) == "sdf",
+    elements=("sdf",),
     options=("base", "model", "lenient_limits", "package_dirs"),
     cannot={
         "loops that are open where all coordinates are zero": (
@@ -161,7 +164,7 @@ MJCF = Format(
     "MJCF",
     (".mjcf",),
     partial(call_late, "read_mjcf"),
-    recognises=lambda start: root_element(start) in ("mujoco", "mujocoinclude", "mjcf"),
+    elements=("mujoco", "mujocoinclude", "mjcf"),
     options=("package_dirs",),
 )
 """The format of MuJoCo, which ties bodies by equalities; it is read through MuJoCo's compiler."""
@@ -325,7 +328,18 @@ def by_ending(name: str) -> Format | None:
 def by_contents(start: str) -> Format | None:
     """The format of a text, by its beginning; None where no format is recognised."""
     start = start.removeprefix("\ufeff").lstrip()
-    return next((f for f in reversed(FORMATS.values()) if f.recognises(start)), None)
+    name = root_element(start)
+    rows = reversed(FORMATS.values())
+    return next((f for f in rows if name in f.elements or f.recognises(start)), None)
+
+
+def root_fault(name: str) -> str:
+    """What is said of an outermost element that is not that of the format: '<sdf>: it is a file in
+    SDF'.
+    """
+    titles = [f.title for f in FORMATS.values() if name in f.elements]
+    said = f": it is a file in {titles[0]}" if titles else ""
+    return f"the outermost element is <{name}>{said}"
 
 
 def named(kinds: Iterable[Format], last: str = "or") -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kempe.description import mjcf_worker
-from kempe.description.formats import MJCF, by_contents
+from kempe.description.formats import root_fault
 from kempe.description.limited import last_words, run_limited
 from kempe.description.packages import Folders
 from kempe.description.source import SIZE_LIMIT, Findings, Source, fail, folders_of, shorten
@@ -254,9 +254,7 @@ def _check_is_mjcf(source: Source) -> None:
         raise fail(
             "this is a part of models, <mujocoinclude>", where, "load the model that includes it"
         )
-    format = by_contents(f"<{tag}/>")
-    said = "" if format in (None, MJCF) else f": it is a file in {format.title}"
-    raise fail(f"the outermost element is <{tag}>{said}", where, "MJCF starts with <mujoco>")
+    raise fail(root_fault(tag), where, "MJCF starts with <mujoco>")
 
 
 def _checked(source: Source) -> str:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.description.formats import SDF, by_contents
+from kempe.description.formats import root_fault
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.description.sdf_elements import (
@@ -93,10 +93,8 @@ def read_sdf(
 def _check_is_sdf(sdf: XmlElement) -> None:
     if sdf.tag == "sdf":
         return
-    format = by_contents(f"<{sdf.tag}/>")
-    said = "" if format in (None, SDF) else f": it is a file in {format.title}"
     raise fail(
-        f"the outermost element is <{sdf.tag}>{said}",
+        root_fault(sdf.tag),
         sdf.where,
         f"SDF starts with <sdf version='{NEWEST[0]}.{NEWEST[1]}'>",
     )

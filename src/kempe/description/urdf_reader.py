@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kempe.description.formats import URDF, by_contents, joined
+from kempe.description.formats import joined, root_fault
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
 from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
@@ -274,10 +274,8 @@ def _base(ground: str | None, base: str | None, srdf: Srdf | None) -> VirtualJoi
 def _check_is_urdf(robot: XmlElement) -> None:
     if robot.tag == "robot":
         return
-    format = by_contents(f"<{robot.tag}/>")
-    said = "" if format in (None, URDF) else f": it is a file in {format.title}"
     raise fail(
-        f"the outermost element is <{robot.tag}>{said}",
+        root_fault(robot.tag),
         robot.where,
         "URDF starts with <robot name=...>",
     )

@@ -37,6 +37,8 @@ class Element:
     kind: type[Geometry]
     sizes: Mapping[str, Mapping[str, int]]
     optional: tuple[str, ...] = ()
+    uniform: tuple[str, ...] = ()
+    """Sizes of several numbers that one number may stand for."""
     standard: bool = True
     """Whether it is written, too."""
 
@@ -49,7 +51,7 @@ ELEMENTS = {
     "sphere": Element(Sphere, {"radius": {"radius": 1}}),
     "cylinder": Element(Cylinder, _TUBE),
     "capsule": Element(Capsule, _TUBE),
-    "mesh": Element(Mesh, {"path": {"filename": 0}, "scale": {"scale": 3}}, ("scale",)),
+    "mesh": Element(Mesh, {"path": {"filename": 0}, "scale": {"scale": 3}}, ("scale",), ("scale",)),
     "drake:capsule": Element(Capsule, _TUBE, standard=False),
     "drake:ellipsoid": Element(Ellipsoid, _RADII, standard=False),
 }
@@ -168,6 +170,10 @@ def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | N
         found: list[Any] = []
         for attribute, count in attributes.items():
             text = element.attributes[attribute]
+            if name in row.uniform and len(text.split()) == 1:
+                count = 1
+                said = f"its {attribute} is one number, {shorten(text)}, taken for all directions"
+                findings.note(said, subject, element.where_of(attribute))
             read = numbers(element, attribute, count, findings, subject) if count else (text,)
             if read is None:
                 return None
