@@ -71,8 +71,8 @@ def load(
     to the world of an SDF; `root` names the ground where a file has no root link; `model` names the
     model that is read of an SDF with several; `package_dirs` are folders in which meshes, packages
     and the files that MJCF includes are looked up, beside the file's package, its neighbours, and
-    the folders of ROS; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values of its
-    ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
+    the folders of ROS; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values
+    of its ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
     bounds, or lower above upper), and negative ones of velocity and effort, as none; `srdf`
     is the SRDF of a URDF, with groups, postures, end effectors and how the base moves. Errors:
     `DescriptionError` with file, line and what is allowed.
