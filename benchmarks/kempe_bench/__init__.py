@@ -24,6 +24,7 @@ from kempe_bench import (
     parallel,
     peers,
     process,
+    reading,
     trees,
     ways,
     whole,
@@ -57,6 +58,7 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "laws": holding.laws,
     "workspace": workspaces.binned,
     "paths": ways.planar,
+    "files": reading.files,
     "startup": process.startup,
     "memory": process.memory,
 }

@@ -108,7 +108,7 @@ def test_sections_run(quick, monkeypatch, installed):
     if not installed:
         monkeypatch.setattr(peers, "robot_file", lambda name: None)
     wanted = [p for p in ("pin", "mujoco") if p in peers.installed()]
-    sections = ["batch", "single", "tree", "threads", "growth", "inverse"]
+    sections = ["batch", "single", "tree", "threads", "growth", "files", "inverse"]
     said: list[str] = []
     tables = list(benchmark.benchmark(sections, wanted, said.append))
     assert len(tables) == len(sections) - (peers.robot_file("talos_full_v2.urdf") is None)
