@@ -32,7 +32,6 @@ from kempe.constraints.base import (
 from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint, Shape
-from kempe.description.shapes import Geometry, geometry
 from kempe.description.source import collecting_later
 from kempe.errors import (
     DescriptionError,
@@ -51,6 +50,7 @@ from kempe.values import Expression, Value, evaluate, value
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from kempe.description.shapes import Geometry
     from kempe.late import System
 
 
@@ -678,6 +678,8 @@ class Mechanism(ConstraintMethods):
         >>> m.shape("link", "box", size=(0.1, 0.1, 0.02), collision=False).visual
         True
         """
+        from kempe.description.shapes import geometry  # only here: many mechanisms have none
+
         subject = f"shape {name!r}" if name else f"a shape of {str(body)!r}"
         sizes = {"radius": radius, "length": length, "size": size, "radii": radii}
         try:

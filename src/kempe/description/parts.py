@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
-from kempe.description.shapes import Geometry
 from kempe.errors import Where
 from kempe.joints import Helical, JointType, P, R, Translation
 from kempe.poses import Placement
 from kempe.spatial import Array
 from kempe.values import Expression, Value
 from kempe.words import joined, listed, paragraphs, verb
+
+if TYPE_CHECKING:
+    from kempe.description.shapes import Geometry
 
 MOVES = {R: "turns about", P: "slides along"}
 """What elementary motions do to an axis."""
