@@ -20,7 +20,15 @@ from kempe.description import mjcf_worker
 from kempe.description.formats import root_fault
 from kempe.description.limited import last_words, run_limited
 from kempe.description.packages import Folders
-from kempe.description.source import SIZE_LIMIT, Findings, Source, fail, folders_of, shorten
+from kempe.description.source import (
+    SIZE_LIMIT,
+    Findings,
+    Source,
+    fail,
+    folders_of,
+    read_bounded,
+    shorten,
+)
 from kempe.description.xml import parse_xml, xml_source
 from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
@@ -69,7 +77,7 @@ class Merged:
         self.files: dict[str, bytes] = {}
         self.text = ""
         self._given = [folder.resolve() for folder in folders_of(package_dirs)]
-        self._readable = Folders(self._given).readable
+        self._readable = Folders(self._given)
         self._home = self._given[0] if self._given else None
         self._starts: list[int] = []
         self._pieces: list[_Piece] = []
@@ -180,18 +188,11 @@ class Merged:
         """The file that an element names, in the folders of the model. Errors:
         `DescriptionError`.
         """
-        outside = False
-        for folder in (*folders, *self._given):
-            try:
-                path = folder and (folder / name).resolve()
-                if path is None or not path.is_file():
-                    continue
-            except (OSError, ValueError, RuntimeError):
-                continue
-            if any(root in path.parents for root in self._readable):
-                return path
-            outside = True
-        if outside:
+        places = (folder / name for folder in (*folders, *self._given) if folder is not None)
+        found, outside = self._readable.first_file(places)
+        if found is not None:
+            return found
+        if outside is not None:
             raise fail(
                 f"<{tag}> names {shorten(name)}, which lies outside the folders of the model",
                 where,
@@ -216,8 +217,7 @@ class Merged:
 
     def _read(self, path: Path, where: Where) -> bytes:
         try:
-            with open(path, "rb") as file:
-                data = file.read(SIZE_LIMIT + 1)
+            data = read_bounded(path)
         except OSError as error:
             raise fail(
                 f"{shorten(path, 200)} cannot be read: {error.strerror or error}",

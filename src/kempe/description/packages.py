@@ -86,6 +86,20 @@ class Folders:
             found.setdefault(folder.name, folder)
         return found
 
+    def first_file(
+        self, places: Iterable[Path], package: Path | None = None
+    ) -> tuple[Path | None, Path | None]:
+        """The first of the places that is a file in a readable folder or in this package, links and
+        ``..`` followed, and the first that is a file elsewhere; None where there is none.
+        """
+        allowed = [*self.readable, *([package.resolve()] if package else [])]
+        outside: Path | None = None
+        for file in (place.resolve() for place in places if os.path.isfile(place)):
+            if any(file.is_relative_to(folder) for folder in allowed):
+                return file, outside
+            outside = outside or file
+        return None, outside
+
     def find(self, path: str, subject: str = "mesh") -> Path:
         """The existing file that a path in a robot's file means.
 
@@ -107,15 +121,13 @@ class Folders:
         package = self.packages.get(parts[0]) if scheme else None
         places = [root.joinpath(*parts) for root in self.roots if not scheme]
         places += [package.joinpath(*parts[1:])] if package else []
-        existing = [place.resolve() for place in places if os.path.isfile(place)]
-        allowed = [*self.readable, *([package.resolve()] if package else [])]
-        for place in existing:
-            if any(place.is_relative_to(folder) for folder in allowed):
-                return place
+        found, outside = self.first_file(places, package)
+        if found is not None:
+            return found
         looked = ", ".join(repr(str(f)) for f in self.readable)
-        if existing:
+        if outside is not None:
             raise InputError(
-                f"{subject}: it leads out of the folders of the robot, to {str(existing[0])!r}; "
+                f"{subject}: it leads out of the folders of the robot, to {str(outside)!r}; "
                 f"folders are {looked}, declare others by package_dirs"
             )
         missing = f"no package {parts[0]!r}" if scheme and not package else "no such file"

@@ -5,7 +5,6 @@ The format is found out, and its reader or writer called.
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -28,12 +27,12 @@ from kempe.description.formats import (
 )
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import (
-    SIZE_LIMIT,
     collecting_later,
     expanded,
     fail,
     folders_of,
     no_file,
+    read_bounded,
     shorten,
 )
 from kempe.errors import (
@@ -230,8 +229,7 @@ def _bytes_of(path: Path) -> bytes:
     if what := no_file(path):
         raise fail(f"this is {what}", where, "give the path of a plain file")
     try:
-        with open(path, "rb") as file:
-            return file.read(SIZE_LIMIT + 1)
+        return read_bounded(path)
     except FileNotFoundError:
         raise fail("there is no such file", where, _near(path)) from None
     except (OSError, ValueError) as error:
@@ -259,6 +257,8 @@ def _near(path: Path) -> str:
         *(library_models() if folder == Path(".") and not path.suffix else ()),
         *_models_in(folder),
     ]
+    import difflib  # only here: most files exist
+
     near = difflib.get_close_matches(path.name, names, n=4, cutoff=0.5)
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"

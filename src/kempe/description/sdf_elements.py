@@ -12,11 +12,8 @@ from typing import Any
 
 from kempe.description.source import (
     Findings,
-    numbers_allowed,
-    numbers_in,
+    find_intended,
     shorten,
-    slip_of,
-    special_number,
 )
 from kempe.description.xml import XmlElement
 from kempe.errors import Where
@@ -229,7 +226,7 @@ def _note_unknown(
 ) -> None:
     if name.startswith("xmlns") or name in FORCES:
         return
-    near = None if ":" in name else slip_of(name[:60].casefold(), known)
+    near = None if ":" in name else find_intended(name[:60].casefold(), known)
     if name not in NOT_READ and near:
         findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
         return
@@ -256,16 +253,7 @@ def read_numbers(
 ) -> tuple[float, ...] | None:
     """The finite numbers in an element, or None after recording what is wrong with them."""
     text = element.content
-    found = numbers_in(text, count)
-    if not isinstance(found, str):
-        return found
-    findings.add(
-        f"{element.tag} is {shorten(text)}: {found}",
-        subject,
-        element.where_content,
-        numbers_allowed(count),
-    )
-    return None
+    return findings.numbers(text, count, element.tag, subject, lambda: element.where_content)
 
 
 def read_number(
@@ -459,13 +447,8 @@ def _bound(limit: XmlElement, tag: str, default: float, findings: Findings, subj
     element = first(limit, tag)
     if element is None:
         return default
-    special = special_number(element.content)
-    if special is not None and not math.isnan(special):
-        return special
-    found = read_numbers(element, 1, findings, subject)
-    if found is None:
-        return default
-    return found[0] if abs(found[0]) < UNLIMITED else math.copysign(math.inf, found[0])
+    found = findings.bound(element.content, UNLIMITED, tag, subject, lambda: element.where_content)
+    return default if found is None else found
 
 
 @dataclass(frozen=True)
@@ -517,16 +500,10 @@ def _attribute(
 ) -> float | None:
     if key not in element.attributes:
         return default
-    found = numbers_in(element.attributes[key], 1)
-    if not isinstance(found, str):
-        return found[0]
-    findings.add(
-        f"{element.tag} {key} is {shorten(element.attributes[key])}: {found}",
-        subject,
-        element.where_of(key),
-        numbers_allowed(1),
-    )
-    return None
+    what = f"{element.tag} {key}"
+    text = element.attributes[key]
+    found = findings.numbers(text, 1, what, subject, lambda: element.where_of(key))
+    return None if found is None else found[0]
 
 
 # ---- versions

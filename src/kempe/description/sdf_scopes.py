@@ -27,7 +27,7 @@ from kempe.description.sdf_elements import (
     truth,
     version_in,
 )
-from kempe.description.source import SIZE_LIMIT, Findings, shorten
+from kempe.description.source import Findings, read_bounded, shorten
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import DescriptionError, Where
 from kempe.poses import Placement, place
@@ -105,9 +105,7 @@ class Files:
         if path in self._read:
             return self._read[path]
         try:
-            with open(path, "rb") as file:
-                data = file.read(SIZE_LIMIT + 1)
-            sdf = parse_xml(data, str(path), self.findings)
+            sdf = parse_xml(read_bounded(path), str(path), self.findings)
         except DescriptionError as error:
             self.findings.problems += error.problems
             return None
@@ -143,12 +141,13 @@ class Files:
             near = [folder] if folder is not None else []
             relative = [d.joinpath(*parts) for d in (*near, *self.folders.roots)]
             order = [*named, *relative] if scheme in ("model", "package") else [*relative, *named]
-            inside = [*self.folders.readable, *([package.resolve()] if package else [])]
-            found = [file.resolve() for file in map(_file_of, order) if file is not None]
-            for file in found:
-                if any(file.is_relative_to(d) for d in inside):
-                    return file
-            said = "it leads out of the folders of the model" if found else "there is no such model"
+            places = (file for file in map(_file_of, order) if file is not None)
+            found, outside = self.folders.first_file(places, package)
+            if found is not None:
+                return found
+            said = (
+                "it leads out of the folders of the model" if outside else "there is no such model"
+            )
             looked = ", ".join(repr(str(d)) for d in self.folders.readable) or "no folder"
             allowed = f"looked in {looked}; name others by package_dirs"
         self.findings.add(f"{shorten(text, 200)}: {said}", subject, uri.where_content, allowed)
@@ -166,8 +165,7 @@ def _file_of(path: Path) -> Path | None:
         if not os.path.isfile(config):
             inside = path / "model.sdf"
             return inside if os.path.isfile(inside) else None
-        with open(config, "rb") as file:
-            names = parse_xml(file.read(SIZE_LIMIT + 1), str(config)).of("sdf")
+        names = parse_xml(read_bounded(config), str(config)).of("sdf")
     except (OSError, ValueError, DescriptionError):
         return None
     best: tuple[Version, Path] | None = None

@@ -17,7 +17,8 @@ from kempe.description.shapes import (
     Mesh,
     Sphere,
 )
-from kempe.description.source import Findings, numbers_in, shorten
+from kempe.description.source import Findings, parse_numbers
+from kempe.description.urdf_shapes import USES, only_shape, subject_of
 from kempe.description.xml import XmlElement
 from kempe.poses import Placement
 from kempe.words import counted
@@ -31,9 +32,6 @@ KINDS: dict[str, tuple[type[Geometry], Mapping[str, int]]] = {
     "mesh": (Mesh, {"scale": 3}),
 }
 """Elements inside <geometry> that are read, with their sizes and how many numbers each has."""
-
-USES = {"visual": (True, False), "collision": (False, True)}
-"""Elements of a link that hold shapes, with `visual` and `collision` of `Shape`."""
 
 
 def read_shapes(
@@ -52,8 +50,7 @@ def read_shapes(
     for element in link.children:
         if element.tag not in USES:
             continue
-        name = element.attributes.get("name", "")
-        subject = f"{element.tag}{f' {shorten(name)}' if name else ''} of {owner}"
+        subject = subject_of(element, owner)
         before = len(findings.problems)
         X, relative, pose = read_pose(element, findings, subject)
         if relative and pose is not None:
@@ -63,6 +60,7 @@ def read_shapes(
             continue
         visual, collision = USES[element.tag]
         color = _color(element) if visual else None
+        name = element.attributes.get("name", "")
         yield Shape(geometry, X, visual, collision, color, name, element.where)
 
 
@@ -70,18 +68,9 @@ def _geometry(
     element: XmlElement, folder: str, findings: Findings, subject: str
 ) -> Geometry | None:
     """The shape itself; None where there is none that is read."""
-    inside = [part for holder in element.of("geometry") for part in holder.children]
-    known = [part for part in inside if part.tag in KINDS]
-    if len(known) > 1:
-        findings.add(
-            f"it has {len(known)} shapes",
-            subject,
-            known[1].where,
-            f"write one <{element.tag}> for each shape",
-        )
-    if len(known) != 1:
+    shape = only_shape(element, KINDS, findings, subject)
+    if shape is None:
         return None
-    shape = known[0]
     kind, sizes = KINDS[shape.tag]
     given: dict[str, Any] = {}
     for tag, count in sizes.items():
@@ -128,7 +117,7 @@ def _color(visual: XmlElement) -> tuple[float, float, float, float] | None:
             part = first(material, tag)
             text = part.content if part is not None else ""
             for count in (4, 3):
-                found = numbers_in(text, count)
+                found = parse_numbers(text, count)
                 if not isinstance(found, str) and all(0.0 <= x <= 1.0 for x in found):
                     return (*found, 1.0)[:4]  # type: ignore[return-value]
     return None

@@ -20,6 +20,7 @@ from kempe.description.urdf_writer import UrdfWriter, fresh
 from kempe.errors import InputError
 from kempe.poses import Placement
 from kempe.spatial import Array
+from kempe.words import listed
 
 CLOSED = 1e-9
 """How far the two frames of a joint may be apart where all coordinates are zero."""
@@ -129,7 +130,7 @@ class _SdfWriter(UrdfWriter):
                 queue.append(there)
         lost = [b for b in self.m.bodies if b not in self.poses]
         if lost:
-            shown = ", ".join(map(repr, lost[:8])) + (", ..." if len(lost) > 8 else "")
+            shown = listed([*map(repr, lost)], 8)
             self.findings.add(
                 f"no joints lead from the ground to {shown}",
                 "mechanism",

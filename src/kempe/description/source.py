@@ -5,14 +5,13 @@ it.
 from __future__ import annotations
 
 import codecs
-import difflib
 import gc
 import math
 import os
 import re
 import stat
 from bisect import bisect_right
-from collections.abc import Collection, Container, Generator, Iterable
+from collections.abc import Callable, Collection, Container, Generator, Iterable
 from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -175,6 +174,30 @@ class Findings:
         except (InputError, UnknownNameError) as error:
             self.add(str(error).removeprefix(f"{subject}: "), subject, where)
 
+    def numbers(
+        self, text: str, count: int, what: str, subject: str, where: Callable[[], Where]
+    ) -> tuple[float, ...] | None:
+        """The finite numbers in a text; None after recording what is wrong with them."""
+        found = parse_numbers(text, count)
+        if not isinstance(found, str):
+            return found
+        self.add(f"{what} is {shorten(text)}: {found}", subject, where(), numbers_allowed(count))
+        return None
+
+    def bound(
+        self, text: str, unlimited: float, what: str, subject: str, where: Callable[[], Where]
+    ) -> float | None:
+        """The bound in a text, infinite where it says so or is not below `unlimited`; None after
+        recording what is wrong with it.
+        """
+        special = special_number(text.strip())
+        if special is not None and not math.isnan(special):
+            return special
+        found = self.numbers(text, 1, what, subject, where)
+        if found is None:
+            return None
+        return found[0] if abs(found[0]) < unlimited else math.copysign(math.inf, found[0])
+
     def finish(self) -> None:
         """Raise `DescriptionError` with the problems in the order of the file, if there are any."""
         if self.problems:
@@ -228,6 +251,12 @@ def expanded(path: str | Path) -> Path:
         return Path(text)
 
 
+def read_bounded(path: Path) -> bytes:
+    """The bytes of a file, one more than `SIZE_LIMIT` at most. Errors: `OSError`."""
+    with open(path, "rb") as file:
+        return file.read(SIZE_LIMIT + 1)
+
+
 def shorten(text: object, limit: int = 60) -> str:
     """`text` quoted, cut where it is long."""
     text = str(text)
@@ -249,7 +278,7 @@ SLIP = 0.8
 
 
 @lru_cache(maxsize=1024)
-def slip_of(name: str, known: tuple[str, ...]) -> str | None:
+def find_intended(name: str, known: tuple[str, ...]) -> str | None:
     """The known name that this one is a slip of. A name that holds a known one among its words is
     no slip.
     """
@@ -257,6 +286,8 @@ def slip_of(name: str, known: tuple[str, ...]) -> str | None:
     swapped = [k for k in known if sorted(k) == sorted(name)]
     if swapped:
         return swapped[0]
+    import difflib  # only here: most names are known
+
     mine = _words(name)
     for k in difflib.get_close_matches(name, known, n=3, cutoff=SLIP):
         own = _words(k)
@@ -279,7 +310,7 @@ LONG = 200
 """Characters of a text of numbers from which on it is not kept for the next one."""
 
 
-def numbers_in(text: str, count: int) -> tuple[float, ...] | str:
+def parse_numbers(text: str, count: int) -> tuple[float, ...] | str:
     """The finite numbers in a text, separated by blanks; what is wrong, as text, where they are not
     `count`.
     """

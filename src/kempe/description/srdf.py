@@ -8,13 +8,14 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
 
+from kempe.description.formats import root_fault
 from kempe.description.mechanism import Mechanism, joints_between
 from kempe.description.parts import Coupling, Joint
-from kempe.description.source import Findings, fail, shorten, slip_of
+from kempe.description.source import Findings, fail, find_intended, shorten
 from kempe.description.urdf_elements import numbers
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
-from kempe.words import counted
+from kempe.words import counted, listed
 
 ELEMENTS = (
     "group",
@@ -68,7 +69,7 @@ def read_srdf(text: str | bytes, source: str) -> Srdf:
     root = parse_xml(text, source, findings)
     if root.tag != "robot":
         raise fail(
-            f"the outermost element is <{root.tag}>",
+            root_fault(root.tag),
             root.where,
             "SRDF starts with <robot name=...>",
         )
@@ -270,8 +271,8 @@ class Srdf:
                 values |= self._values(mechanism, mechanism.joints[joint], child, subject)
         group = mechanism.groups.get(element.attributes.get("group", ""), tuple(joints))
         if other := [joint for joint in joints if joint not in group]:
-            listed = ", ".join(map(repr, other[:FEW])) + (", ..." if len(other) > FEW else "")
-            said = f"{counted(len(other), 'joint')} not in the group: {listed}"
+            names = listed([*map(repr, other)], FEW)
+            said = f"{counted(len(other), 'joint')} not in the group: {names}"
             self.findings.note(said, subject, element.where)
         self._drop_followers(mechanism, values, subject, element)
         return values
@@ -364,10 +365,10 @@ class Srdf:
             mechanism.ignore_pair(*pair, reason=reason)
         if absent:
             name, element = next(iter(absent.items()))
-            listed = ", ".join(map(repr, [*absent][:FEW])) + (", ..." if len(absent) > FEW else "")
+            names = listed([*map(repr, absent)], FEW)
             self.findings.note(
                 f"pairs of {counted(len(absent), 'link')} that the robot does not have are not "
-                f"used: {listed}{self.findings.hint(name, mechanism.bodies)}",
+                f"used: {names}{self.findings.hint(name, mechanism.bodies)}",
                 f"<{element.tag}>",
                 element.where,
             )
@@ -377,7 +378,7 @@ class Srdf:
     def _unknown(self, element: XmlElement, known: tuple[str, ...], subject: str) -> None:
         """Refuse an element that looks like a slip of a known one; note any other."""
         tag = element.tag
-        if near := slip_of(tag[:60], known):
+        if near := find_intended(tag[:60], known):
             said = f"unknown element {shorten(tag)}; did you mean {near!r}?"
             self.findings.add(said, subject, element.where)
         else:

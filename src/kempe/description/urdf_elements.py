@@ -13,11 +13,8 @@ from typing import Any
 from kempe.description.parts import Body, Shape
 from kempe.description.source import (
     Findings,
-    numbers_allowed,
-    numbers_in,
+    find_intended,
     shorten,
-    slip_of,
-    special_number,
 )
 from kempe.description.xml import XmlElement
 from kempe.poses import place
@@ -194,7 +191,7 @@ def check_known(
             where,
             f"write {local}",
         )
-    elif near := slip_of(
+    elif near := find_intended(
         local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)
     ):
         findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
@@ -217,7 +214,7 @@ def _check_element(
         findings.add(said + _speaks_of(element), subject, where, f"{advice}; or remove it")
         return
     used = tuple(k for k in known if k in MOTION or k in ("inertial", "visual"))
-    if near := slip_of(local[:60].casefold(), used):
+    if near := find_intended(local[:60].casefold(), used):
         findings.add(f"unknown element {shorten(tag)}; did you mean {near!r}?", subject, where)
     else:
         reported = _speaks_of(element) if _SPEAKS.search(local) else ""
@@ -455,16 +452,8 @@ def numbers(
 ) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
     text = element.attributes[attribute]
-    found = numbers_in(text, count)
-    if not isinstance(found, str):
-        return found
-    findings.add(
-        f"{element.tag} {attribute} is {shorten(text)}: {found}",
-        subject,
-        element.where_of(attribute),
-        numbers_allowed(count),
-    )
-    return None
+    what = f"{element.tag} {attribute}"
+    return findings.numbers(text, count, what, subject, lambda: element.where_of(attribute))
 
 
 def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str) -> float | None:
@@ -473,18 +462,9 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
     """
     if attribute not in element.attributes:
         return None
+    what = f"{element.tag} {attribute}"
     text = element.attributes[attribute]
-    special = special_number(text.strip())
-    if special is not None and not math.isnan(special):
-        return special
-    found = numbers(element, attribute, 1, findings, subject)
-    return (
-        None
-        if found is None
-        else found[0]
-        if abs(found[0]) < UNLIMITED
-        else math.copysign(math.inf, found[0])
-    )
+    return findings.bound(text, UNLIMITED, what, subject, lambda: element.where_of(attribute))
 
 
 # ---- links

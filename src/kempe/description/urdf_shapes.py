@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -119,7 +119,7 @@ def read_shape(
     of radius 0, and kinds of shapes that are not known, are left out with a note.
     """
     name = element.attributes.get("name", "")
-    subject = f"{element.tag}{f' {shorten(name)}' if name else ''} of {owner}"
+    subject = subject_of(element, owner)
     before = len(findings.problems)
     given = read_origin(element, findings, subject, quaternions)
     geometry = _geometry(element, findings, subject)
@@ -132,24 +132,40 @@ def read_shape(
     return Shape(geometry, _placed(**given), visual, collision, color, name, element.where)
 
 
+def subject_of(element: XmlElement, owner: str) -> str:
+    """A <visual> or <collision> in messages: "visual 'hand' of link 'arm'"."""
+    name = element.attributes.get("name", "")
+    return f"{element.tag}{f' {shorten(name)}' if name else ''} of {owner}"
+
+
+def only_shape(
+    element: XmlElement, known: Container[str], findings: Findings, subject: str
+) -> XmlElement | None:
+    """The element inside <geometry> whose kind is known. More than one is a problem: readers differ
+    in which they take.
+    """
+    found = [p for holder in element.of("geometry") for p in holder.children if p.tag in known]
+    if len(found) > 1:
+        findings.add(
+            f"it has {len(found)} shapes",
+            subject,
+            found[1].where,
+            f"write one <{element.tag}> for each shape",
+        )
+    return found[0] if len(found) == 1 else None
+
+
 def _geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
-    """The shape itself. More than one in an element is a problem: readers differ in which they take."""
+    """The shape itself; None where there is none that is read."""
     inside = [part for holder in element.of("geometry") for part in holder.children]
-    known = [part for part in inside if part.tag in ELEMENTS]
     for part in inside:
         if part.tag not in ELEMENTS:
             said = f"the shape <{part.tag}> is not read; URDF has {', '.join(_STANDARD)}"
             findings.note(said, subject, part.where)
     if not inside:
         findings.note("it has no <geometry> with a shape, and is left out", subject, element.where)
-    if len(known) > 1:
-        findings.add(
-            f"it has {len(known)} shapes",
-            subject,
-            known[1].where,
-            f"write one <{element.tag}> for each shape",
-        )
-    return _made(known[0], findings, subject) if len(known) == 1 else None
+    shape = only_shape(element, ELEMENTS, findings, subject)
+    return None if shape is None else _made(shape, findings, subject)
 
 
 def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:

@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.description.formats import URDF
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Joint, Shape
-from kempe.description.source import Findings
+from kempe.description.source import Findings, fresh_name
 from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
 from kempe.description.urdf_reader import reachable
 from kempe.description.urdf_shapes import NEWER, shape_lines, writable
@@ -22,7 +22,7 @@ from kempe.errors import InputError
 from kempe.joints import Q, R
 from kempe.poses import Placement
 from kempe.values import evaluate
-from kempe.words import counted
+from kempe.words import counted, listed
 
 ON_AXIS = 1e-12
 """Metres that a body's origin may lie off the axis of its joint and still count as on it."""
@@ -130,7 +130,7 @@ class UrdfWriter:
         reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
-            shown = ", ".join(map(repr, lost[:8])) + (", ..." if len(lost) > 8 else "")
+            shown = listed([*map(repr, lost)], 8)
             self.findings.add(
                 f"no joints lead from the ground to {shown} in their own direction, from parent to "
                 "child",
@@ -444,11 +444,7 @@ def _difference(joint: Joint) -> Placement:
 
 def fresh(name: str, taken: set[str]) -> str:
     """`name`, with a number where it is taken; from now on it is taken."""
-    number = 1
-    out = name
-    while out in taken:
-        number += 1
-        out = f"{name}_{number}"
+    out = fresh_name(name, taken)
     taken.add(out)
     return out
 
