@@ -20,6 +20,7 @@ from copies import once
 from test_install import done, environment, folder  # noqa: F401  (a fixture)
 
 from kempe import library
+from kempe.errors import MissingExtraError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -270,6 +271,18 @@ def wheel(folder) -> Path:  # noqa: F811
 
 def test_each_extra_is_used_or_left_out_for_a_reason():
     assert sorted([*CODE, *ELSEWHERE]) == sorted(EXTRAS)
+
+
+def test_a_missing_package_is_named_in_the_version_of_its_extra(monkeypatch):
+    """Several extras may need it, each from another version on."""
+    needed = [
+        "mujoco>=3.2; extra == 'bench'",
+        "mujoco>=3.6; extra == 'mjcf'",
+        'viser>=1.1; extra == "view"',
+    ]
+    monkeypatch.setattr("importlib.metadata.requires", lambda name: needed)
+    assert str(MissingExtraError("mujoco", "mjcf")).endswith("pip install 'mujoco>=3.6'")
+    assert str(MissingExtraError("viser", "view")).endswith("pip install 'viser>=1.1'")
 
 
 @pytest.mark.slow

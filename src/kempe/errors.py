@@ -235,7 +235,7 @@ class MissingExtraError(KempeError, ImportError):
     def __init__(self, package: str, extra: str):
         self.package = package
         self.extra = extra
-        said = f"pip install '{requirement(package)}'"
+        said = f"pip install '{requirement(package, extra)}'"
         super().__init__(
             f"this needs the package {package!r} (extra kempe[{extra}]): install it with  {said}"
         )
@@ -244,9 +244,9 @@ class MissingExtraError(KempeError, ImportError):
         return (type(self), (self.package, self.extra))
 
 
-def requirement(package: str) -> str:
-    """A package with the versions that Kempe works with, by its own metadata; only its name where
-    there are none.
+def requirement(package: str, extra: str) -> str:
+    """A package with the versions that an extra of Kempe needs, by its own metadata; only its name
+    where there are none.
     """
     from importlib import metadata
 
@@ -255,8 +255,9 @@ def requirement(package: str) -> str:
     except metadata.PackageNotFoundError:
         needed = ()
     for text in needed:
-        name, _, versions = text.partition(";")[0].strip().partition(">=")
-        if name == package and versions:
+        needs, _, marker = text.partition(";")
+        name, _, versions = needs.strip().partition(">=")
+        if name == package and versions and repr(extra) in marker.replace('"', "'"):
             return f"{name}>={versions}"
     return package
 

@@ -40,7 +40,7 @@ from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
 from kempe.poses import Placement, place
 from kempe.spatial import Array
-from kempe.words import counted, listed
+from kempe.words import counted, listed, verb
 
 ORTHOGONAL = 1e-9
 """Cosine up to which two axes are orthogonal."""
@@ -656,8 +656,9 @@ class _Reader:
         if held and not free:
             names = listed([repr(n) for n in held], 8)
             self.findings.note(
-                f"nothing ties {names} to the world: held where the file places them, while they "
-                "move freely in Gazebo and Drake; base='free' reads it so",
+                f"nothing ties {names} to the world: held where the file places "
+                f"{verb(len(held), 'it, while it moves', 'them, while they move')} freely in Gazebo "
+                "and Drake; base='free' reads it so",
                 where=self.outer.element.where,
             )
 

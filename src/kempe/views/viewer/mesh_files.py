@@ -263,7 +263,7 @@ def _refused(path: Path) -> str:
     if missing:
         return (
             f"{path.suffix} files need: pip install "
-            f"{' '.join(repr(requirement(p)) for p in missing)}"
+            f"{' '.join(repr(requirement(p, 'view')) for p in missing)}"
         )
     return ""
 
