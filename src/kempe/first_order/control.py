@@ -12,8 +12,8 @@ import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.first_order.constraint_graph import structure
-from kempe.first_order.rank import NOTHING, Rank
-from kempe.singular_values import svd
+from kempe.first_order.rank import Rank
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, counted
 
@@ -92,13 +92,14 @@ def control(
         else np.zeros((system.nv, 0))
     )
     N = rank.null_space
-    A = N[indices]
-    controlled, inside = _rank_and_null_space(A)
-    left = N @ inside
+    seen = Spectrum(N[indices], 1.0)
+    left = N @ seen.null(Level.GENERIC)
+    controlled = seen.rank(Level.GENERIC)
     Q = np.linalg.qr(lazy)[0] if lazy.shape[1] else lazy
-    left = _span(left - Q @ (Q.T @ left))
+    left = Spectrum(left - Q @ (Q.T @ left), 1.0).range(Level.GENERIC)
     most = max(
-        (_rank_and_null_space(r.null_space[indices])[0] for r in generic), default=controlled
+        (Spectrum(r.null_space[indices], 1.0).rank(Level.GENERIC) for r in generic),
+        default=controlled,
     )
     useful = rank.nullity - len(idle)
     patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
@@ -137,24 +138,6 @@ def driven(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
             raise InputError(f"{name!r} is held: it cannot be actuated")
         out += [c.index for c in chosen if c.index >= 0]
     return list(dict.fromkeys(out))
-
-
-def _rank_and_null_space(A: Array) -> tuple[int, Array]:
-    """Rank of the actuated rows of an orthonormal null space, and what of the null space they do
-    not see.
-    """
-    if not A.size:
-        return 0, np.eye(A.shape[1])
-    _, values, Vt = svd(A)
-    rank = int((values > NOTHING).sum())
-    return rank, Vt[rank:].T
-
-
-def _span(X: Array) -> Array:
-    if not X.size:
-        return X
-    U, s, _ = svd(X, full_matrices=False)
-    return U[:, s > NOTHING]
 
 
 def _sparse(X: Array) -> Array:

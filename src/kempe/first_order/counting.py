@@ -17,17 +17,13 @@ import numpy as np
 
 from kempe.description.parts import Declared
 from kempe.first_order.constraint_graph import ConstraintGraph, Edge, rows_of, structure
-from kempe.numerics.rank import column_space
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, counted, verb
 
 if TYPE_CHECKING:
     from kempe.first_order.screws import Screws
     from kempe.model.model import Model
-
-SAME = 1e-7
-"""Singular values of unit screws below this are zero: they lie in a smaller group of motions."""
 
 GROUPS = {
     (0, 0): "no motion",
@@ -236,37 +232,35 @@ def group_of(twists: Array) -> tuple[int, int]:
     """Dimension of the smallest group of motions that contains these screws (6, n), and of its
     turns.
     """
-    basis = group_basis(twists, SAME)
-    return basis.shape[1], column_space(basis[3:], SAME, SAME).shape[1]
+    basis = group_basis(twists, Level.GENERIC)
+    return basis.shape[1], Spectrum(basis[3:], 1.0).rank(Level.GENERIC)
 
 
-def group_basis(twists: Array, same: float) -> Array:
-    """Orthonormal basis (6, d) of the smallest algebra that contains these screws (6, n).
+def group_basis(twists: Array, level: float) -> Array:
+    """Orthonormal basis (6, d) of the smallest algebra that contains these unit screws (6, n).
 
-    The span is completed by Lie brackets until it no longer grows by more than `same`.
+    The span, of a rank at `level`, is completed by Lie brackets until it no longer grows.
     """
-    basis = column_space(twists, same, same)
+    basis = Spectrum(twists, 1.0).range(level)
     while True:
         if basis.shape[1] in (0, 1, 6):
             return basis
-        grown = column_space(np.hstack([basis, _brackets(basis)]), same, same)
+        grown = Spectrum(np.hstack([basis, _brackets(basis)]), 1.0).range(level)
         if grown.shape[1] == basis.shape[1]:
             return basis
         basis = grown
 
 
-def fills_group(twists: Array, same: float, clear: float) -> bool:
+def fills_group(twists: Array, level: float, clear: float) -> bool:
     """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span,
     which is clear.
     """
-    U, s, _ = svd(twists, full_matrices=False)
-    basis = U[:, s > same * s[0]]
+    spectrum = Spectrum(twists)
+    basis = spectrum.range(level)
     d = basis.shape[1]
-    if s[d - 1] < clear * s[0]:
+    if d > spectrum.rank(clear):
         return False
-    if d in (1, 6):
-        return True
-    return basis.shape[1] == column_space(np.hstack([basis, _brackets(basis)]), same, same).shape[1]
+    return d in (1, 6) or d == Spectrum(np.hstack([basis, _brackets(basis)])).rank(level)
 
 
 def _brackets(basis: Array) -> Array:

@@ -18,20 +18,12 @@ from kempe.equations.slip import hard_rows, rolls
 from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, structure
 from kempe.first_order.screws import Screws, screws
-from kempe.numerics.curves import RANK
-from kempe.numerics.rank import SPARSE, null_space, null_space_from
-from kempe.singular_values import svd
+from kempe.numerics.rank import SPARSE, Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-NOTHING = 1e-6
-"""Singular values below this part of the largest count as zero: a point found to 1e-14 of a
-singular one, where equations are quadratic, is 1e-7 away from it."""
-SOMETHING = 1e-4
-"""Singular values above this part of the largest count as not zero; between the two the widest gap
-decides."""
 CLEAR_GAP = 1e3
 """Ratio of the last singular value that counts to the first that does not, below which the rank is
 doubtful."""
@@ -40,8 +32,6 @@ POINTS = 8
 """How far around a configuration, in scaled velocities, and at how many points the sizes of written
 rows are looked at.
 """
-FLOOR = 1e-15
-"""Singular values below this part of the largest are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +102,11 @@ class Rank:
         """Whether some gap is too small, or a singular value too near to zero, to be sure of the
         rank.
         """
-        return self.gap < CLEAR_GAP or self.smallest < 10.0 * NOTHING or self.rest > 0.1 * NOTHING
+        return (
+            self.gap < CLEAR_GAP
+            or self.smallest < 10.0 * Level.GENERIC
+            or self.rest > 0.1 * Level.GENERIC
+        )
 
     @property
     def rest(self) -> float:
@@ -145,27 +139,6 @@ class Rank:
         return out
 
 
-def decide(values: Array, size: float = 0.0) -> tuple[int, float]:
-    """Rank and gap of a matrix with these singular values (descending).
-
-    `size` is what the largest would be if the matrix were not singular; where it is 0 the largest
-    counts always.
-    """
-    if not len(values) or values[0] <= 0.0:
-        return 0, np.inf
-    s = values / max(values[0], size)
-    above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
-    first = 0 if size else 1
-    allowed = [
-        r
-        for r in range(first, len(above))
-        if above[r] > NOTHING and (r == len(s) or s[r] < SOMETHING)
-    ]
-    gaps = [above[r] / max(s[r], FLOOR) if r < len(s) else above[r] / FLOOR for r in allowed]
-    best = int(np.argmax(gaps))
-    return allowed[best], float(gaps[best])
-
-
 def rank_at(system: Model, q: Array) -> Rank:
     """The rank of the loop equations at a closed configuration `q` (nq,)."""
     s = structure(system)
@@ -187,10 +160,12 @@ def _cluster(
     if not J.size:
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
-    U, values, Vt = svd(J)
-    r, gap = decide(values, size)
-    size = max(values[0], size, 1e-300)
-    return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)
+    spectrum = Spectrum(J, size)
+    stresses = spectrum.left
+    r, gap = spectrum.clear_rank()
+    size = float(spectrum.largest)
+    null_space = spectrum.right[r:].T
+    return ClusterRank(c, J, spectrum.values / size, r, gap, stresses[:, r:], null_space, size)
 
 
 def _jacobian(
@@ -301,7 +276,7 @@ def allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -
     if inputs and closure.n >= SPARSE and not rolls(closure.system):
         F, J = closure.loops(q)
         if float(np.abs(F).max(initial=0.0)) < OPEN:
-            free = null_space_from(J, inputs, RANK)
+            free = Spectrum(J).null_from(inputs, Level.CLOSED)
             if free is not None:
                 return free
     F, J = closure.both(q)
@@ -318,4 +293,4 @@ def allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -
                 "not zero), so velocities are not proportional to those of inputs"
             )
         J = np.concatenate([J, A])
-    return null_space(J, RANK, size=0.0)
+    return Spectrum(J).null(Level.CLOSED)

@@ -23,7 +23,7 @@ from kempe.first_order.rank import ClusterRank, Rank, rows_of_loop
 from kempe.first_order.screws import Screws
 from kempe.model.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
 from kempe.model.structural_order import natural
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, counted, in_words
 
@@ -278,8 +278,7 @@ def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[st
     """Directions (by their `twists`) that need not be held besides others for a joint that only
     `moves` (6, n).
     """
-    U, size, _ = svd(moves, full_matrices=False)
-    basis = U[:, size > CARRIES * size.max(initial=0.0)]
+    basis = Spectrum(moves).range(Level.GENERIC)
     held: set[str] = set()
     for part in (WELL, CARRIES):
         for name, twist in zip(names, twists, strict=True):
@@ -320,7 +319,7 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
             break
         chosen.append(found)
         held = np.stack([r.stress for r in found]) @ left
-        left = left @ svd(held)[2][len(found) :].T
+        left = left @ Spectrum(held).right[len(found) :].T
     return chosen
 
 

@@ -21,10 +21,9 @@ from kempe.equations import closure_rows
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import velocity_rows
 from kempe.errors import InputError, UnknownNameError
-from kempe.first_order.rank import decide
 from kempe.forward.fk import fk, jacobian
 from kempe.forward.maximal import maximal, maximal_q
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, cut, listed
 
@@ -124,8 +123,9 @@ class Wrenches:
         if name not in self.system.structure.joints:
             return own
         moves = np.stack([r.rates for r in rows])[:, self._bodies[-1][1] :]
-        U, sizes, _ = svd(moves)
-        return _reduced(U[:, decide(sizes)[0] :].T @ own)
+        spectrum = Spectrum(moves)
+        held = spectrum.left
+        return _reduced(held[:, spectrum.clear_rank()[0] :].T @ own)
 
     def point(self, name: str) -> Array:
         """Where (3,) a wrench is taken: the origin of frame M of a joint, of frame B of a
@@ -151,7 +151,7 @@ class Wrenches:
         """
         if not self._balance.size or self._rank == len(self._balance):
             return ()
-        states = svd(self._balance)[0][:, self._rank :].T
+        states = Spectrum(self._balance).left[:, self._rank :].T
         rows = [r for r in self._rows if r.lasting]
         names = tuple(dict.fromkeys(r.of for r in rows))
         parts = [self._wrench(r.of, r.rates) for r in rows]
@@ -207,7 +207,7 @@ class Wrenches:
         wanted = wanted * self._scale
         motors = motors * self._scale[:, None]
         A = np.hstack([self._balance.T, motors])
-        found, _, _, _ = np.linalg.lstsq(A, -wanted, rcond=SMALL)
+        found = Spectrum(A).solve(-wanted, Level.CLOSED)
         left = np.linalg.norm(A @ found + wanted)
         if left > BALANCED * max(np.linalg.norm(wanted), 1e-300):
             raise InputError(
@@ -358,8 +358,7 @@ class Wrenches:
 
     @cached_property
     def _rank(self) -> int:
-        values = np.asarray(svd(self._balance, compute_uv=False), dtype=float)
-        return decide(values)[0]
+        return Spectrum(self._balance).clear_rank()[0]
 
     @cached_property
     def _along_tree(self) -> Array:

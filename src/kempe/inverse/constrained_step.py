@@ -43,7 +43,7 @@ from kempe.numerics.least_squares import (
     part_within,
     scaled,
 )
-from kempe.numerics.rank import null_space
+from kempe.numerics.rank import Level, Spectrum
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -184,9 +184,11 @@ class ConstrainedSteps:
             )
         between = self._between(q, dt)
         if not self.rolls:
-            return Left(null_space(C), np.zeros(self.system.nv), *between)
+            return Left(Spectrum(C, 1.0).null(Level.CLOSED), np.zeros(self.system.nv), *between)
         A, b = hard_rows(self.system, q, self.scale)
-        return Left(null_space(np.concatenate([C, A])), at_rest(C, A, b), *between)
+        return Left(
+            Spectrum(np.concatenate([C, A]), 1.0).null(Level.CLOSED), at_rest(C, A, b), *between
+        )
 
     def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
         """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
@@ -422,7 +424,9 @@ class ConstrainedSteps:
         """
         N = free.basis
         held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
-        own = null_space(np.concatenate([held, *(s.A @ N for s in stages[:-1])]))
+        own = Spectrum(np.concatenate([held, *(s.A @ N for s in stages[:-1])]), 1.0).null(
+            Level.CLOSED
+        )
         if not own.shape[1]:
             return None
         values, W = np.linalg.eigh(own.T @ model @ own)
@@ -640,7 +644,7 @@ class _Descent:
             self._bound(
                 G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
             )
-        self.free = free @ null_space(A @ free)
+        self.free = free @ Spectrum(A @ free, 1.0).null(Level.CLOSED)
 
     def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
         """y (k,) of the free velocities, shortened until limits of speed alone hold, then the

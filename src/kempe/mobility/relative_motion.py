@@ -17,7 +17,7 @@ from kempe.first_order.rank import allowed_velocities, rank_at
 from kempe.forward.fk import fk, jacobian
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q
-from kempe.numerics.rank import column_space
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
 
@@ -125,7 +125,7 @@ def relative_motion(
         for r in nearby(system, rank_at(system, found), np.random.default_rng(0))
     ]
     dof = basis.shape[1]
-    turning = column_space(basis[3:], ZERO, 1.0).shape[1]
+    turning = Spectrum(basis[3:], 1.0).rank(Level.CLOSED)
     twists = basis * np.repeat([size, 1.0], 3)[:, None]
     return RelativeMotion(
         names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size
@@ -144,9 +144,8 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     back = Y[:3, :3].T
     arm = X[:3, 3] - Y[:3, 3]
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
-    return column_space(
-        np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0
-    ), back @ arm
+    twists = np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])])
+    return Spectrum(twists, 1.0).range(Level.CLOSED), back @ arm
 
 
 def _rounded(x: float) -> float:

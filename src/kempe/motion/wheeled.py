@@ -22,7 +22,7 @@ from kempe.equations.velocity import rates
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import random
-from kempe.numerics.rank import null_space
+from kempe.numerics.rank import Level, Spectrum
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import counted
@@ -216,7 +216,7 @@ class Wheeled:
         x, y = self.axle
         back = np.eye(A.shape[1])  # of the body's origin, in its axes, by those of the axle
         back[:3, :3] = [[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]]
-        return null_space(A @ back * unit, RANK, size=0.0) * unit[:, None]
+        return Spectrum(A @ back * unit).null(Level.CLOSED) * unit[:, None]
 
     def follow(self, q: Array, forward: float, turning: float) -> Array | None:
         """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
@@ -446,7 +446,7 @@ def _normal(
         x = q.copy()
         if steering is not None and k:
             x[steering_q] = random(system, np.random.default_rng([SEED, k]))[steering_q]
-        N = null_space(_rows(pose, x)[:, own] * unit[own], RANK, size=0.0)
+        N = Spectrum(_rows(pose, x)[:, own] * unit[own]).null(Level.CLOSED)
         s = svd(N[:3], compute_uv=False)
         if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
             names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.numerics.rank import null_space
+from kempe.numerics.rank import Level, Spectrum
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -276,7 +276,7 @@ def bounded(
     x = np.minimum(np.maximum(first, low), high) if plain else first.copy()
     held = (first <= low) | (first >= high) if plain else np.zeros(len(low), dtype=bool)
     for _ in range(10 * len(low) + 10):
-        Z = eye[:, ~held] if plain else null_space(rows[held])
+        Z = eye[:, ~held] if plain else Spectrum(rows[held], 1.0).null(Level.CLOSED)
         if Z.shape[1]:
             step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=None)[0]
             value = rows @ x

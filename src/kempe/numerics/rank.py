@@ -1,19 +1,28 @@
-"""The null space and the column space of a matrix, with a bound for what counts as zero."""
+"""Singular values of matrices, and all that depends on a rank: the one place that decides ranks.
+
+The rank of a computed matrix is the number of its singular values that are clearly not zero. What is
+clear depends on how large an error the matrix has: a rank is taken at one of the four of `Level`.
+
+Source: Golub, Van Loan, *Matrix Computations*, 4th edition, 2013, section 5.4.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kempe.singular_values import svd
-from kempe.spatial import Array
 
-RANK_TOLERANCE = 1e-8
-"""Singular values below this fraction of the largest count as zero."""
+Array = NDArray[np.float64]
+
 TINY = 1e-300
 """Largest singular value below which a matrix is zero."""
+FLOOR = 1e-15
+"""Singular values below this part of the largest are rounding."""
 SPARSE = 100
 """Columns from which on a matrix of loop equations is decomposed as a sparse one: few entries of a
 row are not zero."""
@@ -24,69 +33,227 @@ ESTIMATES = 8
 """Inverse iterations that estimate the smallest singular value."""
 
 
-def null_space(A: Array, least: float = RANK_TOLERANCE, size: float = 1.0) -> Array:
-    """Orthonormal basis (n, k) of what A (m, n) maps to zero.
-
-    Singular values to `least` of the largest one count as 0, or of `size`, if that is more.
+class Level:
+    """How large an error of a matrix is, and so from where on a singular value is not zero: parts of
+    the largest one.
     """
-    if not A.size:
-        return np.eye(A.shape[1])
-    _, s, Vt = svd(A)
-    return Vt[int(np.sum(s > least * max(float(s.max(initial=0.0)), size, TINY))) :].T
+
+    ROUNDING = 1e-12
+    """Level of matrices whose entries are computed in closed form: products of a few dozen poses are
+    off by 1e-15 to 1e-14, and a hundred times that is left as a margin."""
+    CLOSED = 1e-8
+    """Level of matrices at configurations that solve equations, loops or tasks, to 1e-13 or better.
+
+    Where the solution is regular the entries are off as little. Next to a fold a residual of rounding,
+    1e-16, moves the configuration by its square root, and singular values with it."""
+    GENERIC = 1e-6
+    """Level of matrices at configurations that are drawn at random, and of ranks that must be the same
+    around a configuration as at it.
+
+    Zeros of the structure are zero to rounding there, and others rarely below 1e-3; at a configuration
+    that is found to 1e-14 next to a singular one, where equations are quadratic, they are 1e-7."""
+    ROUGH = 1e-4
+    """Level of matrices at first guesses, and of those that differences of functions give: both are off
+    by 1e-6 to 1e-5."""
 
 
-def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | None:
-    """As `null_space` of A (m, n), from the entries of a vector in these `columns`, which determine
-    the others.
+class Spectrum:
+    """Singular values of a matrix A (m, n), or of matrices (..., m, n), and what follows from a rank.
 
-    None where the other columns are not as many as the rows, or are not clearly independent: where
-    their smallest singular value, estimated by inverse iteration with sparse factors, is not `SURE`
-    times above `least` of a bound of the largest one, the root of the largest sum of a row times
-    that of a column.
+    Parameters
+    ----------
+    A
+        The matrix, with rows and columns scaled so that their sizes can be compared.
+    size
+        What the largest singular value counts as at least: what it would be if the matrix were not
+        singular. A matrix that is rounding only then has the rank 0; without it, the largest one
+        counts always.
+
+    Decompositions are made when they are needed, and once. `level` is the part of the largest
+    singular value above which others count: one of `Level`, or a number that has a reason.
     """
-    m = len(A)
-    n = A.shape[1]
-    others = np.setdiff1d(np.arange(n, dtype=np.int64), np.array(columns, dtype=np.int64))
-    if len(others) != m or len(columns) != n - m:
-        return None
-    import scipy.sparse  # only here: they take long
-    import scipy.sparse.linalg
 
-    library = cast(Any, scipy.sparse)
-    row: np.ndarray
-    column: np.ndarray
-    row, column = np.nonzero(A)
-    number = np.full(n, -1)
-    number[others] = np.arange(m)
-    entries = A[row, column]
-    place = number[column]
-    inner = place >= 0
-    try:
-        factors = library.linalg.splu(
-            library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m))
+    def __init__(self, A: Array, size: float = 0.0):
+        self.A = A
+        self.size = size
+
+    @cached_property
+    def _whole(self) -> tuple[Array, Array, Array]:
+        return svd(self.A)
+
+    @cached_property
+    def thin(self) -> tuple[Array, Array, Array]:
+        """Left vectors (..., m, k), values (..., k) and right vectors (..., k, n), k = min(m, n)."""
+        if "_whole" in self.__dict__:
+            U, s, Vt = self._whole
+            k = s.shape[-1]
+            return U[..., :k], s, Vt[..., :k, :]
+        return svd(self.A, full_matrices=False)
+
+    @cached_property
+    def values(self) -> Array:
+        """The singular values (..., min(m, n)), descending."""
+        for name in ("_whole", "thin"):
+            if name in self.__dict__:
+                return self.__dict__[name][1]
+        return svd(self.A, compute_uv=False)
+
+    @property
+    def left(self) -> Array:
+        """The left singular vectors (..., m, m), as columns."""
+        return self._whole[0]
+
+    @property
+    def right(self) -> Array:
+        """The right singular vectors (..., n, n), as rows."""
+        return self._whole[2]
+
+    @property
+    def largest(self) -> Array:
+        """The size (...) of which levels are parts."""
+        return np.maximum(self.values.max(axis=-1, initial=0.0), max(self.size, TINY))
+
+    @property
+    def smallest(self) -> Array:
+        """The last singular value (...), 0 where there is none."""
+        s = self.values
+        return s[..., -1] if s.shape[-1] else np.zeros(s.shape[:-1])
+
+    @property
+    def condition(self) -> Array:
+        """The largest singular value over the last one (...), infinite where the last one is 0."""
+        with np.errstate(divide="ignore"):
+            return self.largest / self.smallest
+
+    def ranks(self, level: float) -> NDArray[np.int64]:
+        """The number (...) of singular values above `level`."""
+        return (self.values > level * self.largest[..., None]).sum(axis=-1)
+
+    def rank(self, level: float) -> int:
+        """The rank of one matrix."""
+        return int(self.ranks(level))
+
+    def null(self, level: float) -> Array:
+        """Orthonormal basis (n, n - rank) of the vectors that one matrix maps to zero."""
+        Vt = self.right
+        return Vt[self.rank(level) :].T
+
+    def left_null(self, level: float) -> Array:
+        """Orthonormal basis (m, m - rank) of the combinations of rows that are zero."""
+        U = self.left
+        return U[:, self.rank(level) :]
+
+    def range(self, level: float) -> Array:
+        """Orthonormal basis (m, rank) of what the columns of one matrix span."""
+        U = self.thin[0]
+        return U[:, : self.rank(level)]
+
+    def row_space(self, level: float) -> Array:
+        """Orthonormal basis (n, rank) of what the rows of one matrix span."""
+        Vt = self.thin[2]
+        return Vt[: self.rank(level)].T
+
+    def gap(self, level: float) -> float:
+        """The last singular value that counts over the first that does not, infinite at full rank."""
+        r = self.rank(level)
+        s = self.values
+        if r == len(s):
+            return np.inf
+        return float((s[r - 1] if r else self.largest) / max(s[r], TINY))
+
+    def inverse(self, level: float) -> Array:
+        """The pseudo-inverses (..., n, m)."""
+        U, s, Vt = self.thin
+        big = s > level * self.largest[..., None]
+        part = np.where(big, 1.0 / np.where(big, s, 1.0), 0.0)
+        return np.swapaxes(Vt, -1, -2) @ (part[..., None] * np.swapaxes(U, -1, -2))
+
+    def solve(self, b: Array, level: float) -> Array:
+        """The shortest x (n,), or (n, k), that makes |A x - b| least, of one matrix."""
+        U, s, Vt = self.thin
+        r = self.rank(level)
+        part = U[:, :r].T @ b
+        return Vt[:r].T @ (part / (s[:r] if b.ndim == 1 else s[:r, None]))
+
+    def clear_rank(
+        self, least: float = Level.GENERIC, most: float = Level.ROUGH
+    ) -> tuple[int, float]:
+        """The rank at the widest gap, and the gap: a ratio of neighbouring singular values.
+
+        What is above `most` counts, what is below `least` does not; between the two the widest gap
+        decides. Singular values below `FLOOR` are equal.
+        """
+        values = self.values
+        if not len(values) or values[0] <= 0.0:
+            return 0, np.inf
+        s = values / max(values[0], self.size)
+        above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
+        first = 0 if self.size else 1
+        allowed = [
+            r for r in range(first, len(above)) if above[r] > least and (r == len(s) or s[r] < most)
+        ]
+        gaps = [above[r] / max(s[r], FLOOR) if r < len(s) else above[r] / FLOOR for r in allowed]
+        best = int(np.argmax(gaps))
+        return allowed[best], float(gaps[best])
+
+    @property
+    def orthogonal(self) -> Array:
+        """The orthogonal matrices (..., n, n) nearest to square ones (Procrustes)."""
+        U, _, Vt = self._whole
+        return U @ Vt
+
+    @property
+    def rotation(self) -> Array:
+        """The rotations (..., n, n) nearest to square matrices (Kabsch, 1976)."""
+        U, _, Vt = self._whole
+        sense = np.ones(U.shape[:-1])
+        sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
+        return (U * sense[..., None, :]) @ Vt
+
+    def null_from(self, columns: Sequence[int], level: float) -> Array | None:
+        """As `null`, of a large matrix with few entries, from the entries of a vector in these
+        `columns`, which determine the others.
+
+        None where the other columns are not as many as the rows, or are not clearly independent:
+        where their smallest singular value, estimated by inverse iteration with sparse factors, is
+        not `SURE` times above `level` of a bound of the largest one, the root of the largest sum of
+        a row times that of a column.
+        """
+        A = self.A
+        m = len(A)
+        n = A.shape[1]
+        others = np.setdiff1d(np.arange(n, dtype=np.int64), np.array(columns, dtype=np.int64))
+        if len(others) != m or len(columns) != n - m:
+            return None
+        import scipy.sparse  # only here: they take long
+        import scipy.sparse.linalg
+
+        library = cast(Any, scipy.sparse)
+        row: np.ndarray
+        column: np.ndarray
+        row, column = np.nonzero(A)
+        number = np.full(n, -1)
+        number[others] = np.arange(m)
+        entries = A[row, column]
+        place = number[column]
+        inner = place >= 0
+        try:
+            factors = library.linalg.splu(
+                library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m))
+            )
+        except RuntimeError:  # it is singular
+            return None
+        x: Any = np.random.default_rng(0).normal(size=m)
+        inverse = 0.0
+        for _ in range(ESTIMATES):
+            x = factors.solve(factors.solve(x / np.linalg.norm(x)), "T")
+            inverse = float(np.sqrt(np.linalg.norm(x)))
+        size = np.sqrt(
+            np.bincount(row, np.abs(entries)).max() * np.bincount(column, np.abs(entries)).max()
         )
-    except RuntimeError:  # it is singular
-        return None
-    x: Any = np.random.default_rng(0).normal(size=m)
-    inverse = 0.0
-    for _ in range(ESTIMATES):
-        x = factors.solve(factors.solve(x / np.linalg.norm(x)), "T")
-        inverse = float(np.sqrt(np.linalg.norm(x)))
-    size = np.sqrt(
-        np.bincount(row, np.abs(entries)).max() * np.bincount(column, np.abs(entries)).max()
-    )
-    if not SURE * least * inverse * float(size) < 1.0:
-        return None
-    basis = np.zeros((n, len(columns)))
-    basis[list(columns), np.arange(len(columns))] = 1.0
-    basis[others] = -factors.solve(np.ascontiguousarray(A[:, list(columns)]))
-    return np.linalg.qr(basis)[0]
-
-
-def column_space(A: Array, least: float, size: float) -> Array:
-    """Orthonormal basis (m, r) of what the columns of A (m, n) span.
-
-    Singular values to `least` of the largest one count as 0, or of `size`, if that is more.
-    """
-    U, s, _ = svd(A, full_matrices=False)
-    return U[:, s > least * max(float(s.max(initial=0.0)), size)]
+        if not SURE * level * inverse * float(size) < 1.0:
+            return None
+        basis = np.zeros((n, len(columns)))
+        basis[list(columns), np.arange(len(columns))] = 1.0
+        basis[others] = -factors.solve(np.ascontiguousarray(A[:, list(columns)]))
+        return np.linalg.qr(basis)[0]

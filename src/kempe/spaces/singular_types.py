@@ -20,7 +20,7 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import random
-from kempe.numerics.rank import null_space
+from kempe.numerics.rank import Spectrum
 from kempe.report import Report, brief
 from kempe.singular_values import svd
 from kempe.spaces.rank_loss import ZERO, Matrices, RankLoss, generic_rank
@@ -333,11 +333,7 @@ class RankQuestions:
     def _rank_of_frame(self, q: Array) -> int:
         """How many independent twists the frame has at a closed configuration (nq,)."""
         J = self.task_jacobians(q[None])[0]
-        N = (
-            null_space(self.closures(q[None])[0], ZERO, size=0.0)
-            if self.loops
-            else np.eye(self.system.nv)
-        )
+        N = Spectrum(self.closures(q[None])[0]).null(ZERO) if self.loops else np.eye(self.system.nv)
         return _rank(J @ N, J)
 
     def closures(self, q: Array) -> Array:
@@ -393,7 +389,7 @@ class RankQuestions:
         kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = null_space(self.closures(q[None])[0], ZERO, size=0.0)
+            N = Spectrum(self.closures(q[None])[0]).null(ZERO)
         none = np.zeros((0, 6))
         lost = none
         gained = none
@@ -403,7 +399,7 @@ class RankQuestions:
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
             B = (
-                null_space((self.twists.T @ self._axes(q))[None], ZERO, size=0.0)
+                Spectrum((self.twists.T @ self._axes(q))[None]).null(ZERO)
                 if self.of_axis
                 else np.eye(len(J))
             )
@@ -413,7 +409,7 @@ class RankQuestions:
             still = (N @ Vt[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
         if self.loops and self.inputs is not None:
-            free = null_space(self._with_inputs(q[None])[0], ZERO, size=0.0)
+            free = Spectrum(self._with_inputs(q[None])[0]).null(ZERO)
             if self.frame is not None:
                 W, s, _ = svd(J @ free, full_matrices=False)
                 gained = self.in_si(W[:, s > ZERO])

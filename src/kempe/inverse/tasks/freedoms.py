@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.numerics.newton import damped_least_squares, gauss_newton
-from kempe.numerics.rank import RANK_TOLERANCE, null_space
+from kempe.numerics.rank import Level, Spectrum
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -132,7 +132,7 @@ class Local:
             return self.spread(np.eye(J.shape[1])), True
         U, s, Vt = svd(J)
         error = max(float(np.linalg.norm(r)), ROUNDING)
-        rank = int((s > RANK_TOLERANCE * max(1.0, s[0])).sum())
+        rank = int((s > Level.CLOSED * max(1.0, s[0])).sum())
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
             v = self.spread(Vt[rank - 1])
             u = U[:, rank - 1]
@@ -166,7 +166,7 @@ class Local:
         """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the
         rank of rounding.
         """
-        return self.spread(null_space(self._own(*self.equations(q))[1]))
+        return self.spread(Spectrum(self._own(*self.equations(q))[1], 1.0).null(Level.CLOSED))
 
     @cached_property
     def left(self) -> Array:
