@@ -16,7 +16,7 @@ from kempe.constraints import Constraint, Op, Row
 from kempe.constraints.base import Frame, Number
 from kempe.constraints.tape import POSE
 from kempe.constraints.text import from_text
-from kempe.equations.tasks import Centred, CoordinateTask, PlacedTask, Written, task_of
+from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError
 from kempe.inverse.tasks.search import packed_for
 
@@ -100,6 +100,16 @@ class Apart(Constraint):
         return Row(Op.DISTANCE, (), "distance", equal="value"), height
 
 
+@dataclass(frozen=True, eq=False)
+class Drill(Constraint):
+    """A frame at the origin, and its z along the ground's."""
+
+    frame: Frame
+
+    def rows(self, dim):
+        return *(Row(Op.POINT, (k,), "xyz"[k]) for k in range(3)), Row(Op.TILT, (), "r", "rad")
+
+
 def arm():
     """Three revolute joints, the last coupled to the first, and a slide at the end."""
     m = Mechanism("arm")
@@ -121,26 +131,6 @@ def free():
     return m.build()
 
 
-@pytest.mark.parametrize(
-    ("made", "family"),
-    [
-        (c.Pose("b", np.eye(4)), PlacedTask),
-        (c.InBox("b", [0, 0, 0], [1, 1, 1]), PlacedTask),
-        (c.Contact("b"), Written),
-        (c.CentreOfMass([0.0, 0.0, 0.0]), Centred),
-        (c.Posture({"J.x": 0.3}), CoordinateTask),
-        (c.Distance("b", "a", 1), PlacedTask),
-        (c.Equation("x + y"), Written),
-        (c.Function(lambda q: q[0]), Written),
-        (Level("b", 0.3), Written),
-        (Apart("b", 1.0), Written),
-    ],
-    ids=lambda x: getattr(x, "__name__", type(x).__name__),
-)
-def test_the_class_follows_from_the_rows(made, family):
-    assert type(task_of(made, 3)) is family
-
-
 def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
     """A batch of values, and of factors, has one structure, and each target is met."""
     s = arm().build()
@@ -151,9 +141,7 @@ def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
     np.testing.assert_allclose(q[:, 0] + factor * q[:, 1], value, atol=1e-6)
     q = s.ik([Sum(("A", "B"), value)], start=s.random(1)).q
     np.testing.assert_allclose(q[:, 0] + 2.0 * q[:, 1], value, atol=1e-6)
-    one, other = (
-        packed_for(s, (task_of(Weighed(("A", "B"), 2.0, x), 3),), True) for x in (0.1, 0.2)
-    )
+    one, other = (packed_for(s, (Task(s, Weighed(("A", "B"), 2.0, x)),), True) for x in (0.1, 0.2))
     assert one is other
 
 
@@ -186,6 +174,16 @@ def test_each_of_several_numbers_has_ends(hunt):
     assert tasks.miss(s, Between(("A", "B"), [0.0, 0.1], [0.2, 0.3]), [0.5, 0.4, 0.0, 0.0])[
         1
     ] == pytest.approx(np.hypot(0.3, 0.1))
+
+
+def test_a_point_and_an_axis_are_both_measured(hunt):
+    """By the pose: the distance of the origin, and the angle between the axes."""
+    s = free()
+    q = s.random(hunt.rng(), 100)
+    X = s.fk(q, "b")
+    size, angle = tasks.miss(s, Drill("b"), q)
+    np.testing.assert_allclose(size, np.linalg.norm(X[:, :3, 3], axis=1), atol=1e-12)
+    np.testing.assert_allclose(angle, np.arccos(X[:, 2, 2]), atol=1e-7)
 
 
 def test_rows_of_several_kinds_are_tasks_together(hunt):

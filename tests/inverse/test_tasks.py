@@ -17,7 +17,7 @@ import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.equations.closure_rows import residual
 from kempe.equations.packed_tasks import Packed
-from kempe.equations.tasks import task_of
+from kempe.equations.tasks import Task
 from kempe.errors import InputError, NoSolutionError
 from kempe.inverse.answer import Reached, Solution
 
@@ -198,7 +198,7 @@ def cost_of(s: System, task: tasks.Task):
     velocities.
     """
     packed = Packed(s, [task])
-    pins = packed.pins([task_of(task, s.dim).goals(s)])
+    pins = packed.pins([Task(s, task).goal()])
 
     def cost(q: np.ndarray) -> tuple[float, np.ndarray]:
         e, J = packed.evaluate(q, pins)
@@ -210,7 +210,7 @@ def cost_of(s: System, task: tasks.Task):
 def equal_to(s: System, task: tasks.Task, value: np.ndarray | None = None) -> dict:
     """The task, at a value, as a constraint for scipy."""
     packed = Packed(s, [task])
-    pins = packed.pins([task_of(task, s.dim).goals(s)])
+    pins = packed.pins([Task(s, task).goal()])
     return {
         "type": "eq",
         "fun": lambda q: packed.evaluate(q, pins)[0] - (0.0 if value is None else value),
@@ -264,9 +264,7 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
     for task in (point, elbow):
         packed = Packed(s, [task])
         held.append(
-            equal_to(
-                s, task, packed.evaluate(answer.q, packed.pins([task_of(task, s.dim).goals(s)]))[0]
-            )
+            equal_to(s, task, packed.evaluate(answer.q, packed.pins([Task(s, task).goal()]))[0])
         )
     lowest = least(c, s, answer.q, held)
     assert c(answer.q)[0] == pytest.approx(lowest, abs=1e-5)

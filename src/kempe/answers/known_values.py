@@ -89,7 +89,7 @@ class HeldCoordinate(NamedTuple):
     turns: bool
     value: Any
 
-    def measure(self, system: Model, q: Array, goals: Any, at: Any) -> tuple[Array, Array]:
+    def measure(self, q: Array, goal: Any, poses: Any) -> tuple[Array, Array]:
         """How far (...) configurations q (..., nq) miss it, in metres and in radians."""
         off = np.abs(q[..., self.place] - self.value)
         return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))
@@ -99,7 +99,7 @@ def known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any,
     """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
     names of frames.
     """
-    from kempe.equations.tasks import task_of  # only here: most answers are not judged
+    from kempe.equations.tasks import Task  # only here: most answers are not judged
 
     own = {*system.coordinate_names, *system.structure.couplings}
     turns = system.structure.coordinates.turning[system.structure.layout.vector_v].tolist()
@@ -114,5 +114,5 @@ def known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any,
         place = place_of(system, name, known[name], whole)
         X[: len(place), 3 if not whole else slice(None)] = place
         made = of_target(name, "pose" if whole else "position", Z_AXIS, X)
-        out += [(task_of(c, system.dim), None, WITHIN) for c in made]
+        out += [(Task(system, c), None, WITHIN) for c in made]
     return out

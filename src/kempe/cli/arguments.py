@@ -19,7 +19,7 @@ from kempe.cli.as_json import DEGREE
 from kempe.constraints import KINDS, Constraint
 from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml_document import Document
-from kempe.equations.tasks import task_of
+from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.model.configurations import has_loops, units
 from kempe.poses import AXES
@@ -408,9 +408,9 @@ class _TaskReader:
     def check(self, row: _TaskRow, subject: str, at: tuple[str, int]) -> None:
         """Record what does not fit the system, at the key that it is about."""
         try:
-            made = task_of(row.kind(**row.given), self.system.dim)
-            made.structure(self.system)
-            made.goals(self.system)
+            task = Task(self.system, row.kind(**row.given))
+            task.structure()
+            task.goal()
         except (InputError, UnknownNameError) as error:
             text = str(error)
             about = [k for k in row.given if re.search(rf"\b{k}\b", text)]

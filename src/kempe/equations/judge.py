@@ -17,7 +17,7 @@ import numpy as np
 from kempe import spatial
 from kempe.arguments import explained
 from kempe.arrays import plain, reals
-from kempe.constraints.base import Constraint, Op, Row, one_sided, tilt_of
+from kempe.constraints.base import Constraint, Op, Row, held, one_sided, tilt_of
 from kempe.constraints.tape import POSE, TIME
 from kempe.description.mechanism import Mechanism, resolved
 from kempe.description.parts import Declared, Joint
@@ -25,8 +25,8 @@ from kempe.forward.fk import fk
 from kempe.joints import JointType, P, Primitive, R
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_q
-from kempe.model.constraint_program import TURNS, between, numbers_of, value_of
+from kempe.model.configurations import as_q, circles
+from kempe.model.constraint_program import TURNS, number_of, numbers_of
 from kempe.model.coordinates import Follower, coordinate_names
 from kempe.model.model import Model, kept
 from kempe.spatial import Array
@@ -113,8 +113,16 @@ WITHIN = 1e-6
 as held."""
 ROUNDING = 1e-12
 """Error as a part of the largest coordinate of a point, that rounding alone may make."""
+TURN = 2.0 * np.pi
+"""A whole turn, in radians."""
 SHOWN = 4
 """Names that a sentence lists."""
+
+
+Numbers = dict[str, Array]
+"""Numbers (..., k) of a constraint by name: those that come with one call."""
+FRAME_ROWS = (*TURNS, Op.POINT, Op.DISTANCE)
+"""Operations that read where one frame is in another."""
 
 
 class RowShape(NamedTuple):
@@ -167,46 +175,28 @@ def angle_between(R: Array, S: Array) -> Array:
     return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
 
 
-def apart(
-    A: Array,
-    B: Array,
-    shape: RowShape,
-    whole: bool,
-    number: Array | float | None = None,
-    bounds: Sequence[tuple[float, float]] = (),
-) -> tuple[Array, Array]:
-    """How far (...) rows of a pose are missed by frame B (..., 4, 4) against A (..., 4, 4), in
-    metres and in radians.
-
-    `whole`: their directions are all there are. A distance is compared with `number`; with
-    `bounds`, values between these are no miss.
+def frame_misses(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
+    """How far (...) frame B (..., 4, 4) misses a place and a direction in frame A (..., 4, 4), in
+    metres and in radians, as far as the `shape` holds them.
     """
-    turned = shape.turns in (L.FULL, L.ANGLE)
-    if whole and turned:
-        return size_of(B[..., :3, 3] - A[..., :3, 3]), angle_between(B[..., :3, :3], A[..., :3, :3])
-    none = np.zeros(np.broadcast_shapes(A.shape[:-2], B.shape[:-2]))
-    if not bounds and shape.turns != L.DISTANCE:
-        if (whole or not shape.mask) and (turned or shape.turns == L.NO_TURN):
-            size = size_of(B[..., :3, 3] - A[..., :3, 3]) if whole else none
-            return size, angle_between(B[..., :3, :3], A[..., :3, :3]) if turned else none
-    if shape.turns in (L.ALIGN, L.LOOK):
-        seen = spatial.inverse(A) @ B
-        look = (
-            np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3])
-            if shape.turns == L.LOOK
-            else None
+    size: Any = 0.0
+    angle: Any = 0.0
+    if shape.mask:
+        p = B[..., :3, 3] - A[..., :3, 3]
+        size = size_of(
+            p if shape.point else (p[..., None, :] @ A[..., :3, list(shape.axes)])[..., 0, :]
         )
-        return none, tilt_of(seen[..., :3, 2] if look is None else look)
-    p = B[..., :3, 3] - A[..., :3, 3]
-    if shape.turns == L.DISTANCE:
-        values = np.asarray(size_of(p))[..., None]
-        values = values if number is None else values - number
-    else:
-        values = (p[..., None, :] @ A[..., :3, list(shape.axes)])[..., 0, :]
-    if bounds:
-        low, high = np.array(bounds).T
-        values = values - np.clip(values, low, high)
-    return np.sqrt(np.vecdot(values, values)), none
+    if shape.turned:
+        angle = angle_between(B[..., :3, :3], A[..., :3, :3])
+    elif shape.turns in (L.ALIGN, L.LOOK):
+        seen = spatial.inverse(A) @ B
+        look = shape.turns == L.LOOK
+        angle = tilt_of(
+            np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3])
+            if look
+            else seen[..., :3, 2]
+        )
+    return size, angle
 
 
 # ---- rows that are expressions or functions
@@ -227,50 +217,111 @@ def missed(
     q: Array,
     A: Array | None = None,
     B: Array | None = None,
-    given: Mapping[str, Array] | None = None,
+    given: Numbers | None = None,
     t: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain
     numbers.
 
-    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has
-    any; t (...) are the times of equations in time.
+    `made` has its numbers, but for those `given` (..., k) by name; A and B (..., 4, 4) are its
+    frames, where it has any; t (...) are the times of equations in time. Of values of coordinates
+    the largest difference counts, else the root of the sum of squares.
     """
-    total = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])]
-    dim = system.dim
-    X = None if A is None or B is None else spatial.inverse(A) @ B
-    known: dict[str, Any] = (
-        {TIME: t} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
-    )
+    numbers = given or {}
+    plain: list[Row] = []
+    coordinates: list[Row] = []
+    others: list[Row] = []
     for row in rows:
-        if row.op in TURNS:
+        whole = row.op in FRAME_ROWS and not is_compared(made, row)
+        (plain if whole else coordinates if row.op is Op.COORDINATE else others).append(row)
+    misses: list[tuple[Any, Any]] = []
+    if plain:
+        assert A is not None and B is not None
+        misses.append(frame_misses(A, B, shape_of(tuple(plain), system.dim)))
+    if coordinates:
+        misses.append(coordinate_misses(system, coordinates, q, numbers))
+    known: dict[str, Any] = {}
+    if any(r.op in (Op.TAPE, Op.CALL) for r in others):
+        known = {TIME: t} | numbers_of(made)
+        known |= {name: x[..., 0] for name, x in numbers.items()}
+        known |= {} if A is None or B is None else pose_inputs(spatial.inverse(A) @ B)
+    for row in others:
+        if row.op in FRAME_ROWS:
             assert A is not None and B is not None
-            size = apart(A, B, shape_of((row,), dim), False)
+            value = _measured(row, A, B)
         else:
-            value = _value(system, made, row, q, X, known)
-            low, high = (
-                between(made, row)
-                if one_sided(made, row)
-                else (number := value_of(made, row), number)
-            )
-            off = np.abs(value - np.clip(value, low, high))
-            size = (off, 0.0) if row.unit == "m" else (0.0, off)
-        total = [x + np.square(y) for x, y in zip(total, size, strict=True)]
-    return np.sqrt(total[0]), np.sqrt(total[1])
+            value = _value(system, made, row, q, known)
+        low, high = _ends(made, row, numbers)
+        off = (
+            abs(value - low)
+            if low is high
+            else abs(value - np.minimum(np.maximum(value, low), high))
+        )
+        misses.append((off, 0.0) if row.unit == "m" else (0.0, off))
+    if len(misses) == 1:
+        size, angle = misses[0]
+    else:
+        size, angle = (np.sqrt(sum(m[k] * m[k] for m in misses)) for k in (0, 1))
+    if q.ndim == 1:
+        return size, angle
+    none = np.zeros(q.shape[:-1])
+    return size + none, angle + none
 
 
-def _value(
-    system: Model,
-    made: Constraint,
-    row: Row,
-    q: Array,
-    X: Array | None,
-    known: Mapping[str, Any],
-) -> Array:
-    """The values (...) of a row that measures one number; X (..., 4, 4) is where frame B is in A."""
-    if row.op in (Op.POINT, Op.DISTANCE):
-        assert X is not None
-        return size_of(X[..., :3, 3]) if row.op is Op.DISTANCE else X[..., row.args[0], 3]
+def is_compared(made: Constraint, row: Row) -> bool:
+    """Whether a row is compared with a number, or a distance, in place of being zero."""
+    if not (row.equal or row.low or row.high):
+        return row.op is Op.DISTANCE
+    return row.op is Op.DISTANCE or bool(held(made, row)) or one_sided(made, row)
+
+
+def _ends(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
+    """Numbers (...) between which a row is held, the same ones for a row that has a value."""
+    if not one_sided(made, row):
+        value = _number(made, held(made, row), row.part, given, 0.0)
+        return value, value
+    low = _number(made, row.low, row.part, given, -np.inf)
+    return low, _number(made, row.high, row.part, given, np.inf)
+
+
+def _number(made: Constraint, field: str, part: int | None, given: Numbers, default: float) -> Any:
+    """The number (...) of a field, of the call where it is `given`; `default` where there is none."""
+    x = given.get(field if part is None else f"{field}[{part}]")
+    if x is not None:
+        return x[..., 0]
+    x = number_of(made, field, part) if field else None
+    return default if x is None else np.asarray(x, dtype=float)
+
+
+def coordinate_misses(
+    system: Model, rows: Iterable[Row], q: Array, numbers: Numbers
+) -> tuple[Array, Array]:
+    """The largest differences (...) of the slides, and of the turns and balls, that rows hold."""
+    values = np.broadcast_to(system.neutral, q.shape).copy()
+    items = [r.args for r in rows]
+    for _, i, name, ball in items:
+        values[..., i : i + (4 if ball else 1)] = numbers[name]
+    d = np.abs(system.structure.layout.difference(values, q))
+    whole = circles(system)
+    d[..., whole] = np.abs(d[..., whole] - TURN * np.round(d[..., whole] / TURN))
+    turning = system.structure.coordinates.turning
+    slides = [v for v, _, _, ball in items if not ball and not turning[v]]
+    turns = [v for v, _, _, ball in items if not ball and turning[v]]
+    balls = [np.linalg.norm(d[..., v : v + 3], axis=-1) for v, _, _, ball in items if ball]
+    angle = np.max(np.stack([d[..., turns].max(axis=-1, initial=0.0), *balls]), axis=0)
+    return d[..., slides].max(axis=-1, initial=0.0), angle
+
+
+def _measured(row: Row, A: Array, B: Array) -> Array:
+    """Distance (...) of the origin of frame B (..., 4, 4) from that of A, or its place along an axis
+    of A.
+    """
+    p = B[..., :3, 3] - A[..., :3, 3]
+    return size_of(p) if row.op is Op.DISTANCE else np.vecdot(p, A[..., :3, row.args[0]])
+
+
+def _value(system: Model, made: Constraint, row: Row, q: Array, known: Mapping[str, Any]) -> Array:
+    """The values (...) of a row of an expression or a function."""
     what, k = row.args
     if row.op is Op.TAPE:
         own = {
@@ -408,13 +459,9 @@ class MeasuredTask(Protocol):
     label: str
 
     def measure(
-        self,
-        system: Model,
-        q: Array,
-        goals: Any = None,
-        at: Callable[[Any], Array] | None = None,
+        self, q: Array, goal: Any = None, poses: Callable[[Any], Array] | None = None
     ) -> tuple[Array, Array]:
-        """Errors (...) of the task at q (..., nq), in metres and radians; `at` gives poses of
+        """Errors (...) of the task at q (..., nq), in metres and radians; `poses` gives those of
         frames.
         """
         ...
@@ -523,8 +570,8 @@ def judge(
     within = within + ROUNDING * np.array([far, 1.0])
     lead = (*q.shape[:-1], 2)
     allowed = [np.broadcast_to(within, lead) for _ in found]
-    for task, goals, most in requested:
-        found.append((task.label, task.measure(drawn.system, q, goals, drawn)))
+    for task, goal, most in requested:
+        found.append((task.label, task.measure(q, goal, drawn)))
         allowed.append(
             np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead)
         )

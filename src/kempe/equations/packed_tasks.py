@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe import spatial
 from kempe.arguments import explained
 from kempe.arrays import within_range
 from kempe.constraints.base import Constraint
 from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.tasks import GROUND, TILTS, Goals, Task, task_of
+from kempe.equations.tasks import TILTS, Goal, Task
 from kempe.errors import InputError
 from kempe.model.configurations import as_q
-from kempe.model.constraint_program import Tie
+from kempe.model.constraint_program import GROUND, Tie
 from kempe.model.coordinates import distinct
 from kempe.model.own_tree import own_tree
 from kempe.model.packed_loops import PackedLoops, pack
@@ -30,24 +31,18 @@ ROUNDING = 1e-9
 """How far a coordinate may be outside its limits."""
 
 
-def refuse(goals: Goals, what: str) -> None:
-    """Say what is wrong with goals that a kernel refused. Errors: `InputError`."""
-    for pose, number in goals:
-        if pose is not None:
-            refuse_no_poses(pose, f"the goal of {what}")
-        if number is not None:
-            within_range(number, f"the goal of {what}")
+def refuse(goal: Goal, what: str) -> None:
+    """Say what is wrong with a goal that a kernel refused. Errors: `InputError`."""
+    if goal.pose is not None:
+        refuse_no_poses(goal.pose, f"the goal of {what}")
+    for number in goal.numbers.values():
+        within_range(number, f"the goal of {what}")
 
 
-def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
+def lead_of(goals: Sequence[Goal]) -> tuple[int, ...]:
     """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
-    shapes = {
-        x.shape[:-k]
-        for g in goals
-        for pair in g
-        for x, k in zip(pair, (2, 1), strict=True)
-        if x is not None
-    }
+    shapes = {g.pose.shape[:-2] for g in goals if g.pose is not None}
+    shapes |= {x.shape[:-1] for g in goals for x in g.numbers.values()}
     try:
         return shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
     except ValueError:
@@ -69,7 +64,7 @@ def _wide(system: Model, tasks: Sequence[Task]) -> np.ndarray:
         wide[v] = np.sum(rows) == 1 and abs(table.multiplier[rows][0]) == 1.0
     bound = {n for r in system.structure.relations for n in (r.of, *r.sources)}
     for task in tasks:
-        bound |= task.coordinates(system)
+        bound |= task.coordinates()
     wide = wide & ~distinct(system.mechanism, c)
     return wide & np.array(
         [name not in bound for name in system.structure.velocity_names], dtype=bool
@@ -95,17 +90,17 @@ class Packed:
         levels: Sequence[int] = (),
         closing: Model | None = None,
     ):
-        made_of = (task_of(t, system.dim) if isinstance(t, Constraint) else t for t in tasks)
+        made_of = (Task(system, t) if isinstance(t, Constraint) else t for t in tasks)
         self.system = system
         self.tasks = tuple(made_of)
         self.turns = turns
-        owner: dict[int, tuple[int, int]] = {}
+        owner: dict[int, int] = {}
         made: list[Tie] = []
 
         def further(table: Table) -> list[Tie]:
             for i, task in enumerate(self.tasks):
-                for j, tie in enumerate(task.ties(system, table)):
-                    owner[id(tie)] = i, j
+                for tie in task.ties(table):
+                    owner[id(tie)] = i
                     made.append(tie)
             return made
 
@@ -114,7 +109,7 @@ class Packed:
         tree = own_tree(self.closing)
         explicit = frozenset(tree.structure.closures)
         drawn = own_tree(system) if self.closing is not system else None
-        of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0  # noqa: E731
+        of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)]] if id(tie) in owner else 0  # noqa: E731
         level = of if any(levels) else None
         self.one_sided = one_sided_rows(self.closing)
         """One-sided rows of the system; those that are declared hold, too."""
@@ -132,8 +127,7 @@ class Packed:
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.scale
-        self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
-        self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
+        self.owner = np.array([owner.get(id(t), -1) for t in self.loops.ties], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
         """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones
         between bounds."""
@@ -185,15 +179,12 @@ class Packed:
         low, high = self.loops.bounds[:, self.rows >= 0]
         return low, high
 
-    def pins(self, goals: Sequence[Goals], lead: tuple[int, ...] = ()) -> Array:
+    def pins(self, goals: Sequence[Goal], lead: tuple[int, ...] = ()) -> Array:
         """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
-        given = [
-            (tie, goals[i][j])
-            for tie, (i, j) in zip(self.loops.ties, self.slots, strict=True)
-            if i >= 0
-        ]
-        poses = [(tie, pose) for tie, (pose, _) in given if pose is not None]
-        numbers = [x for _, (_, x) in given if x is not None]
+        owners: list[int] = self.owner.tolist()
+        ties = [(t, goals[i]) for t, i in zip(self.loops.ties, owners, strict=True) if i >= 0]
+        poses = [(tie, _pinned(tie, goal)) for tie, goal in ties if tie.pin]
+        numbers = [goal.numbers[name] for tie, goal in ties for name in tie.numbers]
         out = np.empty((*lead, 12 * len(poses) + sum(x.shape[-1] for x in numbers)))
         at = 0
         for tie, pose in poses:
@@ -223,7 +214,7 @@ class Packed:
         m = len(self.rows)
         flat_q = q.reshape(math.prod(lead), self.system.nq)
         if pins is None:
-            goals = [t.goals(self.system) for t in self.tasks]
+            goals = [t.goal() for t in self.tasks]
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))
@@ -235,6 +226,19 @@ class Packed:
         out = out[:, use]
         J = J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])
+
+
+def _pinned(tie: Tie, goal: Goal) -> Array:
+    """The pose (..., 4, 4) at which a tie is pinned: that of the goal, moved by its numbers."""
+    pose = goal.pose
+    assert pose is not None
+    if not any(tie.shift):
+        return pose
+    axes = [k for k in range(3) if tie.mask >> k & 1]
+    steps = np.broadcast_arrays(*(goal.numbers[n][..., 0] for n in tie.shift if n))
+    p = np.zeros((*steps[0].shape, 3))
+    p[..., [k for k, name in zip(axes, tie.shift, strict=True) if name]] = np.stack(steps, axis=-1)
+    return pose @ spatial.pose(p=p)
 
 
 # ---- one constraint: values, derivatives and units
@@ -274,7 +278,7 @@ def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
 
     Where loops are open, bodies are where solvers place them (`kempe.model.own_tree`).
     """
-    return task_of(constraint, system.dim).measure(own_tree(system), as_q(system, q))
+    return Task(own_tree(system), constraint).measure(as_q(system, q))
 
 
 def _alone(system: Model, constraint: Constraint) -> Packed:

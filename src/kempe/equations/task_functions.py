@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from inspect import signature
 from typing import TYPE_CHECKING, Any
@@ -13,15 +13,15 @@ import numpy as np
 
 from kempe import spatial
 from kempe.arguments import listed
-from kempe.arrays import is_sequence, reals
-from kempe.constraints.base import Constraint, Op, Row, ends_of
+from kempe.arrays import is_sequence, named, reals
+from kempe.constraints.base import Constraint, Op, Row, ends_of, numbers_of
 from kempe.constraints.coordinates_and_centres import Function
 from kempe.description.parts import Declared
 from kempe.errors import InputError, shown
 from kempe.forward.fk import fk
 from kempe.forward.fk import jacobian as frame_jacobian
 from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import random
+from kempe.model.configurations import as_q, q_from_dict, random
 from kempe.model.coordinates import Layout
 from kempe.model.kernel_functions import Callback
 from kempe.spatial import Array
@@ -341,11 +341,89 @@ class OfSystem(Constraint):
         return self.whole.values(q) - self._held
 
 
-def bound(system: Model, made: Constraint) -> Constraint:
-    """The constraint as one of this system: of functions of its configurations, one whose rows are
-    numbers of these.
+@dataclass(frozen=True, eq=False)
+class CoordinateValues(Constraint):
+    """Coordinates and quaternions of one system at values, in a configuration `q` (..., nq).
+
+    `items` has for each its name, its place in q, its velocity coordinate, and whether it is a
+    quaternion.
     """
-    if not any(r.op is Op.CALL and len(r.args) == 1 for r in made.rows(system.dim)):
+
+    system: Model
+    q: Array
+    items: tuple[tuple[str, int, int, bool], ...]
+
+    def rows(self, dim: int) -> tuple[Row, ...]:
+        """One for each coordinate or quaternion."""
+        turning = self.system.structure.coordinates.turning
+        return tuple(
+            Row(Op.COORDINATE, (v, i, f"q[{i}]", ball), name, "rad" if turning[v] or ball else "m")
+            for name, i, v, ball in self.items
+        )
+
+    def values(self, row: Row) -> Array:
+        """The values (..., 1) of a coordinate, or (..., 4) of a quaternion, that a row holds.
+
+        Errors: `InputError` for a quaternion that is zero.
+        """
+        _, i, _, ball = row.args
+        x = self.q[..., i : i + (4 if ball else 1)]
+        if not ball:
+            return x
+        size = np.linalg.norm(x, axis=-1, keepdims=True)
+        if np.any(size == 0.0):
+            raise InputError(f"the quaternion at {row.name!r} of {self.label} is zero")
+        return x / size
+
+
+def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
+    """The coordinates and quaternions that a constraint holds at values of its field `q`.
+
+    Errors: `UnknownNameError` for names that are none; `InputError` for quaternions without all
+    four.
+    """
+    given: Any = made.q  # type: ignore[attr-defined]
+    layout = system.structure.layout
+    names = system.coordinate_names
+    vectors: Iterable[tuple[int, int]] = zip(
+        layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True
+    )
+    balls: Iterable[tuple[int, int]] = zip(
+        layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True
+    )
+    items: list[tuple[str, int, int, bool]] = [(names[i], i, v, False) for i, v in vectors]
+    items += [(names[i], i, v, True) for i, v in balls]
+    items.sort(key=lambda item: item[1])
+    values = named(given)
+    if values is None:
+        return CoordinateValues(system, as_q(system, given), tuple(items), name=made.label)
+    # refuses names that are none, or follow others
+    q_from_dict(system, dict.fromkeys(values, 0.0))
+    columns = {n: numbers_of(x, f"{n!r} of {made.label}") for n, x in values.items()}
+    q = np.empty((*np.broadcast_shapes(*(x.shape for x in columns.values())), system.nq))
+    q[:] = system.neutral
+    for n, x in columns.items():
+        q[..., names.index(n)] = x
+    chosen: list[tuple[str, int, int, bool]] = []
+    for item in items:
+        width = 4 if item[3] else 1
+        parts = names[item[1] : item[1] + width]
+        missing = [n for n in parts if n not in values]
+        if 0 < len(missing) < width:
+            raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
+        if not missing:
+            chosen.append(item)
+    return CoordinateValues(system, q, tuple(chosen), name=made.label)
+
+
+def bound(system: Model, made: Constraint) -> Constraint:
+    """The constraint as one of this system: functions of its configurations as numbers of these,
+    and coordinates by their places.
+    """
+    rows = made.rows(system.dim)
+    if any(r.op is Op.COORDINATE for r in rows):
+        return coordinate_values(system, made)
+    if not any(r.op is Op.CALL and len(r.args) == 1 for r in rows):
         return made
     whole = Whole(system, made)
     return OfSystem(whole, whole.low, whole.high)

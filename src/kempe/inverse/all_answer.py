@@ -13,7 +13,7 @@ import numpy as np
 from kempe.answers.answer import Answer, ConfigurationList, Row
 from kempe.answers.targets import TASKS, Z_AXIS, frame_of, of_target
 from kempe.arguments import explained_methods
-from kempe.equations.tasks import task_of
+from kempe.equations.tasks import Task
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of, named
@@ -61,7 +61,7 @@ def goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     X = question.targets[0] if lead is None else question.targets.reshape(*lead, 1, 4, 4)
     allowed = (question.tolerance, max(question.tolerance, question.angular))
     made = of_target(question.frame, question.task, question.axis, X)
-    return [(task_of(c, solutions.system.dim), None, allowed) for c in made]
+    return [(Task(solutions.system, c), None, allowed) for c in made]
 
 
 # ---- choice and order of solutions

@@ -223,12 +223,12 @@ class Solution(Answer):
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         from kempe.answers.targets import of_target
-        from kempe.equations.tasks import task_of
+        from kempe.equations.tasks import Task
 
         task = self.task
         X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
         made = of_target(task.frame, task.name, task.axis, X)
-        return [(task_of(c, task.system.dim), None, task.tolerance) for c in made]
+        return [(Task(task.system, c), None, task.tolerance) for c in made]
 
     def plot_history(self, ax: Any = None) -> Any:
         """Matplotlib axes with the errors over the steps; for answers of ``ik(..., history=True)``."""

@@ -10,7 +10,7 @@ import numpy as np
 from kempe import spatial
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.equations.task_functions import REAL_STEP
-from kempe.equations.tasks import Goals
+from kempe.equations.tasks import Goal
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached, Solution
@@ -168,8 +168,8 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     out: dict[str, Array] = {}
     for k, task in enumerate(problem.tasks):
         moved = [
-            problem.packed.pins([*problem.goals[:k], goals, *problem.goals[k + 1 :]])
-            for goals in _moved(problem.goals[k])
+            problem.packed.pins([*problem.goals[:k], goal, *problem.goals[k + 1 :]])
+            for goal in _moved(problem.goals[k])
         ]
         dq = np.zeros((system.nv, len(moved) // 2))
         if moved:
@@ -243,24 +243,20 @@ def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
     return free if ranks[0] == ranks[1] else np.ones(system.nv, dtype=bool)
 
 
-def _moved(goals: Goals) -> list[Goals]:
-    """The goals moved there and back by a small step along each of their freedoms."""
-    out: list[Goals] = []
-    origins = [X[..., :3, 3] for X, _ in goals if X is not None]
-    for twist in REAL_STEP * np.eye(6) if origins else ():
-        out += [
-            [
-                (None if X is None else _turned(X, origins[0], sign * twist), number)
-                for X, number in goals
+def _moved(goal: Goal) -> list[Goal]:
+    """The goal moved there and back by a small step along each of its freedoms."""
+    out: list[Goal] = []
+    pose = goal.pose
+    if pose is not None:
+        for twist in REAL_STEP * np.eye(6):
+            out += [
+                goal._replace(pose=_turned(pose, pose[:3, 3], sign * twist)) for sign in (1.0, -1.0)
             ]
-            for sign in (1.0, -1.0)
-        ]
-    for k, (X, number) in enumerate(goals):
-        if number is None:
-            continue
+    for name, number in goal.numbers.items():
         for step in REAL_STEP * _freedoms(number):
             out += [
-                [*goals[:k], (X, number + sign * step), *goals[k + 1 :]] for sign in (1.0, -1.0)
+                goal._replace(numbers=goal.numbers | {name: number + sign * step})
+                for sign in (1.0, -1.0)
             ]
     return out
 
@@ -272,7 +268,7 @@ def _turned(X: Array, origin: Array, twist: Array) -> Array:
 
 
 def _freedoms(number: Array) -> Array:
-    """How the numbers (k,) of a tie can change: each alone, a quaternion by turns about its own
+    """How the numbers (k,) of a goal can change: each alone, a quaternion by turns about its own
     axes.
     """
     if len(number) != 4:

@@ -17,7 +17,6 @@ from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
 from kempe.answers.problem import Choice, Problem
 from kempe.answers.wording import immovable
-from kempe.equations.tasks import Centred, PlacedTask
 from kempe.inverse.answer import Reached, SolutionRow
 from kempe.inverse.chain.serial_chain import slides_of
 from kempe.inverse.explain import rounded
@@ -213,11 +212,10 @@ def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
     task = problem.tasks[i]
     place, turned = beyond(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
     slides: dict[str, None] = {}
-    if isinstance(task, PlacedTask) and not isinstance(task, Centred):
-        tie = task.hold(problem.system)
+    if task.frame_shape is not None:
         slides = {
             name: None
-            for end in (tie.a, tie.b)
+            for end in task.frames
             if end is not None
             for name in slides_of(problem.system, end)
         }

@@ -24,6 +24,7 @@ from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import refuse
 from kempe.equations.slip import Slip, hard_rows, rolls, slip_of
+from kempe.equations.tasks import Goal
 from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
 from kempe.inverse.tasks.demands import STARTS, Demands, apart
@@ -150,12 +151,12 @@ class PathSteps:
             return self.rows[i]
         a = self.rows[i - 1].goals
         b = self.rows[i].goals
-        goals: Any = tuple(
-            [
-                (_between(x, y, part), None if m is None or n is None else m + part * (n - m))
-                for (x, m), (y, n) in zip(g, h, strict=True)
-            ]
-            for g, h in zip(a, b, strict=True)
+        goals = tuple(
+            Goal(
+                None if x.pose is None or y.pose is None else _between(x.pose, y.pose, part),
+                {n: m + part * (y.numbers[n] - m) for n, m in x.numbers.items()},
+            )
+            for x, y in zip(a, b, strict=True)
         )
         return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
 
@@ -391,12 +392,10 @@ class PathSteps:
         return q, part, order.way
 
 
-def _between(a: Array | None, b: Array | None, part: float) -> Array | None:
+def _between(a: Array, b: Array, part: float) -> Array:
     """The pose at a part of the way between two: positions linear, rotations by the exponential
     map.
     """
-    if a is None or b is None:
-        return None
     R = a[:3, :3]
     S = b[:3, :3]
     turned = R @ spatial.exp_so3(part * spatial.log_so3(R.T @ S))

@@ -428,8 +428,7 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     ties = problem.packed.loops.ties
     for i in sorted({int(k) for k, tie in zip(owner, ties, strict=True) if tie.bounds and k >= 0}):
         task = problem.tasks[i]
-        goals = problem.goals[i]
-        if max(task.measure(system, there, goals)) > 0.01 * ahead:
+        if max(task.measure(there, problem.goals[i])) > 0.01 * ahead:
             return f"the bound of {task.label!r}"
     return "a point where it cannot be followed"
 

@@ -28,7 +28,7 @@ from kempe.answers.targets import task_of as task_of_targets
 from kempe.arguments import explained, explained_methods
 from kempe.arrays import FARTHEST, is_whole, reals
 from kempe.budget import Budget, TimeUp, Usual, look
-from kempe.equations.tasks import task_of
+from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.forward.fk import fk
 from kempe.inverse.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
@@ -386,7 +386,7 @@ class Sweep(Answer):
         made = (
             () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
         )
-        return [(task_of(c, self.system.dim), None, HOLDS) for c in made]
+        return [(Task(self.system, c), None, HOLDS) for c in made]
 
     def _claimed(self) -> np.ndarray:
         return self.mask

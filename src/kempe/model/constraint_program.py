@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
 from kempe.constraints.builder import Builder, substituted
 from kempe.constraints.tape import POSE, TIME, Tape
-from kempe.constraints.text import LEAST, from_text
 from kempe.description.mechanism import resolved
 from kempe.description.parts import Declared, Joint
 from kempe.errors import InputError
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints import tape_layout as TL
+from kempe.model.configurations import check_read
 from kempe.model.coordinates import Relation
 from kempe.model.kernel_functions import Callback
 from kempe.model.primitive_table import Table
@@ -127,10 +127,13 @@ class Tie:
     number: float = 0.0
     relation: Relation | None = None
     pin: bool = False
+    """Whether the pose of frame A comes with each call."""
     joint: Joint | None = None
     """The joint whose coordinates are read off where B is in A."""
-    given: bool = False
-    """Whether its number, or its four of a quaternion, come with the call."""
+    numbers: tuple[str, ...] = ()
+    """Names of the numbers of its constraint that come with each call."""
+    shift: tuple[str, ...] = ()
+    """For each axis of `mask` the name of the number by which the goal moves along it; '' for none."""
     bounds: tuple[tuple[float, float], ...] = ()
     """For each row, in metres or radians, between what it is held; without them at zero."""
     centre: Centre | None = None
@@ -180,6 +183,10 @@ TURNS = {
 
 End = tuple[int, np.ndarray, bool]
 """A row of the table, the pose on it, whether it is a particle."""
+GROUND: End = (-1, np.eye(4), False)
+ABOVE = (0.0, np.inf)
+BELOW = (-np.inf, 0.0)
+"""Bounds of what is measured from a lower, or from an upper bound."""
 
 
 def declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[Tie]:
@@ -193,13 +200,13 @@ def declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[
 def ties_of(system: Model, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
     made = resolved(declared, system._mechanism.parameters, system.dim)
-    return every_tie(system, declared.name, made, *ends_of(system, table, declared))
+    return ties(system, declared.name, made, *ends_of(system, table, declared))
 
 
 def ends_of(system: Model, table: Table, declared: Declared) -> tuple[End, End]:
     """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
     if not declared.parent:
-        return (-1, np.eye(4), False), (-1, np.eye(4), False)
+        return GROUND, GROUND
     ends = (
         (declared.parent, declared.child),
         declared.frames(system._mechanism.parameters, system.dim),
@@ -212,92 +219,227 @@ def ends_of(system: Model, table: Table, declared: Declared) -> tuple[End, End]:
 
 
 def ties(
-    name: str, made: Constraint, dim: int, a: End, b: End, given: bool = False
-) -> Iterator[Tie]:
-    """The ties of the rows of position between two ends, as few as can hold them; `given` as in
-    `plain_rows`.
+    system: Model,
+    name: str,
+    made: Constraint,
+    a: End,
+    b: End,
+    requested: bool = False,
+    centre: Centre | None = None,
+) -> list[Tie]:
+    """The ties of the rows of position of a constraint between two ends, as few as can hold them.
+
+    The pose of frame A and the numbers of a constraint that is `requested` of one call come with
+    the call, except bounds that are the same for all targets. A `centre` of masses takes the place
+    of frame B. Errors: `InputError` for rows that cannot have the values or bounds that they have.
     """
-    rows = plain_rows(made, dim, given)
-    for sided in (False, True):
-        own = [r for r in rows if one_sided(made, r) == sided]
-        axes = [r for r in own if r.op is Op.POINT]
-        turns = next((TURNS[r.op][dim] for r in own if r.op in TURNS), L.NO_TURN)
-        bounds = tuple(between(made, r) for r in axes) if sided else ()
-        look = turns == L.LOOK and bool(axes)  # which is towards the origin of A
-        if axes or turns != L.NO_TURN:
-            mask = sum(1 << r.args[0] for r in axes)
+    out: list[Tie] = []
+    for side in sides_of(made, system.dim, requested):
+        out += _placed_ties(name, side, system.dim, a, b, centre)
+        out += _distance_ties(name, side, a, b)
+        out += _recorded_ties(name, side, system, a, b)
+        out += _function_ties(name, side, system, a, b)
+        out += _coordinate_ties(name, side)
+    return out
+
+
+class Side(NamedTuple):
+    """Rows of one constraint that are held at values, or between bounds.
+
+    `end` is "low" or "high" where this bound comes with each call, else "".
+    """
+
+    made: Constraint
+    rows: list[Row]
+    sided: bool
+    requested: bool
+    end: str = ""
+
+    def number(self, row: Row) -> str:
+        """Name of the number that a row is measured from; "" where it is measured from zero."""
+        field = getattr(row, self.end) if self.end else held(self.made, row)
+        return field if not field or row.part is None else f"{field}[{row.part}]"
+
+    def bounds(self, rows: list[Row]) -> tuple[tuple[float, float], ...]:
+        """The bounds of some of the rows, measured from their numbers; none where these are values."""
+        if not self.sided:
+            return ()
+        if self.end:
+            return (ABOVE if self.end == "low" else BELOW,) * len(rows)
+        return tuple(between(self.made, r) for r in rows)
+
+
+def sides_of(made: Constraint, dim: int, requested: bool) -> list[Side]:
+    """The rows of position: at values, between fixed bounds, and on each side of bounds that come
+    with the call. Errors: `InputError` for rows that cannot have the values or bounds that they
+    have.
+    """
+    rows = [r for r in made.rows(dim) if not r.velocity]
+    for row in rows:
+        _refuse_no_number(made, row, requested)
+    moving = [r for r in rows if requested and has_varied_bounds(made, r)]
+    bounded = [r for r in rows if one_sided(made, r) and r not in moving]
+    sides = [
+        Side(made, [r for r in rows if not one_sided(made, r)], False, requested),
+        Side(made, bounded, True, requested),
+    ]
+    for end in ("low", "high"):
+        some = [r for r in moving if end in varied_ends(made, r)]
+        sides.append(Side(made, some, True, requested, end))
+    return [side for side in sides if side.rows]
+
+
+def has_varied_bounds(made: Constraint, row: Row) -> bool:
+    """Whether a row is held between bounds that differ from target to target."""
+    if not one_sided(made, row):
+        return False
+    plain = 0 if row.part is None else 1
+    return any([field and np.ndim(getattr(made, field)) > plain for field in (row.low, row.high)])
+
+
+def varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
+    """Which of the ends "low" and "high" of a row some target has, where these differ from target to
+    target.
+    """
+    if not has_varied_bounds(made, row):
+        return ()
+    out: list[str] = []
+    for end in ("low", "high"):
+        field = getattr(row, end)
+        x = number_of(made, field, row.part) if field else None
+        if x is not None and not np.isinf(x).all():
+            out.append(end)
+    return tuple(out)
+
+
+def _refuse_no_number(made: Constraint, row: Row, requested: bool) -> None:
+    value = held(made, row)
+    whole = row.op in TURNS and (value or one_sided(made, row))
+    if whole or (value and row.op is Op.CALL) or (row.op is Op.COORDINATE and not requested):
+        raise InputError(
+            f"the row {row.name!r} of {made.label} is no number that has a value or ends"
+        )
+    if requested and row.op is Op.CALL and has_varied_bounds(made, row):
+        raise InputError(
+            f"{made.label} is the same for all targets: its ends cannot differ from target to "
+            "target"
+        )
+
+
+def _placed_ties(
+    name: str, side: Side, dim: int, a: End, b: End, centre: Centre | None
+) -> list[Tie]:
+    """The ties of the rows of a position and of a rotation: one, or two where B looks at A."""
+    axes = [r for r in side.rows if r.op is Op.POINT]
+    turns = next((TURNS[r.op][dim] for r in side.rows if r.op in TURNS), L.NO_TURN)
+    pin = side.requested
+    look = turns == L.LOOK and bool(axes)  # which is towards the origin of A
+    out: list[Tie] = []
+    if axes or turns != L.NO_TURN:
+        axes.sort(key=lambda r: r.args[0])
+        mask = sum(1 << r.args[0] for r in axes)
+        shift = tuple(side.number(r) for r in axes)
+        A = a
+        if not pin and any(shift):
             there = np.eye(4)
-            there[[r.args[0] for r in axes], 3] = [value_of(made, r) for r in axes]
-            A = (a[0], a[1] @ there, a[2]) if there[:3, 3].any() else a
-            yield Tie(name, A, b, mask, L.NO_TURN if look else turns, bounds=bounds)
-        if look:
-            yield Tie(name, a, b, turns=turns)
-        for row in (r for r in own if r.op is Op.DISTANCE):
-            number = 0.0 if sided else value_of(made, row)
-            yield Tie(
+            there[[r.args[0] for r in axes], 3] = [value_of(side.made, r) for r in axes]
+            A = (a[0], a[1] @ there, a[2])
+        out.append(
+            Tie(
+                name,
+                A,
+                b,
+                mask,
+                L.NO_TURN if look else turns,
+                pin=pin,
+                bounds=side.bounds(axes),
+                centre=centre,
+                shift=shift if pin and any(shift) else (),
+            )
+        )
+    if look:
+        out.append(Tie(name, a, b, turns=turns, pin=pin))
+    return out
+
+
+def _distance_ties(name: str, side: Side, a: End, b: End) -> list[Tie]:
+    """A tie for each row of a distance."""
+    out: list[Tie] = []
+    for row in (r for r in side.rows if r.op is Op.DISTANCE):
+        number = side.number(row)
+        call = side.requested and number
+        out.append(
+            Tie(
                 name,
                 a,
                 b,
                 turns=L.DISTANCE,
-                number=number,
-                bounds=(between(made, row),) if sided else (),
+                number=0.0 if side.sided or call else value_of(side.made, row),
+                pin=side.requested,
+                bounds=side.bounds([row]),
+                numbers=(number,) if call else (),
             )
-        for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in own if r.op is Op.TAPE):
-            alike = [r for r in own if r.op is Op.TAPE and (r.args[0], r.unit) == (tape, unit)]
-            bounds = tuple(between(made, r) for r in alike) if sided else ()
-            recording = recorded(made, alike, dim, given)
-            yield Tie(
-                name, a, b, turns=L.TAPE, bounds=bounds, tape=recording, given=bool(recording.given)
-            )
-
-
-def plain_rows(made: Constraint, dim: int, given: bool = False) -> list[Row]:
-    """The rows of position, of which some become expressions that are to be zero, or not negative.
-
-    These are values of expressions, and, where numbers are `given` with each call, all values, and
-    ends that differ from target to target. Errors: `InputError` for rows that have no number.
-    """
-    out: list[Row] = []
-    for row in made.rows(dim):
-        if row.velocity:
-            continue
-        value = held(made, row)
-        sided = one_sided(made, row)
-        if row.op is Op.COORDINATE or (
-            (value or sided) and (row.op in TURNS or (value and row.op is Op.CALL))
-        ):
-            raise InputError(
-                f"the row {row.name!r} of {made.label} is no number that has a value or ends"
-            )
-        ends = (
-            {value: "equal"}
-            if value
-            else {n: side for n, side in ((row.low, "low"), (row.high, "high")) if n}
         )
-        ends = {n: side for n, side in ends.items() if getattr(made, n) is not None}
-        varied = given and any(np.ndim(getattr(made, n)) > (row.part is not None) for n in ends)
-        if not (varied or (value and (given or row.op is Op.TAPE))):
-            out.append(row)
-            continue
-        if row.op not in AS_TEXT and row.op is not Op.TAPE:
-            raise InputError(
-                f"{made.label} is the same for all targets: its ends cannot differ from target to "
-                "target"
-            )
-        tape, k = (
-            row.args
-            if row.op is Op.TAPE
-            else (from_text(AS_TEXT[row.op], POSE), row.args[0] if row.args else 0)
-        )
-        for name, side in ends.items():
-            end = name if row.part is None else f"{name}[{row.part}]"
-            off = _off(tape, k, end, side == "high", (*POSE, *made.reads))
-            out.append(Row(Op.TAPE, (off, 0), row.name, row.unit, low="zero" if sided else ""))
     return out
 
 
-AS_TEXT = {Op.POINT: ("x", "y", "z"), Op.DISTANCE: (f"sqrt(x^2 + y^2 + z^2 + {LEAST})",)}
-"""Rows of a pose as expressions."""
+def _recorded_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
+    """A tie for the rows of each recorded expression, over coordinates that are in q.
+
+    Rows with values, and bounds that come with the call, are expressions that are to be zero, or
+    not negative.
+    """
+    made = side.made
+    rows: list[Row] = []
+    for row in (r for r in side.rows if r.op is Op.TAPE):
+        number = side.number(row)
+        if number:
+            off = _off(*row.args, number, side.end == "high", (*POSE, *made.reads))
+            row = Row(Op.TAPE, (off, 0), row.name, row.unit)
+        rows.append(row)
+    sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.structure.couplings.items()}
+    out: list[Tie] = []
+    for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in rows):
+        alike = [r for r in rows if (r.args[0], r.unit) == (tape, unit)]
+        recording = recorded(made, alike, system.dim, side.requested)
+        check_read(system, recording.coordinates, made.label)
+        bounds = (ABOVE,) * len(alike) if side.end else side.bounds(alike)
+        out.append(
+            Tie(
+                name,
+                a,
+                b,
+                turns=L.TAPE,
+                pin=side.requested and recording.posed,
+                bounds=bounds,
+                tape=recording.over(sources),
+                numbers=recording.given,
+            )
+        )
+    return out
+
+
+def _function_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
+    """A tie for the rows of each Python function."""
+    out: list[Tie] = []
+    calls = [r for r in side.rows if r.op is Op.CALL]
+    for what in dict.fromkeys(r.args[0] for r in calls):
+        alike = [r for r in calls if r.args[0] == what]
+        which = [r.args[1] for r in alike]
+        bound = getattr(what, "callback", None)  # a function of the whole configuration
+        call = (
+            bound(which) if bound else Callback.of_call(system, what, which, numbers_of(side.made))
+        )
+        out.append(Tie(name, a, b, turns=L.FUNCTION, bounds=side.bounds(alike), function=call))
+    return out
+
+
+def _coordinate_ties(name: str, side: Side) -> list[Tie]:
+    """A tie for each coordinate, or quaternion, that is held at numbers of the call."""
+    out: list[Tie] = []
+    for v, _, number, ball in (r.args for r in side.rows if r.op is Op.COORDINATE):
+        out.append(Tie(name, GROUND, GROUND, turns=L.OWN, own=v, ball=ball, numbers=(number,)))
+    return out
 
 
 @lru_cache(maxsize=256)
@@ -312,31 +454,12 @@ def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ..
     return build.finish([build.binary(TL.SUB, *((place, value) if turned else (value, place)))])
 
 
-def every_tie(
-    system: Model, name: str, made: Constraint, a: End, b: End, given: bool = False
-) -> list[Tie]:
-    """As `ties`, with functions, too, over coordinates that are in q."""
-    found = list(ties(name, made, system.dim, a, b, given))
-    for sided in (False, True):
-        own = [r for r in made.rows(system.dim) if r.op is Op.CALL and one_sided(made, r) == sided]
-        for what in dict.fromkeys(r.args[0] for r in own):
-            alike = [r for r in own if r.args[0] == what]
-            bounds = tuple(between(made, r) for r in alike) if sided else ()
-            numbers = numbers_of(made)
-            which = [r.args[1] for r in alike]
-            bound = getattr(what, "callback", None)  # a function of the whole configuration
-            call = bound(which) if bound else Callback.of_call(system, what, which, numbers)
-            found.append(Tie(name, a, b, turns=L.FUNCTION, bounds=bounds, function=call))
-    sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.structure.couplings.items()}
-    return [t if t.tape is None else replace(t, tape=t.tape.over(sources)) for t in found]
-
-
 def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
     """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields
     come with the call.
     """
     tape = rows[0].args[0].part([r.args[1] for r in rows])
-    own = {n: input_of(made, n) for n in tape.inputs if n.partition("[")[0] in _own(made, dim)}
+    own = {n: input_of(made, n) for n in recorded_numbers(made, dim, tape)}
     numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
     fixed = {k: x for k, x in numbers.items() if k in tape.inputs and not (given and k in own)}
     names = tuple(r.name for r in rows)
@@ -347,10 +470,11 @@ def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -
     )
 
 
-def _own(made: Constraint, dim: int) -> set[str]:
-    """The fields whose numbers expressions read."""
+def recorded_numbers(made: Constraint, dim: int, tape: Tape) -> list[str]:
+    """The inputs of an expression that are numbers of the constraint: its fields, or parts of these."""
     ends = {n for r in made.rows(dim) for n in (r.equal, r.low, r.high)}
-    return {*numbers_in(made), *ends} - {"", *made.reads}
+    fields = {*numbers_in(made), *ends} - {"", *made.reads}
+    return [n for n in tape.inputs if n.partition("[")[0] in fields]
 
 
 def value_of(made: Constraint, row: Row) -> float:
@@ -394,4 +518,6 @@ def between(made: Constraint, row: Row) -> tuple[float, float]:
     )
     if np.isnan(low) or np.isnan(high):
         raise InputError(f"{made.label} holds between {low} and {high}; these must be numbers")
+    if not (low <= high and low < np.inf and high > -np.inf):
+        raise InputError(f"{made.label} holds between {low} and {high}, which is nothing")
     return low, high

@@ -352,14 +352,14 @@ class LoopPlan:
                     block,
                     pin if tie.pin else -1,
                     self._lengths(tie),
-                    given if tie.given else -1,
+                    given if tie.numbers else -1,
                     len(bounds) if tie.bounds else -1,
                     len(centres) if tie.centre is not None else -1,
                     data,
                 ]
             )
             pin = pin + tie.pin
-            given = given + (len(tie.tape.given) if tie.tape else 4 if tie.ball else 1) * tie.given
+            given = given + (4 if tie.ball else len(tie.numbers))
             first_row = first_row + rows
             block = block + rows * n_locals + work
             unit = self.length if self._lengths(tie) else 1.0

@@ -512,7 +512,7 @@ class TwoFreedoms:
     def _off_places(self, p: Array) -> Missing:
         """What the frame misses of places (k, 2)."""
         packed = Packed(self.system, [self.task.at(self.frame, p)])
-        pins = packed.pins([packed.tasks[0].goals(self.system)], (len(p),))
+        pins = packed.pins([packed.tasks[0].goal()], (len(p),))
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
             return packed.evaluate(q, np.ascontiguousarray(pins[node]))

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.equations.tasks import Centred, PlacedTask
+from kempe.constraints.base import Op
 from kempe.joints import P
 from kempe.kernels.constraints import loop_layout as L
+from kempe.model.constraint_program import between
 from kempe.model.own_tree import own_tree
 from kempe.poses import EXACT as RIGID
 from kempe.spatial import Array
@@ -86,29 +87,27 @@ def _held(problem: Demands, i: int) -> BodyDemand | None:
     """What a task says of one body; None for tasks of other kinds."""
     task = problem.tasks[i]
     system = own_tree(problem.system)
-    goal = problem.goals[i][0][0]
-    if (
-        not isinstance(task, PlacedTask)
-        or isinstance(task, Centred)
-        or goal is None
-        or len(problem.goals[i]) > 1
-    ):
+    goal = problem.goals[i].pose
+    shape = task.frame_shape
+    a, b = task.frames
+    if shape is None or goal is None or b is None or task.varied or a is not None:
         return None
-    if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
+    if shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
         return None
-    (hold,) = task.holds(system)
-    row, X, particle = system.structure.table.at[hold.b]
-    if particle or row < 0 or hold.a is not None:
+    row, X, particle = system.structure.table.at[b]
+    if particle or row < 0:
         return None
     linear, angular = problem.tolerance_of(task)
     angular += 2.0 * RIGID  # a goal's rotation may be off by rounding
     region = None
-    if task.shape.mask and not task.point:
-        low, high = np.array(hold.bounds or ((0.0, 0.0),) * len(task.shape.axes)).T
-        region = Region(task.shape.axes, low, high)
-    local = X @ np.reshape(hold.X_B, (4, 4))
-    axis = task.shape.turns == L.ALIGN
-    return BodyDemand(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
+    point = shape.point and not task.bounded
+    if shape.mask and not point:
+        rows = [r for r in task.rows if r.op is Op.POINT]
+        low, high = np.array([between(task.of, r) if task.bounded else (0.0, 0.0) for r in rows]).T
+        region = Region(shape.axes, low, high)
+    local = X @ np.reshape(task.tool, (4, 4))
+    axis = shape.turns == L.ALIGN
+    return BodyDemand(int(row), goal, local, point, shape.turned, axis, region, linear, angular)
 
 
 def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:

@@ -13,8 +13,9 @@ from kempe.arguments import tolerances
 from kempe.assemble.bound import TOLERANCE as CLOSED
 from kempe.assemble.bound import limitless
 from kempe.budget import checks, watched_by
+from kempe.equations.judge import Numbers
 from kempe.equations.packed_tasks import Packed
-from kempe.equations.tasks import Goals, Task
+from kempe.equations.tasks import Goal, Task
 from kempe.inverse.chain.serial_chain import inside
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.compiled import task_search
@@ -109,7 +110,7 @@ class Demands:
     system: Model
     tasks: tuple[Task, ...]
     packed: Packed = field(repr=False)
-    goals: tuple[Goals, ...] = field(repr=False)
+    goals: tuple[Goal, ...] = field(repr=False)
     pins: Array = field(repr=False)
     lead: tuple[int, ...]
     tolerance: tuple[float, float]
@@ -148,12 +149,12 @@ class Demands:
         return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
 
     @property
-    def hard_tasks(self) -> list[tuple[Task, Goals, tuple[float, float]]]:
+    def hard_tasks(self) -> list[tuple[Task, Goal, tuple[float, float]]]:
         """The hard tasks that count, with their goals and tolerances."""
         every = zip(self.tasks, self.goals, self.use, strict=True)
         return [
-            (task, goals, self.tolerance_of(task))
-            for task, goals, used in every
+            (task, goal, self.tolerance_of(task))
+            for task, goal, used in every
             if used and task.weight is None
         ]
 
@@ -311,19 +312,14 @@ class Demands:
         return stages.ravel(), strengths
 
 
-def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
-    """The goals of one row of a batch."""
-    cores = ((4, 4), (-1,))
-    out: Any = []
-    for pair in goals:
-        row = [_row_of(x, index, lead, len(core)) for x, core in zip(pair, cores, strict=True)]
-        out.append(tuple(row))
-    return out
+def _row(goal: Goal, index: int, lead: tuple[int, ...]) -> Goal:
+    """The goal of row `index` of a batch."""
+    pose = None if goal.pose is None else _row_of(goal.pose, index, lead, 2)
+    numbers: Numbers = {n: _row_of(x, index, lead, 1) for n, x in goal.numbers.items()}
+    return Goal(pose, numbers)
 
 
-def _row_of(x: Array | None, index: int, lead: tuple[int, ...], axes: int) -> Array | None:
+def _row_of(x: Array, index: int, lead: tuple[int, ...], axes: int) -> Array:
     """Row `index` of numbers with a leading shape, of which the last `axes` axes are one goal's."""
-    if x is None:
-        return None
     core = x.shape[-axes:]
     return np.broadcast_to(x, (*lead, *core)).reshape(-1, *core)[index]

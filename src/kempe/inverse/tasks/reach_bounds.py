@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.equations.tasks import Centred, Goals, PlacedTask, Task, TaskTie
+from kempe.equations.tasks import Goal, Task
 from kempe.inverse.chain.length_bounds import ReachBound, by_lengths, reach_bounds
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.gauge import regauge
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 def unreachable(problem: Demands) -> np.ndarray:
     """Which problems (...) have a hard task that is out of reach."""
     out = np.zeros(problem.lead, dtype=bool)
-    for i, (task, goals) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
+    for i, (task, goal) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
         if problem.use[i] and task.weight is None:
-            out = out | beyond(problem, task, goals).any(axis=-1)
+            out = out | beyond(problem, task, goal).any(axis=-1)
     return out
 
 
-def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
+def beyond(problem: Demands, task: Task, goal: Goal) -> Array:
     """How far (..., 2) in metres a task is out of reach, as to its place, and together with its
     orientation.
 
@@ -42,36 +42,32 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
     tolerances.
     """
     system = own_tree(problem.system)
-    (goal, _) = goals[0]
     none = np.zeros((1, 2))
-    if (
-        not isinstance(task, PlacedTask)
-        or isinstance(task, Centred)
-        or task.bounded
-        or goal is None
-    ):
+    shape = task.frame_shape
+    pose = goal.pose
+    a, b = task.frames
+    if shape is None or task.bounded or pose is None or b is None:
         return none
-    if not task.shape.mask or task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE):
+    if not shape.mask or shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE):
         return none
-    hold = task.hold(system)
-    if hold.a is not None:
-        row, X, particle = system.structure.table.at[hold.a]
+    if a is not None:
+        row, X, particle = system.structure.table.at[a]
         if row >= 0 or particle:
             return none
-        goal = X @ goal
-    axes = [i for i in range(3) if hold.mask >> i & 1]
-    bounds, freedoms = _bounds(system, hold)
+        pose = X @ pose
+    bounds, freedoms = _bounds(system, b, np.reshape(task.tool, (4, 4)))
     # else that is the reason
-    turned = hold.turns in (L.FULL, L.ANGLE) and freedoms >= (3 if system.dim == 2 else 6)
-    return by_lengths(bounds, goal, problem.tolerance_of(task), turned, axes, system.dim)
+    turned = shape.turned and freedoms >= (3 if system.dim == 2 else 6)
+    axes = sorted(shape.axes)
+    return by_lengths(bounds, pose, problem.tolerance_of(task), turned, axes, system.dim)
 
 
-def _bounds(system: Model, hold: TaskTie) -> tuple[list[ReachBound], int]:
+def _bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:
     """Bounds for the point that a task holds, and how many coordinates move it."""
-    table, _, v_index = local_chain(system.structure.table, hold.b)
-    row, X, particle = table.at[hold.b]
-    table = replace(table, at={hold.b: (row, X @ np.reshape(hold.X_B, (4, 4)), particle)})
-    packed = table.pack([hold.b])
+    table, _, v_index = local_chain(system.structure.table, frame)
+    row, X, particle = table.at[frame]
+    table = replace(table, at={frame: (row, X @ tool, particle)})
+    packed = table.pack([frame])
     limits = system.structure.limits[v_index].T
     return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(
         v_index

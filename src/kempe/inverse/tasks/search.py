@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from kempe.budget import Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import Packed, lead_of, refuse
 from kempe.equations.task_functions import REAL_STEP, checked_value, jacobian_of, way_of
-from kempe.equations.tasks import Centred, PlacedTask, Task, task_of
+from kempe.equations.tasks import Task
 from kempe.errors import InputError, shown
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached
@@ -61,14 +60,15 @@ def near_target(problem: Demands, home: Array) -> Array:
     base = _slides(system)
     if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
         return home[None]
-    for task in problem.tasks:
-        if not isinstance(task, PlacedTask) or isinstance(task, Centred):
+    for task, goal in zip(problem.tasks, problem.goals, strict=True):
+        shape = task.frame_shape
+        a, b = task.frames
+        placed = shape is not None and shape.point and not task.bounded and a is None
+        if not placed or task.weight is not None or goal.pose is None or b is None:
             continue
-        placed = task.point and task.weight is None and task.hold(system).a is None
-        if not placed:
-            continue
-        J = jacobian(system, home, task.hold(system).b)[:3, base]
-        away = task.goal(system)[..., :3, 3] - task.place(system, partial(fk, system, home))[:3, 3]
+        J = jacobian(system, home, b)[:3, base]
+        X = fk(system, home, b) @ np.reshape(task.tool, (4, 4))
+        away = goal.pose[..., :3, 3] - X[:3, 3]
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
         if not J.any() or not far.any():
             continue
@@ -351,7 +351,7 @@ def packed_for(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
         order = sorted({level_of(t) for t in tasks})
         if any(soft for _, soft in order[:-1]):
             levels = tuple(order.index(level_of(t)) for t in tasks)
-    key = (turns, levels, *((type(t), t.label, t.structure(system)) for t in tasks))
+    key = (turns, levels, *((t.label, t.structure()) for t in tasks))
     answers = system._kept.setdefault(packed_for, {})
     found = answers.get(key)
     if found is None:
@@ -489,7 +489,7 @@ def _may_differ(problem: Demands, end: Level) -> bool:
     soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
     if soft and any(t.weight is None for t in later):
         return True
-    named = any(t.coordinates(problem.system) for t in later)
+    named = any(t.coordinates() for t in later)
     return named and bool(np.any(_part(problem, end).packed.wide & ~problem.packed.wide))
 
 
@@ -690,8 +690,8 @@ def pose_problem(
 
     `starts` None are as many as it deserves.
     """
-    tasks = _distinct(wanted, system.dim)
-    goals = tuple(t.goals(system) for t in tasks)
+    tasks = _distinct(wanted, system)
+    goals = tuple(t.goal() for t in tasks)
     base = _home(system) if start is None else as_start(system, start)
     lead = own = lead_of(goals)
     if base.ndim > 1:
@@ -733,7 +733,7 @@ def _home(system: Model) -> Array:
     return home_of(system)
 
 
-def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
+def _distinct(wanted: Any, system: Model) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
     single = isinstance(wanted, Constraint)
     given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
@@ -771,7 +771,7 @@ def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
         while label in out:
             count += 1
             label = f"{task.label} ({count})"
-        out[label] = task_of(task if count == 1 else replace(task, name=label), dim)
+        out[label] = Task(system, task if count == 1 else replace(task, name=label))
     return tuple(out.values())
 
 
@@ -799,8 +799,8 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     sound = (np.where(bad[:, None], system.neutral, q) if some_bad else q).reshape(*lead, system.nq)
     hard, allowed = problem.levels[2:]
     every = np.empty((len(problem.tasks), *lead, 2))
-    for error, task, goals in zip(every, problem.tasks, problem.goals, strict=True):
-        error[..., 0], error[..., 1] = task.measure(system, sound, goals)
+    for error, task, goal in zip(every, problem.tasks, problem.goals, strict=True):
+        error[..., 0], error[..., 1] = task.measure(sound, goal)
     allowed = allowed.reshape(-1, *[1] * len(lead), 2)
     of_hard = every if len(hard) == len(every) else every[hard]
     good = (of_hard <= allowed * SLACK).all(axis=(0, -1))
