@@ -15,15 +15,7 @@ from kempe import Mechanism
 from kempe.assemble.generic_configurations import nearby
 from kempe.equations.velocity import tangent_rows
 from kempe.first_order.constraint_graph import structure
-from kempe.first_order.idle_freedoms import (
-    BallEnd,
-    Pair,
-    _freedom,
-    _grow,
-    _Meeting,
-    _one_of_many,
-    stars,
-)
+from kempe.first_order.idle_freedoms import common_point, groups
 from kempe.first_order.rank import rank_at
 from kempe.first_order.redundant_constraints import REACTIONS, _choose, _JointReaction
 from kempe.mobility import dof_proofs
@@ -37,55 +29,23 @@ from kempe.mobility.mobility import mobility
 EYE = np.eye(3)
 
 
-def series_of(count: int) -> Any:
-    """A series of hinges."""
-    return SimpleNamespace(edges=tuple(range(count)), own=lambda k: range(1))
+def turns(*lines) -> np.ndarray:
+    """Twists (6, k) of turns about lines, each a point and a direction."""
+    return np.array([(*np.cross(p, w), *w) for p, w in lines]).T
 
 
-def test_hinges_whose_axes_meet_are_a_ball_from_either_end():
-    """They meet 0.5, 1.2 and -0.3 from the origins of the three, and the fourth axis does not meet
-    the third.
-    """
-    meets = [_Meeting((0.5, 1.2), False), _Meeting((1.2, -0.3), False), None]
-    assert _grow(series_of(4), meets, 0, 1) == BallEnd((0, 1, 2), 0.5, False)
-    assert _grow(series_of(4), meets, 2, -1) == BallEnd((2, 1, 0), -0.3, False)
-    assert _grow(series_of(4), meets, 3, -1) == BallEnd((3,), 0.0, True)
-    bent = [_Meeting((0.5, 1.2), False), _Meeting((0.9, -0.3), False), None]
-    assert _grow(series_of(4), bent, 0, 1).edges == (0, 1)
-
-
-@pytest.mark.parametrize("through", [None, 4, 5])
-def test_a_ball_of_hinges_is_part_of_a_spherical_linkage_if_the_next_axis_goes_through_its_point(
-    through,
-):
-    """Hinges 1, 2 and 3 are the ball, 0 is the hinge: next to them are 4 and 5."""
-    w = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], dtype=float)
-    away = np.array(
-        [[0.0, 0.0, 0.0] if k < 4 or k == through else [0.0, 0.3, 0.7] for k in range(6)]
-    )
-    at: Any = SimpleNamespace(M=np.tile(np.eye(4), (6, 1, 1)), center=np.zeros(3), length=1.0)
-    at.twists = [np.concatenate([np.cross(p, x), x])[:, None] for p, x in zip(away, w, strict=True)]
-    at.M[:, :3, 3] = away
-    edges: Any = SimpleNamespace(
-        edges=[SimpleNamespace(columns=(SimpleNamespace(slides=False),))] * 6
-    )
-    pair = Pair(series_of(6), BallEnd((0,), 0.0, True), BallEnd((1, 2, 3), 0.0, False))
-    assert _one_of_many(edges, at, series_of(6), pair) == (through is not None)
-
-
-@pytest.mark.parametrize(
-    ("aside", "along", "joined"), [(0.0, 1.0, True), (0.3, 1.0, False), (0.0, 0.0, False)]
-)
-def test_a_spin_joins_two_points_if_both_are_on_its_axis(aside, along, joined):
-    ends = np.tile(np.eye(4), (2, 1, 1))
-    ends[1, :3, 3] = aside, 0.0, along
-    at = SimpleNamespace(M=ends, F=ends, center=np.zeros(3), length=1.0)
-    system: Any = SimpleNamespace(body_names=("ground", "rod"))
-    s: Any = SimpleNamespace(edges=[SimpleNamespace(name="A"), SimpleNamespace(name="B")])
-    rank: Any = SimpleNamespace(screws=at, units=np.ones(2))
-    spin: Any = SimpleNamespace(point=np.array([0.0, 0.0, 0.4]), direction=EYE[2], of=None)
-    group: Any = SimpleNamespace(joints=(0, 1), bodies={1}, links=set())
-    assert _freedom(system, s, rank, spin, group, np.ones(2)).joined == joined
+def test_hinges_are_a_ball_if_their_axes_meet_in_one_point():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        point = rng.normal(size=3)
+        axes = rng.normal(size=(3, 3))
+        lines = [(point + d * w, w) for d, w in zip(rng.normal(size=3), axes, strict=True)]
+        for count in (2, 3):
+            np.testing.assert_allclose(common_point(turns(*lines[:count])), point, atol=1e-9)
+        aside = lines[2][0] + 1e-3 * np.cross(axes[0], axes[1])
+        assert common_point(turns(*lines[:2], (aside, axes[2]))) is None
+    assert common_point(turns(lines[0])) is None
+    assert common_point(turns(lines[0], (lines[0][0] + 1.0, lines[0][1]))) is None
 
 
 def test_what_has_no_direction_is_released_before_turns():
@@ -96,23 +56,21 @@ def test_what_has_no_direction_is_released_before_turns():
     assert _choose(rows, 1) == [[rows[2]]] and _choose(rows[:2], 1) == [[rows[1]]]
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_a_joint_that_can_make_every_motion_holds_nothing_of_a_star(dim):
-    m = Mechanism("table", dim)
+def test_a_joint_that_can_make_every_motion_holds_nothing():
+    m = Mechanism("table")
     plate = m.body("plate")
-    kind = "revolute" if dim == 2 else "spherical"
-    for k, at in enumerate(([0.0, 0.0, 0.0], [1.0, 0.2, 0.0], [0.3, 0.9, 0.1])):
+    for k, x in enumerate((0.0, 0.4, 1.0)):
         rod = m.body(f"rod {k}")
-        m.joint(f"A{k}", kind, m.ground, rod, at=at[:dim])
-        m.joint(f"B{k}", kind, rod, plate, at=[0.1, 0.2, 1.0][:dim], child_at=at[:dim])
+        m.spherical(f"A{k}", m.ground, rod, at=(x, 0.2, 0.0))
+        m.spherical(f"B{k}", rod, plate, at=(0.1, 0.2, 1.0), child_at=(x, 0.0, 0.0))
     m.free("F", m.ground, plate)
     system = m.build()
-    names = [e.name for e in structure(system).edges]
-    (star,) = stars(system, frozenset())
-    assert [names[i] for i in star.loose] == ["F"]
-    assert sorted(names[c.edges[0]] for c in star.chains) == ["B0", "B1", "B2"]
-    held = frozenset([system.structure.velocity_names.index("F.x")])
-    assert all(not star.loose for star in stars(system, held))
+    edges = [e.name for e in structure(system).edges]
+    at = rank_at(system, mobility(system).q).screws
+    plates = [g for g in groups(system, at, frozenset(), False) if len(g.ends) == 4]
+    assert [edges[e.steps[0].edge] for e in plates[0].ends if e.free] == ["F"]
+    motor = frozenset([system.structure.velocity_names.index("F.x")])
+    assert all(len(g.ends) == 2 for g in groups(system, at, motor, False))
 
 
 def test_a_regular_configuration_has_one_neighbour():

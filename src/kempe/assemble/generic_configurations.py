@@ -21,8 +21,11 @@ from kempe.errors import InputError
 from kempe.first_order.control import driven
 from kempe.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
 from kempe.first_order.rank import Rank, rank_at
+from kempe.forward.fk import jacobian
 from kempe.model.ball_angles import regular_chart
-from kempe.model.configurations import mid, q_from_dict, refuse_far
+from kempe.model.configurations import has_loops, mid, q_from_dict, refuse_far
+from kempe.model.model import kept
+from kempe.model.own_tree import own_tree
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -105,7 +108,7 @@ def _residual(system: Model, q: Array) -> float:
 
 
 @quiet
-def idle_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
+def idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
     """Idle freedoms at the closed configuration nearest to q (nq,); none where the loops cannot be
     closed.
 
@@ -121,6 +124,40 @@ def idle_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
     return idle_freedoms(
         system, [rank, *around(system, rank, motors, np.random.default_rng(0))], motors
     )
+
+
+def idle_freedoms_of(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
+    """The idle freedoms of a system, found once: at a closed configuration that is searched; if
+    none is found, at q (nq,).
+    """
+    tree = own_tree(system)
+    found = _idle_at_home(tree)
+    if found is None:
+        return () if q is None else idle_freedoms_at(tree, q)
+    return found
+
+
+@kept
+def _idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
+    at = find_closed(system)
+    return idle_freedoms_at(system, at.q) if at.closed else None
+
+
+def idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
+    """Which velocity coordinates (nv,) idle freedoms change (mask); of a rotation, all three."""
+    moves = [f.moves for f in idle_freedoms_of(system, q)] if has_loops(system) else []
+    out = np.any([np.zeros(system.nv, dtype=bool), *moves], axis=0)
+    for iv in system.structure.layout.quaternion_v:
+        out[iv : iv + 3] = out[iv : iv + 3].any()
+    return np.asarray(out)
+
+
+def idle_rates(system: Model, q: Array) -> Array:
+    """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
+    tree = own_tree(system)
+    found = idle_freedoms_of(system) if system.dim == 3 else ()
+    rows = [f.in_body[1] @ jacobian(tree, q, f.bodies[0], "body")[:, 3:] for f in found]
+    return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
 
 
 def around(

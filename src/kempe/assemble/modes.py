@@ -31,7 +31,7 @@ from kempe.assemble.bound import Assembler, of_equations
 from kempe.assemble.dyad_proofs import enclose
 from kempe.assemble.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, closed_form
 from kempe.assemble.from_poses import coordinates_at
-from kempe.assemble.generic_configurations import idle_at
+from kempe.assemble.generic_configurations import idle_freedoms_at
 from kempe.assemble.nearest_exact import ideal_of, tolerant
 from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, metric_of
 from kempe.budget import Budget, TimeUp, Usual
@@ -296,7 +296,7 @@ class ModesSearch:
     def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
         """Count configurations that differ only by idle spins as one, from here on."""
         held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
-        idle = idle_at(
+        idle = idle_freedoms_at(
             own_tree(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))]
         )
         self.spins = tuple(f for f in idle if not f.velocity[held].any())

@@ -18,14 +18,17 @@ from kempe.arrays import plain
 from kempe.assemble.answer import Assembly
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import TOLERANCE
+from kempe.assemble.generic_configurations import idle_freedoms_of
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.budget import Budget
 from kempe.equations.closure_rows import RANK_TOLERANCE, evaluate, scales
 from kempe.errors import InputError, UnknownNameError
-from kempe.mobility.idle_spins import Spin, idle_part, spins_of
+from kempe.forward.fk import fk, jacobian
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import as_q, one_finite
+from kempe.model.own_tree import own_tree
 from kempe.numerics.newton import gauss_newton
+from kempe.numerics.rank import column_space, null_space
 from kempe.report import Report
 from kempe.singular_values import svd
 from kempe.spatial import Array, skew
@@ -34,6 +37,7 @@ from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from kempe.assemble.nearest_exact import Idealised
+    from kempe.first_order.idle_freedoms import IdleFreedom
     from kempe.model.model import Model
 
 
@@ -96,6 +100,8 @@ def _change(
 # components of the rotation vector from where the chart was chosen (exponential coordinates,
 # Murray, Li, Sastry, 1994, section 2.2).
 
+FLAT = 1e-8
+"""Singular values below this count as zero where idle spins are looked for."""
 ENOUGH = 0.1
 """Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
 MANY = 300
@@ -362,9 +368,9 @@ def independent(
     quality = _quality(N, found)
     sure = len(found) == p and quality >= least
     if not sure or (1 < p < system.nv < MANY and system.dim == 3):
-        spins = spins_of(system, q)
+        spins = idle_freedoms_of(system, q)
         if spins or not sure:
-            found, idle = _in_turn(N, rows, plain, spins, idle_part(system, q, N, scale, spins))
+            found, idle = _in_turn(N, rows, plain, spins, _idle_part(system, q, N, scale, spins))
             quality = _quality(N, found)
     if len(found) < p or (p and quality < least):
         raise InputError(
@@ -394,7 +400,7 @@ def _wished(system: Model, names: Iterable[str]) -> list[int]:
 
 
 def _in_turn(
-    N: Array, rows: list[int], plain: list[int], spins: tuple[Spin, ...], idle: Array
+    N: Array, rows: list[int], plain: list[int], spins: tuple[IdleFreedom, ...], idle: Array
 ) -> tuple[list[int], list[int]]:
     """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths
     first.
@@ -412,6 +418,26 @@ def _in_turn(
             found = _extend(N, found, usable, most, own if stage is plain else ())
     spinning = [v for v in found if moved[v]]
     return found, spinning if len(spinning) == idle.shape[1] else []
+
+
+def _idle_part(
+    system: Model, q: Array, N: Array, scale: Array, spins: tuple[IdleFreedom, ...]
+) -> Array:
+    """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal,
+    that are idle spins.
+    """
+    tree = own_tree(system)
+    parts = [np.zeros((N.shape[1], 0))]
+    for spin in spins:
+        rests = N[~spin.moves]
+        part = null_space(rests, FLAT)
+        if part.shape[1] > 1:  # they move what is useful as well: the spin is what keeps the line
+            J = jacobian(tree, q, spin.bodies[0])
+            arm, line = spin.in_body @ fk(tree, q, spin.bodies[0])[:3, :3].T
+            keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
+            part = null_space(np.concatenate([rests, keeps @ (scale[:, None] * N)]), FLAT)
+        parts.append(part)
+    return column_space(np.concatenate(parts, axis=1), FLAT, 1.0)
 
 
 def _is_exponential(system: Model, name: str) -> bool:

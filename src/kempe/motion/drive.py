@@ -32,8 +32,8 @@ from kempe.model.configurations import as_q, home_of, refuse_wound_angle
 from kempe.model.time_coordinate import clocked, timed
 from kempe.motion.crossings import branch_lines, hold_rank, locate, singular_node
 from kempe.motion.events import AWKWARD, OneSidedEnds, checked, root
-from kempe.motion.held_spins import hold_spins, spins_held
 from kempe.motion.path import Event
+from kempe.motion.spin_lock import lock_spins, spin_lock_of
 from kempe.motion.start import (
     angle_or_slide,
     begin,
@@ -249,13 +249,13 @@ class SegmentContext:
         """The equations of a segment and its first node; what spins idly is held, and so is the
         rank where it is low all along.
         """
-        spins = spins_held(self.closure)
-        if spins is not None:
-            spins.begin(state.q)
+        lock = spin_lock_of(self.closure)
+        if lock is not None:
+            lock.start_from(state.q)
         way, here = self._way(state, direction)
         # what moves may be but a spin
         loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)
-        if loose and spins is None and hold_spins(self.closure, state.q, self.index):
+        if loose and lock is None and lock_spins(self.closure, state.q, self.index):
             way, here = self._way(state, direction)
         if here.nullity > 1 and hold_rank(
             self.closure, state.q, lambda: self._way(state, direction)

@@ -17,7 +17,7 @@ from kempe.joints import R
 from kempe.model.configurations import as_q, home_of, q_from_dict, random, refuse_wound
 from kempe.model.coordinates import coordinate_names
 from kempe.motion.crossings import PROBE, SingularNode, branches_at, hold_rank, locate
-from kempe.motion.held_spins import hold_spins
+from kempe.motion.spin_lock import lock_spins
 from kempe.numerics.curves import RANK, Node, node
 from kempe.singular_values import svd
 from kempe.spatial import Array
@@ -259,7 +259,7 @@ def first_node(
     requested = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
     # what moves may be but a spin
     rests = driver is not None and here.nullity == 1 and abs(here.t[requested[-1]]) < RESTS
-    if (here.nullity > 1 or rests) and hold_spins(equations, q, requested):
+    if (here.nullity > 1 or rests) and lock_spins(equations, q, requested):
         here = node(equations, q)
 
     def low_rank(length: float) -> bool:

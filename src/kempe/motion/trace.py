@@ -36,8 +36,8 @@ from kempe.motion.events import (
     turns,
     walk,
 )
-from kempe.motion.held_spins import spins_held
 from kempe.motion.path import Event, Path, Track
+from kempe.motion.spin_lock import spin_lock_of
 from kempe.motion.start import (
     MOST_TURNS,
     SAME_RATIO,
@@ -360,11 +360,11 @@ def _followed(
     if first is None:
         return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
     path = _trace(equations, first, options)
-    spins = spins_held(equations)
+    lock = spin_lock_of(equations)
     for _ in range(AGAIN):
-        if spins is None or path.late or path.interrupted or not spins.turned(path.q):
+        if lock is None or path.late or path.interrupted or not lock.choose_again(path.q):
             break
-        # held otherwise, what spins turns less
+        # by other directions, what spins turns less
         first = first_node(equations, q, options.driver, toward) or first
         path = _trace(equations, first, options)
     if rank_held(equations):

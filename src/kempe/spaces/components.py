@@ -20,11 +20,11 @@ from kempe.arguments import (
 )
 from kempe.assemble.assemble import assemble
 from kempe.assemble.dyads import closed_form
+from kempe.assemble.generic_configurations import idle_coordinates
 from kempe.assemble.modes import assembly_modes
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure_rows import RANK_TOLERANCE
 from kempe.equations.one_sided import one_sided_rows
-from kempe.mobility.idle_spins import moved_by_spins
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import has_loops, mid, random, winding_angles
 from kempe.motion.path import Event, Path
@@ -473,7 +473,7 @@ def _traced(
     if time.spent:  # the number is proven, and no curves are looked for
         return Traced((), frozenset(), True)
     home = freedoms.q
-    still = moved_by_spins(system, home)
+    still = idle_coordinates(system, home)
     own = (
         np.empty((0, system.nq))
         if sweep is None

@@ -11,11 +11,11 @@ import numpy as np
 from kempe.answers.answer import Configurations
 from kempe.arguments import explained, explained_methods, generator, interruptible
 from kempe.arrays import is_real
+from kempe.assemble.generic_configurations import idle_coordinates
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.judge import judge
 from kempe.errors import InputError
 from kempe.forward.limits import with_limits
-from kempe.mobility.idle_spins import moved_by_spins
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import has_loops, one_finite, random
 from kempe.motion.trace import trace
@@ -385,7 +385,7 @@ def _closed(
 def _curve(system: Model, a: Array, spend: Budget) -> Component:
     """The component of a, as far as it can be traced."""
     first = trace(system, start=a, ways="branches", budget=Budget(time_limit=spend.time_limit))
-    return Component((first, *first.others), moved_by_spins(system, a))
+    return Component((first, *first.others), idle_coordinates(system, a))
 
 
 def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:

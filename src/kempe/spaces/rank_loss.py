@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.assemble.generic_configurations import idle_coordinates, idle_rates
 from kempe.equations import closure_rows
-from kempe.mobility.idle_spins import not_spun, spin_rates
 from kempe.numerics.newton import gauss_newton_of_many
 from kempe.singular_values import svd
 from kempe.spatial import Array
@@ -69,7 +69,7 @@ class RankLoss:
     @cached_property
     def counts(self) -> np.ndarray:
         """Which velocity coordinates (nv,) idle spins leave alone."""
-        return not_spun(self.system)
+        return ~idle_coordinates(self.system)
 
     @cached_property
     def spins(self) -> bool:
@@ -84,7 +84,7 @@ class RankLoss:
         if self.closed:
             rows = closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
             if self.spins:
-                still = spin_rates(self.system, q) * self.unit
+                still = idle_rates(self.system, q) * self.unit
                 F = np.concatenate([rows[0], np.zeros(still.shape[:2])], axis=1)
                 rows = F, np.concatenate([rows[1], still], axis=1) if with_jacobian else rows[1]
         if self.further is None:

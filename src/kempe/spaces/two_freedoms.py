@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.assemble.dyads import Incomplete, Plan, closed_form
+from kempe.assemble.generic_configurations import idle_coordinates, idle_rates
 from kempe.budget import TimeUp
 from kempe.constraints.flat_tasks import FlatTask
 from kempe.equations.one_sided import one_sided_rows
@@ -20,7 +21,6 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.control import driven
 from kempe.forward.fk import fk
 from kempe.inverse.ik_all import ik_all
-from kempe.mobility.idle_spins import not_spun, spin_rates
 from kempe.mobility.independent import tangent_space
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import by_short_turns, circles, has_loops, sampling_box
@@ -86,7 +86,7 @@ class NodeSolver:
 
     def __init__(self, manifold: Manifold):
         self.manifold = manifold
-        self.counts = not_spun(manifold.system)
+        self.counts = ~idle_coordinates(manifold.system)
         self.spins = not self.counts.all()
 
     def solved(
@@ -100,7 +100,7 @@ class NodeSolver:
         def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
             (F, J) = M.equations(x)
             (f, j) = missing(x, node[at])
-            still = spin_rates(M.system, x) if self.spins else J[:, :0]
+            still = idle_rates(M.system, x) if self.spins else J[:, :0]
             zero = np.zeros(still.shape[:2])
             return np.concatenate([F, f, zero], axis=1), np.concatenate(
                 [J, j, still * M.scale], axis=1

@@ -1,0 +1,141 @@
+"""Equations that hold idle spins: a mechanism in which bodies spin between balls moves as if they
+could not.
+
+An idle spin moves nothing but the bodies that spin, so any rule that fixes it leaves the motion of
+all others as it is. The rule here is that of a universal joint in place of a ball: a direction
+fixed in the bodies stays perpendicular to a direction fixed in the ground. As long as the line
+about which they spin is not parallel to the latter, the spin is a function of the line: a motion
+that leads the line back leads the bodies back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.assemble.generic_configurations import idle_freedoms_of
+from kempe.first_order.idle_freedoms import IdleFreedom
+from kempe.forward.fk import query
+from kempe.spatial import Array, unit
+
+if TYPE_CHECKING:
+    from kempe.equations.closure import Closure
+    from kempe.model.model import Model
+
+STEEP = 0.2
+"""Sine of the angle between line and direction in the ground below which a direction farther away
+is looked for."""
+BETTER = 1.5
+"""How many times farther away it must be."""
+DIRECTIONS = 400
+"""Directions in the ground that are tried."""
+
+
+class SpinLock:
+    """Equations that hold idle spins, one for each: ``ground . (R along) = 0``, with R the rotation
+    of a body.
+
+    `ground` (k, 3) are directions in the ground, `along` (k, 3) directions in the bodies, both
+    perpendicular to the lines at the configuration where they were chosen.
+    """
+
+    def __init__(self, system: Model, spins: Sequence[IdleFreedom], q: Array):
+        self._queries = [query(system, f.bodies[0]) for f in spins]
+        self._axes = [f.in_body[1] for f in spins]
+        self._q = q
+        self._seen = self.lines(q[None])
+        self._choose(_across(self._seen[0]))
+
+    @property
+    def count(self) -> int:
+        """How many spins are held."""
+        return len(self._axes)
+
+    def lines(self, q: Array) -> Array:
+        """Directions (n, k, 3) of the lines in the ground at configurations (n, nq)."""
+        pairs = zip(self._queries, self._axes, strict=True)
+        return np.stack([pose(q)[:, :3, :3] @ axis for pose, axis in pairs], axis=1)
+
+    def _choose(self, ground: Array) -> None:
+        """Hold the spins by these directions in the ground, as they are at the first configuration."""
+        self.ground = ground
+        across = unit(np.cross(ground, self.lines(self._q[None])[0]))
+        pairs = zip(self._queries, across, strict=True)
+        self.along = np.array([pose(self._q)[:3, :3].T @ v for pose, v in pairs])
+
+    def write(
+        self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
+    ) -> None:
+        """Write the residuals of these equations and their derivatives into F and J (., n) from row
+        `at` on.
+        """
+        for i, pose in enumerate(self._queries):
+            along = pose(x)[:3, :3] @ self.along[i]
+            F[at + i] = self.ground[i] @ along
+            if with_matrix:
+                J[at + i] = np.cross(along, self.ground[i]) @ pose.jacobian(x)[3:] * equations.unit
+
+    def start_from(self, q: Array) -> None:
+        """Go on from a configuration (nq,), by directions in the ground that are far from the lines
+        there.
+        """
+        lines = self.lines(q[None])[0]
+        if np.any(_sine(self.ground, lines) < 2.0 * STEEP):
+            self._q = q
+            self._choose(_across(lines))
+
+    def choose_again(self, q: Array) -> bool:
+        """Choose other directions in the ground where lines came too near to them at some of the
+        configurations (n, nq); whether some changed.
+        """
+        self._seen = np.concatenate([self._seen, self.lines(q)])
+        ground = self.ground.copy()
+        for i in range(self.count):
+            least = _sine(ground[i], self._seen[:, i]).min()
+            if least < STEEP:
+                away = _sine(_sphere()[:, None], self._seen[None, :, i]).min(axis=1)
+                best = int(np.argmax(away))
+                ground[i] = _sphere()[best] if away[best] > BETTER * least else ground[i]
+        changed = not np.array_equal(ground, self.ground)
+        if changed:
+            self._choose(ground)
+        return changed
+
+
+def spin_lock_of(equations: Closure) -> SpinLock | None:
+    """The lock of idle spins among equations, None where there is none."""
+    return next((m for m in equations.more if isinstance(m, SpinLock)), None)
+
+
+def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
+    """Hold the idle spins from a closed configuration on, but those that move held or `requested`
+    velocities; whether there are others.
+    """
+    keep = [*equations.held, *requested]
+    spins = [f for f in idle_freedoms_of(equations.tree, q) if not f.moves[keep].any()]
+    if spins and spin_lock_of(equations) is None:
+        equations.add(SpinLock(equations.tree, spins, q))
+    return bool(spins)
+
+
+def _across(lines: Array) -> Array:
+    """Unit vectors (k, 3) perpendicular to others."""
+    return unit(np.cross(lines, np.eye(3)[np.argmin(np.abs(lines), axis=1)]))
+
+
+def _sine(a: Array, b: Array) -> Array:
+    """Sines (...) of the angles between unit vectors (..., 3)."""
+    return np.asarray(np.linalg.norm(np.cross(a, b), axis=-1), dtype=float)
+
+
+def _sphere() -> Array:
+    """Directions (n, 3) all over the half of a sphere: points of a Fibonacci spiral (Swinbank,
+    Purser, 2006).
+    """
+    k = np.arange(DIRECTIONS) + 0.5
+    z = k / DIRECTIONS
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
+    across = np.sqrt(1.0 - z * z)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
