@@ -20,7 +20,7 @@ from kempe.first_order.screws import Screws
 from kempe.forward.fk import fk
 from kempe.joints import P, Q
 from kempe.model.model import keep, kept
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array, skew
 from kempe.words import InWords
 
@@ -324,11 +324,11 @@ def common_point(twists: Array) -> Array | None:
     than one.
     """
     rows = np.concatenate([skew(w) for w in twists[3:].T])
-    U, sizes, V = svd(rows, full_matrices=False)
-    if sizes[2] < ALONE:
+    spectrum = Spectrum(rows)
+    if spectrum.rank(Level.GENERIC) < 3:
         return None
     v = -twists[:3].T.ravel()
-    point = V.T @ ((U.T @ v) / sizes)
+    point = spectrum.solve(v, Level.GENERIC)
     return point if np.abs(rows @ point - v).max() < ALONE else None
 
 
@@ -496,7 +496,7 @@ def _spin(system: Model, at: Screws, group: Group) -> Spin | None:
             left = at.wrench_rows(first, of, system.dim) @ screw
         else:
             T = end.twists(at)
-            rates = np.asarray(np.linalg.lstsq(T, screw, rcond=ALONE)[0], dtype=float)
+            rates = Spectrum(T).solve(screw, Level.GENERIC)
             left = T @ rates - screw
             rates[np.abs(rates) < ALONE * np.abs(rates).max()] = 0.0
             for step in end.steps:

@@ -28,7 +28,7 @@ from kempe.mobility.mobility import mobility
 from kempe.model.configurations import as_q, one_finite
 from kempe.model.own_tree import own_tree
 from kempe.numerics.newton import gauss_newton
-from kempe.numerics.rank import column_space, null_space
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
 from kempe.singular_values import svd
 from kempe.spatial import Array, skew
@@ -100,8 +100,6 @@ def _change(
 # components of the rotation vector from where the chart was chosen (exponential coordinates,
 # Murray, Li, Sastry, 1994, section 2.2).
 
-FLAT = 1e-8
-"""Singular values below this count as zero where idle spins are looked for."""
 ENOUGH = 0.1
 """Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
 MANY = 300
@@ -430,14 +428,16 @@ def _idle_part(
     parts = [np.zeros((N.shape[1], 0))]
     for spin in spins:
         rests = N[~spin.moves]
-        part = null_space(rests, FLAT)
+        part = Spectrum(rests, 1.0).null(Level.CLOSED)
         if part.shape[1] > 1:  # they move what is useful as well: the spin is what keeps the line
             J = jacobian(tree, q, spin.bodies[0])
             arm, line = spin.in_body @ fk(tree, q, spin.bodies[0])[:3, :3].T
             keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
-            part = null_space(np.concatenate([rests, keeps @ (scale[:, None] * N)]), FLAT)
+            part = Spectrum(np.concatenate([rests, keeps @ (scale[:, None] * N)]), 1.0).null(
+                Level.CLOSED
+            )
         parts.append(part)
-    return column_space(np.concatenate(parts, axis=1), FLAT, 1.0)
+    return Spectrum(np.concatenate(parts, axis=1), 1.0).range(Level.CLOSED)
 
 
 def _is_exponential(system: Model, name: str) -> bool:
