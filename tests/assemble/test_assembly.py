@@ -275,6 +275,54 @@ def test_followers_stand_for_their_source():
     assert s.q_dict(answer.q)["A"] == pytest.approx(-0.2, abs=1e-15)
 
 
+def geared_four_bar() -> kempe.System:
+    """A wheel W follows the crank A, and a third joint V is locked."""
+    m = four_bar().mechanism
+    m.revolute("W", m.ground, m.body("wheel"), at=(-0.2, 0))
+    m.gear("W", "A", -2.0, 0.1)
+    m.revolute("V", m.ground, m.body("vane"), at=(-0.3, 0))
+    m.lock({"V": 0.4})
+    return m.build()
+
+
+@pytest.mark.parametrize(
+    "known",
+    [{"A": -0.2, "W": 0.5}, {"W": 0.5, "A": -0.2, "V": 0.4}, {"A": -0.2, "W": 0.5 + 1e-9}],
+)
+def test_leaders_and_followers_whose_values_fit_may_both_be_given(known):
+    s = geared_four_bar()
+    alone = s.assemble({"A": -0.2})
+    for answer in (
+        s.assemble(known),
+        s.loops.assembler(known)(known),
+        s.loops.assembler(known)(list(known.values())),
+    ):
+        assert answer and np.array_equal(answer.q, alone.q)
+    modes = s.assembly_modes(known)
+    assert np.array_equal(modes.q, s.assembly_modes({"A": -0.2}).q)
+    rows = {name: np.full(3, x) for name, x in known.items()}
+    assert np.array_equal(s.assemble(rows).q, np.tile(alone.q, (3, 1)))
+    assert s.assemble({**rows, "A": -0.2}).q.shape == (3, s.nq)
+
+
+@pytest.mark.parametrize(
+    ("known", "problem"),
+    [
+        ({"A": -0.2, "W": 0.6}, "coordinate 'W' is 0.6; it follows 'A' and must be 0.5"),
+        ({"V": 0.3}, "coordinate 'V' is 0.3; it is held at 0.4"),
+        (
+            {"A": [-0.2, 0.3], "W": [0.5, 0.4]},
+            r"'W' is 0.4 \(row 1\); it follows 'A' and must be -0.5",
+        ),
+        ({"W": math.nan}, "the known value of 'W' is nan"),
+    ],
+)
+def test_followers_whose_values_do_not_fit_are_refused(known, problem):
+    s = geared_four_bar()
+    with pytest.raises(InputError, match=problem):
+        s.assemble(known)
+
+
 def test_limits_hold_and_are_named():
     s = four_bar(D={"limits": (0.0, 1.2)})
     answer = s.assemble({"A": math.pi / 2}, start=s.q({"B": -0.9, "C": 0.9, "D": 1.1}))

@@ -10,7 +10,8 @@ import numpy as np
 from kempe.answers.targets import Z_AXIS, of_target
 from kempe.arrays import reals
 from kempe.constraints.base import poses_of, refuse_rotations
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError
+from kempe.model.configurations import independent_values
 from kempe.poses import EXACT, arrays, refuse_no_poses, rotation_error
 from kempe.spatial import Array
 
@@ -51,31 +52,16 @@ def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
     return x
 
 
-def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Known values by coordinates of q: a coordinate that follows another is led back to that.
+def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Array]:
+    """Known values by coordinates of q: one that follows another gives that one its value.
 
-    Errors: `UnknownNameError`, and `InputError` for a coordinate that is held, or two that move
-    together.
+    Errors: `UnknownNameError`; `InputError` for a coordinate that follows another one whose known
+    value does not fit, or that is held at another value.
     """
-    out: dict[str, Any] = {}
-    for name, given in known.items():
-        follower = system.structure.couplings.get(name)
-        if follower is None and name not in system.coordinate_names:
-            raise UnknownNameError("coordinate", name, system.coordinate_names, system.name)
-        if follower is not None and follower.source is None:
-            raise InputError(
-                f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given"
-            )
-        number = reals(given, f"coordinate {name!r}", "a number")
-        source = name if follower is None else str(follower.source)
-        if source in out:
-            raise InputError(
-                f"known coordinates {name!r} and {source!r} move together: give one of them"
-            )
-        out[source] = (
-            number if follower is None else (number - follower.offset) / follower.multiplier
-        )
-    return out
+    return {
+        name: reals(x, f"coordinate {name!r}", "a number")
+        for name, x in independent_values(system, known).items()
+    }
 
 
 # ---- for the judge

@@ -45,7 +45,8 @@ def assemble(
 
     `known` maps names of coordinates to values in radians and metres, and names of frames to
     positions (..., 3) (in planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch;
-    the time of equations in time is known as "t", one number. What the loops leave open is decided
+    the time of equations in time is known as "t", one number. A coordinate that follows another may
+    be given beside it, with the value that it has then. What the loops leave open is decided
     by *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the
     search starts (default: the posture 'closed' of the file, else the middle of the limits); steps
     of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are
@@ -226,7 +227,7 @@ def on_named_branch(problem: Problem) -> Assembly:
             raise
         return replace(_unsolved(assembler, problem), limit=time.limit)
     if len(searched):  # the others are as the closed form gave them
-        plan: Any = closed_form(assembler.system, tuple(assembler.sources))
+        plan: Any = closed_form(assembler.system, assembler.sources)
         after = answer.q.reshape(-1, assembler.system.nq)[searched]
         code = np.array(answer.code)
         strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)

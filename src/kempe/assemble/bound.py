@@ -29,7 +29,14 @@ from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND
 from kempe.kernels.compiled import closure_batch, loop_closing, task_search
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_layout import velocity_lists
-from kempe.model.configurations import as_start, circles, home_of, refuse_far
+from kempe.model.configurations import (
+    as_start,
+    circles,
+    home_of,
+    independent_values,
+    refuse_far,
+    source_names,
+)
 from kempe.model.model import kept
 from kempe.model.own_tree import own_tree
 from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
@@ -313,47 +320,26 @@ class Assembler:
         return f"Assembler of {self.system.name!r} from {', '.join(self.known) or 'nothing known'}"
 
     def _places(self, names: list[str]) -> None:
-        """Find the places in q of the known coordinates; for a coupled one the place, factor and
-        offset of its source.
+        """Find the places in q of the known coordinates, of a coupled one that of its source.
 
-        Sets `places`, `factors`, `offsets`, `held`, and the limits `low` and `high`. Errors:
+        Sets `places`, `sources`, `held`, and the limits `low` and `high`. Errors:
         `UnknownNameError`, `InputError`.
         """
         system = self.system
+        couplings = system.structure.couplings
         index = {n: i for i, n in enumerate(system.coordinate_names)}
-        places: list[int] = []
-        factors: list[Any] = []
-        offsets: list[Any] = []
         for name in names:
-            follower = system.structure.couplings.get(name)
-            if follower is not None and follower.source is None:
-                raise InputError(
-                    f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given"
-                )
-            if follower is None and name not in index:
-                allowed = (
-                    *system.coordinate_names,
-                    *system.structure.couplings,
-                    *system.structure.frames,
-                )
+            if name not in couplings and name not in index:
+                allowed = (*system.coordinate_names, *couplings, *system.structure.frames)
                 raise UnknownNameError("coordinate or frame", name, allowed, system.name)
-            places.append(
-                index[name if follower is None or follower.source is None else follower.source]
-            )
-            factors.append(1.0 if follower is None else 1.0 / follower.multiplier)
-            offsets.append(0.0 if follower is None else follower.offset)
-        if len(set(places)) < len(places):
-            raise InputError("two of the known coordinates move together: give one of them")
+        self.sources = source_names(system, names)
+        places = [index[name] for name in self.sources]
         self.coordinates = tuple(names)
         self.places = np.array(places, dtype=np.int64)
-        self.place_list = places
         self.shape = (system.nq,)
-        self.named_places = tuple(zip(names, places, strict=True))
-        self.factors = np.array(factors)
-        self.offsets = np.array(offsets)
-        self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
+        self.named_places = tuple(zip(self.sources, places, strict=True))
+        self.plain = couplings.keys().isdisjoint(names)
         layout = system.structure.layout
-        self.sources = [system.coordinate_names[i] for i in places]
         velocity = dict(zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True))
         held = [velocity[i] for i in places if i in velocity]
         for iq, iv in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
@@ -672,7 +658,7 @@ class Assembler:
 
         if self.one_sided is not None or self.frames or not np.isfinite(starts).all():
             return None
-        plan = closed_form(self.system, tuple(self.sources))
+        plan = closed_form(self.system, self.sources)
         if not isinstance(plan, Plan):
             return None
         first = self.run(
@@ -728,12 +714,16 @@ class Assembler:
     def _solve(self, problem: Problem) -> Assembly:
         """The answer for a problem with these names known."""
         limits: Any
+        given: Any
         _, _, given, start, prefer, limits, tolerance, budget, *_ = problem
         if self.frames:
             given = with_places(given, self.frames)
         if given.keys() != self.names:
             said = ", ".join(map(repr, given)) or "nothing"
             raise InputError(f"values are given for {said}; needed are {self.known}")
+        named = given
+        if not self.plain:
+            given = self._of_sources(given)
         if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance <= LOOSEST):
             raise InputError(
                 f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}"
@@ -774,11 +764,18 @@ class Assembler:
             limit,
         )
         if not lead and int(info[0, 0]) == BAD_INPUT:
-            self._refuse(given, start)
+            self._refuse(named, start)
         answer = self._answer(base, lead, q, residual, info, limits)
         if lead or answer.code is Status.OUT_OF_TIME:
             answer.__dict__["limit"] = limit
         return chosen_by(answer, CONTINUED) if along else answer
+
+    def _of_sources(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Known values of coordinates of q, and of frames. Errors: `InputError` for followers that
+        do not fit.
+        """
+        own = {name: given[name] for name in self.coordinates}
+        return {**independent_values(self.system, own), **{f: given[f] for f in self.frames}}
 
     def _refuse(self, given: Mapping[str, Any], start: Any) -> None:
         """Raise an `InputError` that names the number with which nothing can be computed."""
@@ -920,7 +917,7 @@ class Assembler:
         base = home_of(system) if start is None else as_start(system, start)
         columns = [
             reals(given[k], f"the known value of {k!r}", "a number, or an array")
-            for k in self.coordinates
+            for k in self.sources
         ]
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
         shapes += [
@@ -936,10 +933,9 @@ class Assembler:
         starts = np.empty((*lead, system.nq))
         starts[:] = base
         for k, column in enumerate(columns):
-            value = column if self.plain else (column - self.offsets[k]) * self.factors[k]
             at = starts[..., self.places[k]]
             # a start is read whole
-            starts[..., self.places[k]] = np.where(np.isfinite(at), value, np.nan)
+            starts[..., self.places[k]] = np.where(np.isfinite(at), column, np.nan)
         return starts.reshape(math.prod(lead), system.nq), lead
 
     def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:

@@ -43,7 +43,7 @@ from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P
 from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_start, home_of, random, refuse_far
+from kempe.model.configurations import as_start, home_of, random, refuse_far, source_names
 from kempe.model.coordinates import distinct
 from kempe.model.model import kept
 from kempe.model.own_tree import own_tree
@@ -878,7 +878,7 @@ def no_dyads(system: Model, known: tuple[str, ...]) -> str | None:
     frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]
     if frames:
         return f"the place of frame {frames[0]!r} is known, not only coordinates"
-    plan = closed_form(system, tuple(source_values(system, dict.fromkeys(known, 0.0))))
+    plan = closed_form(system, source_names(system, known))
     if isinstance(plan, Incomplete):
         return plan.reason
     return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None

@@ -127,7 +127,7 @@ def closed_from(system: Model, coordinates: Mapping[str, Any], start: Any = None
     q = q_from_dict(system, coordinates, start)  # refuses names and numbers
     if not has_loops(system):
         return q
-    given = _own_values(system, named(coordinates) or {})
+    given = independent_values(system, named(coordinates) or {})
     if len(given) == system.nq:
         return q
     answer = late("assemble")(system, given, start)
@@ -162,7 +162,14 @@ def _posture(system: Model, name: str) -> dict[str, float]:
     }
 
 
-def _own_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
+def source_names(system: Model, names: Iterable[str]) -> tuple[str, ...]:
+    """The coordinates of `q` that named coordinates are, or follow, each once."""
+    couplings = system.structure.couplings
+    sources = (couplings[name].source if name in couplings else name for name in names)
+    return tuple(dict.fromkeys(source for source in sources if source is not None))
+
+
+def independent_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
     """Values of coordinates of `q` from values that may also be of their followers, which must fit.
 
     A follower whose leader is not named gives the leader its value. Errors: `UnknownNameError`;
@@ -185,6 +192,8 @@ def _own_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
             continue
         leader = 0.0 if source is None else reals(out[source], f"coordinate {source!r}")
         together({f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)})
+        if source is not None and np.ndim(leader) < x.ndim:
+            out[source] = leader + np.zeros(x.shape)
         refuse_misfit(
             f"coordinate {name!r}", follower, x, follower.multiplier * leader + follower.offset
         )
@@ -228,7 +237,7 @@ def q_from_dict(
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
-    given = _own_values(system, given)
+    given = independent_values(system, given)
     index = _places(system)
     single = True
     values: list[float | Array] = []
