@@ -440,6 +440,31 @@ def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
     assert set(sizes) == {4} and set(answer.within.absorbed) == set(given.structure.closures)
 
 
+def test_loops_whose_joints_follow_motors_outside_are_compared_one_by_one(hunt, monkeypatch):
+    """A motor that no loop passes drives a crank by a gear: the loop's freedom is the motor's."""
+    sizes: list[int] = []
+    before = nearest_exact.Dimensions.__init__
+    monkeypatch.setattr(
+        nearest_exact.Dimensions,
+        "__init__",
+        lambda self, s: (sizes.append(s.nv), before(self, s))[1],
+    )
+    m = hanging(3, 6, hunt.rng()).mechanism
+    for k in range(3):
+        m.revolute(f"M{k}", "b1", m.body(f"rotor{k}"), at=(0.1, 0.2, 0.3))
+        m.gear(f"A{k}", f"M{k}", 0.1)
+    answer = m.build().assemble({"M0": 2.0})
+    assert answer and answer.within.freedoms == 6 + 3 and answer.residual < 1e-12
+    assert set(sizes) == {4}
+
+
+def test_equations_of_coordinates_count_where_a_loop_is_compared(hunt):
+    m = hanging(2, 6, hunt.rng()).mechanism
+    m.equation("law", "A0 - 0.3 * C0**2 - 0.1")
+    answer = m.build().assemble()
+    assert answer and answer.within.freedoms == 6 + 1 and answer.residual < 1e-12
+
+
 @pytest.mark.parametrize("name", ["held", "change 0", "clock", "M"])
 def test_names_that_searches_give_to_parts_of_their_own_may_be_taken(name):
     """A four-bar on a body that turns; D and its last body have the name."""

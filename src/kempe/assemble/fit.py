@@ -11,7 +11,7 @@ from kempe.assemble.dimensions import Dimensions, Equations, Relations
 from kempe.equations.closure_rows import evaluate, scales
 from kempe.model.own_tree import own_tree
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.newton import gauss_newton, gauss_newton_of_many
+from kempe.numerics.newton import gauss_newton_of_many
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -67,19 +67,6 @@ fitted."""
 # ---- valleys: where loop equations are nearest to zero
 
 
-class Step(NamedTuple):
-    """Where a step along a valley leads, the direction (n,) in which it goes on, and what stays
-    open there.
-
-    `regular` tells whether the combinations of equations that count are independent there.
-    """
-
-    q: Array
-    way: Array
-    left: float
-    regular: bool
-
-
 class Valley:
     """Where the loop equations of a system are nearest to zero, if only their `rank` strongest
     combinations count.
@@ -102,26 +89,7 @@ class Valley:
         return f, U, s, Vt
 
     def converge(self, q: Array, rounds: int = 12) -> Array:
-        """The configuration of the valley that Gauss-Newton steps lead to from q (nq,)."""
-        r = self.rank
-        system = self.system
-
-        def step(q: Array, f: Array, J: Array) -> Array:
-            U, s, Vt = svd(J)
-            return -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
-
-        return gauss_newton(
-            lambda q: self.equations(q),
-            q,
-            rounds,
-            step=step,
-            last=1e-13,
-            longest=0.3,
-            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y),
-        ).x
-
-    def converge_all(self, q: Array, rounds: int = 12) -> Array:
-        """As `converge`, of many configurations (N, nq)."""
+        """The configurations of the valley that Gauss-Newton steps lead to from q (N, nq)."""
         r = self.rank
         system = self.system
 
@@ -147,28 +115,18 @@ class Valley:
 
     def regular(self, q: Array) -> bool:
         """Whether the combinations that count are independent at q (nq,)."""
-        s = self.at(q)[2]
-        return self.rank == 0 or bool(s[self.rank - 1] > REGULAR * s[0])
+        return bool(self._regular(self.at(q)[2]))
 
-    def ahead(self, q: Array, direction: Array, length: float) -> Step:
-        """One step ahead along the valley from q in a direction (n,)."""
-        r = self.rank
-        there = self.converge(
-            self.system.structure.layout.integrate(q, self.scale * direction * length)
-        )
-        f, _, s, Vt = self.at(there)
-        onward = Vt[r:].T @ (Vt[r:] @ direction)
-        onward = onward / max(float(np.linalg.norm(onward)), 1e-300)
-        return Step(
-            there, onward, float(np.linalg.norm(f)), r == 0 or bool(s[r - 1] > REGULAR * s[0])
-        )
+    def _regular(self, s: Array) -> np.ndarray:
+        """The same from singular values (..., k)."""
+        return s[..., max(self.rank - 1, 0)] > REGULAR * s[..., 0]
 
     def between(self, q: Array) -> list[Array]:
         """Regular configurations some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return []
         ways = svd(self.equations(q)[1])[2][:, -1]
-        found = self.converge_all(
+        found = self.converge(
             self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways)
         )
         return [x for x in found if np.isfinite(x).all() and self.regular(x)]
@@ -188,40 +146,47 @@ class Valley:
             if freedoms == 1
             else rng.normal(size=(min(2 * freedoms, MANY), freedoms)) @ null_space
         )
-        ways = [sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)]
-        found: list[tuple[int, float, Array]] = []
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        ways = np.stack([ways, -ways], axis=1).reshape(-1, self.system.nv)
+        found: list[tuple[float, Array]] = []
         for length in STRIDES:
-            found = [(0, float(self.residual(q)), q)] if self.regular(q) else []
-            for way in ways:
-                found += self._one_way(q, way, length, most, FAR if freedoms == 1 else NEAR)
+            found = self._ahead(q, ways, length, most, FAR if freedoms == 1 else NEAR)
             if len(found) >= ENOUGH:
                 break
-        found.sort(key=lambda x: x[0])
         if len(found) > ENOUGH:
-            most = max(GROWN * sorted(left for _, left, _ in found)[ENOUGH - 1], EXACT)
-        near = [x for _, left, x in found if left <= most]
+            most = max(GROWN * sorted(left for left, _ in found)[ENOUGH - 1], EXACT)
+        near = [x for left, x in found if left <= most]
         return np.array(near).reshape(len(near), self.system.nq)
 
-    def _one_way(
-        self, q: Array, way: Array, length: float, most: float, steps: int
-    ) -> list[tuple[int, float, Array]]:
-        """For each regular configuration ahead: steps to it, what stays open at most on the way,
-        and it.
+    def _ahead(
+        self, q: Array, ways: Array, length: float, most: float, steps: int
+    ) -> list[tuple[float, Array]]:
+        """Regular configurations along ways (W, n) from q (nq,), those after the fewest steps first,
+        each with what stays open at most on the way to it.
         """
-        found: list[tuple[int, float, Array]] = []
-        left = float(self.residual(q))
-        for k in range(steps):
-            ahead = self.ahead(q, way, length)
-            moved = float(
-                np.linalg.norm(self.system.structure.layout.difference(q, ahead.q) / self.scale)
-            )
-            left = max(left, ahead.left)
-            if not left <= most or not 0.5 * length < moved < 2.0 * length or ahead.way @ way < 0.5:
+        layout = self.system.structure.layout
+        start = float(self.residual(q))
+        found = [(start, q)] if self.regular(q) else []
+        q = np.tile(q, (len(ways), 1))
+        left = np.full(len(ways), start)
+        for _ in range(steps):
+            there = self.converge(layout.integrate(q, self.scale * ways * length))
+            kept = np.isfinite(there).all(axis=1)
+            q, there, ways, left = q[kept], there[kept], ways[kept], left[kept]
+            if not len(q):
                 break
-            q = ahead.q
-            way = ahead.way
-            if ahead.regular:
-                found.append((k + 1, left, q))
+            f, J = self.equations(there)
+            _, s, Vt = svd(J)
+            null_space = Vt[:, self.rank :]
+            onward = np.einsum("wkn,wkm,wm->wn", null_space, null_space, ways)
+            onward /= np.maximum(np.linalg.norm(onward, axis=1, keepdims=True), 1e-300)
+            left = np.maximum(left, np.linalg.norm(f, axis=1))
+            moved = np.linalg.norm(layout.difference(q, there) / self.scale, axis=1)
+            kept = (left <= most) & (0.5 * length < moved) & (moved < 2.0 * length)
+            kept &= np.sum(onward * ways, axis=1) >= 0.5
+            q, ways, left = there[kept], onward[kept], left[kept]
+            regular = self._regular(s[kept])
+            found += zip(left[regular].tolist(), q[regular], strict=True)
         return found
 
 
@@ -323,7 +288,7 @@ def fitted(
         if left > CLOSED or np.abs(p * shape.unit).max(initial=0.0) > most:
             break
         valley = Valley(shape.changed(p), rank)
-        every = valley.converge_all(every)
+        every = valley.converge(every)
         if not moves(valley, q) or not np.isfinite(every).all():
             break
         between = valley.between(q)
@@ -356,7 +321,7 @@ def _fit(
     for k in range(ROUNDS):
         time.check()
         valley = Valley(shape.system, rank, shape.equations(p))
-        q = valley.converge_all(q, 4)
+        q = valley.converge(q, 4)
         F, J = valley.equations(q)
         h = also.values(p) if also is not None else np.zeros(0)
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
@@ -394,7 +359,7 @@ def moves_all_along(valley: Valley, q: Array) -> bool:
     """Whether loops close exactly along the valley near configurations q (N, nq), and between, with
     its freedoms.
     """
-    q = valley.converge_all(q)
+    q = valley.converge(q)
     return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(
         valley, q
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -21,10 +21,12 @@ from kempe.assemble.bound import bare
 from kempe.assemble.dimensions import Dimensions, Place, Relations, with_simple_angles
 from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, fitted_all_along, moves_all_along
 from kempe.budget import Budget, TimeUp, Usual, checks
-from kempe.description.mechanism import unused_name
+from kempe.description.mechanism import components, unused_name
+from kempe.description.parts import Declared, Joint
 from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
 from kempe.equations.slip import rolls
 from kempe.errors import InputError, TimeLimitError, shown
+from kempe.first_order.constraint_graph import structure
 from kempe.joints import Revolute
 from kempe.model.ball_angles import regular_chart
 from kempe.model.characteristic_length import as_large_as, characteristic_length, origin_of
@@ -324,11 +326,11 @@ def _searched(
 ) -> Idealised | None:
     if system._ideal is not None or not _closes(system):
         return None
-    if not system.nv or timed(system) or rolls(system) or _closes_anyway(system, most):
+    if not system.nv or timed(system) or rolls(system):
         return None
     tree = own_tree(system)
-    parts = [(part, index) for part, index in _parts(tree) if not _closes_anyway(part, most)]
-    if not any(len(full(part, True).names) for part, _ in parts):
+    parts = _parts(tree, most)
+    if not parts:
         return None
     home = home_of(tree)
     scaled = most / characteristic_length(tree) + most
@@ -350,105 +352,87 @@ class _Found(NamedTuple):
 # ---- parts that move independently
 
 
-def _parts(system: Model) -> list[tuple[Model, np.ndarray]]:
-    """The parts whose loops share no joint, as systems, and the places (nq,) of their coordinates
-    in q of the whole.
+def _parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
+    """The clusters of loops that may need other dimensions, as systems, and the places (nq,) of
+    their coordinates in q of the whole.
 
-    Loops that share no joint close by themselves: to change one does not change what another needs.
-    Where equations of coordinates tie several of them the whole is one part.
+    Loops that share no velocity close by themselves: to change one does not change what another
+    needs.
     """
-    m = system._mechanism
-    edges = [("joints", j.name, j.parent, j.child) for j in m.joints.values()]
-    edges += [
-        ("constraints", c.name, c.parent, c.child) for c in m.constraints.values() if c.parent
-    ]
-    blocks = _blocks([(a, b) for *_, a, b in edges])
-    owner = {edges[i][:2]: k for k, block in enumerate(blocks) for i in block}
-    own = {
-        c: ("joints", name)
-        for name in m.joints
-        for c in system.structure.coordinates_of_joint(name)
-    }
-    tied = [{c.of, *c.sources} for c in m.couplings.values()]
-    tied += [{*c.of.reads} | ({c.name} if c.parent else set()) for c in m.constraints.values()]
-    of_tied = (
-        {owner.get(own.get(name, ("constraints", name)), -1) for name in names} for names in tied
-    )
-    if any(len(of) != 1 for of in of_tied) or (len(blocks) == 1 and len(blocks[0]) == len(edges)):
-        return [(system, np.arange(system.nq))]
-    parts = (_part(system, [edges[i][:2] for i in block]) for block in blocks)
+    graph = structure(system)
     places = {name: i for i, name in enumerate(system.coordinate_names)}
-    return [
-        (part, np.array([places[name] for name in part.coordinate_names], dtype=int))
-        for part in parts
-    ]
+    owner = {c.name: e.name for e in graph.edges for c in e.columns}
+    out: list[tuple[Model, np.ndarray]] = []
+    for cluster in graph.clusters:
+        laws = [graph.laws[k] for k in cluster.laws]
+        edges = {*cluster.edges, *(i for law in laws for i in law.edges)}
+        parts = [graph.edges[i].of for i in sorted(edges)] + [law.of for law in laws]
+        joints = {x.name for x in parts if isinstance(x, Joint)}
+        constraints = {x.name for x in parts if isinstance(x, Declared)}
+        if not joints:  # equations of coordinates have no dimensions
+            continue
+        alone = len(cluster.loops) == 1 and not constraints and not laws
+        if alone and _closes_anyway(system, joints, most):
+            continue
+        joints |= {owner[system.structure.velocity_names[v]] for v in cluster.velocities.tolist()}
+        part = _part(system, joints, constraints)
+        index = [places[name] for name in part.coordinate_names]
+        out.append((part, np.array(index, dtype=int)))
+    return out
 
 
-def _part(system: Model, edges: Sequence[tuple[str, str]]) -> Model:
-    """The system of these joints and constraints alone, one of its bodies held where the ground is
-    not among them.
+def _part(system: Model, joints: set[str], constraints: Collection[str]) -> Model:
+    """The system of these joints and constraints alone, and of the joints that they follow.
+
+    Bodies that no joint leads to from the ground are held there.
     """
     m = system.mechanism
-    kept = {table: {name for t, name in edges if t == table} for table in ("joints", "constraints")}
-    m.joints = {name: j for name, j in m.joints.items() if name in kept["joints"]}
-    m.constraints = {name: c for name, c in m.constraints.items() if name in kept["constraints"]}
-    order = list(m.bodies)
-    bodies = {
-        body for j in (*m.joints.values(), *m.constraints.values()) for body in (j.parent, j.child)
-    }
-    m.bodies = {name: b for name, b in m.bodies.items() if name in bodies or name == m.ground.name}
+    owner = {c: name for name in m.joints for c in system.structure.coordinates_of_joint(name)}
+    sources = [(owner[c.of], {owner[x] for x in c.sources}) for c in m.couplings.values()]
+    while more := {x for of, follows in sources if of in joints for x in follows} - joints:
+        joints = joints | more
+    if len(joints) == len(m.joints) and len(constraints) == len(m.constraints):
+        return system
+    m.joints = {name: j for name, j in m.joints.items() if name in joints}
+    m.constraints = {name: c for name, c in m.constraints.items() if name in constraints}
+    m.couplings = {name: c for name, c in m.couplings.items() if owner[c.of] in joints}
+    m.locks = {c: x for c, x in m.locks.items() if owner[c] in joints}
     m.frames = {}
-    coordinates = {c for name in m.joints for c in system.structure.coordinates_of_joint(name)}
-    m.couplings = {name: c for name, c in m.couplings.items() if c.of in coordinates}
-    m.locks = {c: x for c, x in m.locks.items() if c in coordinates}
     m.postures = {}
-    if m.ground.name not in bodies:
-        m.fixed(unused_name(m, HELD), m.ground, min(bodies, key=order.index))
+    ends = [(j.parent, j.child) for j in m.joints.values()]
+    bodies = {m.ground.name}.union(*ends)
+    m.bodies = {name: b for name, b in m.bodies.items() if name in bodies}
+    of_body = components(m.bodies, ends)
+    held = {of_body[m.ground.name]}
+    for body, number in of_body.items():
+        if number not in held and not m.bodies[body].particle:
+            held.add(number)
+            m.fixed(unused_name(m, HELD), m.ground, body)
     return type(system)(m)
 
 
-def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
-    """The edges of a graph, by their numbers, that lie on a common cycle (Hopcroft and Tarjan,
-    1973); no bridges.
+def _closes_anyway(system: Model, names: Iterable[str], most: float) -> bool:
+    """Whether no change of dimensions gives a loop in the plane more freedoms than it has: one of
+    hinges.
+
+    Its equations depend on each other only where all hinges are on one line, which they are not all
+    along a motion.
     """
-    around: dict[str, list[tuple[int, str]]] = {}
-    for i, (a, b) in enumerate(edges):
-        around.setdefault(a, []).append((i, b))
-        around.setdefault(b, []).append((i, a))
-    order: dict[str, int] = {}
-    low: dict[str, int] = {}
-    out: list[list[int]] = []
-    for root in around:
-        if root in order:
-            continue
-        order[root] = low[root] = len(order)
-        way = [(root, -1, iter(around[root]))]
-        open_: list[int] = []
-        used: set[int] = set()
-        while way:
-            here, by, ahead = way[-1]
-            for i, there in ahead:
-                if i in used:
-                    continue
-                used.add(i)
-                open_.append(i)
-                if there in order:
-                    low[here] = min(low[here], order[there])
-                    continue
-                order[there] = low[there] = len(order)
-                way.append((there, i, iter(around[there])))
-                break
-            else:
-                way.pop()
-                if not way:
-                    break
-                before = way[-1][0]
-                low[before] = min(low[before], low[here])
-                if low[here] >= order[before]:
-                    at = open_.index(by)
-                    out.append(open_[at:])
-                    del open_[at:]
-    return [block for block in out if len(block) > 1 or edges[block[0]][0] == edges[block[0]][1]]
+    m = system._mechanism
+    joints = [m.joints[name] for name in names]
+    if system.dim != 2 or len(joints) < 4:
+        return False
+    if not all(
+        isinstance(j.type, Revolute) and j.name in system.structure.coordinates.first
+        for j in joints
+    ):
+        return False
+    ends: dict[str, list[Array]] = {}
+    for j in joints:
+        for body, X in ((j.parent, j.X_PF), (j.child, j.X_CM)):
+            ends.setdefault(body, []).append(X.evaluate(m.parameters)[:2, 3])
+    lengths = [float(np.linalg.norm(a - b)) for a, b in ends.values()]
+    return min(lengths) > OPEN * most
 
 
 # ---- the nearest mechanism of a part
@@ -512,29 +496,6 @@ def _moves_within_more(system: Model, home: Array, most: float, time: TimeLimit)
     scaled = widest / size + widest
     moving = [(rank, q) for rank, q in _starts(system, home, scaled) if rank < system.nv]
     return _first(system, moving, widest, scaled, False, time) is not None
-
-
-def _closes_anyway(system: Model, most: float) -> bool:
-    """Whether no change of dimensions gives the part more freedoms than it has: one loop in the
-    plane, of hinges.
-
-    Its equations depend on each other only where all hinges are on one line, which they are not all
-    along a motion.
-    """
-    m = system._mechanism
-    if system.dim != 2 or len(system.structure.closures) != 1 or m.constraints or m.couplings:
-        return False
-    joints = [j for name, j in m.joints.items() if name != HELD]
-    if len(joints) < 4 or not all(isinstance(j.type, Revolute) for j in joints):
-        return False
-    ends: dict[str, list[Array]] = {}
-    for j in joints:
-        for body, X in ((j.parent, j.X_PF), (j.child, j.X_CM)):
-            ends.setdefault(body, []).append(X.evaluate(m.parameters)[:2, 3])
-    if any(len(points) != 2 for points in ends.values()):  # more than the loop
-        return False
-    lengths = [float(np.linalg.norm(a - b)) for a, b in ends.values()]
-    return min(lengths) > OPEN * most and system.nv == len(joints)
 
 
 def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]]:
@@ -604,7 +565,7 @@ def _beside(
     out: list[tuple[int, Array]] = []
     for r in range(max(held, 1), top):
         along = Valley(system, r)
-        found = along.converge_all(starts)
+        found = along.converge(starts)
         found = found[np.isfinite(found).all(axis=1)]
         left = valley.residual(found)
         fit = [
@@ -670,7 +631,7 @@ def _with_rank(
     freedoms = system.nv - rank
     limit = OPEN * scaled
     valley = Valley(shape.system, rank)
-    q = valley.converge(q)
+    q = valley.converge(q[None])[0]
     if not valley.residual(q) <= limit:
         return None
     points = valley.walk(q, limit, np.random.default_rng(0)) if freedoms else q[None]

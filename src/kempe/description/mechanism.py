@@ -1365,3 +1365,23 @@ def joints_between(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
         path.append(joint)
         end = joint.parent if joint.child == end else joint.child
     return path
+
+
+def components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[str, int]:
+    """For each body the number of the connected part that it belongs to."""
+    neighbours: dict[str, list[str]] = {b: [] for b in bodies}
+    for a, b in ends:
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    part: dict[str, int] = {}
+    for number, start in enumerate(neighbours):
+        if start in part:
+            continue
+        part[start] = number
+        queue = deque([start])
+        while queue:
+            for there in neighbours[queue.popleft()]:
+                if there not in part:
+                    part[there] = number
+                    queue.append(there)
+    return part

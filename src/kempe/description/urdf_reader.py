@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kempe.description.formats import joined, root_fault
-from kempe.description.mechanism import Mechanism
+from kempe.description.mechanism import Mechanism, components
 from kempe.description.parts import Body
 from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
 from kempe.description.srdf import ROOT_JOINT, Srdf, VirtualJoint
@@ -90,26 +90,6 @@ def choose_root(
 def _listed(names: list[str], links: Mapping[str, XmlElement]) -> str:
     shown = ", ".join(f"{n!r} (line {links[n].where.line})" for n in names[:8])
     return shown + (f", ... ({len(names)} in all)" if len(names) > 8 else "")
-
-
-def components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[str, int]:
-    """For each body the number of the connected part that it belongs to."""
-    neighbours: dict[str, list[str]] = {b: [] for b in bodies}
-    for a, b in ends:
-        neighbours[a].append(b)
-        neighbours[b].append(a)
-    part: dict[str, int] = {}
-    for number, start in enumerate(neighbours):
-        if start in part:
-            continue
-        part[start] = number
-        queue = deque([start])
-        while queue:
-            for there in neighbours[queue.popleft()]:
-                if there not in part:
-                    part[there] = number
-                    queue.append(there)
-    return part
 
 
 def find_cycle(bodies: Iterable[str], ends: Mapping[str, tuple[str, str]]) -> list[str]:

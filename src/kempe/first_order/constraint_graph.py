@@ -6,7 +6,7 @@ others, form a cluster. Each cluster has its own rank, redundancy and freedoms.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -94,6 +94,10 @@ def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
 
 # ---- edges, laws, loops and clusters
 
+Signed = list[tuple[int, float]]
+"""Edges with the signs in which they are passed."""
+Way = Callable[[int, int], tuple[Signed, Signed]]
+
 NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
 
 
@@ -158,6 +162,8 @@ class Law:
     names: tuple[str, ...]
     linear: bool
     """Whether its equations are linear in coordinates."""
+    edges: tuple[int, ...] = ()
+    """The joints on the tree's way between its bodies, where it has two."""
 
     @property
     def rows(self) -> int:
@@ -289,7 +295,7 @@ def called(system: Model) -> tuple[str, ...]:
 def _structure(system: Model) -> ConstraintGraph:
     edges = _edges(system)
     loops = _loops(system, edges)
-    laws = _laws(system)
+    laws = _laws(system, edges)
     clusters = _clusters(system, edges, loops, laws)
     stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
     ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
@@ -376,40 +382,48 @@ def _full(joint: str, coordinate: str) -> str:
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
-def _loops(system: Model, edges: list[Edge]) -> list[Loop]:
+def _ways(system: Model, edges: list[Edge]) -> Way:
+    """The function that gives the edges of the tree from two bodies up to where these ways meet,
+    with the signs in which a loop from the first body to the second and back passes them.
+    """
     index = {e.name: i for i, e in enumerate(edges)}
     up = [-1, *(index[n] for n in system.structure.parent_joints)]
     parent = (-1, *system.parent)
     depth = [0] * len(parent)
     for body in _tree_order(parent):
         depth[body] = depth[parent[body]] + 1 if body else 0
-    out: list[Loop] = []
-    closing = [index[n] for n in system.structure.closures] + [
-        i for i, e in enumerate(edges) if not e.joint
-    ]
-    for k in closing:
-        a = edges[k].parent
-        b = edges[k].child
-        from_b: list[tuple[int, float]] = []
-        to_a: list[tuple[int, float]] = []
-        while a != b:  # back along the tree from the child to the parent
+
+    def way(a: int, b: int) -> tuple[Signed, Signed]:
+        from_a: Signed = []
+        from_b: Signed = []
+        while a != b:
             if depth[b] >= depth[a]:
                 from_b.append((up[b], 1.0 if edges[up[b]].parent == b else -1.0))
                 b = parent[b]
             else:
-                to_a.append((up[a], 1.0 if edges[up[a]].child == a else -1.0))
+                from_a.append((up[a], 1.0 if edges[up[a]].child == a else -1.0))
                 a = parent[a]
+        return from_a, from_b
+
+    return way
+
+
+def _loops(system: Model, edges: list[Edge]) -> list[Loop]:
+    index = {e.name: i for i, e in enumerate(edges)}
+    way = _ways(system, edges)
+    closing = [index[n] for n in system.structure.closures] + [
+        i for i, e in enumerate(edges) if not e.joint
+    ]
+    out: list[Loop] = []
+    for k in closing:
+        back, ahead = way(edges[k].parent, edges[k].child)
         # from the joint nearest to the ground, around and back
-        path = (
-            *reversed(to_a),
-            (k, 1.0),
-            *from_b,
-        )
+        path = (*reversed(back), (k, 1.0), *ahead)
         out.append(Loop(k, path, rows_of(edges[k], system.dim)))
     return out
 
 
-def _laws(system: Model) -> tuple[Law, ...]:
+def _laws(system: Model, edges: list[Edge]) -> tuple[Law, ...]:
     """Couplings with several sources, and what constraints say by expressions and functions."""
     loops = full(system, True)
     first = 0
@@ -429,10 +443,26 @@ def _laws(system: Model) -> tuple[Law, ...]:
         _, own, ties = found.setdefault(key, (of, [], []))
         own += places
         ties.append(tie)
-    return tuple(_law(loops, *found[key]) for key in sorted(found))
+    way = _ways(system, edges)
+    number = {b: i for i, b in enumerate(system.body_names)}
+    out: list[Law] = []
+    for key in sorted(found):
+        of, places, ties = found[key]
+        between: Signed = []
+        if isinstance(of, Declared) and of.parent:
+            back, ahead = way(number[of.parent], number[of.child])
+            between = back + ahead
+        out.append(_law(loops, of, places, ties, tuple(i for i, _ in between)))
+    return tuple(out)
 
 
-def _law(loops: PackedLoops, of: Relation | Declared, places: list[int], ties: list[Tie]) -> Law:
+def _law(
+    loops: PackedLoops,
+    of: Relation | Declared,
+    places: list[int],
+    ties: list[Tie],
+    edges: tuple[int, ...],
+) -> Law:
     support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.columns(k)}
     tapes = [t.tape for t in ties]
     linear = all(
@@ -442,7 +472,13 @@ def _law(loops: PackedLoops, of: Relation | Declared, places: list[int], ties: l
     )
     name = of.of if isinstance(of, Relation) else of.name
     return Law(
-        name, of, tuple(sorted(support)), places, tuple(loops.names[i][1] for i in places), linear
+        name,
+        of,
+        tuple(sorted(support)),
+        places,
+        tuple(loops.names[i][1] for i in places),
+        linear,
+        edges,
     )
 
 
