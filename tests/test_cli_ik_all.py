@@ -171,9 +171,7 @@ def test_families(tmp_path):
     assert result.code == 0 and "family: " in result.out and "shoulder" in result.out
     data = Table("ik", path, "--frame", "tip", "--target", "0,0", "--all", "--deg", "--json").json()
     (family,) = data["families"]
-    assert (
-        family["dimension"] == 1 and family["joints"] == ["shoulder"] and family["closed"] is True
-    )
+    assert family["freedoms"] == 1 and family["joints"] == ["shoulder"] and family["closed"] is True
     q = np.array(family["q"])
     np.testing.assert_allclose(np.abs(q[:, 1]), 180.0, atol=1e-6)
     assert np.ptp(q[:, 0]) > 300.0

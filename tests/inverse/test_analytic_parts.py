@@ -15,14 +15,14 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 import kempe
-from kempe.inverse import families, nearest, spare_joints
+from kempe.inverse import families, spare_joints
 from kempe.inverse.all_answer import Solutions
 from kempe.inverse.arm_angle import reference_plane
 from kempe.inverse.closed_forms import descent
 from kempe.inverse.closed_forms import plan as choice
 from kempe.inverse.closed_forms.plan import spread
 from kempe.inverse.explain_all import ROW
-from kempe.inverse.families import Samples, TolerantMotion
+from kempe.inverse.families import SolutionSet
 from kempe.kernels.forward.table_layout import SLIDE
 
 AXES = ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, -2.0, 0.5], [-0.3, 0.2, 0.9])
@@ -172,7 +172,7 @@ def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
 def test_nothing_is_left_out_where_there_was_room():
     arm = kempe.load("puma560")
     answer = arm.ik_all(arm.fk([0.3, -0.7, 0.4, 0.5, 0.0, -0.2], "tool"), "tool")
-    assert families._left_out(answer, 0, nearest.aim_of(answer, 0, spare=True)).shape == (0, 6)
+    assert families._left_out(answer, 0).shape == (0, 6)
 
 
 def test_curves_cross_where_the_second_singular_value_vanishes():
@@ -181,8 +181,10 @@ def test_curves_cross_where_the_second_singular_value_vanishes():
     theta = np.stack([x, 0.0 * x], axis=1)
     way = np.tile([1.0, 0.0], (9, 1))
     chain: Any = SimpleNamespace(
-        led=lambda p, t: (p, None, p), spectrum=lambda p: (0.0, abs(p[0] - 0.47))
+        aim=SimpleNamespace(moves=np.arange(2)),
+        lead=lambda p, t: SimpleNamespace(x=p, J=p),
+        both_of_many=lambda p: (None, p),
+        spectrum=lambda p: (np.abs(np.stack([0.0 * p[..., 0], p[..., 0] - 0.47], axis=-1)), None),
     )
-    curve = Samples(1, theta, way, way[:1], False, 0.0, 0.1 * np.abs(x - 0.47))
-    (found,) = TolerantMotion.crossings_of(chain, curve)
-    np.testing.assert_allclose(found, [0.47, 0.0], atol=1e-6)
+    (crossing,) = SolutionSet.crossings(chain, theta, way[:, None])
+    np.testing.assert_allclose(crossing, [0.47, 0.0], atol=1e-6)

@@ -389,7 +389,7 @@ def assert_families(arm, answer, X):
     """Samples of families reach the target, and follow each other closely."""
     assert len(answer.families) >= 1
     for family in answer.families:
-        assert family.dimension == 1 and len(family.q) >= 3
+        assert family.freedoms == 1 and len(family.q) >= 3
         position, angle = oracle.error(arm.model.fk(family.q), X, arm.task, arm.axis)
         assert max(position.max(), angle.max()) <= 1e-9
         assert (

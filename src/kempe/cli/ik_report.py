@@ -54,8 +54,7 @@ def solutions(answer: Solutions, degrees: bool = False) -> RenderableType:
     if answer.families:
         shown.append("")
     shown += [
-        Text(f"family: {report.clean(family.describe())}", style="yellow")
-        for family in answer.families
+        Text(f"family: {report.clean(str(family))}", style="yellow") for family in answer.families
     ]
     if answer and answer.inside[0]:
         first = _in_units(system, answer.q[0], degrees)
@@ -229,11 +228,10 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
 
 def _family(system: Model, family: Any, degrees: bool) -> dict[str, Any]:
     return {
-        "dimension": family.dimension,
+        "freedoms": family.freedoms,
         "joints": list(family.joints),
         "closed": bool(family.closed),
-        "parameter": family.parameter,
-        "text": family.describe(),
+        "text": str(family),
         "q": jsonable(_in_units(system, family.q, degrees)),
     }
 

@@ -21,7 +21,7 @@ from kempe.inverse.closed_forms.plan import ChainPlan, carried_lines, free_lines
 from kempe.inverse.closed_forms.plan import freedoms as rank_of
 from kempe.inverse.closed_forms.structure import Axes, Strategy
 from kempe.inverse.explain import rounded
-from kempe.inverse.families import Family, families_of
+from kempe.inverse.families import Family, find_families
 from kempe.inverse.nearest import aim_of, held_coordinates, nearest
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
@@ -146,7 +146,7 @@ def _reached(solutions: Solutions, index: int) -> str:
         bool(spare),
         times[times > 1].tolist(),
         _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
-        [(f.dimension, f._in_words()) for f in families],
+        [(f.freedoms, f.text) for f in families],
         _ground(plan),
     )
     if not spare or deficient and not len(code):
@@ -381,5 +381,5 @@ def choice(solutions: Solutions) -> Choice:
     return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
 
 
-ROW = SolutionsRow(status, choice, held_sentence, nearest, families_of)
+ROW = SolutionsRow(status, choice, held_sentence, nearest, find_families)
 """What `ik_all` says of its answers."""
