@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe import spatial
 from kempe.answers.targets import axis_for, task_and_axis, task_of
 from kempe.arguments import explained, listed
 from kempe.errors import UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, motion, sweep
+from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, sweep
 from kempe.inverse.closed_forms.plan import (
     ChainPlan,
-    carried_lines,
+    compute_outer_terms,
     free_lines,
     freedoms,
     plan_for,
@@ -34,13 +33,11 @@ from kempe.inverse.closed_forms.structure import (
     parallel,
 )
 from kempe.kernels.closed_form import analytic_layout as A
-from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
-from kempe.kernels.compiled import candidates
+from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, X_FIRST
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.report import Report
-from kempe.singular_values import svd
 from kempe.spatial import Array
-from kempe.words import by_topic, counted, in_words, joined
+from kempe.words import by_topic, counted, joined
 
 if TYPE_CHECKING:
     from kempe.inverse.formulas import InverseFormulas
@@ -208,323 +205,134 @@ def _metres(lines: Lines, distance: float) -> str:
     return f"{distance * lines.length:.4g} m"
 
 
-# ---- the way from a target to all configurations, and how many there can be
+# ---- the steps from a target to all configurations, and how many there can be
 
 BY_SLIDES = {0: 16, 1: 16, 2: 8, 3: 2}
 """Isolated configurations of six joints at most, by the number that slide (Raghavan and Roth,
 1993)."""
 
-
-LEAVES_FREE = {
-    "position": "the orientation",
-    "orientation": "the position",
-    "position_axis": "the turn about the tool's axis",
-    "direction": "the position and the turn about the tool's axis",
-}
-
-ELIMINATED = (
-    "no closed form is known for these axes: all unknowns but one are eliminated from the "
-    "equations of the loop, which leaves an eigenvalue problem (Raghavan and Roth, 1990)"
-)
-
 METHODS = {"closed": "closed form", "elimination": "elimination", "search": "search"}
 
+FREE = {False: "free turn", True: "free slide"}
+"""What the task leaves free at the tip, by whether it slides."""
 
-def path(plan: ChainPlan, given: frozenset[str], planar: bool) -> tuple[str, ...]:
-    """Sentences: what is held, what is missing or free, which joints do what; `given` are joints
-    held by the user.
+SPARE = "to spare: held where `start` has them, and elsewhere for targets without a solution there"
+
+ORDERS = {1: "linear equation", 2: "quadratic equation", 4: "quartic equation"}
+
+
+class Step(NamedTuple):
+    """A step of an inverse model: the `joints` that it gives, by which `equation`, and the largest
+    number of their `values`.
     """
-    out = [*_held(plan, given), *_balance(plan, planar)]
-    if plan.method == "closed":
-        return (*out, *_closed(plan))
-    if plan.method == "elimination":
-        out.append(ELIMINATED)
+
+    joints: tuple[str, ...]
+    equation: str
+    values: int
+
+    def __str__(self) -> str:
+        of = f"{joined(list(self.joints))}: " if self.joints else ""
+        return f"{of}{self.equation}" + (f", {self.values} values" if self.values > 1 else "")
+
+
+def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
+    """The steps from a target to all configurations; joints `fixed` are held by the caller."""
+    names = plan.lines.names
+    held = [names[i] for i in plan.locked]
+    by_caller = tuple(name for name in held if name in fixed)
+    spare = tuple(name for name in held if name not in fixed)
+    out = [Step(by_caller, "held at given values", 1)] if by_caller else []
+    out += [Step(spare, SPARE, 1)] if spare else []
+    unknown = [i for i in range(len(names)) if i not in plan.locked]
+    if plan.way is not None:
+        out += _list_closed_form_steps(plan, plan.way)
     else:
-        out.append(
-            "no closed form is known for these axes: the equations are solved from many starts"
+        method = (
+            "elimination, roots of one polynomial" if plan.method == "elimination" else "search"
         )
+        out.append(Step(tuple(names[i] for i in unknown), method, _bound_by_slides(plan)))
+    rank = freedoms(plan.lines, free_lines(plan.lines, plan.task, plan.planar), unknown)
+    if (left := (3 if plan.planar else 6) - rank) > 0:
+        them = "it" if left == 1 else "them"
+        equations = counted(left, "equation")
+        out.append(Step((), f"{equations} left over: targets that miss {them} are out of reach", 1))
     return tuple(out)
 
 
-def most(plan: ChainPlan) -> int:
+def bound_solutions(plan: ChainPlan) -> int:
     """The largest number of isolated configurations, turns by 2 pi not counted; held joints stay at
     their values.
     """
-    places = [i for i in range(len(plan.lines)) if i not in plan.locked]
-    kinds = np.concatenate([plan.lines.kinds[places], plan.extra.kinds])
+    unknown = len(plan.lines) - len(plan.locked)
     # else the joints would move as one
-    if len(places) == 1 or (len(places) == 2 and plan.task == "pose"):
+    if unknown == 1 or (unknown == 2 and plan.task == "pose"):
         return 1
-    bound = BY_SLIDES.get(int((kinds == SLIDE).sum()), 1) if len(kinds) <= 6 else BY_SLIDES[0]
-    return bound if plan.way is None else min(bound, _Steps(plan, plan.way).most)
+    steps = [] if plan.way is None else _list_closed_form_steps(plan, plan.way)
+    return min(_bound_by_slides(plan), math.prod(step.values for step in steps) if steps else 16)
 
 
-# ---- what is held, missing or free
-
-
-def _held(plan: ChainPlan, given: frozenset[str]) -> list[str]:
-    names = [plan.lines.names[i] for i in plan.locked]
-    by_user = [n for n in names if n in given]
-    chosen = [n for n in names if n not in given]
-    out: list[str] = []
-    if by_user:
-        out.append(
-            f"{joined(by_user)} {_is(by_user)} held at the given value{'s' * (len(by_user) > 1)}"
-        )
-    if chosen:
-        them = "it" if len(chosen) == 1 else "them"
-        out.append(
-            f"the chain has {in_words(len(chosen), 'joint')} more than the task needs: "
-            f"{joined(chosen)} {_is(chosen)} held where `start` has {them}, and elsewhere for "
-            "targets without a solution there; name=value holds joints at values of yours"
-        )
-    return out
-
-
-def _balance(plan: ChainPlan, planar: bool) -> list[str]:
-    """Sentences about what the task leaves free and about equations that the chain cannot meet at
-    will.
-    """
-    out: list[str] = []
+def _bound_by_slides(plan: ChainPlan) -> int:
+    """The largest number of configurations of any six joints of which as many slide."""
     unknown = [i for i in range(len(plan.lines)) if i not in plan.locked]
-    free = free_lines(plan.lines, plan.task, planar)
-    if len(free.kinds):
-        in_plane = "the angle" if plan.task == "position" else "the position"
-        out.append(f"the task leaves {in_plane if planar else LEAVES_FREE[plan.task]} free")
-    missing = (3 if planar else 6) - freedoms(plan.lines, free, unknown)
-    if missing > 0:
-        equations = in_words(missing, "equation")
-        moving = in_words(len(unknown), "joint")
-        why = _why(plan, planar)
+    kinds = np.concatenate([plan.lines.kinds[unknown], plan.extra.kinds])
+    return BY_SLIDES.get(int((kinds == SLIDE).sum()), 1) if len(kinds) <= 6 else BY_SLIDES[0]
+
+
+def _list_closed_form_steps(plan: ChainPlan, way: Strategy) -> list[Step]:
+    """The steps of a closed form: two equations of the outer joints x and z, and the inner joints."""
+    n = len(plan.lines)
+    order = [way.order[(way.inner + k) % 6] for k in range(6)]
+    roles = [A.JOINT if j < n else int(plan.extra.roles[j - n]) for j in order]
+    slides = np.concatenate([plan.lines.kinds, plan.extra.kinds])[order] == SLIDE
+    names = [
+        (plan.lines.names[j],) if j < n else (FREE[bool(slide)],) * (role == A.FREE)
+        for j, role, slide in zip(order, roles, slides, strict=True)
+    ]
+    inner = sum(
+        (name for name, role in zip(names[:3], roles[:3], strict=True) if role == A.JOINT), ()
+    )
+    out: list[Step] = []
+    x, y, z = 3, 4, 5
+    if way.mode == COUPLED:
+        values = 2 if A.REST in (roles[x], roles[z]) else 4
+        out.append(Step((*names[x], *names[z]), ORDERS[4], values))
+    elif way.mode != AT_REST:
+        first, second = (0, 1) if way.mode == X_FIRST else (1, 0)
+        size = _measure_factors(plan)
+        room = 2 if roles[y] == A.REST else 4  # a point moved by x and z alone: two circles
+        for k, measure in ((first, way.measure), (second, 1 - way.measure)):
+            place = (x, z)[k]
+            linear = slides[place] and size[k, measure, 1] <= EXACT
+            values = 1 if linear or roles[place] == A.REST else min(2, room)
+            room //= values
+            if names[place]:
+                out.append(Step(names[place], ORDERS[1 if linear else 2], values))
+    if out:
+        s = "s" * (len(inner) == 1)
+        who = joined(list(inner))
+        still = f"plane that {who} move{s} in itself"
+        if way.what != PLANE:
+            still = f"point that {who} leave{s} in place"
+        out[0] = out[0]._replace(equation=f"{out[0].equation} for the {still if inner else 'tip'}")
+    if names[y] and out:
+        out.append(Step(names[y], "follows", 1))
+    if inner:
+        in_plane = way.what == PLANE
+        one = A.REST in roles[:3] or A.JOINT not in roles[:3] or (in_plane and sum(slides[:3]) > 1)
         out.append(
-            f"{equations} of the task cannot be met at will, with {moving} to move: most targets "
-            f"are out of reach{why}"
+            Step(inner, "motion within the plane" if in_plane else "orientation", 1 if one else 2)
         )
     return out
 
 
-def _why(plan: ChainPlan, planar: bool) -> str:
-    """What the frame can never do, as part of a sentence."""
-    if planar:
-        return ""
-    lines = plan.lines
-    rng = np.random.default_rng(2)
-    columns: list[Array] = []
-    start: Array = spread(lines, rng, 1)[0]
-    for _ in range(4):
-        other: Array = spread(lines, rng, 1)[0]
-        theta = np.where(np.isin(np.arange(len(lines)), plan.locked), start, other)
-        columns.append(_twists(lines, theta, plan.locked))
-    twists = np.hstack(columns)
-    turning = _rank(twists[3:])
-    if turning == 0:
-        return "; the frame never turns"
-    if turning > 1:
-        return ""
-    n = svd(twists[3:])[0][:, 0]
-    level = float(np.abs(n @ twists[:3]).max()) <= EXACT
-    return "; the frame never tilts" + (" and stays in one plane" if level else "")
-
-
-def _twists(lines: Lines, theta: Array, locked: tuple[int, ...]) -> Array:
-    """Twists (6, k) [linear; angular] of the joints that move, at the origin, at theta."""
-    X = np.eye(4)
-    out: list[Array] = []
-    for i in range(len(lines)):
-        w = X[:3, :3] @ lines.h[i]
-        p = X[:3, :3] @ lines.o[i] + X[:3, 3]
-        if i not in locked:
-            out.append(
-                np.concatenate([w, np.zeros(3)] if lines.kinds[i] == SLIDE else [np.cross(p, w), w])
-            )
-        X = X @ motion(lines.kinds[i], lines.h[i], lines.o[i], theta[i])
-    return np.array(out).reshape(-1, 6).T
-
-
-def _rank(M: Array) -> int:
-    values = svd(M, compute_uv=False)
-    return int((values > 1e-7 * max(values[0], 1e-300)).sum()) if values[0] > EXACT else 0
-
-
-def _is(names: list[str]) -> str:
-    return "is" if len(names) == 1 else "are"
-
-
-# ---- steps of a closed form
-
-
-def _closed(plan: ChainPlan) -> list[str]:
-    assert plan.way is not None
-    steps = _Steps(plan, plan.way)
-    out: list[str] = []
-    if steps.swapped:
-        out.append(f"{steps.swapped}: a slide and a turn about its direction can change places")
-    return out + steps.sentences()
-
-
-class _Steps:
-    """The three outer and the three inner joints of a way, and what each contributes."""
-
-    def __init__(self, plan: ChainPlan, way: Strategy):
-        self.plan = plan
-        self.way = way
-        n = len(plan.lines)
-        places = [(way.inner + k) % 6 for k in range(6)]
-        self.places = [way.order[k] for k in places]
-        self.roles = [
-            A.JOINT if way.order[k] < n else int(plan.extra.roles[way.order[k] - n]) for k in places
-        ]
-        self.names = [plan.lines.names[way.order[k]] if way.order[k] < n else "" for k in places]
-        kinds = [*plan.lines.kinds, *plan.extra.kinds]
-        self.slides = [kinds[way.order[k]] == SLIDE for k in places]
-        self.degrees = self._degrees()
-
-    @property
-    def swapped(self) -> str:
-        """Neighbours that the way has in another order, in words."""
-        joints = [j for j in self.way.order if j < len(self.plan.lines)]
-        moved = [
-            self.plan.lines.names[j] for j, k in zip(joints, sorted(joints), strict=True) if j != k
-        ]
-        return f"{joined(moved)} are taken in another order" if moved else ""
-
-    def _degrees(self) -> tuple[int, int]:
-        """Largest numbers of values of x and z: two of a turn, one of a slide with a linear
-        equation or at rest.
-        """
-        x = 3
-        z = 5
-        if self.way.mode == AT_REST:
-            return 1, 1
-        if self.way.mode == COUPLED:  # of which one alone has two values
-            return (2, 1) if A.REST in (self.roles[x], self.roles[z]) else (4, 1)
-        amplitude = _amplitudes(self.plan, self.way)
-        first, j = (0, self.way.measure) if self.way.mode == X_FIRST else (1, self.way.measure)
-        out = [2, 2]
-        for k, measure in ((first, j), (1 - first, 1 - j)):
-            place = (x, z)[k]
-            if self.slides[place] and amplitude[k, measure, 1] <= EXACT:
-                out[k] = 1
-            if self.roles[place] == A.REST:
-                out[k] = 1
-        return out[0], out[1]
-
-    @property
-    def inner_ways(self) -> int:
-        """Largest number of solutions of the inner joints."""
-        inner = self.roles[:3]
-        if (
-            A.REST in inner
-            or A.JOINT not in inner
-            or (self.way.what == PLANE and sum(self.slides[:3]) > 1)
-        ):
-            return 1
-        return 2
-
-    @property
-    def most(self) -> int:
-        """Largest number of configurations that reach a target."""
-        outer = self.degrees[0] * self.degrees[1]
-        # x and z alone move a point, or a direction: two circles meet in two points
-        if self.roles[4] == A.REST:
-            outer = min(outer, 2)
-        return outer * self.inner_ways
-
-    def sentences(self) -> list[str]:
-        """What the joints do, one step a sentence."""
-        inner = [
-            name
-            for name, role in zip(self.names[:3], self.roles[:3], strict=True)
-            if role == A.JOINT
-        ]
-        outer = sorted(
-            (self.places[k], self.names[k]) for k in (3, 4, 5) if self.roles[k] == A.JOINT
-        )
-        out: list[str] = []
-        if outer:
-            out.append(self._outer(inner, [name for _, name in outer]))
-        if inner:
-            out.append(self._inner(inner, bool(outer)))
-        if A.REST in self.roles and self.way.mode != AT_REST:
-            out.append("what is left of the equations tells whether the target can be reached")
-        return out
-
-    def _outer(self, inner: list[str], outer: list[str]) -> str:
-        """What the inner joints leave in place, and how the outer ones bring it there."""
-        bring = "bring" if len(outer) > 1 else "brings"
-        if self.way.what == PLANE:
-            still = (
-                f"{joined(inner)} move{'s' * (len(inner) == 1)} a plane in itself" if inner else ""
-            )
-            it = "that plane" if inner else "the plane of the tip"
-        else:
-            where = "where their axes meet" if len(inner) > 1 else "of its axis at the tip"
-            still = (
-                f"{joined(inner)} {'do' if len(inner) > 1 else 'does'} not move the point {where}"
-                if inner
-                else ""
-            )
-            it = "that point" if inner else "the tip"
-        return (
-            f"{still}{'; ' * bool(still)}{joined(outer)} {bring} {it} to its place: {self._how()}"
-        )
-
-    def _how(self) -> str:
-        x, y, z = (self._called(k) for k in (3, 4, 5))
-        if self.way.mode == COUPLED:
-            pair = joined([w for w in (x, z) if w])
-            return f"{pair} from one quartic" + (f", {y} follows" if y else "")
-        words = {0: (x, self.degrees[0]), 1: (z, self.degrees[1])}
-        order = (0, 1) if self.way.mode == X_FIRST else (1, 0)
-        said = [
-            f"{words[k][0]} from a {'quadratic' if words[k][1] == 2 else 'linear'} equation"
-            for k in order
-            if words[k][0]
-        ]
-        if y:
-            said.append(f"{y} follows")
-        return ", ".join(said)
-
-    def _called(self, k: int) -> str:
-        """Name of joint k of the six, inner ones first, or what a free one is; '' for an added one
-        that must rest.
-        """
-        if self.roles[k] == A.FREE:
-            return "the free slide" if self.slides[k] else "the free turn"
-        return self.names[k]
-
-    def _inner(self, inner: list[str], after: bool) -> str:
-        ways = in_words(self.inner_ways, "way")
-        then = "then " if after else ""
-        if self.way.what == POINT:
-            give = "give" if len(inner) > 1 else "gives"
-            return f"{then}{joined(inner)} {give} the orientation, {ways}"
-        kind = (
-            "as a two-link arm does, " if not any(self.slides[:3]) and self.inner_ways == 2 else ""
-        )
-        give = "give" if len(inner) > 1 else "gives"
-        return f"{then}{joined(inner)} {give} the motion within the plane, {kind}{ways}"
-
-
-def _amplitudes(plan: ChainPlan, way: Strategy) -> Array:
-    """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some goals."""
+def _measure_factors(plan: ChainPlan) -> Array:
+    """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some targets."""
     rng = np.random.default_rng(13)
     lines = plan.lines
-    theta: Array = spread(lines, rng, 1)[0]
-    axes, shift = carried_lines(lines, plan.locked, plan.extra, theta)
-    six = Axes(axes.kinds[list(way.order)], axes.h[list(way.order)], axes.o[list(way.order)])
-    out = np.zeros((2, 2, 2))
-    for _ in range(3):
-        some: Array = spread(lines, rng, 1)[0]
-        other = np.where(np.isin(np.arange(len(lines)), plan.locked), theta, some)
-        G = sweep(lines, other[None])[0][0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
-        terms = np.empty(12)
-        goal = np.ascontiguousarray(G[:3]).ravel()
-        candidates.outer_terms(
-            six.kinds, six.packed(), goal, way.inner, way.what, way.option, terms
-        )
-        out = np.maximum(out, np.abs(terms.reshape(2, 2, 3)[..., 1:]))
-    return out
+    theta = spread(lines, rng, 4)
+    theta[1:, list(plan.locked)] = theta[0, list(plan.locked)]
+    terms = [compute_outer_terms(plan, theta[0], X) for X in sweep(lines, theta[1:])[0]]
+    return np.abs(terms)[..., 1:].max(axis=0)
 
 
 # ---- the report
@@ -539,8 +347,9 @@ class Recognised(Report):
 
     `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
     "slides". `relations` are facts about consecutive axes, those that a structure misses by little
-    among them. `path` says step by step how all configurations are found, `method` is "closed
-    form", "elimination" or "search". `most` is the largest number of isolated configurations that a
+    among them. `steps` are the rows of a table, in the order in which joints are solved: the
+    `joints`, the `equation` that gives them, and the largest number of their `values`. `method` is
+    "closed form", "elimination" or "search". `most` is the largest number of isolated configurations that a
     target can have, turns by 2 pi not counted; `held` are the joints that stay at their values
     because the chain has more than the task needs, or because the caller said so.
     """
@@ -551,7 +360,7 @@ class Recognised(Report):
     joints: tuple[str, ...]
     kinds: tuple[str, ...]
     relations: tuple[str, ...]
-    path: tuple[str, ...]
+    steps: tuple[Step, ...]
     most: int
     method: str
     held: tuple[str, ...]
@@ -582,7 +391,8 @@ class Recognised(Report):
         return symbolic_ik(self.of, self.frame, self.task, symbols=symbols)
 
     def _data(self) -> dict[str, Any]:
-        return {name: x for name, x in vars(self).items() if name != "of"}
+        own = {name: x for name, x in vars(self).items() if name != "of"}
+        return {**own, "steps": [step._asdict() for step in self.steps]}
 
     def topics(self) -> list[tuple[str, tuple[str, ...]]]:
         """The report as (title, lines)."""
@@ -595,7 +405,7 @@ class Recognised(Report):
             *([("task", (self.note,))] if self.note else []),
             ("joints", (joints,)),
             ("axes", self.relations),
-            ("path", self.path),
+            ("steps", tuple(map(str, self.steps))),
             ("method", (self.method,)),
             ("solutions", (f"{self.most} isolated {count} at most{each}",)),
         ]
@@ -647,8 +457,8 @@ def ik_plan(
         lines.names,
         kinds,
         relations(lines),
-        path(plan, frozenset(given), system.dim == 2),
-        most(plan),
+        list_steps(plan, frozenset(given)),
+        bound_solutions(plan),
         METHODS[plan.method],
         tuple(lines.names[i] for i in plan.locked),
         note,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial
 from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths
 from kempe.answers.problem import Choice
@@ -17,9 +16,9 @@ from kempe.inverse.all_answer import SolutionsRow
 from kempe.inverse.chain.length_bounds import by_lengths
 from kempe.inverse.chain.problem import MOST
 from kempe.inverse.chain.serial_chain import chain_of, slides_of
-from kempe.inverse.closed_forms.plan import ChainPlan, carried_lines, free_lines
+from kempe.inverse.closed_forms.plan import ChainPlan, compute_outer_terms, free_lines
 from kempe.inverse.closed_forms.plan import freedoms as rank_of
-from kempe.inverse.closed_forms.structure import Axes, Strategy
+from kempe.inverse.closed_forms.structure import Strategy
 from kempe.inverse.explain import rounded
 from kempe.inverse.families import Family, find_families
 from kempe.inverse.nearest import aim_of, held_coordinates, nearest
@@ -257,7 +256,8 @@ def _without_root(solutions: Solutions, index: int) -> Evidence | None:
     way = solutions.plan.way
     if way is None or way.mode in (AT_REST, COUPLED):
         return None
-    terms = _terms(solutions, index, way)
+    theta = plan.lines.theta(held_coordinates(solutions, index))
+    terms = compute_outer_terms(plan, theta, aim_of(solutions, index).target)
     slides = np.concatenate([plan.lines.kinds, plan.extra.kinds]) == SLIDE
     first, second = (0, 1) if way.mode == X_FIRST else (1, 0)
     joint = [way.order[(way.inner + 3) % 6], way.order[(way.inner + 5) % 6]]
@@ -280,26 +280,6 @@ def _without_root(solutions: Solutions, index: int) -> Evidence | None:
             (_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known))
         )
     return min(found, key=lambda x: x[0])[1]
-
-
-def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
-    """Constant and factors (2, 2, 3) of joints x and z in both measures, see
-    `kempe.kernels.closed_form.arm_part`.
-    """
-    from kempe.kernels.compiled import candidates
-
-    plan = solutions.plan
-    aim = aim_of(solutions, index)
-    theta = plan.lines.theta(held_coordinates(solutions, index))
-    axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
-    order = list(way.order)
-    six = Axes(axes.kinds[order], axes.h[order], axes.o[order])
-    goal = np.ascontiguousarray(
-        (aim.target @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift))[:3]
-    ).ravel()
-    out = np.empty(12)
-    candidates.outer_terms(six.kinds, six.packed(), goal, way.inner, way.what, way.option, out)
-    return out.reshape(2, 2, 3)
 
 
 def _range(t: Array, wanted: float) -> tuple[float, float, float]:

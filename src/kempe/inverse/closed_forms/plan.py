@@ -21,6 +21,7 @@ from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, jacobians
 from kempe.inverse.closed_forms.structure import Axes, Strategy, ways
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
+from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.model.model import kept
 from kempe.singular_values import svd
@@ -416,6 +417,23 @@ def carried_lines(
         else:
             h[i], o[i] = X[:3, :3] @ h[i], X[:3, :3] @ o[i] + X[:3, 3]
     return Axes(kinds, h, o), X
+
+
+def compute_outer_terms(plan: ChainPlan, theta: Array, X: Array) -> Array:
+    """Constant and factors (2, 2, 3) of the outer joints x and z in both measures of a closed form.
+
+    X (4, 4) is a pose of the tip, scaled as the lines; locked joints are as in theta (n,). See
+    `kempe.kernels.closed_form.arm_part`.
+    """
+    way = plan.way
+    assert way is not None
+    axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
+    six = axes.ordered(way.order)
+    goal = X @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift)
+    out = np.empty(12)
+    flat = np.ascontiguousarray(goal[:3]).ravel()
+    candidates.outer_terms(six.kinds, six.packed(), flat, way.inner, way.what, way.option, out)
+    return out.reshape(2, 2, 3)
 
 
 def pack(
